@@ -1,0 +1,44 @@
+"""Pinhole rays and their span inside a box.
+
+Siblings: none.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class PinholeCamera:
+    """OpenCV axes; the centre of the first pixel is (0.5, 0.5). Same origin and units as the scene's positions."""
+
+    centre: wp.vec3
+    rotation: wp.mat33  # camera axes, one a column
+    focal: wp.vec2  # pixels
+    principal_point: wp.vec2  # pixels
+    width: int
+    height: int
+
+
+@wp.func
+def pixel_direction(camera: PinholeCamera, column: int, row: int):
+    """Unit direction through the centre of a pixel."""
+    x = (float(column) + 0.5 - camera.principal_point[0]) / camera.focal[0]
+    y = (float(row) + 0.5 - camera.principal_point[1]) / camera.focal[1]
+    return wp.normalize(camera.rotation * wp.vec3(x, y, 1.0))
+
+
+@wp.func
+def box_span(origin: wp.vec3, direction: wp.vec3, lower: wp.vec3, upper: wp.vec3):
+    """Distances (near, far) at which a ray from `origin` is inside a box, near >= 0; near >= far where it misses."""
+    near = float(0.0)
+    far = float(1.0e30)
+    for axis in range(3):
+        if wp.abs(direction[axis]) > 1.0e-12:
+            a = (lower[axis] - origin[axis]) / direction[axis]
+            b = (upper[axis] - origin[axis]) / direction[axis]
+            near = wp.max(near, wp.min(a, b))
+            far = wp.min(far, wp.max(a, b))
+        elif origin[axis] < lower[axis] or origin[axis] > upper[axis]:
+            far = float(-1.0)
+    return wp.vec2(near, far)

@@ -1,0 +1,35 @@
+from setuptools import setup
+
+setup(
+    name="warpcage",
+    version="0.1.0",
+    description="Cage-based deformation of radiance fields: GPU kernels on NVIDIA Warp",
+    long_description=open("README.md", encoding="utf-8").read(),
+    long_description_content_type="text/markdown",
+    license="Apache-2.0",
+    license_files=["LICENSE"],
+    python_requires=">=3.10",
+    packages=["warpcage", "warpcage.scenes", "warpcage.kernels"],
+    package_dir={"warpcage": "warpcage", "warpcage.kernels": "kernels"},
+    install_requires=[
+        "warp-lang>=1.19",
+        "numpy>=1.26",
+        "trimesh>=4.4",
+        "pymeshlab>=2023.12",
+        "imageio>=2.34",
+        "av>=12.0",  # imageio's pyav plugin: MP4 without an ffmpeg executable
+        "scikit-image>=0.22",
+        "tqdm>=4.66",
+    ],
+    extras_require={
+        "test": ["pytest>=8.0", "scipy>=1.11"],
+        "dev": ["pytest>=8.0", "scipy>=1.11", "ruff>=0.6"],
+    },
+    entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
+    classifiers=[
+        "Programming Language :: Python :: 3",
+        "Environment :: GPU :: NVIDIA CUDA",
+        "Topic :: Scientific/Engineering",
+        "Topic :: Multimedia :: Graphics :: 3D Rendering",
+    ],
+)

@@ -1,0 +1,375 @@
+"""Cage: the coarse triangle mesh around an object whose vertices steer it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .arrays import as_host_points, is_device_array
+from .cage_topology import CageTopology
+
+#: Points this close to the cage, as a share of its size, count as inside.
+SURFACE_TOLERANCE = 1e-5
+
+#: A face lower than this share of the cage's size has no normal in float32.
+DEGENERATE_HEIGHT = 1e-7
+
+
+class Cage:
+    """A triangle mesh that encloses (a part of) an object; immutable.
+
+    vertices: (v, 3) finite floats in the scene's world units, kept as float64 in the order given.
+    faces: (f, 3) whole numbers, vertex indices, kept as int32; anticlockwise seen from outside.
+
+    The constructor refuses what cannot be held (other shapes, values that are not finite, indices that point nowhere)
+    with a ValueError. An open, inverted or tangled cage can be held, so that `check` can describe it; the coordinate
+    functions and `Deformer` call `require_usable`, which refuses it.
+    """
+
+    __slots__ = ("_vertices", "_faces", "_topology", "_problem")
+
+    def __init__(self, vertices, faces):
+        self._set(_checked_vertices(vertices), None, None)
+        self._faces = _checked_faces(faces, len(self._vertices))
+
+    def _set(self, vertices, faces, topology):
+        vertices.setflags(write=False)
+        self._vertices, self._faces, self._topology, self._problem = vertices, faces, topology, None
+
+    def __repr__(self) -> str:
+        return f"Cage({len(self.vertices)} vertices, {len(self.faces)} faces, size {self.size:.4g})"
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(v, 3) float64, world units, read-only."""
+        return self._vertices
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(f, 3) int32, read-only."""
+        return self._faces
+
+    @property
+    def topology(self) -> CageTopology:
+        """Edges, holes and connected parts; worked out once for a cage and all its poses."""
+        if self._topology is None:
+            self._topology = CageTopology(len(self.vertices), self.faces)
+        return self._topology
+
+    @property
+    def edges(self) -> np.ndarray:
+        """(e, 2) int32: every edge once, lower index first."""
+        return self.topology.edges
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) float64: lowest and highest corner of the bounding box of the vertices that faces use."""
+        used = self.vertices[self.faces.reshape(-1)]
+        return np.stack([used.min(axis=0), used.max(axis=0)])
+
+    @property
+    def size(self) -> float:
+        """Longest side of the bounding box, world units."""
+        return float(np.ptp(self.bounds, axis=0).max())
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume, world units cubed; negative where the faces look inward, meaningless on an open cage."""
+        return float(self.part_volumes().sum())
+
+    def part_volumes(self) -> np.ndarray:
+        """(part_count,) float64: signed volume of each connected part."""
+        a, b, c = _corners(self)
+        cones = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
+        return np.bincount(self.topology.parts, weights=cones, minlength=self.topology.part_count)
+
+    def with_vertices(self, vertices) -> Cage:
+        """A cage with the same faces and these vertices (v, 3). Raises ValueError for another count or NaN."""
+        vertices = _checked_vertices(vertices)
+        if len(vertices) != len(self.vertices):
+            raise ValueError(f"with_vertices needs {len(self.vertices)} vertices as the cage has, got {len(vertices)}")
+        posed = Cage.__new__(Cage)
+        posed._set(vertices, self.faces, self.topology)
+        return posed
+
+    # -- Checks
+
+    def require_usable(self, name: str = "cage") -> None:
+        """Raise a ValueError of one line, beginning with `name`, unless coordinates can be computed on this cage.
+
+        Refused: open edges, edges of more than two faces, vertices where parts merely touch, neighbours wound against
+        each other, parts that look inward (a cavity inside another part may), faces without area, and used vertices
+        at the same place. Self-intersections are not looked for here: see `check`.
+        """
+        if self._problem is None:
+            self._problem = _problem_of(self)
+        if self._problem:
+            raise ValueError(f"{name} {self._problem}")
+
+    def contains(self, points, device=None):
+        """Whether each point is inside, by winding number; points within 1e-5 of the size of the surface are inside.
+
+        points: (n, 3), world units. Returns (n,) bool, NumPy for NumPy input, on the device for an array of a device.
+        Raises ValueError for points of another shape, NumPy points that are not finite, or an unusable cage.
+        """
+        from .containment import inside_cage
+
+        return inside_cage(points, self, tolerance=SURFACE_TOLERANCE, device=device)
+
+    def check(self, field=None, mesh=None):
+        """Examine the cage, and what it encloses where a field or a mesh is given: a CageReport.
+
+        mesh: trimesh.Trimesh whose vertices ought to be inside. field: VoxelField whose visible voxels ought to be.
+        """
+        from .cage_check import check_cage
+
+        return check_cage(self, field=field, mesh=mesh)
+
+    # -- Files
+
+    @classmethod
+    def load(cls, path) -> Cage:
+        """Read an OBJ, PLY or OFF file. Vertices keep their order exactly, used or not; polygons are cut into fans.
+
+        Raises FileNotFoundError for a missing file, ValueError with file name and line for one that cannot be read.
+        """
+        from .cage_files import read_mesh
+
+        path, vertices, faces = read_mesh(path)
+        try:
+            return cls(vertices, faces)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+    def save(self, path) -> None:
+        """Write an OBJ, PLY (binary) or OFF file, as the ending of `path` says; vertices survive to the last bit.
+
+        The file appears whole or not at all. Raises ValueError for another ending.
+        """
+        from .cage_files import write_mesh
+
+        write_mesh(path, self.vertices, self.faces)
+
+    # -- Simple shapes
+
+    @classmethod
+    def box(cls, lower, upper=None, *, segments=1) -> Cage:
+        """A closed box between two corners.
+
+        lower, upper: (3,) corners in world units; or `lower` alone, (2, 3) bounds. segments: pieces along each axis,
+        one number or three. One segment gives 8 vertices and 12 faces.
+        Raises ValueError for corners that are not finite, a side that is not positive or segments below 1.
+        """
+        from .cage_shapes import box
+
+        return cls(*box(lower, upper, segments))
+
+    @classmethod
+    def cylinder(cls, centre, radius: float, height: float, *, axis="z", sides: int = 12, rings: int = 1) -> Cage:
+        """A closed cylinder around an axis: (rings + 1) * sides vertices and two in the middle of the caps.
+
+        centre: (3,), halfway up, world units; radius: of the circle through the vertices, so that the flat sides lie
+        radius * cos(pi / sides) from the axis; rings: pieces along the height.
+        Raises ValueError for radius or height that is not positive, fewer than 3 sides or 1 ring.
+        """
+        from .cage_shapes import cylinder
+
+        return cls(*cylinder(centre, radius, height, axis, sides, rings))
+
+    @classmethod
+    def icosphere(cls, centre, radius: float, subdivisions: int = 1) -> Cage:
+        """An icosahedron divided `subdivisions` times with its vertices on a sphere: 12, 42, 162, ... vertices.
+
+        The middles of the faces lie inside the sphere. Raises ValueError for a radius that is not positive.
+        """
+        from .cage_shapes import icosphere
+
+        return cls(*icosphere(centre, radius, subdivisions))
+
+    # -- Generation
+
+    @classmethod
+    def from_mesh(cls, mesh, vertex_count: int = 100, *, margin: float | None = None) -> Cage:
+        """A cage of about `vertex_count` vertices around a mesh: see `warpcage.cage_generation.cage_around_mesh`."""
+        from .cage_generation import cage_around_mesh
+
+        return cage_around_mesh(mesh, vertex_count, margin=margin)
+
+    @classmethod
+    def from_field(cls, field, vertex_count: int = 100, *, margin: float | None = None, threshold: float | None = None):
+        """A cage of about `vertex_count` vertices around what a field shows: see `cage_around_field` there."""
+        from .cage_generation import cage_around_field
+
+        return cage_around_field(field, vertex_count, margin=margin, threshold=threshold)
+
+    # -- Poses: the same faces, other vertices
+
+    def bend(self, degrees: float, *, axis="z", towards="x", limits=(0.0, 1.0), centre=None) -> Cage:
+        """Bend along `axis` towards `towards`, as a circular arc: see `warpcage.poses.bend`."""
+        return self._posed("bend", degrees, axis=axis, towards=towards, limits=limits, centre=centre)
+
+    def twist(self, degrees: float, *, axis="z", limits=(0.0, 1.0), centre=None) -> Cage:
+        """Turn about `axis` by an angle that grows along it: see `warpcage.poses.twist`."""
+        return self._posed("twist", degrees, axis=axis, limits=limits, centre=centre)
+
+    def taper(self, factor: float, *, axis="z", limits=(0.0, 1.0), centre=None) -> Cage:
+        """Scale across `axis` by a factor that goes from 1 to `factor` along it: see `warpcage.poses.taper`."""
+        return self._posed("taper", factor, axis=axis, limits=limits, centre=centre)
+
+    def stretch(self, factor: float, *, axis="z", limits=(0.0, 1.0), keep_volume: bool = False, centre=None) -> Cage:
+        """Lengthen along `axis`, and thin across it with keep_volume: see `warpcage.poses.stretch`."""
+        return self._posed("stretch", factor, axis=axis, limits=limits, keep_volume=keep_volume, centre=centre)
+
+    def scale(self, factor, *, centre=None) -> Cage:
+        """Scale by one factor, or one an axis, about `centre`: see `warpcage.poses.scale`."""
+        return self._posed("scale", factor, centre=centre)
+
+    def translate(self, offset) -> Cage:
+        """Move by `offset` (3,), world units."""
+        return self._posed("translate", offset)
+
+    def rotate(self, degrees: float, *, axis="z", centre=None) -> Cage:
+        """Turn about `axis` through `centre`, anticlockwise seen against it: see `warpcage.poses.rotate`."""
+        return self._posed("rotate", degrees, axis=axis, centre=centre)
+
+    def _posed(self, pose: str, *arguments, **options) -> Cage:
+        from . import poses
+
+        if pose != "translate":
+            options["bounds"] = self.bounds  # of the vertices in use
+        return self.with_vertices(getattr(poses, pose)(self.vertices, *arguments, **options))
+
+
+def require_same_faces(rest: Cage, deformed: Cage) -> None:
+    """Raise a ValueError that says how they differ unless both cages have the same faces in the same order."""
+    if len(rest.vertices) != len(deformed.vertices):
+        raise ValueError(f"the deformed cage has {len(deformed.vertices)} vertices, the rest cage {len(rest.vertices)}: "
+                         "they must match one to one")
+    if rest.faces is deformed.faces:
+        return
+    if len(rest.faces) != len(deformed.faces):
+        raise ValueError(f"the deformed cage has {len(deformed.faces)} faces, the rest cage {len(rest.faces)}: "
+                         "they must be the same")
+    differing = np.flatnonzero((rest.faces != deformed.faces).any(axis=1))
+    if not len(differing):
+        return
+    first = int(differing[0])
+    ours, theirs = rest.faces[first].tolist(), deformed.faces[first].tolist()
+    if np.array_equal(_sorted_faces(rest), _sorted_faces(deformed)):
+        raise ValueError(f"the deformed cage has the rest cage's faces in another order, from face {first} ({theirs}, not "
+                         f"{ours}): use rest.with_vertices(deformed.vertices)")
+    raise ValueError(f"face {first} of the deformed cage is {theirs}, of the rest cage {ours} "
+                     f"({len(differing)} differ): save both without reordering vertices")
+
+
+def _checked_vertices(vertices) -> np.ndarray:
+    vertices = as_host_points(vertices, name="cage vertices")
+    return np.array(vertices, dtype=np.float64, order="C", copy=True)
+
+
+def _checked_faces(faces, vertex_count: int) -> np.ndarray:
+    faces = np.asarray(faces.numpy() if is_device_array(faces) and hasattr(faces, "numpy") else faces)
+    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
+        raise ValueError(f"cage faces must be (f, 3) triangles, at least one, got {faces.shape}")
+    if faces.dtype.kind not in "iu":
+        raise ValueError(f"cage faces must be whole numbers, got {faces.dtype}")
+    wrong = (faces < 0) | (faces >= vertex_count)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong.any(axis=1))[0])
+        raise ValueError(f"cage face {row} is {faces[row].tolist()}, indices must be 0 to {vertex_count - 1}")
+    faces = np.array(faces, dtype=np.int32, order="C", copy=True)
+    faces.setflags(write=False)
+    return faces
+
+
+def _corners(cage: Cage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners of each face (f, 3) three times, about the middle of the bounding box for the sake of rounding."""
+    local = cage.vertices - cage.bounds.mean(axis=0)
+    return local[cage.faces[:, 0]], local[cage.faces[:, 1]], local[cage.faces[:, 2]]
+
+
+def _sorted_faces(cage: Cage) -> np.ndarray:
+    """Faces with the lowest index first (same direction), sorted: equal for cages that differ in order only."""
+    turn = np.argmin(cage.faces, axis=1)[:, None] + np.arange(3)
+    turned = np.take_along_axis(cage.faces, turn % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])]
+
+
+def degenerate_faces(cage: Cage) -> np.ndarray:
+    """Indices of the faces whose height is below 1e-7 of the cage's size, or that name a vertex twice."""
+    a, b, c = _corners(cage)
+    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.sqrt(np.maximum.reduce([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))]))
+    return np.flatnonzero(double_area <= DEGENERATE_HEIGHT * cage.size * longest)
+
+
+def coincident_vertices(cage: Cage) -> np.ndarray:
+    """(k, 2): used vertices that are the same in float32, each with the first of its place."""
+    used = np.unique(cage.faces)
+    local = (cage.vertices[used] - cage.bounds.mean(axis=0)).astype(np.float32)
+    _, first, place = np.unique(local + 0.0, axis=0, return_index=True, return_inverse=True)
+    leader = first[place.reshape(-1)]
+    extra = np.flatnonzero(leader != np.arange(len(used)))
+    return np.stack([used[leader[extra]], used[extra]], axis=1)
+
+
+def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Winding number of a closed mesh about points (n, 3), float64 on the host: (n,). For a few points only.
+
+    Sum of signed solid angles over 4 pi (van Oosterom and Strackee 1983, "The solid angle of a plane triangle").
+    """
+    total = np.zeros(len(points))
+    for first in range(0, len(points), 4096):
+        a, b, c = (vertices[faces[:, k]][None] - points[first : first + 4096, None] for k in range(3))
+        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
+        triple = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
+        below = (la * lb * lc + np.einsum("nfi,nfi->nf", a, b) * lc + np.einsum("nfi,nfi->nf", b, c) * la
+                 + np.einsum("nfi,nfi->nf", c, a) * lb)
+        total[first : first + 4096] = 2.0 * np.arctan2(triple, below).sum(axis=1) / (4.0 * np.pi)
+    return total
+
+
+def inward_parts(cage: Cage) -> np.ndarray:
+    """Indices of connected parts that look inward without being a cavity inside another part (closed cages only)."""
+    volumes = cage.part_volumes()
+    parts = cage.topology.parts
+    wrong = []
+    for part in np.flatnonzero(volumes <= 0.0):
+        inside = cage.vertices[cage.faces[parts == part][:1, 0]]
+        others = cage.faces[parts != part]
+        if volumes[part] == 0.0 or not len(others) or winding_numbers(inside, cage.vertices, others)[0] < 0.5:
+            wrong.append(part)
+    return np.asarray(wrong, dtype=np.int64)
+
+
+def _problem_of(cage: Cage) -> str:
+    """What makes the cage unusable, in one line without its name; empty for a usable cage."""
+    topology = cage.topology
+    if len(topology.open_edges):
+        a, b = topology.open_edges[0]
+        return f"is open: {len(topology.open_edges)} edges have one face only, the first from vertex {a} to {b}: close it"
+    if len(topology.crowded_edges):
+        a, b = topology.crowded_edges[0]
+        return (f"is not manifold: {len(topology.crowded_edges)} edges have more than two faces, the first from vertex "
+                f"{a} to {b}")
+    if len(topology.repeated_faces):
+        return f"has degenerate faces: face {topology.repeated_faces[0]} names a vertex twice"
+    if len(topology.pinched_vertices):
+        return (f"is not manifold: parts of it only touch at {len(topology.pinched_vertices)} vertices, the first "
+                f"{topology.pinched_vertices[0]}: split them")
+    if len(topology.clashing_edges):
+        a, b = topology.clashing_edges[0]
+        return (f"is wound inconsistently: the two faces at {len(topology.clashing_edges)} edges clash, the first from "
+                f"vertex {a} to {b}: flip faces until all are anticlockwise seen from outside")
+    coincident = coincident_vertices(cage)
+    if len(coincident):
+        a, b = coincident[0]
+        return f"has {len(coincident)} vertices at the place of another, the first {b} at that of {a}: merge or move them"
+    degenerate = degenerate_faces(cage)
+    if len(degenerate):
+        return f"has degenerate faces: {len(degenerate)} without area, the first {degenerate[0]}: remove or widen them"
+    inward = inward_parts(cage)
+    if len(inward):
+        face = int(np.flatnonzero(topology.parts == inward[0])[0])
+        return (f"looks inward: the part with face {face} encloses volume {cage.part_volumes()[inward[0]]:.4g}: flip its "
+                "faces to be anticlockwise seen from outside")
+    return ""

@@ -1,0 +1,64 @@
+"""Choose a Warp device, and launch kernels on all cores of the CPU."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import warp as wp
+
+#: Threads a CPU launch is cut over. Warp's CPU backend runs one launch on one thread, and releases the GIL meanwhile.
+CPU_THREADS = os.cpu_count() or 1
+
+_pool: ThreadPoolExecutor | None = None
+
+
+def resolve_device(device=None) -> wp.Device:
+    """The Warp device named `device`; None is the first CUDA device, or the CPU where there is none.
+
+    Raises ValueError when the named device is not there.
+    """
+    if isinstance(device, wp.Device):
+        return device
+    wp.init()
+    if device is None:
+        return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
+    try:
+        return wp.get_device(str(device))
+    except Exception as error:
+        present = ", ".join(found.alias for found in wp.get_devices())
+        raise ValueError(f"device {str(device)!r} is not there: this machine has {present}") from error
+
+
+def launch(kernel: wp.Kernel, count: int, inputs, outputs=(), *, device, threads: int | None = None) -> None:
+    """Launch a one-dimensional kernel whose first parameter is `first`, the index of this launch's first item.
+
+    On CUDA it is one launch with `first` = 0. On the CPU the items are cut into chunks that run on `threads` threads
+    (default CPU_THREADS), so outputs of different items must be disjoint: no atomics across items there.
+    """
+    device = wp.get_device(device)
+    if count <= 0:
+        return
+    threads = CPU_THREADS if threads is None else threads
+    if not device.is_cpu or threads <= 1 or count < 2 * threads:
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device)
+        return
+
+    wp.load_module(kernel.module, device=device)  # before the threads, so that it is compiled once
+    chunk_count = min(8 * threads, count)
+    edges = [count * i // chunk_count for i in range(chunk_count + 1)]
+
+    def run(begin: int, end: int) -> None:
+        wp.launch(kernel, dim=end - begin, inputs=[begin, *inputs], outputs=list(outputs), device=device)
+
+    run_parallel([lambda b=b, e=e: run(b, e) for b, e in zip(edges, edges[1:], strict=False)], threads)
+
+
+def run_parallel(tasks, threads: int | None = None) -> list:
+    """Run callables on the shared CPU thread pool and return their results in order (the first error is raised)."""
+    global _pool
+    if (CPU_THREADS if threads is None else threads) <= 1 or len(tasks) == 1:
+        return [task() for task in tasks]
+    if _pool is None:
+        _pool = ThreadPoolExecutor(CPU_THREADS, thread_name_prefix="warpcage")
+    return list(_pool.map(lambda task: task(), tasks))

@@ -1,0 +1,332 @@
+"""Optimise a voxel field from posed images."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+
+import numpy as np
+import warp as wp
+
+from .bounds import camera_array, object_bounds, visual_hull
+from .devices import CPU_THREADS, launch, resolve_device, run_parallel
+from .field import VoxelField, field_from_mask
+from .kernels import field_loss, field_step, grid_refine
+from .kernels.spherical_harmonics import mat93
+from .kernels.volume_render import record_weights
+from .scene import Scene
+from .sparse_grid import link_mask
+
+#: Training marches stop later than renders: what is behind must still learn that it is hidden.
+STOP_TRANSMITTANCE = 1e-4
+
+#: A CPU thread's own gradients are worth their memory up to this many.
+MAX_SHARDS = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class FitOptions:
+    """What `fit` may be told. Lengths are relative to the scene, so that the defaults suit objects of any size."""
+
+    resolution: int | None = None  #: voxels along the longest side at the end; None follows the images' pixel footprint
+    max_resolution: int = 512
+    footprint: float = 1.1  #: voxel side over a pixel's footprint at the object, where resolution is None
+    levels: int = 3  #: the resolution doubles from level to level
+    level_shares: tuple[float, ...] = (0.12, 0.28, 0.60)  #: of all rays, coarse to fine
+    epochs: float = 8.0  #: passes over the pixels that see the object
+    batch_rays: int | None = None  #: None follows the number of pixels
+    tile_size: int = 4  #: a batch is made of square tiles of this many pixels, neighbours share voxels
+    rate_density: float = 0.12  #: first learning rate, in optical depth a voxel of the level
+    rate_density_end: float = 0.006
+    rate_sh: float = 2e-2
+    rate_sh_end: float = 1e-3
+    beta: float = 0.95  #: RMSProp's decay
+    variation_density: float = 1e-5  #: total variation of density (per half extent) a voxel of the box
+    variation_sh: float = 1e-3
+    variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
+    prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
+    random_background: bool = True  #: supervise opacity with random backgrounds where the images have alpha
+
+
+class FieldOptimizer:
+    """Plenoxels' optimisation of a VoxelField, step by step: coarse to fine, RMSProp, total variation, pruning by
+    rendering weight (Fridovich-Keil and Yu et al. 2022, section 3).
+
+    scene: Scene. device: Warp device, None is CUDA where there is one. seed: of the pixel order and the backgrounds;
+    on the CPU the same seed, scene and number of cores give the same field to the bit. bounds: (2, 3) world units, None
+    finds the object. options: FitOptions fields by name.
+
+    Use `fit` unless you need the steps. `.field` is the field so far, `.psnr` of the last measured batch,
+    `.step_count` of `.total_steps`. Raises ValueError for options out of range or a scene with nothing in it.
+    """
+
+    def __init__(self, scene: Scene, *, device=None, seed: int = 0, bounds=None, **options):
+        self.scene = scene
+        self.options = _checked_options(options)
+        self.device = resolve_device(device)
+        self.seed = int(seed)
+        self.random = np.random.default_rng(self.seed)
+        self.psnr = float("nan")
+        self.step_count = 0
+        self.level = 0
+        self.shards = min(CPU_THREADS, MAX_SHARDS) if self.device.is_cpu else 1
+
+        box = object_bounds(scene, self.device) if bounds is None else np.asarray(bounds, np.float64)
+        self._choose_grid(box)
+        self._upload_images()
+        self._start_level(self._initial_mask(), None)
+        self._plan()
+
+    # Set-up
+
+    def _choose_grid(self, box: np.ndarray) -> None:
+        """Cubic voxels that halve `levels - 1` times: the final shape, and bounds grown around the box to fit it."""
+        options = self.options
+        extent = box[1] - box[0]
+        longest = float(extent.max())
+        resolution = options.resolution
+        if resolution is None:
+            centre = box.mean(axis=0)
+            pixel = np.median([np.linalg.norm(c.centre - centre) / c.fx for c in self.scene.cameras])
+            resolution = int(np.clip(math.ceil(longest / (options.footprint * pixel)), 32, options.max_resolution))
+        unit = 2 ** (options.levels - 1)
+        voxel = longest / resolution
+        shape = np.maximum(1, np.ceil(extent / voxel / unit - 1e-6).astype(int)) * unit
+        half = 0.5 * shape * voxel
+        self.bounds = np.stack([box.mean(axis=0) - half, box.mean(axis=0) + half])
+        self.shapes = [tuple(int(n) for n in shape // 2 ** (options.levels - 1 - i)) for i in range(options.levels)]
+
+    def _upload_images(self) -> None:
+        scene = self.scene
+        count, height, width = scene.images.shape[:3]
+        alphas = np.ones((count, height, width), np.float32) if scene.alphas is None else scene.alphas
+        pixels = np.empty((count, height, width, 4), np.float16)
+        for target, image, alpha in zip(pixels, scene.images, alphas, strict=True):
+            target[..., :3] = image - (1.0 - alpha[..., None]) * scene.background
+            target[..., 3] = alpha
+        rays = field_loss.TrainingRays()
+        rays.cameras = camera_array(scene.cameras, self.bounds.mean(axis=0), self.device)
+        rays.pixels = wp.array(pixels, dtype=wp.vec4h, device=self.device)
+        rays.tile_size = self.options.tile_size
+        self.rays = rays
+        size = self.options.tile_size
+        self.tile_total = count * -(-height // size) * -(-width // size)
+        batch = self.options.batch_rays or int(np.clip(count * height * width // 64, 4096, 65536))
+        self.batch_tiles = max(1, batch // size**2)
+        self.batch_rays = self.batch_tiles * size**2
+        self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
+
+    def _initial_mask(self) -> wp.array:
+        if self.scene.alphas is None:
+            return wp.ones(self.shapes[0], dtype=wp.int32, device=self.device)
+        mask = visual_hull(self.scene, self.bounds, self.shapes[0], self.device)
+        if not mask.numpy().any():
+            raise ValueError("no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas")
+        return self._dilated(mask)
+
+    def _plan(self) -> None:
+        options = self.options
+        shares = np.asarray(options.level_shares[-options.levels:], np.float64)
+        shares = shares / shares.sum()
+        steps = options.epochs * self.active_tiles / self.batch_tiles
+        self.level_steps = [max(1, round(float(share) * steps)) for share in shares]
+        self.total_steps = sum(self.level_steps)
+
+    # Levels
+
+    def _start_level(self, mask: wp.array, coarse: VoxelField | None, factor: int = 1) -> None:
+        """Allocate the rows of a mask, filled from a coarser field where there is one, with optimiser state."""
+        start_density = 0.1 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
+        field, self.nodes = field_from_mask(self.bounds, mask, start_density, background=self.scene.background,
+                                            device=self.device)
+        if coarse is not None:
+            launch(grid_refine.resample_rows, field.voxel_count, [coarse.grid, factor, self.nodes],
+                   [field.grid.density, field.grid.sh], device=self.device)
+        self.field = field
+        rows = field.voxel_count
+
+        def zeros(dtype):
+            return wp.zeros(rows, dtype=dtype, device=self.device)
+
+        self.gradients = [(zeros(wp.float32), zeros(mat93)) for _ in range(self.shards)]
+        self.moments = (zeros(wp.float32), zeros(mat93))
+        self._activate_tiles()
+
+    def _activate_tiles(self) -> None:
+        active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
+        inputs = [self.field.grid, self.rays.cameras, self.rays.tile_size, 2.0 * self.field.step]
+        launch(field_loss.mark_active_tiles, self.tile_total, inputs, [active], device=self.device)
+        self.tile_ids = np.flatnonzero(active.numpy()).astype(np.int32)
+        if len(self.tile_ids) == 0:
+            raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
+        self.active_tiles = len(self.tile_ids)
+        self._shuffle_tiles()
+
+    def _shuffle_tiles(self) -> None:
+        self.rays.tiles = wp.array(self.random.permutation(self.tile_ids), dtype=wp.int32, device=self.device)
+        self.cursor = 0
+
+    def _dilated(self, mask: wp.array) -> wp.array:
+        result = wp.empty_like(mask)
+        launch(grid_refine.dilate_mask, mask.size, [mask], [result], device=self.device)
+        return result
+
+    def measure_weights(self, pixel_stride: int = 1) -> wp.array:
+        """(rows,) float32 largest rendering weight that any training ray gives each voxel."""
+        rows = self.field.voxel_count
+        camera = self.scene.cameras[0]
+        count = len(self.scene) * -(-camera.width // pixel_stride) * -(-camera.height // pixel_stride)
+        shards = [wp.zeros(rows, dtype=wp.float32, device=self.device) for _ in range(self.shards)]
+        edges = [count * i // self.shards for i in range(self.shards + 1)]
+        inputs = [self.field.grid, self.rays.cameras, pixel_stride, self.field.step, STOP_TRANSMITTANCE]
+        wp.load_module(record_weights.module, device=self.device)
+        run_parallel([
+            lambda begin=begin, end=end, weights=weights: wp.launch(
+                record_weights, dim=end - begin, inputs=[begin, *inputs], outputs=[weights], device=self.device)
+            for begin, end, weights in zip(edges, edges[1:], shards, strict=False)
+        ], self.shards)
+        for other in shards[1:]:
+            launch(field_step.join_maximum, rows, [other], [shards[0]], device=self.device)
+        return shards[0]
+
+    def _pruned_mask(self) -> wp.array:
+        """The voxels whose rendering weight counts, and their neighbours, among those that there are."""
+        stride = max(1, int(0.5 * self.field.resolution[0] ** -1 * self.scene.images.shape[2]))
+        weights = self.measure_weights(stride)
+        mask = wp.zeros(self.field.resolution, dtype=wp.int32, device=self.device)
+        threshold = self.options.prune_weight / max(self.field.resolution)
+        launch(grid_refine.mark_weighty_nodes, self.field.voxel_count, [self.nodes, weights, threshold], [mask],
+               device=self.device)
+        mask = self._dilated(mask)
+        launch(grid_refine.keep_linked, mask.size, [self.field.grid.links], [mask], device=self.device)
+        if not link_mask(mask)[1].shape[0]:
+            raise ValueError("nothing is left to render after pruning: the images may not fit their cameras")
+        return mask
+
+    def _refine(self) -> None:
+        """On to the next level: prune, halve the voxels, interpolate."""
+        self.level += 1
+        pruned = self._pruned_mask()
+        mask = wp.empty(self.shapes[self.level], dtype=wp.int32, device=self.device)
+        launch(grid_refine.refine_mask, mask.size, [2, pruned], [mask], device=self.device)
+        self._start_level(mask, self.field, 2)
+
+    # Steps
+
+    @property
+    def level_done(self) -> bool:
+        return self.step_count >= sum(self.level_steps[: self.level + 1])
+
+    def step(self) -> None:
+        """One batch: gradients, RMSProp step; refines when a level is done."""
+        if self.step_count >= self.total_steps:
+            raise ValueError(f"all {self.total_steps} steps are done")
+        if self.level_done and self.level + 1 < self.options.levels:
+            self._refine()
+        if self.cursor + self.batch_tiles > self.active_tiles:
+            self._shuffle_tiles()
+        self.rays.first_tile = self.cursor
+        self.cursor += self.batch_tiles
+        self._accumulate_gradients()
+        self._apply_gradients()
+        self.step_count += 1
+
+    def _accumulate_gradients(self) -> None:
+        options, field = self.options, self.field
+        random_background = int(options.random_background and self.scene.alphas is not None)
+        photometric = [field.grid, self.rays, wp.vec3(*map(float, field.background)), random_background,
+                       self.seed * 1_000_003 + self.step_count, field.step, STOP_TRANSMITTANCE,
+                       1.0 / (3.0 * self.batch_rays)]
+        cells = float(np.prod(field.resolution))
+        scale = max(field.resolution) / 256.0
+        variation_rows = max(1, int(options.variation_share * field.voxel_count))
+        boost = field.voxel_count / variation_rows / cells * scale
+        first_row = int(self.random.integers(field.voxel_count))
+        unit = 1.0 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
+        variation = [field.grid, self.nodes, first_row, unit, options.variation_density * boost,
+                     options.variation_sh * boost]
+
+        def shard(index: int) -> None:
+            grad_density, grad_sh = self.gradients[index]
+            begin, end = (self.batch_rays * i // self.shards for i in (index, index + 1))
+            wp.launch(field_loss.accumulate_photometric_gradient, dim=end - begin, inputs=[begin, *photometric],
+                      outputs=[grad_density, grad_sh, self.squared_error], device=self.device)
+            begin, end = (variation_rows * i // self.shards for i in (index, index + 1))
+            if end > begin and (options.variation_density > 0 or options.variation_sh > 0):
+                wp.launch(field_loss.accumulate_variation_gradient, dim=end - begin, inputs=[begin, *variation],
+                          outputs=[grad_density, grad_sh], device=self.device)
+
+        wp.load_module(field_loss, device=self.device)
+        run_parallel([lambda i=i: shard(i) for i in range(self.shards)], self.shards)
+
+    def _apply_gradients(self) -> None:
+        options, field = self.options, self.field
+        rows = field.voxel_count
+        total_density, total_sh = self.gradients[0]
+        for other in self.gradients[1:]:
+            launch(field_step.add_gradients, rows, list(other), [total_density, total_sh], device=self.device)
+        progress = self.step_count / max(1, self.total_steps - 1)
+        voxel = float(field.voxel_size.max())
+        rate_density = _log_interpolate(options.rate_density, options.rate_density_end, progress) / voxel
+        rate_sh = _log_interpolate(options.rate_sh, options.rate_sh_end, progress)
+        launch(field_step.apply_rmsprop, rows, [rate_density, rate_sh, options.beta, 1e-12, total_density, total_sh,
+                                                *self.moments], [field.grid.density, field.grid.sh], device=self.device)
+
+    def measure_psnr(self) -> float:
+        """PSNR in dB of the last batch, over all pixels of the images: those that see no voxel count as right."""
+        error = float(self.squared_error.numpy().mean()) / 3.0 * self.active_tiles / self.tile_total
+        self.psnr = -10.0 * math.log10(max(error, 1e-12))
+        return self.psnr
+
+    def finish(self) -> VoxelField:
+        """Prune what no view needs, record rendering weights, and return the field."""
+        mask = self._pruned_mask()
+        self._start_level(mask, self.field)
+        self.field.weights = self.measure_weights()
+        return self.field
+
+
+def fit(scene: Scene, *, device=None, seed: int = 0, progress: bool = True, bounds=None, **options) -> VoxelField:
+    """Optimise a VoxelField from a Scene.
+
+    device: Warp device, None is CUDA where there is one. seed: see FieldOptimizer. progress: a bar with the PSNR of the
+    last batch. bounds: (2, 3) world units of the object, None finds it (visual hull where the images have alpha).
+    options: FitOptions fields by name, e.g. resolution=256, epochs=12.
+
+    Raises ValueError for a scene with nothing in it or options out of range.
+    """
+    from tqdm import tqdm
+
+    optimizer = FieldOptimizer(scene, device=device, seed=seed, bounds=bounds, **options)
+    with tqdm(total=optimizer.total_steps, desc="fit", disable=not progress) as bar:
+        shown = time.monotonic()
+        while optimizer.step_count < optimizer.total_steps:
+            optimizer.step()
+            bar.update()
+            if progress and time.monotonic() - shown > 1.0:
+                shown = time.monotonic()
+                size = "x".join(str(n) for n in optimizer.field.resolution)
+                bar.set_postfix_str(f"{optimizer.measure_psnr():.2f} dB at {size}")
+    optimizer.measure_psnr()
+    return optimizer.finish()
+
+
+def _log_interpolate(start: float, end: float, progress: float) -> float:
+    return math.exp((1.0 - progress) * math.log(start) + progress * math.log(end))
+
+
+def _checked_options(options: dict) -> FitOptions:
+    names = {field.name for field in dataclasses.fields(FitOptions)}
+    unknown = sorted(set(options) - names)
+    if unknown:
+        raise ValueError(f"fit has no option {unknown[0]!r}; it has {', '.join(sorted(names))}")
+    checked = FitOptions(**options)
+    if checked.resolution is not None and not 8 <= checked.resolution <= 2048:
+        raise ValueError(f"resolution must lie between 8 and 2048 voxels, got {checked.resolution}")
+    if not 1 <= checked.levels <= len(checked.level_shares):
+        raise ValueError(f"levels must lie between 1 and {len(checked.level_shares)}, got {checked.levels}")
+    for name in ("epochs", "tile_size", "rate_density", "rate_density_end", "rate_sh", "rate_sh_end", "footprint"):
+        if not getattr(checked, name) > 0:
+            raise ValueError(f"{name} must be positive, got {getattr(checked, name)}")
+    return checked

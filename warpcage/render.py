@@ -1,0 +1,104 @@
+"""Rendered frames, and cameras as kernels take them."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from .camera import Camera
+from .kernels.rays import PinholeCamera
+
+#: Masks a frame may carry; a frame of a plain field has none of them.
+MASK_NAMES = ("reveal", "fold", "outside")
+
+
+class Frame:
+    """One rendered view.
+
+    width, height: pixels. rgb: (h * w,) wp.vec3 or anything that reshapes to (h, w, 3), composited over the background.
+    alpha: (h * w,) opacity in [0, 1]. depth: (h * w,) expected distance along the ray in world units, inf where nothing
+    is seen. Masks by name, (h * w,) each: reveal (the ray crossed a cleared region that holds density before anything
+    opaque), fold (share of the pixel whose map has det J <= 0), outside (share of the ray's visible samples that the
+    map sends out of the canonical cage); None where they do not apply.
+
+    The arrays stay where they are (`.arrays`) until a property asks for NumPy; that copy is made once.
+    Raises ValueError for sizes that do not fit or a mask that does not exist.
+    """
+
+    def __init__(self, width: int, height: int, rgb, alpha, depth, **masks):
+        if width < 1 or height < 1:
+            raise ValueError(f"a frame needs at least 1x1 pixel, got {width}x{height}")
+        unknown = sorted(set(masks) - set(MASK_NAMES))
+        if unknown:
+            raise ValueError(f"a frame has no mask {unknown[0]!r}, it has {', '.join(MASK_NAMES)}")
+        self.width, self.height = int(width), int(height)
+        self.arrays = {"rgb": rgb, "alpha": alpha, "depth": depth}
+        self.arrays.update({name: mask for name, mask in masks.items() if mask is not None})
+        for name, array in self.arrays.items():
+            shape = tuple(array.shape)
+            if isinstance(array, wp.array) and array.dtype == wp.vec3:
+                shape += (3,)
+            expected = width * height * (3 if name == "rgb" else 1)
+            if int(np.prod(shape)) != expected:
+                raise ValueError(f"{name} of a {width}x{height} frame holds {expected} numbers, got shape {shape}")
+        self._host: dict[str, np.ndarray] = {}
+
+    def _numpy(self, name: str, *channels: int) -> np.ndarray | None:
+        if name not in self.arrays:
+            return None
+        if name not in self._host:
+            array = self.arrays[name]
+            host = array.numpy() if isinstance(array, wp.array) else np.asarray(array)
+            self._host[name] = np.ascontiguousarray(host, np.float32).reshape(self.height, self.width, *channels)
+        return self._host[name]
+
+    @property
+    def rgb(self) -> np.ndarray:
+        """(h, w, 3) float32 colour, composited over the background."""
+        return self._numpy("rgb", 3)
+
+    @property
+    def alpha(self) -> np.ndarray:
+        """(h, w) float32 opacity in [0, 1]."""
+        return self._numpy("alpha")
+
+    @property
+    def depth(self) -> np.ndarray:
+        """(h, w) float32 expected distance along the ray in world units, inf where nothing is seen."""
+        return self._numpy("depth")
+
+    @property
+    def disparity(self) -> np.ndarray:
+        """(h, w) float32 1 / depth, 0 where nothing is seen."""
+        with np.errstate(divide="ignore"):
+            return np.where(np.isfinite(self.depth), 1.0 / self.depth, 0.0).astype(np.float32)
+
+    @property
+    def reveal(self) -> np.ndarray | None:
+        """(h, w) float32, 1 where the ray crossed cleared matter before anything opaque; None for a plain field."""
+        return self._numpy("reveal")
+
+    @property
+    def fold(self) -> np.ndarray | None:
+        """(h, w) float32 opacity that comes from where the map folds over (det J <= 0); None for a plain field."""
+        return self._numpy("fold")
+
+    @property
+    def outside(self) -> np.ndarray | None:
+        """(h, w) float32, 1 where a sample that could be seen maps out of the canonical cage; None for a plain field."""
+        return self._numpy("outside")
+
+
+def camera_struct(camera: Camera, origin) -> PinholeCamera:
+    """`camera` for kernels, its centre relative to `origin` (3,).
+
+    The difference is taken in float64, so that float32 kernels see small numbers however far the scene lies from zero.
+    """
+    struct = PinholeCamera()
+    struct.centre = wp.vec3(*(camera.centre - np.asarray(origin, np.float64)))
+    struct.rotation = wp.mat33(*np.asarray(camera.rotation, np.float64).ravel())
+    struct.focal = wp.vec2(camera.fx, camera.fy)
+    struct.principal_point = wp.vec2(camera.cx, camera.cy)
+    struct.width = camera.width
+    struct.height = camera.height
+    return struct

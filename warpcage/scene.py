@@ -1,0 +1,117 @@
+"""Posed images of one scene."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+
+import numpy as np
+
+from .camera import Camera
+
+BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scene:
+    """Images with their cameras.
+
+    images: (n, h, w, 3) float32 in [0, 1], composited on the background.
+    alphas: (n, h, w) float32 in [0, 1], or None where the images carry no opacity.
+    cameras: n cameras of that image size, in the scene's own world units.
+    background: (3,) float32, the colour behind everything.
+    names: n image names, for reports.
+
+    Raises ValueError where the parts do not fit together or images hold values that are not finite.
+    """
+
+    images: np.ndarray
+    alphas: np.ndarray | None
+    cameras: list[Camera]
+    background: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(3, np.float32))
+    names: list[str] = dataclasses.field(default_factory=list)
+
+    def __post_init__(self):
+        images = np.asarray(self.images, dtype=np.float32)
+        if images.ndim != 4 or images.shape[-1] != 3:
+            raise ValueError(f"scene images must be (n, h, w, 3), got {images.shape}")
+        count, height, width = images.shape[:3]
+        if count == 0:
+            raise ValueError("a scene needs at least one image")
+        if len(self.cameras) != count:
+            raise ValueError(f"a scene needs one camera an image: {count} images, {len(self.cameras)} cameras")
+        names = list(self.names) or [f"{i:04d}" for i in range(count)]
+        if len(names) != count:
+            raise ValueError(f"a scene needs one name an image: {count} images, {len(names)} names")
+        for name, image, camera in zip(names, images, self.cameras, strict=True):
+            if not np.isfinite(image).all():
+                raise ValueError(f"image {name} holds values that are not finite")
+            if (camera.height, camera.width) != (height, width):
+                raise ValueError(f"camera of image {name} is {camera.width}x{camera.height}, images are {width}x{height}")
+        alphas = self.alphas
+        if alphas is not None:
+            alphas = np.asarray(alphas, dtype=np.float32)
+            if alphas.shape != images.shape[:3]:
+                raise ValueError(f"scene alphas must be {images.shape[:3]}, got {alphas.shape}")
+        object.__setattr__(self, "images", images)
+        object.__setattr__(self, "alphas", alphas)
+        object.__setattr__(self, "names", names)
+        object.__setattr__(self, "background", parse_background(self.background))
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+def parse_background(background) -> np.ndarray:
+    """(3,) float32 of a colour name or three numbers in [0, 1]. Raises ValueError for anything else."""
+    if isinstance(background, str):
+        if background not in BACKGROUNDS:
+            raise ValueError(f"background {background!r} is not known: {', '.join(BACKGROUNDS)} or three numbers in [0, 1]")
+        background = BACKGROUNDS[background]
+    colour = np.asarray(background, dtype=np.float32)
+    if colour.shape != (3,) or not np.isfinite(colour).all() or colour.min() < 0 or colour.max() > 1:
+        raise ValueError(f"background must be a colour name or three numbers in [0, 1], got {background}")
+    return colour
+
+
+def load_scene(path, *, split: str = "train", downscale: int = 1, format: str | None = None,
+               background="white") -> Scene:
+    """Read one split of a scene from disk.
+
+    path: folder of the scene.
+    split: "train", "val", "test", as the format has them.
+    downscale: whole factor by which width and height shrink, by area averaging of premultiplied colour.
+    format: "blender" (NeRF-synthetic); None detects it.
+    background: colour name or three numbers, put behind transparent pixels.
+
+    Raises FileNotFoundError for a missing folder, split or image, ValueError for contents that cannot be used.
+    """
+    from .scenes import READERS
+
+    folder = pathlib.Path(path)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"scene folder {str(folder)!r} is not there")
+    if int(downscale) != downscale or downscale < 1:
+        raise ValueError(f"downscale must be a whole number of at least 1, got {downscale}")
+    if format is None:
+        format = next((name for name, reader in READERS.items() if reader.is_scene(folder)), None)
+        if format is None:
+            looked = "; ".join(f"{name}: {reader.MARK}" for name, reader in READERS.items())
+            raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked})")
+    if format not in READERS:
+        raise ValueError(f"scene format {format!r} is not known: {', '.join(READERS)}")
+    return READERS[format].read(folder, split=split, downscale=int(downscale), background=parse_background(background))
+
+
+def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
+    """Area average of an (h, w, c) float image over factor x factor pixels; a remainder makes the last cells smaller."""
+    if factor == 1:
+        return premultiplied
+    height, width = premultiplied.shape[:2]
+    if height % factor == 0 and width % factor == 0:
+        blocks = premultiplied.reshape(height // factor, factor, width // factor, factor, -1)
+        return blocks.mean(axis=(1, 3))
+    from skimage.transform import resize_local_mean
+
+    size = (max(1, round(height / factor)), max(1, round(width / factor)))
+    return resize_local_mean(premultiplied, size, channel_axis=-1, preserve_range=True)

@@ -1,0 +1,37 @@
+"""Buffers of a sparse voxel grid: rows for the nodes of a mask, and the distances by which a march skips."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .devices import launch
+from .kernels import grid_refine, grid_skip
+
+
+def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
+    """Number the nodes of a mask (nx, ny, nz) int32.
+
+    Returns links (nx, ny, nz) int32 (row or -1) and nodes (rows,) vec3i, rows in memory order.
+    """
+    device = mask.device
+    flat = mask.flatten()
+    running = wp.empty_like(flat)
+    wp.utils.array_scan(flat, running, inclusive=True)
+    row_count = int(running[-1:].numpy()[0])
+    links = wp.empty(mask.shape, dtype=wp.int32, device=device)
+    nodes = wp.empty(row_count, dtype=wp.vec3i, device=device)
+    launch(grid_refine.link_nodes, mask.size, [mask, running], [links, nodes], device=device)
+    return links, nodes
+
+
+def measure_skip(links: wp.array) -> wp.array:
+    """Chebyshev distance of each cell to the nearest cell with a linked node: (nx-1, ny-1, nz-1) uint8."""
+    device = links.device
+    shape = tuple(n - 1 for n in links.shape)
+    distance = wp.empty(shape, dtype=wp.uint8, device=device)
+    spread = wp.empty_like(distance)
+    launch(grid_skip.mark_cells, distance.size, [links], [distance], device=device)
+    for axis in range(3):
+        launch(grid_skip.spread_distance, distance.size, [axis, distance], [spread], device=device)
+        distance, spread = spread, distance
+    return distance
