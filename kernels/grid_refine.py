@@ -19,11 +19,14 @@ def carve_visual_hull(
     voxel_size: wp.vec3,
     cameras: wp.array(dtype=PinholeCamera),
     opaque_sums: wp.array3d(dtype=wp.int32),
+    bounded: wp.array(dtype=wp.int32),
     mask: wp.array3d(dtype=wp.int32),
 ):
-    """1 where no image that sees a node's voxel shows it transparent (Laurentini 1994, conservative in the voxel's extent).
+    """1 where no image shows a node's voxel as transparent (Laurentini 1994, conservative in the voxel's extent).
 
-    opaque_sums: (views, h + 1, w + 1) summed-area tables of the opaque pixels. A voxel that no image sees is carved.
+    opaque_sums: (views, h + 1, w + 1) summed-area tables of the opaque pixels. bounded: (views,) 1 where the silhouette
+    keeps clear of the image's border, so that whatever lies beyond the image is transparent too. A voxel that no image
+    sees is carved.
     """
     n = first + wp.tid()
     k = n % mask.shape[2]
@@ -43,8 +46,8 @@ def carve_visual_hull(
             v = local[1] / local[2] * camera.focal[1] + camera.principal_point[1]
             ru = spread * camera.focal[0] * (1.0 + wp.abs(local[0] / local[2]))
             rv = spread * camera.focal[1] * (1.0 + wp.abs(local[1] / local[2]))
-            if u >= 0.0 and v >= 0.0 and u <= float(camera.width) and v <= float(camera.height):
-                views += 1
+            opaque = int(0)
+            if u + ru >= 0.0 and v + rv >= 0.0 and u - ru <= float(camera.width) and v - rv <= float(camera.height):
                 u0 = wp.clamp(int(wp.floor(u - ru)), 0, camera.width - 1)
                 u1 = wp.clamp(int(wp.floor(u + ru)), 0, camera.width - 1) + 1
                 v0 = wp.clamp(int(wp.floor(v - rv)), 0, camera.height - 1)
@@ -53,9 +56,12 @@ def carve_visual_hull(
                     opaque_sums[view, v1, u1] - opaque_sums[view, v0, u1]
                     - opaque_sums[view, v1, u0] + opaque_sums[view, v0, u0]
                 )
-                if opaque == 0:
-                    kept = int(0)
-                    break
+            centred = u >= 0.0 and v >= 0.0 and u <= float(camera.width) and v <= float(camera.height)
+            if centred:
+                views += 1
+            if opaque == 0 and (centred or bounded[view] == 1):
+                kept = int(0)
+                break
     mask[i, j, k] = wp.where(views > 0, kept, 0)
 
 

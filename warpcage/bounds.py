@@ -45,10 +45,11 @@ def visual_hull(scene: Scene, bounds, resolution, device) -> wp.array:
     opaque = scene.alphas > OPAQUE
     sums = np.zeros((len(scene), opaque.shape[1] + 1, opaque.shape[2] + 1), np.int32)
     np.cumsum(np.cumsum(opaque, axis=1, dtype=np.int32), axis=2, out=sums[:, 1:, 1:])
+    bounded = ~(opaque[:, [0, -1]].any(axis=(1, 2)) | opaque[:, :, [0, -1]].any(axis=(1, 2)))
     mask = wp.empty(tuple(int(n) for n in resolution), dtype=wp.int32, device=device)
     lower = bounds[0] - center + 0.5 * voxel_size
     inputs = [wp.vec3(*lower), wp.vec3(*voxel_size), camera_array(scene.cameras, center, device),
-              wp.array(sums, dtype=wp.int32, device=device)]
+              wp.array(sums, dtype=wp.int32, device=device), wp.array(bounded, dtype=wp.int32, device=device)]
     launch(carve_visual_hull, mask.size, inputs, [mask], device=device)
     return mask
 

@@ -31,16 +31,16 @@ class FitOptions:
 
     resolution: int | None = None  #: voxels along the longest side at the end; None follows the images' pixel footprint
     max_resolution: int = 512
-    footprint: float = 1.1  #: voxel side over a pixel's footprint at the object, where resolution is None
+    footprint: float = 0.7  #: voxel side over a pixel's footprint at the object, where resolution is None
     levels: int = 3  #: the resolution doubles from level to level
     level_shares: tuple[float, ...] = (0.12, 0.28, 0.60)  #: of all rays, coarse to fine
     epochs: float = 8.0  #: passes over the pixels that see the object
     batch_rays: int | None = None  #: None follows the number of pixels
-    tile_size: int = 4  #: a batch is made of square tiles of this many pixels, neighbours share voxels
-    rate_density: float = 0.12  #: first learning rate, in optical depth a voxel of the level
-    rate_density_end: float = 0.006
-    rate_sh: float = 2e-2
-    rate_sh_end: float = 1e-3
+    tile_size: int = 2  #: a batch is made of square tiles of this many pixels, neighbours share voxels
+    rate_density: float = 0.25  #: first learning rate, in optical depth a voxel of the level
+    rate_density_end: float = 0.0125
+    rate_sh: float = 3e-2
+    rate_sh_end: float = 1.5e-3
     beta: float = 0.95  #: RMSProp's decay
     variation_density: float = 1e-5  #: total variation of density (per half extent) a voxel of the box
     variation_sh: float = 1e-3
@@ -112,7 +112,7 @@ class FieldOptimizer:
         self.rays = rays
         size = self.options.tile_size
         self.tile_total = count * -(-height // size) * -(-width // size)
-        batch = self.options.batch_rays or int(np.clip(count * height * width // 64, 4096, 65536))
+        batch = self.options.batch_rays or int(np.clip(count * height * width // 128, 4096, 65536))
         self.batch_tiles = max(1, batch // size**2)
         self.batch_rays = self.batch_tiles * size**2
         self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)

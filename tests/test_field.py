@@ -1,0 +1,172 @@
+"""VoxelField: sampling, rendering and files against float64 NumPy."""
+
+import field_oracles as oracle
+import numpy as np
+import pytest
+import warp as wp
+
+import warpcage
+from warpcage.kernels import spherical_harmonics
+
+
+@wp.kernel
+def evaluate_basis(directions: wp.array(dtype=wp.vec3), values: wp.array2d(dtype=wp.float32)):
+    n = wp.tid()
+    basis = spherical_harmonics.sh_basis(directions[n])
+    for b in range(9):
+        values[n, b] = basis[b]
+
+
+def directions_of(count, seed=1):
+    d = np.random.default_rng(seed).normal(size=(count, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def test_basis_is_the_real_spherical_harmonics(device):
+    d = directions_of(200)
+    values = wp.empty((200, 9), dtype=wp.float32, device=device)
+    wp.launch(evaluate_basis, dim=200, inputs=[wp.array(d, dtype=wp.vec3, device=device)], outputs=[values],
+              device=device)
+    expected = oracle.basis(d)
+    np.testing.assert_allclose(values.numpy(), expected, atol=2e-6)
+
+
+def test_sample_matches_numpy_inside_and_outside(device):
+    field, density, sh = oracle.random_field(device)
+    random = np.random.default_rng(3)
+    points = random.uniform(field.bounds[0] - 0.3, field.bounds[1] + 0.3, (4000, 3))
+    d = directions_of(4000)
+    rgb, sigma = field.sample(points, d)
+    expected_rgb, expected_sigma = oracle.sample(field, density, sh, points, d)
+    # a point within float32 of the outermost node planes may fall on either side
+    g = (points - field.bounds[0]) / field.voxel_size - 0.5
+    clear = (np.abs(g - np.round(g)).min(axis=1) > 1e-5)
+    np.testing.assert_allclose(sigma[clear], expected_sigma[clear], atol=2e-4)
+    np.testing.assert_allclose(rgb[clear], expected_rgb[clear], atol=2e-4)
+    assert clear.mean() > 0.99 and (expected_sigma > 0).mean() > 0.1
+
+
+def test_sample_takes_device_arrays_and_returns_them(device):
+    field, _, _ = oracle.random_field(device)
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (10, 3)).astype(np.float32)
+    d = directions_of(10).astype(np.float32)
+    rgb, sigma = field.sample(wp.array(points, dtype=wp.vec3, device=device), wp.array(d, dtype=wp.vec3, device=device))
+    assert isinstance(rgb, wp.array) and isinstance(sigma, wp.array) and str(rgb.device) == device
+    np.testing.assert_allclose(rgb.numpy(), field.sample(points, d)[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e5])
+def test_render_matches_brute_force_march(device, shift):
+    field, density, sh = oracle.random_field(device, keep=0.3)
+    moved = warpcage.VoxelField(field.bounds + shift, field.grid.links, field.grid.density, field.grid.sh, device=device)
+    camera = warpcage.Camera.look_at(moved.center + [3.0, 1.0, 1.5], moved.center, fov_degrees=40, width=9, height=7)
+    background = (0.2, 0.4, 0.9)
+    frame = moved.render(camera, background=background)
+    origins, d = camera.rays()
+    for row, column in [(0, 0), (3, 4), (2, 5), (6, 8), (4, 2)]:
+        rgb, alpha, depth = oracle.render_ray(moved, density, sh, origins[row, column], d[row, column], moved.step,
+                                              background)
+        # early termination leaves at most 1e-3 of the light
+        np.testing.assert_allclose(frame.rgb[row, column], rgb, atol=3e-3)
+        assert abs(frame.alpha[row, column] - alpha) < 2e-3
+        if np.isfinite(depth):
+            assert abs(frame.depth[row, column] - depth) < 2e-2
+            assert abs(frame.disparity[row, column] * frame.depth[row, column] - 1) < 1e-5
+    assert frame.alpha.max() > 0.5
+
+
+def test_skip_distances_are_chebyshev(device):
+    field, _, _ = oracle.random_field(device, resolution=(14, 11, 17), keep=0.004, seed=5)
+    links = field.grid.links.numpy()
+    occupied = np.zeros(tuple(n - 1 for n in links.shape), bool)
+    for corner in np.ndindex(2, 2, 2):
+        occupied |= links[tuple(slice(c, c + n) for c, n in zip(corner, occupied.shape, strict=True))] >= 0
+    cells = np.argwhere(np.ones_like(occupied))
+    nearest = np.abs(cells[:, None] - np.argwhere(occupied)[None]).max(axis=2).min(axis=1)
+    assert nearest.max() > 4
+    np.testing.assert_array_equal(field.grid.skip.numpy().ravel(), nearest)
+
+
+def test_own_file_round_trip(device, tmp_path):
+    field, _, _ = oracle.random_field(device)
+    field.weights = wp.array(np.random.default_rng(0).random(field.voxel_count), dtype=wp.float32, device=device)
+    field.save(tmp_path / "f.npz")
+    again = warpcage.VoxelField.load(tmp_path / "f.npz", device=device)
+    np.testing.assert_array_equal(again.bounds, field.bounds)
+    np.testing.assert_array_equal(again.background, field.background)
+    np.testing.assert_array_equal(again.node_densities(), field.node_densities())
+    np.testing.assert_allclose(again.grid.sh.numpy(), field.grid.sh.numpy(), rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(again.node_weights(), field.node_weights(), rtol=1e-3)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["f.npz"]
+
+
+def test_svox2_file_round_trip_and_scene_scale(device, tmp_path):
+    field, _, _ = oracle.random_field(device)
+    field.save(tmp_path / "p.npz", format="svox2")
+    with np.load(tmp_path / "p.npz") as archive:
+        assert {"radius", "center", "links", "density_data", "sh_data", "basis_type"} <= set(archive.files)
+        assert archive["sh_data"].shape == (field.voxel_count, 27) and archive["sh_data"].dtype == np.float16
+        # each colour's coefficients stand together
+        np.testing.assert_allclose(archive["sh_data"][:, 9:18], field.grid.sh.numpy()[:, :, 1], rtol=1e-3, atol=1e-6)
+    d = directions_of(300)
+    points = np.random.default_rng(1).uniform(field.bounds[0], field.bounds[1], (300, 3))
+    rgb, sigma = field.sample(points, d)
+    again = warpcage.VoxelField.load(tmp_path / "p.npz", device=device)
+    np.testing.assert_allclose(again.bounds, field.bounds, atol=1e-6)
+    np.testing.assert_allclose(again.sample(points, d)[0], rgb, atol=4e-3)
+    scaled = warpcage.VoxelField.load(tmp_path / "p.npz", scene_scale=0.5, device=device)
+    np.testing.assert_allclose(scaled.sample(2 * points, d)[1], 0.5 * sigma, atol=1e-2)
+
+
+def test_from_dense_keeps_what_interpolation_reaches(device):
+    density = np.zeros((6, 6, 6))
+    density[3, 3, 3] = 2.0
+    sh = np.random.default_rng(0).normal(size=(6, 6, 6, 9, 3))
+    field = warpcage.VoxelField.from_dense(density, sh, [[0, 0, 0], [6, 6, 6]], device=device)
+    assert field.voxel_count == 27
+    points = np.random.default_rng(1).uniform(2.6, 4.4, (500, 3))
+    d = directions_of(500)
+    expected = oracle.sample(field, density, sh, points, d)
+    rgb, sigma = field.sample(points, d)
+    np.testing.assert_allclose(sigma, expected[1], atol=1e-5)
+    np.testing.assert_allclose(rgb, expected[0], atol=1e-4)
+
+
+@pytest.mark.parametrize("contents, word", [
+    ({"a": np.zeros(2)}, "neither"),
+    ({"format": "warpcage", "version": 99}, "version 99"),
+    ({"format": "warpcage", "version": 1}, "lacks"),
+])
+def test_bad_files_are_named(tmp_path, contents, word):
+    np.savez(tmp_path / "bad.npz", **contents)
+    with pytest.raises(ValueError, match=word):
+        warpcage.VoxelField.load(tmp_path / "bad.npz", device="cpu")
+
+
+def test_file_errors(tmp_path):
+    with pytest.raises(FileNotFoundError, match="is not there"):
+        warpcage.VoxelField.load(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(ValueError, match="is no .npz"):
+        warpcage.VoxelField.load(tmp_path / "text.npz")
+    field, _, _ = oracle.random_field("cpu")
+    with pytest.raises(ValueError, match="ends in .npz"):
+        field.save(tmp_path / "f.pt")
+    with pytest.raises(ValueError, match="not known"):
+        field.save(tmp_path / "f.npz", format="ply")
+    assert [p.name for p in tmp_path.iterdir()] == ["text.npz"]
+
+
+def test_bad_constructions():
+    links = np.zeros((2, 2, 2), np.int32)
+    with pytest.raises(ValueError, match="bounds"):
+        warpcage.VoxelField([[0, 0, 0], [1, 1, 0]], links, [1.0], np.zeros((1, 9, 3)), device="cpu")
+    with pytest.raises(ValueError, match="9, 3"):
+        warpcage.VoxelField([[0, 0, 0], [1, 1, 1]], links, [1.0], np.zeros((1, 4, 3)), device="cpu")
+    field, _, _ = oracle.random_field("cpu")
+    with pytest.raises(ValueError, match="as many"):
+        field.sample(np.zeros((2, 3)), np.ones((3, 3)))
+    with pytest.raises(ValueError, match="finite"):
+        field.sample([[np.nan, 0, 0]], [[0, 0, 1]])
+    with pytest.raises(ValueError, match="step"):
+        field.render(warpcage.Camera.look_at([3, 0, 0], [0, 0, 0]), step=0.0)

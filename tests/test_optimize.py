@@ -1,0 +1,254 @@
+"""Gradients against finite differences, the optimiser's step against NumPy, and small fits."""
+
+import field_oracles as oracle
+import numpy as np
+import pytest
+import warp as wp
+
+import warpcage
+from warpcage.bounds import camera_array, object_bounds
+from warpcage.evaluation import evaluate, mean_psnr, psnr
+from warpcage.kernels import field_loss, field_step
+from warpcage.kernels.spherical_harmonics import mat93
+from warpcage.optimize import FieldOptimizer
+
+
+def training_rays(cameras, images, alphas, field, device):
+    pixels = np.concatenate([images - (1 - alphas[..., None]), alphas[..., None]], axis=-1).astype(np.float16)
+    rays = field_loss.TrainingRays()
+    rays.cameras = camera_array(cameras, field.center, device)
+    rays.pixels = wp.array(pixels, dtype=wp.vec4h, device=device)
+    rays.tile_size = 2
+    rays.tiles = wp.array(np.arange(len(cameras) * 12), dtype=wp.int32, device=device)
+    rays.first_tile = 0
+    return rays
+
+
+def test_photometric_gradient_matches_finite_differences(device):
+    field, density, sh = oracle.random_field(device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3),
+                                             density_scale=1.0)
+    cameras = [warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=38, width=8, height=6)
+               for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2])]
+    random = np.random.default_rng(0)
+    images, alphas = random.random((2, 6, 8, 3)), np.ones((2, 6, 8))
+    images = images.astype(np.float16).astype(np.float64)
+    rays = training_rays(cameras, images, alphas, field, device)
+    rows = field.voxel_count
+    grad_density = wp.zeros(rows, dtype=wp.float32, device=device)
+    grad_sh = wp.zeros(rows, dtype=mat93, device=device)
+    error = wp.zeros(96, dtype=wp.float32, device=device)
+    background = (0.3, 0.6, 0.1)
+    scale = 1 / (3 * 96)
+    wp.launch(field_loss.accumulate_photometric_gradient, dim=96, device=device,
+              inputs=[0, field.grid, rays, wp.vec3(*background), 0, 0, field.step, 0.0, scale],
+              outputs=[grad_density, grad_sh, error])
+
+    def loss(density, sh):
+        total = 0.0
+        for camera, image in zip(cameras, images, strict=True):
+            origins, directions = camera.rays()
+            for row, column in np.ndindex(6, 8):
+                rgb, _, _ = oracle.render_ray(field, density, sh, origins[row, column], directions[row, column],
+                                              field.step, background, length=6.0)
+                total += ((rgb - image[row, column]) ** 2).sum()
+        return total * scale
+
+    assert abs(error.numpy().sum() * scale - loss(density, sh)) < 1e-5
+    links = field.grid.links.numpy()
+    nodes = random.permutation(np.argwhere(links >= 0))[:6]
+    largest = np.abs(grad_density.numpy()).max()
+    for node in map(tuple, nodes):
+        difference = []
+        for sign in (1, -1):
+            changed = density.copy()
+            changed[node] += sign * 1e-4
+            difference.append(loss(changed, sh))
+        expected = (difference[0] - difference[1]) / 2e-4
+        assert abs(grad_density.numpy()[links[node]] - expected) < 1e-3 * largest + 1e-3 * abs(expected)
+    largest = np.abs(grad_sh.numpy()).max()
+    for node in map(tuple, nodes[:3]):
+        b, channel = random.integers(9), random.integers(3)
+        difference = []
+        for sign in (1, -1):
+            changed = sh.copy()
+            changed[(*node, b, channel)] += sign * 1e-4
+            difference.append(loss(density, changed))
+        expected = (difference[0] - difference[1]) / 2e-4
+        assert abs(grad_sh.numpy()[links[node], b, channel] - expected) < 1e-3 * largest + 1e-3 * abs(expected)
+
+
+def test_random_backgrounds_reward_the_right_alpha(device):
+    """With the image's own colour and alpha rendered, no background leaves an error; with another alpha, all do."""
+    field, _, _ = oracle.random_field(device, bounds=((-1,) * 3, (1,) * 3))
+    cameras = [warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=8, height=6)]
+    frame = field.render(cameras[0], background="black")
+    seen = frame.rgb + (1 - frame.alpha[..., None])  # composited on white
+    for alphas, right in ((frame.alpha, True), (0.5 * frame.alpha, False)):
+        rays = training_rays(cameras, seen[None] if right else (seen - 1 + 1)[None], alphas[None], field, device)
+        error = wp.zeros(48, dtype=wp.float32, device=device)
+        wp.launch(field_loss.accumulate_photometric_gradient, dim=48, device=device,
+                  inputs=[0, field.grid, rays, wp.vec3(1.0, 1.0, 1.0), 1, 7, field.step, 1e-3, 1.0],
+                  outputs=[wp.zeros(field.voxel_count, dtype=wp.float32, device=device),
+                           wp.zeros(field.voxel_count, dtype=mat93, device=device), error])
+        assert (error.numpy().mean() < 1e-5) == right
+
+
+def test_variation_gradient_matches_finite_differences(device):
+    field, density, sh = oracle.random_field(device, resolution=(5, 4, 6), keep=0.6)
+    links = field.grid.links.numpy()
+    nodes = np.argwhere(links >= 0).astype(np.int32)
+    rows = field.voxel_count
+    grad_density = wp.zeros(rows, dtype=wp.float32, device=device)
+    grad_sh = wp.zeros(rows, dtype=mat93, device=device)
+    unit, scale_density, scale_sh = 0.7, 0.3, 0.2
+    wp.launch(field_loss.accumulate_variation_gradient, dim=rows, device=device,
+              inputs=[0, field.grid, wp.array(nodes, dtype=wp.vec3i, device=device), 3, unit, scale_density, scale_sh],
+              outputs=[grad_density, grad_sh])
+
+    def variation(values):  # values (nx, ny, nz, c): differences to nodes without a row count as zero
+        total = 0.0
+        for node in nodes:
+            squares = 0.0
+            for axis in range(3):
+                other = node.copy()
+                other[axis] += 1
+                if other[axis] < links.shape[axis] and links[tuple(other)] >= 0:
+                    squares = squares + (values[tuple(other)] - values[tuple(node)]) ** 2
+            total += np.sqrt(squares + 1e-9).sum() if np.ndim(squares) else np.sqrt(1e-9) * values.shape[-1]
+        return total
+
+    for row in (0, rows // 2, rows - 1):
+        node = tuple(nodes[row])
+        for values, gradient, scale, index in (
+            (density[..., None] / unit, grad_density.numpy()[row], scale_density / unit, 0),
+            (sh.reshape(*links.shape, 27), grad_sh.numpy()[row].reshape(27)[14], scale_sh, 14),
+        ):
+            difference = []
+            for sign in (1, -1):
+                changed = values.copy()
+                changed[(*node, index)] += sign * 1e-5
+                difference.append(variation(changed))
+            np.testing.assert_allclose(gradient, scale * (difference[0] - difference[1]) / 2e-5, rtol=2e-3, atol=1e-4)
+
+
+def test_rmsprop_step_matches_numpy(device):
+    random = np.random.default_rng(0)
+    rows = 50
+    density, sh = random.normal(size=rows), random.normal(size=(rows, 9, 3))
+    moments = [np.zeros(rows), np.zeros((rows, 9, 3))]
+    arrays = [wp.array(v.astype(np.float32), dtype=t, device=device)
+              for v, t in ((density, wp.float32), (sh, mat93), (moments[0], wp.float32), (moments[1], mat93))]
+    for _ in range(3):
+        gradients = [random.normal(size=rows), random.normal(size=(rows, 9, 3))]
+        untouched = random.random(rows) < 0.3
+        gradients[0][untouched] = 0.0
+        gradients[1][untouched] = 0.0
+        held = [wp.array(g.astype(np.float32), dtype=t, device=device)
+                for g, t in zip(gradients, (wp.float32, mat93), strict=True)]
+        wp.launch(field_step.apply_rmsprop, dim=rows, device=device,
+                  inputs=[0, 0.5, 0.1, 0.9, 1e-12, *held, arrays[2], arrays[3]], outputs=[arrays[0], arrays[1]])
+        assert not held[0].numpy().any() and not held[1].numpy().any()
+        for index, (values, rate) in enumerate(((density, 0.5), (sh, 0.1))):
+            g = gradients[index]
+            v = np.where(moments[index] == 0, g * g, 0.9 * moments[index] + 0.1 * g * g)
+            moments[index] = np.where(g != 0, v, moments[index])
+            values -= np.where(g != 0, rate * g / (np.sqrt(np.where(v > 0, v, 1)) + 1e-12), 0)
+    np.testing.assert_allclose(arrays[0].numpy(), density, atol=1e-5)
+    np.testing.assert_allclose(arrays[1].numpy(), sh, atol=1e-5)
+
+
+def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=True, device="cpu"):
+    """Views of a field with a coloured box in it, rendered by ourselves: the fit must find what was put in."""
+    n = 24
+    density, sh = np.zeros((n, n, n)), np.zeros((n, n, n, 9, 3))
+    density[7:17, 8:16, 6:18] = 60.0 / scale
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, n)] * 3, indexing="ij"), axis=-1)
+    sh[..., 0, :] = grid / 0.2820948  # colour by position
+    offset = np.asarray(offset)
+    field = warpcage.VoxelField.from_dense(density, sh, [offset - scale, offset + scale], device=device)
+    cameras = warpcage.camera.turntable(offset, 3.2 * scale, 30, count // 2, fov_degrees=35, width=size, height=size)
+    cameras += warpcage.camera.turntable(offset, 3.2 * scale, -25, count - count // 2, fov_degrees=35, width=size,
+                                         height=size, start_degrees=13)
+    frames = [field.render(camera) for camera in cameras]
+    alphas = np.stack([frame.alpha for frame in frames]) if with_alpha else None
+    return warpcage.Scene(np.stack([frame.rgb for frame in frames]), alphas, cameras)
+
+
+SMALL = {"resolution": 40, "levels": 2, "epochs": 25, "batch_rays": 1024}
+
+
+@pytest.mark.parametrize("scale, offset, with_alpha", [(1.0, (0, 0, 0), True), (10.0, (40, -30, 5), True),
+                                                       (1.0, (0, 0, 0), False)])
+def test_fit_finds_what_was_rendered(device, scale, offset, with_alpha):
+    scene = blob_scene(count=40, size=32, scale=scale, offset=offset, with_alpha=with_alpha)
+    held, rest = [7, 29], [i for i in range(40) if i not in (7, 29)]
+    alphas = scene.alphas[rest] if with_alpha else None
+    train = warpcage.Scene(scene.images[rest], alphas, [scene.cameras[i] for i in rest])
+    test = warpcage.Scene(scene.images[held], None, [scene.cameras[i] for i in held])
+    field = warpcage.fit(train, device=device, progress=False, **SMALL)
+    assert mean_psnr(evaluate(field, test)) > 26
+    # the box of the object, in world units: (-5/12 .. 5/12, -1/3 .. 1/3, -1/2 .. 1/2) * scale + offset
+    solid = field.node_densities() > 5.0 / scale
+    corners = np.argwhere(solid)
+    low = field.bounds[0] + corners.min(axis=0) * field.voxel_size
+    high = field.bounds[0] + (corners.max(axis=0) + 1) * field.voxel_size
+    half = scale * np.array([5 / 12, 1 / 3, 1 / 2])
+    if with_alpha:
+        np.testing.assert_allclose(low, offset - half, atol=0.2 * scale)
+        np.testing.assert_allclose(high, offset + half, atol=0.2 * scale)
+    assert field.node_weights().max() > 0.05
+
+
+def test_fit_is_deterministic_on_the_cpu():
+    scene = blob_scene(count=6, size=24)
+    fields = [warpcage.fit(scene, device="cpu", seed=seed, progress=False, resolution=24, levels=2, epochs=2,
+                           batch_rays=512) for seed in (3, 3, 4)]
+    np.testing.assert_array_equal(fields[0].grid.density.numpy(), fields[1].grid.density.numpy())
+    np.testing.assert_array_equal(fields[0].grid.sh.numpy(), fields[1].grid.sh.numpy())
+    assert (fields[0].voxel_count != fields[2].voxel_count
+            or (fields[0].grid.density.numpy() != fields[2].grid.density.numpy()).any())
+
+
+def test_bounds_hold_the_object():
+    scene = blob_scene(count=10, offset=(1.0, 2.0, -0.5))
+    box = object_bounds(scene, "cpu")
+    half = np.array([5 / 12, 1 / 3, 1 / 2])
+    centre = np.array([1.0, 2.0, -0.5])
+    assert (box[0] <= centre - half).all() and (box[1] >= centre + half).all()
+    assert (box[1] - box[0]).max() < 2.0  # a third of what the cameras see
+
+
+def test_optimizer_counts_steps_and_refuses_more():
+    scene = blob_scene(count=4, size=16)
+    optimizer = FieldOptimizer(scene, device="cpu", resolution=16, levels=1, epochs=1, batch_rays=256)
+    while optimizer.step_count < optimizer.total_steps:
+        optimizer.step()
+    assert np.isfinite(optimizer.measure_psnr())
+    with pytest.raises(ValueError, match="steps are done"):
+        optimizer.step()
+
+
+@pytest.mark.parametrize("options, word", [({"epoch": 3}, "no option 'epoch'"), ({"resolution": 2}, "resolution"),
+                                           ({"levels": 0}, "levels"), ({"epochs": 0}, "epochs")])
+def test_bad_options(options, word):
+    with pytest.raises(ValueError, match=word):
+        warpcage.fit(blob_scene(count=2, size=8), device="cpu", progress=False, **options)
+
+
+def test_transparent_scene_is_refused():
+    scene = blob_scene(count=3, size=8)
+    empty = warpcage.Scene(np.ones_like(scene.images), np.zeros_like(scene.alphas), scene.cameras)
+    with pytest.raises(ValueError, match="transparent"):
+        warpcage.fit(empty, device="cpu", progress=False)
+
+
+def test_psnr_by_hand():
+    assert psnr(np.full((2, 2, 3), 0.5), np.full((2, 2, 3), 0.6)) == pytest.approx(20.0)
+    assert psnr(np.full((1, 1, 3), 1.7), np.ones((1, 1, 3))) == float("inf")  # clamped
+
+
+def test_lego_at_a_tenth_of_the_effort(real_data):
+    scene = warpcage.load_scene(real_data / "lego_800", downscale=16)
+    test = warpcage.load_scene(real_data / "lego_800", split="test", downscale=16)
+    field = warpcage.fit(scene, device="cpu", progress=False, epochs=4)
+    assert mean_psnr(evaluate(field, test)) > 25
