@@ -30,7 +30,7 @@ class TrainingRays:
 
 @wp.func
 def batch_pixel(rays: TrainingRays, n: int):
-    """(view, row, column) of the n-th ray of a batch; row or column may lie beyond the image at its far edges."""
+    """(view, row, column) of the n-th ray of a batch; the far tiles' pixels may lie beyond the image."""
     size = rays.tile_size
     columns = (rays.pixels.shape[2] + size - 1) // size
     rows = (rays.pixels.shape[1] + size - 1) // size
@@ -60,7 +60,7 @@ def accumulate_photometric_gradient(
     """Adds scale * d(sum over channels of (C - C*)^2) for each ray of a batch; squared_error: (rays,) that sum itself.
 
     random_background: a colour drawn for each ray goes behind both the image's alpha and the render, so that opacity is
-    supervised too; 0 takes `background` for all. Gradient rows are shared: on the CPU each thread needs arrays of its own.
+    supervised too; 0 takes `background` for all. Gradient rows are shared: on the CPU each thread needs its own.
     """
     n = first + wp.tid()
     squared_error[n] = 0.0
@@ -131,7 +131,7 @@ def neighbour_row(grid: VoxelGrid, node: wp.vec3i, axis: int):
 
 @wp.func
 def variation_slope(dx: float, dy: float, dz: float, scale: float):
-    """scale / sqrt(dx^2 + dy^2 + dz^2 + eps): what each difference is multiplied by in the gradient of the variation."""
+    """scale / sqrt(dx^2 + dy^2 + dz^2 + eps): the factor of each difference in the variation's gradient."""
     return scale / wp.sqrt(dx * dx + dy * dy + dz * dz + 1.0e-9)
 
 
@@ -147,7 +147,7 @@ def accumulate_variation_gradient(
     grad_density: wp.array(dtype=wp.float32),
     grad_sh: wp.array(dtype=mat93),
 ):
-    """Adds the gradient of scale_density * TV(density / density_unit) + scale_sh * TV(sh) over the cells of a run of rows.
+    """Adds the gradient of scale_density * TV(density / density_unit) + scale_sh * TV(sh) over a run of rows.
 
     nodes: (rows,) grid indices of each row. A difference to a node without a row counts as zero. Rows are shared with
     neighbours: on the CPU each thread needs gradient arrays of its own.

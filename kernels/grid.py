@@ -3,8 +3,9 @@
 Model: Fridovich-Keil and Yu et al., "Plenoxels: Radiance Fields without Neural Networks" (CVPR 2022), section 3.
 density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5).
 
-Values live at nodes; node (i, j, k) lies at lower + (i, j, k) * voxel_size. Nodes without a row hold zero. Positions are
-world units relative to any origin that the caller keeps to (warpcage: the field's centre, so that float32 suffices).
+Values live at nodes; node (i, j, k) lies at lower + (i, j, k) * voxel_size. Nodes without a row hold zero.
+Positions are world units relative to any origin that the caller keeps to (warpcage: the field's centre, so that float32
+suffices).
 Siblings: spherical_harmonics.
 """
 
@@ -28,7 +29,7 @@ class VoxelGrid:
 
 @wp.struct
 class CellSample:
-    """Rows and trilinear weights of the eight nodes of the cell around a point; corner c has offsets (c&4, c&2, c&1)."""
+    """Rows and trilinear weights of the eight nodes of the cell around a point; corner c is at (c&4, c&2, c&1)."""
 
     rows: wp.types.vector(length=8, dtype=wp.int32)
     weights: wp.types.vector(length=8, dtype=wp.float32)
@@ -129,8 +130,8 @@ def sample_field(
     rgb: wp.array(dtype=wp.vec3),
     density: wp.array(dtype=wp.float32),
 ):
-    """Colour and density at points (n,) seen along directions (n,) of any length. origin: the grid's origin in the frame
-    of the points."""
+    """Colour and density at points (n,) seen along directions (n,) of any length. origin: the grid's origin among the
+    points."""
     n = first + wp.tid()
     cell = cell_sample(grid, grid_position(grid, points[n] - origin))
     basis = sh_basis(wp.normalize(directions[n]))

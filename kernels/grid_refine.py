@@ -145,7 +145,7 @@ def resample_rows(
     density: wp.array(dtype=wp.float32),
     sh: wp.array(dtype=mat93),
 ):
-    """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (their weights renormalised)."""
+    """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (weights renormalised)."""
     row = first + wp.tid()
     node = nodes[row]
     g = (wp.vec3(float(node[0]), float(node[1]), float(node[2])) + wp.vec3(0.5, 0.5, 0.5)) / float(factor)

@@ -1,8 +1,8 @@
 """Emission-absorption ray marching of a sparse voxel grid.
 
 C = sum_k T_k (1 - exp(-sigma_k dt)) c_k + T_end background, T_k = exp(-sum_{j<k} sigma_j dt): Max 1995 as used by NeRF
-(Mildenhall et al. 2020, Eq. 3) and Plenoxels (2022, Eq. 1). Sample k of a ray lies at t_k = (k + 1/2) dt from its origin
-whatever box it enters, so that two marches over one space sample the same points.
+(Mildenhall et al. 2020, Eq. 3) and Plenoxels (2022, Eq. 1). Sample k of a ray lies at t_k = (k + 1/2) dt from its
+origin whatever box it enters, so that two marches over one space sample the same points.
 Siblings: grid, rays, spherical_harmonics.
 """
 
@@ -38,7 +38,7 @@ def grid_span(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
 
 @wp.func
 def exit_distance(g: wp.vec3, dg: wp.vec3, reach: int):
-    """Distance along a ray at node coordinates g, moving by dg a unit, until it leaves the cells within reach - 1 of its own."""
+    """How far a ray at node coordinates g, moving by dg a unit, stays in the cells within reach - 1 of its own."""
     leave = float(1.0e30)
     for axis in range(3):
         if wp.abs(dg[axis]) > 1.0e-12:

@@ -7,6 +7,7 @@ import warp as wp
 
 import warpcage
 from warpcage.bounds import camera_array, object_bounds
+from warpcage.devices import resolve_device
 from warpcage.evaluation import evaluate, mean_psnr, psnr
 from warpcage.kernels import field_loss, field_step
 from warpcage.kernels.spherical_harmonics import mat93
@@ -157,7 +158,7 @@ def test_rmsprop_step_matches_numpy(device):
     np.testing.assert_allclose(arrays[1].numpy(), sh, atol=1e-5)
 
 
-def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=True, device="cpu"):
+def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=True, device=None):
     """Views of a field with a coloured box in it, rendered by ourselves: the fit must find what was put in."""
     n = 24
     density, sh = np.zeros((n, n, n)), np.zeros((n, n, n, 9, 3))
@@ -180,7 +181,7 @@ SMALL = {"resolution": 40, "levels": 2, "epochs": 25, "batch_rays": 1024}
 @pytest.mark.parametrize("scale, offset, with_alpha", [(1.0, (0, 0, 0), True), (10.0, (40, -30, 5), True),
                                                        (1.0, (0, 0, 0), False)])
 def test_fit_finds_what_was_rendered(device, scale, offset, with_alpha):
-    scene = blob_scene(count=40, size=32, scale=scale, offset=offset, with_alpha=with_alpha)
+    scene = blob_scene(count=40, size=32, scale=scale, offset=offset, with_alpha=with_alpha, device=device)
     held, rest = [7, 29], [i for i in range(40) if i not in (7, 29)]
     alphas = scene.alphas[rest] if with_alpha else None
     train = warpcage.Scene(scene.images[rest], alphas, [scene.cameras[i] for i in rest])
@@ -200,7 +201,7 @@ def test_fit_finds_what_was_rendered(device, scale, offset, with_alpha):
 
 
 def test_fit_is_deterministic_on_the_cpu():
-    scene = blob_scene(count=6, size=24)
+    scene = blob_scene(count=6, size=24, device="cpu")
     fields = [warpcage.fit(scene, device="cpu", seed=seed, progress=False, resolution=24, levels=2, epochs=2,
                            batch_rays=512) for seed in (3, 3, 4)]
     np.testing.assert_array_equal(fields[0].grid.density.numpy(), fields[1].grid.density.numpy())
@@ -211,7 +212,7 @@ def test_fit_is_deterministic_on_the_cpu():
 
 def test_bounds_hold_the_object():
     scene = blob_scene(count=10, offset=(1.0, 2.0, -0.5))
-    box = object_bounds(scene, "cpu")
+    box = object_bounds(scene, resolve_device())
     half = np.array([5 / 12, 1 / 3, 1 / 2])
     centre = np.array([1.0, 2.0, -0.5])
     assert (box[0] <= centre - half).all() and (box[1] >= centre + half).all()
@@ -220,7 +221,7 @@ def test_bounds_hold_the_object():
 
 def test_optimizer_counts_steps_and_refuses_more():
     scene = blob_scene(count=4, size=16)
-    optimizer = FieldOptimizer(scene, device="cpu", resolution=16, levels=1, epochs=1, batch_rays=256)
+    optimizer = FieldOptimizer(scene, resolution=16, levels=1, epochs=1, batch_rays=256)
     while optimizer.step_count < optimizer.total_steps:
         optimizer.step()
     assert np.isfinite(optimizer.measure_psnr())
@@ -232,14 +233,14 @@ def test_optimizer_counts_steps_and_refuses_more():
                                            ({"levels": 0}, "levels"), ({"epochs": 0}, "epochs")])
 def test_bad_options(options, word):
     with pytest.raises(ValueError, match=word):
-        warpcage.fit(blob_scene(count=2, size=8), device="cpu", progress=False, **options)
+        warpcage.fit(blob_scene(count=2, size=8), progress=False, **options)
 
 
 def test_transparent_scene_is_refused():
     scene = blob_scene(count=3, size=8)
     empty = warpcage.Scene(np.ones_like(scene.images), np.zeros_like(scene.alphas), scene.cameras)
     with pytest.raises(ValueError, match="transparent"):
-        warpcage.fit(empty, device="cpu", progress=False)
+        warpcage.fit(empty, progress=False)
 
 
 def test_psnr_by_hand():
@@ -250,5 +251,5 @@ def test_psnr_by_hand():
 def test_lego_at_a_tenth_of_the_effort(real_data):
     scene = warpcage.load_scene(real_data / "lego_800", downscale=16)
     test = warpcage.load_scene(real_data / "lego_800", split="test", downscale=16)
-    field = warpcage.fit(scene, device="cpu", progress=False, epochs=4)
+    field = warpcage.fit(scene, progress=False, epochs=4)
     assert mean_psnr(evaluate(field, test)) > 25

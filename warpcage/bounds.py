@@ -68,7 +68,7 @@ def object_bounds(scene: Scene, device, *, resolution: int = 64, rounds: int = 2
         shape = np.maximum(8, np.ceil(resolution * (box[1] - box[0]) / (box[1] - box[0]).max()).astype(int))
         occupied = np.argwhere(visual_hull(scene, box, shape, device).numpy())
         if len(occupied) == 0:
-            raise ValueError("the silhouettes of the views have no common inside: check the cameras' axes and the alphas")
+            raise ValueError("the silhouettes of the views have no common inside: check cameras' axes and alphas")
         voxel = (box[1] - box[0]) / shape
         box = np.stack([box[0] + (occupied.min(axis=0) - 1) * voxel, box[0] + (occupied.max(axis=0) + 2) * voxel])
     return box

@@ -10,9 +10,6 @@ from .cage_topology import CageTopology
 #: Points this close to the cage, as a share of its size, count as inside.
 SURFACE_TOLERANCE = 1e-5
 
-#: A face lower than this share of the cage's size has no normal in float32.
-DEGENERATE_HEIGHT = 1e-7
-
 
 class Cage:
     """A triangle mesh that encloses (a part of) an object; immutable.
@@ -76,9 +73,15 @@ class Cage:
         """Enclosed volume, world units cubed; negative where the faces look inward, meaningless on an open cage."""
         return float(self.part_volumes().sum())
 
+    @property
+    def corners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """First, second and third corner of each face, (f, 3) each, relative to the middle of the bounding box."""
+        local = self.vertices - self.bounds.mean(axis=0)
+        return local[self.faces[:, 0]], local[self.faces[:, 1]], local[self.faces[:, 2]]
+
     def part_volumes(self) -> np.ndarray:
         """(part_count,) float64: signed volume of each connected part."""
-        a, b, c = _corners(self)
+        a, b, c = self.corners
         cones = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
         return np.bincount(self.topology.parts, weights=cones, minlength=self.topology.part_count)
 
@@ -101,7 +104,9 @@ class Cage:
         at the same place. Self-intersections are not looked for here: see `check`.
         """
         if self._problem is None:
-            self._problem = _problem_of(self)
+            from .cage_check import first_problem
+
+            self._problem = first_problem(self)
         if self._problem:
             raise ValueError(f"{name} {self._problem}")
 
@@ -242,8 +247,8 @@ class Cage:
 def require_same_faces(rest: Cage, deformed: Cage) -> None:
     """Raise a ValueError that says how they differ unless both cages have the same faces in the same order."""
     if len(rest.vertices) != len(deformed.vertices):
-        raise ValueError(f"the deformed cage has {len(deformed.vertices)} vertices, the rest cage {len(rest.vertices)}: "
-                         "they must match one to one")
+        raise ValueError(f"the deformed cage has {len(deformed.vertices)} vertices, the rest cage "
+                         f"{len(rest.vertices)}: they must match one to one")
     if rest.faces is deformed.faces:
         return
     if len(rest.faces) != len(deformed.faces):
@@ -255,8 +260,8 @@ def require_same_faces(rest: Cage, deformed: Cage) -> None:
     first = int(differing[0])
     ours, theirs = rest.faces[first].tolist(), deformed.faces[first].tolist()
     if np.array_equal(_sorted_faces(rest), _sorted_faces(deformed)):
-        raise ValueError(f"the deformed cage has the rest cage's faces in another order, from face {first} ({theirs}, not "
-                         f"{ours}): use rest.with_vertices(deformed.vertices)")
+        raise ValueError(f"the deformed cage has the rest cage's faces in another order, from face {first} ({theirs}, "
+                         f"not {ours}): use rest.with_vertices(deformed.vertices)")
     raise ValueError(f"face {first} of the deformed cage is {theirs}, of the rest cage {ours} "
                      f"({len(differing)} differ): save both without reordering vertices")
 
@@ -281,95 +286,8 @@ def _checked_faces(faces, vertex_count: int) -> np.ndarray:
     return faces
 
 
-def _corners(cage: Cage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corners of each face (f, 3) three times, about the middle of the bounding box for the sake of rounding."""
-    local = cage.vertices - cage.bounds.mean(axis=0)
-    return local[cage.faces[:, 0]], local[cage.faces[:, 1]], local[cage.faces[:, 2]]
-
-
 def _sorted_faces(cage: Cage) -> np.ndarray:
     """Faces with the lowest index first (same direction), sorted: equal for cages that differ in order only."""
     turn = np.argmin(cage.faces, axis=1)[:, None] + np.arange(3)
     turned = np.take_along_axis(cage.faces, turn % 3, axis=1)
     return turned[np.lexsort(turned.T[::-1])]
-
-
-def degenerate_faces(cage: Cage) -> np.ndarray:
-    """Indices of the faces whose height is below 1e-7 of the cage's size, or that name a vertex twice."""
-    a, b, c = _corners(cage)
-    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    longest = np.sqrt(np.maximum.reduce([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))]))
-    return np.flatnonzero(double_area <= DEGENERATE_HEIGHT * cage.size * longest)
-
-
-def coincident_vertices(cage: Cage) -> np.ndarray:
-    """(k, 2): used vertices that are the same in float32, each with the first of its place."""
-    used = np.unique(cage.faces)
-    local = (cage.vertices[used] - cage.bounds.mean(axis=0)).astype(np.float32)
-    _, first, place = np.unique(local + 0.0, axis=0, return_index=True, return_inverse=True)
-    leader = first[place.reshape(-1)]
-    extra = np.flatnonzero(leader != np.arange(len(used)))
-    return np.stack([used[leader[extra]], used[extra]], axis=1)
-
-
-def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Winding number of a closed mesh about points (n, 3), float64 on the host: (n,). For a few points only.
-
-    Sum of signed solid angles over 4 pi (van Oosterom and Strackee 1983, "The solid angle of a plane triangle").
-    """
-    total = np.zeros(len(points))
-    for first in range(0, len(points), 4096):
-        a, b, c = (vertices[faces[:, k]][None] - points[first : first + 4096, None] for k in range(3))
-        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
-        triple = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
-        below = (la * lb * lc + np.einsum("nfi,nfi->nf", a, b) * lc + np.einsum("nfi,nfi->nf", b, c) * la
-                 + np.einsum("nfi,nfi->nf", c, a) * lb)
-        total[first : first + 4096] = 2.0 * np.arctan2(triple, below).sum(axis=1) / (4.0 * np.pi)
-    return total
-
-
-def inward_parts(cage: Cage) -> np.ndarray:
-    """Indices of connected parts that look inward without being a cavity inside another part (closed cages only)."""
-    volumes = cage.part_volumes()
-    parts = cage.topology.parts
-    wrong = []
-    for part in np.flatnonzero(volumes <= 0.0):
-        inside = cage.vertices[cage.faces[parts == part][:1, 0]]
-        others = cage.faces[parts != part]
-        if volumes[part] == 0.0 or not len(others) or winding_numbers(inside, cage.vertices, others)[0] < 0.5:
-            wrong.append(part)
-    return np.asarray(wrong, dtype=np.int64)
-
-
-def _problem_of(cage: Cage) -> str:
-    """What makes the cage unusable, in one line without its name; empty for a usable cage."""
-    topology = cage.topology
-    if len(topology.open_edges):
-        a, b = topology.open_edges[0]
-        return f"is open: {len(topology.open_edges)} edges have one face only, the first from vertex {a} to {b}: close it"
-    if len(topology.crowded_edges):
-        a, b = topology.crowded_edges[0]
-        return (f"is not manifold: {len(topology.crowded_edges)} edges have more than two faces, the first from vertex "
-                f"{a} to {b}")
-    if len(topology.repeated_faces):
-        return f"has degenerate faces: face {topology.repeated_faces[0]} names a vertex twice"
-    if len(topology.pinched_vertices):
-        return (f"is not manifold: parts of it only touch at {len(topology.pinched_vertices)} vertices, the first "
-                f"{topology.pinched_vertices[0]}: split them")
-    if len(topology.clashing_edges):
-        a, b = topology.clashing_edges[0]
-        return (f"is wound inconsistently: the two faces at {len(topology.clashing_edges)} edges clash, the first from "
-                f"vertex {a} to {b}: flip faces until all are anticlockwise seen from outside")
-    coincident = coincident_vertices(cage)
-    if len(coincident):
-        a, b = coincident[0]
-        return f"has {len(coincident)} vertices at the place of another, the first {b} at that of {a}: merge or move them"
-    degenerate = degenerate_faces(cage)
-    if len(degenerate):
-        return f"has degenerate faces: {len(degenerate)} without area, the first {degenerate[0]}: remove or widen them"
-    inward = inward_parts(cage)
-    if len(inward):
-        face = int(np.flatnonzero(topology.parts == inward[0])[0])
-        return (f"looks inward: the part with face {face} encloses volume {cage.part_volumes()[inward[0]]:.4g}: flip its "
-                "faces to be anticlockwise seen from outside")
-    return ""

@@ -1,6 +1,7 @@
 """Read and write OBJ, PLY and OFF so that every vertex keeps its place in the file and its last bit.
 
-Own parsers, because mesh libraries merge, split and drop vertices, and a posed cage must match its rest cage one to one.
+Own parsers, because mesh libraries merge, split and drop vertices, and a posed cage must
+match its rest cage one to one.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short":
 def read_mesh(path) -> tuple[pathlib.Path, np.ndarray, np.ndarray]:
     """Path, vertices (v, 3) float64 in the file's order, and triangles (f, 3) int64; polygons are cut into fans.
 
-    Raises FileNotFoundError for a missing file, ValueError (file name and line) for what is not an OBJ, PLY or OFF mesh.
+    Raises FileNotFoundError for a missing file, ValueError (file name and line) for what is no OBJ, PLY or OFF mesh.
     """
     path = require_file(path, "cage file")
     readers = {".obj": _read_obj, ".ply": _read_ply, ".off": _read_off}
@@ -33,7 +34,7 @@ def read_mesh(path) -> tuple[pathlib.Path, np.ndarray, np.ndarray]:
             raise ValueError(f"{path}:{line}: a face needs at least 3 vertices, got {len(polygon)}")
         for index in polygon:
             if not 0 <= index < count:
-                raise ValueError(f"{path}:{line}: face with vertex {index}, indices must be 0 to {count - 1} counted from 0")
+                raise ValueError(f"{path}:{line}: face with vertex {index} of 0 to {count - 1}, counted from 0")
         triangles += [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
     return path, vertices, np.array(triangles, dtype=np.int64)
 
@@ -174,12 +175,13 @@ def _read_ply(path):
             columns = [names.index(axis) for axis in "xyz"]
             vertices = np.array([[row[column] for column in columns] for _, row in values], dtype=np.float64)
             if not np.isfinite(vertices).all():
-                raise ValueError(f"{path}: PLY vertex {int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])} is not "
-                                 "finite")
+                number = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+                raise ValueError(f"{path}: PLY vertex {number} is not finite")
         elif name == "face":
             column = next((k for k, each in enumerate(names) if each in ("vertex_indices", "vertex_index")), None)
             if column is None or not isinstance(properties[column][1], tuple):
-                raise ValueError(f"{path}: PLY faces need a list property vertex_indices, got {', '.join(names) or 'none'}")
+                found = ", ".join(names) or "none"
+                raise ValueError(f"{path}: PLY faces need a list property vertex_indices, got {found}")
             polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
     if vertices is None:
         raise ValueError(f"{path}: no vertices in it")
@@ -187,7 +189,7 @@ def _read_ply(path):
 
 
 def _ply_header(path, data: bytes):
-    """Byte order ('ascii', '<' or '>'), elements (name, count, properties), where the body begins, and on which line."""
+    """'ascii', '<' or '>'; elements (name, count, properties); where the body begins, and on which line."""
     order, elements, position = None, [], 0
     for line in range(1, data.count(b"\n") + 2):
         end = data.find(b"\n", position)

@@ -13,7 +13,7 @@ def box(lower, upper=None, segments=1) -> tuple[np.ndarray, np.ndarray]:
     if corners.shape != (2, 3) or not np.isfinite(corners).all():
         raise ValueError(f"a box needs two finite corners of 3 numbers, got {corners.tolist()}")
     if not (corners[1] > corners[0]).all():
-        raise ValueError(f"a box needs its upper corner above the lower, got {corners[0].tolist()}, {corners[1].tolist()}")
+        raise ValueError(f"a box needs its upper corner above the lower, got {corners.tolist()}")
     pieces = np.broadcast_to(_whole(segments, 1, "box segments"), 3)
 
     number: dict[tuple, int] = {}

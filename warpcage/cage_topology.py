@@ -13,7 +13,7 @@ class CageTopology:
 
     edges (e, 2): every edge once, lower index first; loops of a face that repeats a vertex are left out.
     open_edges (k, 2): edges of one face only. crowded_edges (k, 2): edges of three or more faces.
-    clashing_edges (k, 2): edges whose two faces walk them in the same direction, so that one of them faces the wrong way.
+    clashing_edges (k, 2): edges whose two faces walk them in the same direction, so that one of them looks inward.
     pinched_vertices (k,): vertices whose faces form more than one fan.
     repeated_faces (k,): faces that name a vertex twice.
     unused_vertices (k,): vertices of no face.

@@ -116,7 +116,7 @@ def _read_svox2(contents: dict, path) -> tuple:
     coefficients = np.asarray(contents["sh_data"], np.float32)
     basis_count = coefficients.shape[-1] // 3
     if coefficients.ndim != 2 or basis_count * 3 != coefficients.shape[-1] or basis_count not in (1, 4, 9):
-        raise ValueError(f"{path}: sh_data must hold 3, 12 or 27 values a row (degree 0 to 2), got {coefficients.shape}")
+        raise ValueError(f"{path}: sh_data must hold 3, 12 or 27 values a row, got {coefficients.shape}")
     sh = np.zeros((len(coefficients), BASIS_COUNT, 3), np.float32)
     sh[:, :basis_count] = coefficients.reshape(-1, 3, basis_count).transpose(0, 2, 1)
     links = np.maximum(np.asarray(contents["links"], np.int32), -1)  # svox2 may keep distances as negative links

@@ -101,7 +101,8 @@ class VoxelField:
 
     def __repr__(self) -> str:
         size = "x".join(str(n) for n in self.resolution)
-        return f"VoxelField({size}, {self.voxel_count} voxels, bounds {np.round(self.bounds, 4).tolist()}, {self.device})"
+        bounds = np.round(self.bounds, 4).tolist()
+        return f"VoxelField({size}, {self.voxel_count} voxels, bounds {bounds}, {self.device})"
 
     def sample(self, points, directions):
         """Colour (n, 3) and density (n,) at world points (n, 3) seen along directions (n, 3) of any length but zero.
@@ -138,7 +139,8 @@ class VoxelField:
         rgb = wp.empty(count, dtype=wp.vec3, device=self.device)
         alpha = wp.empty(count, dtype=wp.float32, device=self.device)
         depth = wp.empty(count, dtype=wp.float32, device=self.device)
-        inputs = [self.grid, camera_struct(camera, self.center), wp.vec3(*map(float, background)), step, STOP_TRANSMITTANCE]
+        behind = wp.vec3(*map(float, background))
+        inputs = [self.grid, camera_struct(camera, self.center), behind, step, STOP_TRANSMITTANCE]
         launch(render_image, count, inputs, [rgb, alpha, depth], device=self.device)
         return Frame(camera.width, camera.height, rgb, alpha, depth)
 

@@ -1,12 +1,12 @@
 """Poses: functions that move vertices (n, 3) float64, world units, to where an artist would drag them.
 
 The poses along an axis act between two limits, shares of the bounding box as in Blender's Simple Deform modifier: what
-lies below the lower limit stays, what lies above the upper follows rigidly (bend, twist), moves along (stretch) or takes
-the last factor (taper). Notation: w the coordinate along the axis, [w0, w1] the limits in world units, s = w - w0 cut to
-[0, w1 - w0], t = s / (w1 - w0), c the centre.
+lies below the lower limit stays, what lies above the upper follows rigidly (bend, twist), moves along (stretch) or
+takes the last factor (taper). Notation: w the coordinate along the axis, [w0, w1] the limits in world units, s = w - w0
+cut to [0, w1 - w0], t = s / (w1 - w0), c the centre.
 
-`centre` (3,) lies on the line that the pose bends, turns or scales about (default: middle of the bounding box). `bounds`
-(2, 3) replaces the bounding box of the vertices, to pose a part or a point cloud along with something larger.
+`centre` (3,) lies on the line that the pose bends, turns or scales about (default: middle of the bounding box).
+`bounds` (2, 3) replaces the bounding box of the vertices, to pose a part or a point cloud with something larger.
 All functions raise ValueError for values that are not finite and for axes and limits that make no sense.
 """
 
@@ -52,7 +52,10 @@ def bend(vertices, degrees, *, axis="z", towards="x", limits=(0.0, 1.0), centre=
 
 
 def twist(vertices, degrees, *, axis="z", limits=(0.0, 1.0), centre=None, bounds=None) -> np.ndarray:
-    """Turn each slice across `axis` about the line through `centre` by t * degrees, anticlockwise seen against the axis."""
+    """Turn each slice across `axis` about the line through `centre` by t * degrees.
+
+    Positive angles are anticlockwise seen against the axis.
+    """
     angle, along = np.deg2rad(_finite(degrees, "degrees")), axis_index(axis)
     vertices, bounds, centre = _prepared(vertices, bounds, centre)
     turn = angle * _share(vertices, limits, bounds, along)
@@ -71,11 +74,14 @@ def taper(vertices, factor, *, axis="z", limits=(0.0, 1.0), centre=None, bounds=
     share = _share(vertices, limits, bounds, along)
     across = np.arange(3) != along
     tapered = vertices.copy()
-    tapered[:, across] = centre[across] + (vertices[:, across] - centre[across]) * (1.0 + (factor - 1.0) * share)[:, None]
+    factors = 1.0 + (factor - 1.0) * share
+    tapered[:, across] = centre[across] + (vertices[:, across] - centre[across]) * factors[:, None]
     return tapered
 
 
-def stretch(vertices, factor, *, axis="z", limits=(0.0, 1.0), keep_volume=False, centre=None, bounds=None) -> np.ndarray:
+def stretch(
+    vertices, factor, *, axis="z", limits=(0.0, 1.0), keep_volume=False, centre=None, bounds=None
+) -> np.ndarray:
     """Make what lies between the limits `factor` times as long: w' = w + (factor - 1) s; factor > 0.
 
     keep_volume scales across the axis by 1 / sqrt(factor), about the line through `centre`; it takes the whole length,

@@ -17,9 +17,7 @@ class Frame:
 
     width, height: pixels. rgb: (h * w,) wp.vec3 or anything that reshapes to (h, w, 3), composited over the background.
     alpha: (h * w,) opacity in [0, 1]. depth: (h * w,) expected distance along the ray in world units, inf where nothing
-    is seen. Masks by name, (h * w,) each: reveal (the ray crossed a cleared region that holds density before anything
-    opaque), fold (share of the pixel whose map has det J <= 0), outside (share of the ray's visible samples that the
-    map sends out of the canonical cage); None where they do not apply.
+    is seen. Masks of deformed frames by name, (h * w,) each: reveal, fold, outside (see the properties).
 
     The arrays stay where they are (`.arrays`) until a property asks for NumPy; that copy is made once.
     Raises ValueError for sizes that do not fit or a mask that does not exist.
@@ -75,17 +73,20 @@ class Frame:
 
     @property
     def reveal(self) -> np.ndarray | None:
-        """(h, w) float32, 1 where the ray crossed cleared matter before anything opaque; None for a plain field."""
+        """(h, w) float32 in [0, 1]: how much of the pixel matter covered that an edit cleared, so that it now shows
+        what lies behind; None for a plain field."""
         return self._numpy("reveal")
 
     @property
     def fold(self) -> np.ndarray | None:
-        """(h, w) float32 opacity that comes from where the map folds over (det J <= 0); None for a plain field."""
+        """(h, w) float32 in [0, 1]: opacity that comes from where the map folds over (det J <= 0); None for a plain
+        field."""
         return self._numpy("fold")
 
     @property
     def outside(self) -> np.ndarray | None:
-        """(h, w) float32, 1 where a sample that could be seen maps out of the canonical cage; None for a plain field."""
+        """(h, w) float32 number of samples along the ray, before anything opaque, that the map sends out of the
+        canonical cage and that are therefore left empty; None for a plain field."""
         return self._numpy("outside")
 
 

@@ -47,7 +47,8 @@ class Scene:
             if not np.isfinite(image).all():
                 raise ValueError(f"image {name} holds values that are not finite")
             if (camera.height, camera.width) != (height, width):
-                raise ValueError(f"camera of image {name} is {camera.width}x{camera.height}, images are {width}x{height}")
+                raise ValueError(f"camera of image {name} is {camera.width}x{camera.height}, "
+                                 f"images are {width}x{height}")
         alphas = self.alphas
         if alphas is not None:
             alphas = np.asarray(alphas, dtype=np.float32)
@@ -66,7 +67,7 @@ def parse_background(background) -> np.ndarray:
     """(3,) float32 of a colour name or three numbers in [0, 1]. Raises ValueError for anything else."""
     if isinstance(background, str):
         if background not in BACKGROUNDS:
-            raise ValueError(f"background {background!r} is not known: {', '.join(BACKGROUNDS)} or three numbers in [0, 1]")
+            raise ValueError(f"background {background!r} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]")
         background = BACKGROUNDS[background]
     colour = np.asarray(background, dtype=np.float32)
     if colour.shape != (3,) or not np.isfinite(colour).all() or colour.min() < 0 or colour.max() > 1:
@@ -104,7 +105,7 @@ def load_scene(path, *, split: str = "train", downscale: int = 1, format: str | 
 
 
 def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
-    """Area average of an (h, w, c) float image over factor x factor pixels; a remainder makes the last cells smaller."""
+    """Area average of an (h, w, c) float image over factor x factor pixels (about, where that does not divide the size)."""
     if factor == 1:
         return premultiplied
     height, width = premultiplied.shape[:2]

@@ -24,7 +24,8 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
     """Read a split; camera axes are turned from Blender's (+y up, -z forward) to OpenCV's."""
     path = folder / f"transforms_{split}.json"
     if not path.is_file():
-        there = ", ".join(p.stem.removeprefix("transforms_") for p in sorted(folder.glob("transforms_*.json"))) or "none"
+        names = [p.stem.removeprefix("transforms_") for p in sorted(folder.glob("transforms_*.json"))]
+        there = ", ".join(names) or "none"
         raise FileNotFoundError(f"split {split!r} of {str(folder)!r} is not there; splits: {there}")
     transforms = _read_json(path)
     angle = transforms.get("camera_angle_x")

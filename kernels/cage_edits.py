@@ -1,0 +1,304 @@
+"""Samples of a deformed scene in canonical space: the three cases and the view directions of cage edits.
+
+"Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 4 and 5: a point inside the deformed cage is mapped, one inside
+the canonical (rest) cage only is cleared, any other is unchanged; d_c = norm(phi(x + dt d) - phi(x)).
+
+Several edits resolve in order: each acts on the scene that the ones before it left, so a point is traced through them
+from the last to the first. An edit may keep its source (a duplicate) or remove it (nothing is drawn in its place).
+
+Two kinds of edit share these functions: LatticeEdit looks the map and the signed distances up on lattices,
+ClosedFormEdit evaluates mean value or Green coordinates and winding numbers at the point itself. A module compiles only
+the kind that its kernels take. All positions are relative to one origin that the caller keeps to.
+Siblings: cage_map, containment, green, mean_value.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from .cage_map import CageMap, map_distance, map_position
+from .containment import cage_distance, winding_number
+from .green import green_position
+from .mean_value import mean_value_position
+
+wp.set_module_options({"enable_backward": False})
+
+UNCHANGED = wp.constant(0)
+CLEARED = wp.constant(1)
+MAPPED = wp.constant(2)
+
+#: Flags of a lattice cell: all in the deformed cage, all out of it, all mapped into the rest cage, turned over.
+CELL_INSIDE = wp.constant(1)
+CELL_OUTSIDE = wp.constant(2)
+CELL_STAYS = wp.constant(4)
+CELL_FOLDED = wp.constant(8)
+
+#: Part of a step that the finite difference falls back to where neither neighbour shares the point's cage.
+SHORT_DIFFERENCE = wp.constant(0.0625)
+
+#: A finite difference this many times as long in canonical space is looked at twice.
+LONG_STEP = wp.constant(3.0)
+
+#: Finite difference for the Jacobian of a closed form, as a share of the cage's size: float32 keeps three digits of it.
+CLOSED_FORM_DIFFERENCE = wp.constant(2.0e-3)
+
+
+@wp.struct
+class LatticeEdit:
+    deformed: CageMap  # distance to the deformed cage, positions in the rest cage
+    rest: CageMap  # distance to the rest cage; its positions are not used
+    tolerance: float  # a point counts as inside the deformed cage up to this distance
+    slack: float  # a mapped point counts as inside the rest cage up to this distance
+    keeps_source: int  # 1: the rest cage is not cleared
+    removes: int  # 1: nothing is drawn in the deformed cage
+    cells: wp.array3d(dtype=wp.uint8)  # lattice cell -> CELL_... flags of the cases that it settles as a whole
+    skip: wp.array3d(dtype=wp.uint8)  # lattice cell -> Chebyshev distance to the nearest that may hold anything
+
+
+@wp.struct
+class ClosedFormEdit:
+    deformed_vertices: wp.array(dtype=wp.vec3)
+    rest_vertices: wp.array(dtype=wp.vec3)
+    rest_normals: wp.array(dtype=wp.vec3)  # (f,) stretched, for Green coordinates
+    faces: wp.array(dtype=wp.vec3i)
+    lower: wp.vec3  # box around the deformed cage
+    upper: wp.vec3
+    rest_lower: wp.vec3  # box around the rest cage
+    rest_upper: wp.vec3
+    size: float  # longest side of the deformed cage
+    is_green: int  # 1: Green, 0: mean value
+    tolerance: float
+    slack: float
+    keeps_source: int
+    removes: int
+
+
+@wp.struct
+class CanonicalPoint:
+    position: wp.vec3
+    region: int  # UNCHANGED, CLEARED or MAPPED
+    path: int  # bit e is set where edit e mapped the point
+    vacant: int  # 1: nothing is there, whatever the field holds at `position`
+    outside: int  # 1: a map sent the point out of its rest cage
+
+
+@wp.func
+def cell_flags(edit: LatticeEdit, x: wp.vec3):
+    """Flags of the lattice cell of a point; CELL_OUTSIDE beside the lattice."""
+    g = (x - edit.deformed.lower) * edit.deformed.inverse_spacing
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    if i < 0 or j < 0 or k < 0:
+        return CELL_OUTSIDE
+    if i >= edit.cells.shape[0] or j >= edit.cells.shape[1] or k >= edit.cells.shape[2]:
+        return CELL_OUTSIDE
+    return int(edit.cells[i, j, k])
+
+
+@wp.func
+def in_deformed_cage(edit: LatticeEdit, x: wp.vec3):
+    """Whether a point lies in the deformed cage of an edit."""
+    flags = cell_flags(edit, x)
+    if flags & CELL_INSIDE:
+        return True
+    if flags & CELL_OUTSIDE:
+        return False
+    return map_distance(edit.deformed, x) <= edit.tolerance
+
+
+@wp.func
+def leaves_rest_cage(edit: LatticeEdit, x: wp.vec3, position: wp.vec3):
+    """Whether `position`, the map of x, lies out of the rest cage of an edit."""
+    if cell_flags(edit, x) & CELL_STAYS:
+        return False
+    return not in_rest_cage(edit, position, edit.slack)
+
+
+@wp.func
+def in_rest_cage(edit: LatticeEdit, x: wp.vec3, slack: float):
+    """Whether a point lies in the rest cage of an edit, or within `slack` of it."""
+    return map_distance(edit.rest, x) <= slack
+
+
+@wp.func
+def edit_position(edit: LatticeEdit, x: wp.vec3):
+    """The map of an edit, from its deformed into its rest cage."""
+    return map_position(edit.deformed, x)
+
+
+@wp.func
+def in_box(x: wp.vec3, lower: wp.vec3, upper: wp.vec3):
+    """Whether a point lies in a box."""
+    return (
+        x[0] >= lower[0] and x[1] >= lower[1] and x[2] >= lower[2]
+        and x[0] <= upper[0] and x[1] <= upper[1] and x[2] <= upper[2]
+    )
+
+
+@wp.func(inline=False)  # closed forms are long, and slow enough that a call does not matter
+def in_cage(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), slack: float):
+    """Whether a point lies in a cage, or within `slack` of it."""
+    if winding_number(x, vertices, faces) > 0.5:
+        return True
+    return cage_distance(x, vertices, faces) <= slack
+
+
+@wp.func
+def in_deformed_cage(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811 (a Warp overload)
+    """Whether a point lies in the deformed cage of an edit."""
+    if not in_box(x, edit.lower, edit.upper):
+        return False
+    return in_cage(x, edit.deformed_vertices, edit.faces, edit.tolerance)
+
+
+@wp.func
+def in_rest_cage(edit: ClosedFormEdit, x: wp.vec3, slack: float):  # noqa: F811
+    """Whether a point lies in the rest cage of an edit, or within `slack` of it."""
+    if not in_box(x, edit.rest_lower, edit.rest_upper):
+        return False
+    return in_cage(x, edit.rest_vertices, edit.faces, slack)
+
+
+@wp.func
+def leaves_rest_cage(edit: ClosedFormEdit, x: wp.vec3, position: wp.vec3):  # noqa: F811
+    """Whether `position`, the map of x, lies out of the rest cage of an edit."""
+    return not in_rest_cage(edit, position, edit.slack)
+
+
+@wp.func(inline=False)
+def edit_position(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
+    """The map of an edit, from its deformed into its rest cage."""
+    if edit.is_green == 1:
+        return green_position(
+            x, edit.deformed_vertices, edit.faces, edit.rest_vertices, edit.rest_normals, edit.size
+        )
+    return mean_value_position(x, edit.deformed_vertices, edit.faces, edit.rest_vertices, edit.size)
+
+
+@wp.func
+def canonical_point(edits: Any, x: wp.vec3):
+    """Trace a point of the deformed scene to canonical space: Eq. 5 for each of `edits`, the last first.
+
+    A cleared point goes on through the earlier edits, so that `position` says what was cleared there.
+    """
+    result = CanonicalPoint()
+    position = x
+    cleared = int(0)
+    e = int(edits.shape[0]) - 1
+    while e >= 0 and result.vacant == 0:
+        edit = edits[e]
+        if edit.removes == 0 and in_deformed_cage(edit, position):
+            mapped = edit_position(edit, position)
+            result.path = result.path | (1 << e)
+            if leaves_rest_cage(edit, position, mapped):
+                result.vacant = 1
+                result.outside = 1 - cleared
+            position = mapped
+        elif edit.keeps_source == 0 and in_rest_cage(edit, position, 0.0):
+            result.vacant = cleared  # what was cleared once is not there to be cleared again
+            cleared = 1
+        e -= 1
+    result.position = position
+    result.region = wp.where(cleared == 1, CLEARED, wp.where(result.path != 0, MAPPED, UNCHANGED))
+    return result
+
+
+@wp.func
+def same_map(a: CanonicalPoint, b: CanonicalPoint):
+    """Whether two points went through the same cages, so that the difference of their positions is one of the map."""
+    return a.region == b.region and a.path == b.path
+
+
+@wp.func(inline=False)  # rare: only where a ray leaves a cage
+def lonely_step(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float, here: CanonicalPoint):
+    """canonical_step without a neighbour ahead."""
+    behind = canonical_point(edits, x - dt * direction)
+    if same_map(here, behind):
+        return here.position - behind.position
+    for side in range(2):
+        short = wp.where(side == 0, SHORT_DIFFERENCE, -SHORT_DIFFERENCE)
+        near = canonical_point(edits, x + short * dt * direction)
+        if same_map(here, near):
+            return (near.position - here.position) / short
+    return dt * direction
+
+
+@wp.func(inline=False)  # rare: only where a step is long in canonical space
+def long_step(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float, here: CanonicalPoint, step: wp.vec3):
+    """`step`, unless it is no derivative: x and x + dt d may lie in two parts of one cage, with a gap between them."""
+    near = canonical_point(edits, x + SHORT_DIFFERENCE * dt * direction)
+    if same_map(here, near):
+        short = (near.position - here.position) / SHORT_DIFFERENCE
+        if wp.length(step) > 2.0 * wp.length(short):
+            return short
+        return step
+    return lonely_step(edits, x, direction, dt, here)
+
+
+@wp.func
+def canonical_step(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float, here: CanonicalPoint, ahead: CanonicalPoint):
+    """phi(x + dt d) - phi(x), world units; `here` and `ahead` are the canonical points of x and x + dt d.
+
+    Where x + dt d has left the cage it is the backward difference, where x - dt d has too a shorter one; where the
+    point shares its map with no neighbour at all it is dt d.
+    """
+    if here.path == 0:
+        return dt * direction
+    if same_map(here, ahead):
+        step = ahead.position - here.position
+        if wp.length_sq(step) > LONG_STEP * LONG_STEP * dt * dt:
+            return long_step(edits, x, direction, dt, here, step)
+        return step
+    return lonely_step(edits, x, direction, dt, here)
+
+
+@wp.func
+def canonical_direction(step: wp.vec3, dt: float, direction: wp.vec3):
+    """Eq. 4: the unit direction of a finite difference; a degenerate one keeps the direction it was taken along."""
+    length = wp.length(step)
+    if length > 1.0e-6 * dt:
+        return step / length
+    return direction
+
+
+@wp.func
+def difference_determinant(edit: Any, x: wp.vec3, h: float):
+    """det of the central differences of an edit's map."""
+    dx = edit_position(edit, x + wp.vec3(h, 0.0, 0.0)) - edit_position(edit, x - wp.vec3(h, 0.0, 0.0))
+    dy = edit_position(edit, x + wp.vec3(0.0, h, 0.0)) - edit_position(edit, x - wp.vec3(0.0, h, 0.0))
+    dz = edit_position(edit, x + wp.vec3(0.0, 0.0, h)) - edit_position(edit, x - wp.vec3(0.0, 0.0, h))
+    return wp.dot(dx, wp.cross(dy, dz)) / (8.0 * h * h * h)
+
+
+@wp.func
+def turns_over(edit: LatticeEdit, x: wp.vec3):
+    """Whether the map of an edit turns space over around a point (det J <= 0): what its lattice cell says."""
+    return (cell_flags(edit, x) & CELL_FOLDED) != 0
+
+
+@wp.func
+def turns_over(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
+    """The same by differences; not next to the cage, beyond which Green coordinates hold no map."""
+    h = CLOSED_FORM_DIFFERENCE * edit.size
+    if cage_distance(x, edit.deformed_vertices, edit.faces) < h:
+        return False
+    return difference_determinant(edit, x, h) <= 0.0
+
+
+@wp.func
+def is_folded(edits: Any, x: wp.vec3, path: int):
+    """Whether any of the maps that a point goes through turns space over there."""
+    position = x
+    rest_of_path = path
+    e = int(edits.shape[0]) - 1
+    while rest_of_path != 0:
+        if (path & (1 << e)) != 0:
+            edit = edits[e]
+            if turns_over(edit, position):
+                return True
+            rest_of_path = rest_of_path - (1 << e)
+            if rest_of_path != 0:
+                position = edit_position(edit, position)
+        e -= 1
+    return False

@@ -1,0 +1,240 @@
+"""Emission-absorption ray marching of a deformed sparse voxel grid.
+
+Samples lie at t_k = (k + 1/2) dt from the camera as in volume_render, are traced to canonical space by cage_edits
+("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), and composited. The canonical point of the next sample
+serves the finite difference of this one. Optical depth of a sample is sigma |phi(x + dt d) - phi(x)|, so that matter
+keeps its opacity when it is scaled, or sigma dt as the paper has it. Where the map compresses, a sample stands for a
+longer piece of canonical space than dt; it is then cut into sub-samples about dt apart there, so that nothing thin is
+jumped over.
+Siblings: cage_edits, grid, rays, spherical_harmonics, volume_render.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from .cage_edits import (
+    CLEARED,
+    MAPPED,
+    CanonicalPoint,
+    ClosedFormEdit,
+    LatticeEdit,
+    canonical_direction,
+    canonical_point,
+    canonical_step,
+    is_folded,
+)
+from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
+from .rays import box_span
+from .spherical_harmonics import sh_basis
+from .volume_render import exit_distance, grid_span, sample_index_after
+
+wp.set_module_options({"enable_backward": False})
+
+#: A sample that is this many steps long in canonical space is cut ...
+CUT_LENGTH = wp.constant(1.5)
+
+#: ... into at most this many.
+MAX_SUB_SAMPLES = wp.constant(16)
+
+#: Samples that weigh less than this are not examined for folds: an 8-bit image does not show them.
+FOLD_MIN_WEIGHT = wp.constant(1.0 / 255.0)
+
+
+@wp.struct
+class MarchOptions:
+    step: float  # world units
+    stop: float  # a march ends where less than this share of the light is left
+    arc_opacity: int  # 1: optical depth in canonical arc length, 0: sigma dt
+
+
+@wp.struct
+class DeformedRadiance:
+    """What a march through a deformed scene gathered along a ray."""
+
+    colour: wp.vec3  # sum of w_k c_k, without background
+    transmittance: float  # what is left for the background
+    depth: float  # sum of w_k t_k
+    cleared_transmittance: float  # what the cleared matter would have let through
+    reveal: float  # opacity that the cleared matter would have had in front of the rest
+    fold: float  # sum of w_k over samples where the map turns over
+    outside: float  # number of samples whose map leaves the rest cage
+
+
+@wp.func
+def lattice_lower(edit: LatticeEdit):
+    return edit.deformed.lower
+
+
+@wp.func
+def lattice_upper(edit: LatticeEdit):
+    shape = wp.vec3(float(edit.skip.shape[0]), float(edit.skip.shape[1]), float(edit.skip.shape[2]))
+    return edit.deformed.lower + edit.deformed.spacing * shape
+
+
+@wp.func
+def lattice_lower(edit: ClosedFormEdit):  # noqa: F811 (a Warp overload)
+    return edit.lower
+
+
+@wp.func
+def lattice_upper(edit: ClosedFormEdit):  # noqa: F811
+    return edit.upper
+
+
+@wp.func
+def empty_reach(edit: LatticeEdit, x: wp.vec3, direction: wp.vec3):
+    """Distance along a ray from x, in an edit's box, over which nothing can be seen; 0 where x may hold something."""
+    g = (x - edit.deformed.lower) * edit.deformed.inverse_spacing
+    i = wp.clamp(int(wp.floor(g[0])), 0, edit.skip.shape[0] - 1)
+    j = wp.clamp(int(wp.floor(g[1])), 0, edit.skip.shape[1] - 1)
+    k = wp.clamp(int(wp.floor(g[2])), 0, edit.skip.shape[2] - 1)
+    reach = int(edit.skip[i, j, k])
+    if reach == 0:
+        return 0.0
+    return exit_distance(g, direction * edit.deformed.inverse_spacing, reach)
+
+
+@wp.func
+def empty_reach(edit: ClosedFormEdit, x: wp.vec3, direction: wp.vec3):  # noqa: F811
+    """0: without a lattice nothing is known of the inside of the box."""
+    return 0.0
+
+
+@wp.func
+def empty_until(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, t: float):
+    """Distance along a ray up to which the deformed scene is certainly empty from t on; t where it may hold something.
+
+    The last edit whose box holds the point decides, as its `skip` knows the scene beneath; outside all boxes the
+    canonical grid does. A jump ends where it would enter the box of a later edit, or leave the one it is in.
+    """
+    x = origin + t * direction
+    limit = float(1.0e30)
+    reach = float(-1.0)
+    e = int(edits.shape[0]) - 1
+    while e >= 0 and reach < 0.0:
+        edit = edits[e]
+        span = box_span(origin, direction, lattice_lower(edit), lattice_upper(edit))
+        if span[0] < span[1] and t < span[1]:
+            if t >= span[0]:
+                reach = empty_reach(edit, x, direction)
+                limit = wp.min(limit, span[1])
+            else:
+                limit = wp.min(limit, span[0])
+        e -= 1
+    if reach < 0.0:
+        g = grid_position(grid, x)
+        span = grid_span(grid, origin, direction)
+        if span[0] < span[1] and t < span[1]:
+            if t < span[0]:
+                reach = span[0] - t
+            else:
+                empty = empty_distance(grid, g)
+                if empty > 0:
+                    reach = exit_distance(g, wp.cw_mul(direction, grid.inverse_voxel_size), empty)
+        else:
+            reach = float(1.0e30)
+    if reach <= 0.0:
+        return t
+    return wp.max(t, wp.min(t + reach, limit))
+
+
+@wp.func
+def scene_span(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
+    """Distances (near, far) between which a ray can meet anything: the grid and the boxes of all edits."""
+    near = float(1.0e30)
+    far = float(-1.0)
+    span = grid_span(grid, origin, direction)
+    if span[0] < span[1]:
+        near = span[0]
+        far = span[1]
+    for e in range(edits.shape[0]):
+        edit = edits[e]
+        span = box_span(origin, direction, lattice_lower(edit), lattice_upper(edit))
+        if span[0] < span[1]:
+            near = wp.min(near, span[0])
+            far = wp.max(far, span[1])
+    return wp.vec2(near, far)
+
+
+@wp.func
+def composite_sample(
+    seen: DeformedRadiance,
+    edits: Any,
+    grid: VoxelGrid,
+    x: wp.vec3,
+    t: float,
+    point: CanonicalPoint,
+    direction: wp.vec3,
+    length: float,
+):
+    """`seen` with one more sample: at x in the deformed scene, `point` and `direction` in canonical space."""
+    result = seen
+    if point.vacant == 1:
+        result.outside += float(point.outside)
+        return result
+    if point.region == CLEARED and result.cleared_transmittance < 1.0e-3:
+        return result
+    cell = cell_sample(grid, grid_position(grid, point.position))
+    sigma = cell_density(grid, cell)
+    if sigma <= 0.0:
+        return result
+    kept = wp.exp(-sigma * length)
+    if point.region == CLEARED:
+        result.reveal += result.transmittance * result.cleared_transmittance * (1.0 - kept)
+        result.cleared_transmittance *= kept
+        return result
+    weight = result.transmittance * (1.0 - kept)
+    result.colour += weight * wp.max(cell_colour(grid, cell, sh_basis(direction)), wp.vec3(0.0, 0.0, 0.0))
+    result.depth += weight * t
+    result.transmittance *= kept
+    if point.region == MAPPED and weight > FOLD_MIN_WEIGHT:
+        if is_folded(edits, x, point.path):
+            result.fold += weight
+    return result
+
+
+@wp.func
+def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, options: MarchOptions):
+    """Gather radiance along a ray through the deformed scene."""
+    seen = DeformedRadiance()
+    seen.transmittance = float(1.0)
+    seen.cleared_transmittance = float(1.0)
+    step = options.step
+    span = scene_span(edits, grid, origin, direction)
+    k = sample_index_after(span[0], step)
+    ahead = CanonicalPoint()
+    ahead_index = int(-1)  # the sample that `ahead` belongs to
+    while (float(k) + 0.5) * step < span[1] and seen.transmittance > options.stop:
+        t = (float(k) + 0.5) * step
+        leave = empty_until(edits, grid, origin, direction, t)
+        if leave > t:
+            k = wp.max(k + 1, sample_index_after(leave, step))
+            continue
+        x = origin + t * direction
+        here = ahead
+        if ahead_index != k:
+            here = canonical_point(edits, x)
+        delta = step * direction
+        if here.region == MAPPED:
+            ahead = canonical_point(edits, x + delta)
+            ahead_index = k + 1
+            delta = canonical_step(edits, x, direction, step, here, ahead)
+        mapped_direction = canonical_direction(delta, step, direction)
+        arc = wp.length(delta)
+        count = int(1)
+        if arc > CUT_LENGTH * step:
+            count = wp.min(int(wp.ceil(arc / step - 1.0e-3)), MAX_SUB_SAMPLES)
+        share = 1.0 / float(count)
+        for j in range(count):
+            t_sub = t + ((float(j) + 0.5) * share - 0.5) * step
+            x_sub = origin + t_sub * direction
+            point = here
+            if count > 1:
+                point = canonical_point(edits, x_sub)
+            is_mapped = point.region == MAPPED
+            length = share * wp.where(is_mapped and options.arc_opacity == 1, arc, step)
+            seen_along = wp.where(is_mapped, mapped_direction, direction)
+            seen = composite_sample(seen, edits, grid, x_sub, t_sub, point, seen_along, length)
+        k += 1
+    return seen

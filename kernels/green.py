@@ -1,0 +1,273 @@
+"""Green coordinates of points in a closed triangle cage, and the map they give.
+
+Lipman, Levin and Cohen-Or, "Green coordinates" (SIGGRAPH 2008): inside, x = sum_i phi_i(x) v_i + sum_f psi_f(x) n_f,
+the layer potentials of the hat functions and of the faces, in closed form. With a, b, c the corners of a face seen from
+x, e_i the edge opposite to corner i, C_i the cross product of the ends of that edge, n the unit normal, A2 twice the
+area, h = n . a the signed distance to the plane and Omega the signed solid angle (van Oosterom and Strackee 1983),
+
+    K_i = log((r + s + |e_i|) / (r + s - |e_i|)) / |e_i|     r, s: lengths of the ends of edge i,
+    psi = (sum_i (n . C_i) K_i - h Omega) / 4 pi,
+    phi_i = ((n . C_i) Omega + h e_i . sum_k K_k e_k) / (4 pi A2).
+
+The logarithm is taken as log(1 + |e| (r + s + |e|) / q), q = r s + dot, which neither cancels next to the edge nor
+far from it. Faces next to x go through float64. On the cage Omega jumps: points within SURFACE of the size get the
+limit from inside, by leaving Omega of the touched faces out and giving what the winding number then lacks to the hat
+functions at that place of the cage. Farther outside the sum of phi is zero, and the map is not a position.
+
+Shapes: points (n,), vertices and targets (v,), faces (f,), target_normals (f,): unit normals of the target times the
+stretch of each face. One unit of length for points, vertices and size, which is the longest side of the vertices'
+bounding box; psi is a length. Keep coordinates near the origin (float32).
+Siblings: triangle.
+"""
+
+import warp as wp
+
+from .triangle import nearest_barycentric
+
+wp.set_module_options({"enable_backward": False})
+
+#: Faces whose plane passes closer than this share of the size, and that are seen wide, take the float64 path.
+PLANE_BAND = wp.constant(2.0e-3)
+#: So do faces lower than about the square root of this share of their length: their normal has few digits in float32.
+SLIVER = wp.constant(1.0e-6)
+#: Points this close to a face, as a share of the size, and not clearly in front of it, take the limit from inside.
+SURFACE = wp.constant(wp.float64(1.05e-5))
+IN_FRONT = wp.constant(wp.float64(1.0e-7))
+
+_INVERSE_FOUR_PI = wp.constant(0.07957747154594767)
+_INVERSE_FOUR_PI_64 = wp.constant(wp.float64(0.07957747154594767))
+_ZERO = wp.constant(wp.float64(0.0))
+_ONE = wp.constant(wp.float64(1.0))
+_TWO = wp.constant(wp.float64(2.0))
+_TINY = wp.constant(wp.float64(1.0e-24))
+
+
+@wp.struct
+class FaceIntegrals:
+    phi: wp.vec3  # of the three corners
+    psi: float
+    touching: int  # 1 where the origin lies on the face: then phi lacks the solid angle
+    nearest: wp.vec3  # and this is where, in barycentric coordinates
+
+
+@wp.func
+def edge_integral(r: float, s: float, cosine: float, sine: float, edge_squared: float):
+    """Integral of 1 / distance along an edge, over its length. r, s: distances of its ends; cosine, sine: their dot
+    product and the length squared of their cross product."""
+    edge = wp.sqrt(edge_squared)
+    product = r * s
+    q = wp.where(cosine > 0.0, product + cosine, sine / (product - cosine))
+    z = edge * (r + s + edge) / q
+    y = z / (2.0 + z)
+    yy = y * y
+    series = 2.0 * y * (1.0 + yy * (0.33333333 + yy * (0.2 + yy * (0.14285714 + yy * 0.11111111))))
+    return wp.where(z < 0.4, series, wp.log(1.0 + z)) / edge
+
+
+@wp.func
+def near_edge_integral(p: wp.vec3d, q: wp.vec3d, cross: wp.vec3d):
+    """The same in float64, bounded where the origin lies on the edge."""
+    edge = wp.length(q - p)
+    r = wp.length(p)
+    s = wp.length(q)
+    cosine = wp.dot(p, q)
+    product = r * s
+    low = product + cosine
+    if cosine <= _ZERO:
+        low = wp.dot(cross, cross) / wp.max(product - cosine, _TINY * edge * edge)
+    z = edge * (r + s + edge) / wp.max(low, _TINY * edge * edge)
+    return wp.log(_ONE + z) / edge
+
+
+@wp.func
+def near_face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
+    """phi and psi of a face next to the origin, in float64."""
+    p = wp.vec3d(a)
+    q = wp.vec3d(b)
+    r = wp.vec3d(c)
+    normal = wp.cross(q - p, r - p)
+    double_area = wp.length(normal)
+    result = FaceIntegrals()
+    if double_area == _ZERO:
+        return result
+    normal /= double_area
+    height = wp.dot(normal, p)
+    cross_p = wp.cross(q, r - q)
+    cross_q = wp.cross(r, p - r)
+    cross_r = wp.cross(p, q - p)
+    k_p = near_edge_integral(q, r, cross_p)
+    k_q = near_edge_integral(r, p, cross_q)
+    k_r = near_edge_integral(p, q, cross_r)
+    area_p = wp.dot(normal, cross_p)
+    area_q = wp.dot(normal, cross_q)
+    area_r = wp.dot(normal, cross_r)
+
+    unit = wp.float64(size)
+    solid_angle = _ZERO
+    if height < IN_FRONT * unit and height > -SURFACE * unit:
+        nearest = nearest_barycentric(p, q, r)
+        if wp.length(nearest[0] * p + nearest[1] * q + nearest[2] * r) < SURFACE * unit:
+            result.touching = 1
+            result.nearest = wp.vec3(nearest)
+    if result.touching == 0:
+        length_p = wp.length(p)
+        length_q = wp.length(q)
+        length_r = wp.length(r)
+        below = (
+            length_p * length_q * length_r
+            + wp.dot(p, q) * length_r
+            + wp.dot(q, r) * length_p
+            + wp.dot(r, p) * length_q
+        )
+        solid_angle = _TWO * wp.atan2(height * double_area, below)
+
+    pull = (r - q) * k_p + (p - r) * k_q + (q - p) * k_r
+    scale = _INVERSE_FOUR_PI_64 / double_area
+    result.phi = wp.vec3(
+        wp.vec3d(
+            scale * (area_p * solid_angle + height * wp.dot(r - q, pull)),
+            scale * (area_q * solid_angle + height * wp.dot(p - r, pull)),
+            scale * (area_r * solid_angle + height * wp.dot(q - p, pull)),
+        )
+    )
+    result.psi = wp.float32(
+        _INVERSE_FOUR_PI_64 * (area_p * k_p + area_q * k_q + area_r * k_r - height * solid_angle)
+    )
+    return result
+
+
+@wp.func
+def face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
+    """phi and psi of the face a, b, c as seen from the origin."""
+    edge_a = c - b
+    edge_b = a - c
+    edge_c = b - a
+    normal = wp.cross(edge_b, edge_c)
+    normal_squared = wp.dot(normal, normal)
+    det = wp.dot(normal, a)
+    length_a = wp.length(a)
+    length_b = wp.length(b)
+    length_c = wp.length(c)
+    cosine_a = wp.dot(b, c)
+    cosine_b = wp.dot(c, a)
+    cosine_c = wp.dot(a, b)
+    volume = length_a * length_b * length_c
+    below = volume + cosine_a * length_a + cosine_b * length_b + cosine_c * length_c
+    band = PLANE_BAND * size
+    result = FaceIntegrals()
+    # det and `below` both vanish on the triangle's rim, so their quotient has no digits there in float32
+    rim = below <= 0.1 * volume or wp.min(wp.min(length_a, length_b), length_c) <= band
+    edges = wp.dot(edge_b, edge_b) + wp.dot(edge_c, edge_c)
+    sliver = normal_squared <= SLIVER * edges * edges
+    if sliver or (rim and det * det <= band * band * normal_squared):
+        result = near_face_integrals(a, b, c, size)
+    else:
+        cross_a = wp.cross(b, edge_a)
+        cross_b = wp.cross(c, edge_b)
+        cross_c = wp.cross(a, edge_c)
+        k_a = edge_integral(length_b, length_c, cosine_a, wp.dot(cross_a, cross_a), wp.dot(edge_a, edge_a))
+        k_b = edge_integral(length_c, length_a, cosine_b, wp.dot(cross_b, cross_b), wp.dot(edge_b, edge_b))
+        k_c = edge_integral(length_a, length_b, cosine_c, wp.dot(cross_c, cross_c), wp.dot(edge_c, edge_c))
+        solid_angle = 2.0 * wp.atan2(det, below)
+        inverse_area = 1.0 / wp.sqrt(normal_squared)
+        normal *= inverse_area
+        height = det * inverse_area
+        area_a = wp.dot(normal, cross_a)
+        area_b = wp.dot(normal, cross_b)
+        area_c = wp.dot(normal, cross_c)
+        pull = edge_a * k_a + edge_b * k_b + edge_c * k_c
+        result.phi = (_INVERSE_FOUR_PI * inverse_area) * (
+            wp.vec3(area_a, area_b, area_c) * solid_angle
+            + height * wp.vec3(wp.dot(edge_a, pull), wp.dot(edge_b, pull), wp.dot(edge_c, pull))
+        )
+        result.psi = _INVERSE_FOUR_PI * (area_a * k_a + area_b * k_b + area_c * k_c - height * solid_angle)
+    return result
+
+
+@wp.func
+def missing_winding(winding: float):
+    """What the touched faces would add to the sum of phi just inside the cage: up to the next whole number."""
+    return wp.max(wp.ceil(winding - 1.0e-4), 1.0) - winding
+
+
+@wp.func
+def green_position(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    targets: wp.array(dtype=wp.vec3),
+    target_normals: wp.array(dtype=wp.vec3),
+    size: float,
+):
+    """sum_i phi_i(x) targets_i + sum_f psi_f(x) target_normals_f with phi, psi of the cage `vertices`."""
+    position = wp.vec3(0.0, 0.0, 0.0)
+    winding = float(0.0)
+    touched = int(0)
+    touched_target = wp.vec3(0.0, 0.0, 0.0)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        integrals = face_integrals(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
+        target_a = targets[face[0]]
+        target_b = targets[face[1]]
+        target_c = targets[face[2]]
+        phi = integrals.phi
+        position += phi[0] * target_a + phi[1] * target_b + phi[2] * target_c + integrals.psi * target_normals[f]
+        winding += phi[0] + phi[1] + phi[2]
+        if integrals.touching == 1:
+            touched = 1
+            nearest = integrals.nearest
+            touched_target = nearest[0] * target_a + nearest[1] * target_b + nearest[2] * target_c
+    if touched == 1:
+        position += missing_winding(winding) * touched_target
+    return position
+
+
+@wp.kernel
+def map_green(
+    first: int,
+    points: wp.array(dtype=wp.vec3),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    targets: wp.array(dtype=wp.vec3),
+    target_normals: wp.array(dtype=wp.vec3),
+    size: float,
+    positions: wp.array(dtype=wp.vec3),
+):
+    """positions (n,) = sum_i phi_i(points) targets_i + sum_f psi_f(points) target_normals_f."""
+    n = first + wp.tid()
+    positions[n] = green_position(points[n], vertices, faces, targets, target_normals, size)
+
+
+@wp.kernel
+def weigh_green(
+    first: int,
+    points: wp.array(dtype=wp.vec3),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    size: float,
+    vertex_weights: wp.array2d(dtype=wp.float32),
+    face_weights: wp.array2d(dtype=wp.float32),
+):
+    """vertex_weights (n, v) = phi and face_weights (n, f) = psi, whatever the rows held before."""
+    n = first + wp.tid()
+    x = points[n]
+    for j in range(vertex_weights.shape[1]):
+        vertex_weights[n, j] = 0.0
+    winding = float(0.0)
+    touched = int(-1)
+    nearest = wp.vec3(0.0, 0.0, 0.0)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        integrals = face_integrals(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
+        face_weights[n, f] = integrals.psi
+        for k in range(3):
+            vertex_weights[n, face[k]] = vertex_weights[n, face[k]] + integrals.phi[k]
+            winding += integrals.phi[k]
+        if integrals.touching == 1:
+            touched = f
+            nearest = integrals.nearest
+    if touched >= 0:
+        missing = missing_winding(winding)
+        face = faces[touched]
+        for k in range(3):
+            vertex_weights[n, face[k]] = vertex_weights[n, face[k]] + missing * nearest[k]

@@ -1,0 +1,98 @@
+"""Weights of all cage vertices at the inside nodes of a lattice, and the maps that they give.
+
+weights (m, v): row n belongs to entry begin + n of the node list (see node_levels). A map with values r_j at the cage's
+vertices is sum_j w_j r_j at each node (Joshi et al. 2007, section 3).
+Siblings: node_levels.
+"""
+
+import warp as wp
+
+from .node_levels import NodeLevels, node_place
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def place_nodes(first: int, begin: int, centre: wp.vec3, levels: NodeLevels, points: wp.array(dtype=wp.vec3)):
+    """points (m,): places, in node units relative to `centre`, of the entries of the node list from `begin` on."""
+    n = first + wp.tid()
+    p = node_place(levels, 0, levels.nodes[begin + n])
+    points[n] = wp.vec3(float(p[0]), float(p[1]), float(p[2])) - centre
+
+
+@wp.kernel
+def select_vertices(first: int, column: int, values: wp.array(dtype=wp.vec3)):
+    """values (v,): channel c is 1 at vertex column + c and 0 at the others."""
+    vertex = first + wp.tid()
+    selected = wp.vec3(0.0, 0.0, 0.0)
+    for c in range(3):
+        if vertex == column + c:
+            selected[c] = 1.0
+    values[vertex] = selected
+
+
+@wp.kernel
+def store_weights(
+    first: int,
+    begin: int,
+    column: int,
+    levels: NodeLevels,
+    values: wp.array(dtype=wp.vec3),
+    weights: wp.array2d(dtype=float),
+):
+    """Columns column .. column + 2 of weights (m, v) from the values of the nodes listed from `begin` on."""
+    n = first + wp.tid()
+    value = values[levels.nodes[begin + n]]
+    for c in range(3):
+        if column + c < weights.shape[1]:
+            weights[n, column + c] = value[c]
+
+
+@wp.kernel
+def apply_weights(
+    first: int,
+    begin: int,
+    levels: NodeLevels,
+    weights: wp.array2d(dtype=float),
+    targets: wp.array(dtype=wp.vec3),
+    values: wp.array(dtype=wp.vec3),
+):
+    """Add sum_j weights[n, j] targets[j] to the value of each node listed from `begin` on."""
+    n = first + wp.tid()
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for j in range(targets.shape[0]):
+        total += weights[n, j] * targets[j]
+    node = levels.nodes[begin + n]
+    values[node] = values[node] + total
+
+
+@wp.kernel
+def sample_weights(
+    first: int,
+    column: int,
+    shape: wp.vec3i,
+    points: wp.array(dtype=wp.vec3),
+    values: wp.array(dtype=wp.vec3),
+    weights: wp.array2d(dtype=float),
+):
+    """Columns column .. column + 2 of weights (n, v) by trilinear look-up at points (n,), in node units.
+
+    values: at the nodes of a lattice of `shape`, flat.
+    """
+    n = first + wp.tid()
+    x = points[n]
+    i = wp.clamp(int(wp.floor(x[0])), 0, shape[0] - 2)
+    j = wp.clamp(int(wp.floor(x[1])), 0, shape[1] - 2)
+    k = wp.clamp(int(wp.floor(x[2])), 0, shape[2] - 2)
+    value = wp.vec3(0.0, 0.0, 0.0)
+    for corner in range(8):
+        di = corner >> 2
+        dj = (corner >> 1) & 1
+        dk = corner & 1
+        wi = wp.where(di == 1, x[0] - float(i), 1.0 - x[0] + float(i))
+        wj = wp.where(dj == 1, x[1] - float(j), 1.0 - x[1] + float(j))
+        wk = wp.where(dk == 1, x[2] - float(k), 1.0 - x[2] + float(k))
+        value += (wi * wj * wk) * values[((i + di) * shape[1] + j + dj) * shape[2] + k + dk]
+    for c in range(3):
+        if column + c < weights.shape[1]:
+            weights[n, column + c] = value[c]

@@ -1,0 +1,50 @@
+"""Points between world units and the local frame of a cage: local = (world - centre) / size.
+
+The difference is taken in float64, so that a scene far from the origin keeps the digits that its points have.
+Siblings: none.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def localise_points(
+    first: int,
+    points: wp.array(dtype=wp.vec3),
+    centre: wp.vec3d,
+    size: wp.float64,
+    local: wp.array(dtype=wp.vec3),
+    first_bad: wp.array(dtype=int),
+):
+    """local (n,) = (points - centre) / size; first_bad (1,) takes the lowest index of a point that is not finite.
+
+    Shares first_bad among items: one plain launch, not one cut over threads.
+    """
+    n = first + wp.tid()
+    x = points[n]
+    if not wp.isfinite(x):
+        wp.atomic_min(first_bad, 0, n)
+    local[n] = wp.vec3((wp.vec3d(x) - centre) / size)
+
+
+@wp.kernel
+def restore_points(
+    first: int,
+    local: wp.array(dtype=wp.vec3),
+    centre: wp.vec3d,
+    size: wp.float64,
+    points: wp.array(dtype=wp.vec3),
+):
+    """points (n,) = local * size + centre."""
+    n = first + wp.tid()
+    points[n] = wp.vec3(wp.vec3d(local[n]) * size + centre)
+
+
+@wp.kernel
+def scale_rows(first: int, factor: float, weights: wp.array2d(dtype=wp.float32)):
+    """weights (n, k) times factor."""
+    n = first + wp.tid()
+    for j in range(weights.shape[1]):
+        weights[n, j] = weights[n, j] * factor

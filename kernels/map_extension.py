@@ -1,0 +1,201 @@
+"""Values at the outside nodes of cells that the cage cuts, continued from inside, and the affine part of the map.
+
+Trilinear look-up near the cage needs all eight corners of a cell. Ring 0 (see node_levels) is continued along grid
+edges through the boundary value g at the true crossing: with u_in the value at the inside node, a fraction theta of a
+cell from the crossing, and u_back the one behind it,
+
+    g + (g - u_in) (1 - theta) / theta                theta >= 1/2
+    g + (g - u_back) (1 - theta) / (1 + theta)        else,
+
+averaged over the grid edges; the other rings take the mean of 2 u_1 - u_2 along the 26 directions of the lattice. All
+of it is linear in the values and exact for linear functions; where a part of the cage is too thin for that (no second
+value), the mean of the neighbours or the value at the nearest point of the cage stands in.
+Siblings: node_levels, harmonic_rows.
+"""
+
+import warp as wp
+
+from .harmonic_rows import CutRows, barycentric, crossing_value, nearest_face
+from .node_levels import REGULAR, RING, NodeLevels, node_place
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def node_step(levels: NodeLevels, direction: int):
+    """From a node of level 0 to its neighbour in direction 2 * axis + forward."""
+    shape = levels.shapes[0]
+    step = int(1)
+    if direction < 2:
+        step = shape[1] * shape[2]
+    elif direction < 4:
+        step = shape[2]
+    return wp.where(direction % 2 == 1, step, -step)
+
+
+@wp.func
+def is_steady(rows: CutRows, row: int, direction: int):
+    """Whether the value beyond the crossing in a direction follows without much amplification.
+
+    It does not where the cage is crossed again right behind the node.
+    """
+    back = direction ^ 1
+    theta = rows.fractions[row, direction]
+    return theta >= 0.5 or (rows.links[row] >> back) & 1 == 1 or theta + rows.fractions[row, back] >= 0.5
+
+
+@wp.func
+def value_beyond(
+    levels: NodeLevels,
+    rows: CutRows,
+    faces: wp.array(dtype=wp.vec3i),
+    vertex_values: wp.array(dtype=wp.vec3),
+    values: wp.array(dtype=wp.vec3),
+    node: int,
+    direction: int,
+):
+    """Value at the outside neighbour of cut inside node `node` in a direction, continued through the crossing."""
+    row = levels.codes[node]
+    back = direction ^ 1
+    theta = rows.fractions[row, direction]
+    g = crossing_value(rows, faces, vertex_values, row, direction)
+    if theta >= 0.5:
+        return g + (g - values[node]) * ((1.0 - theta) / theta)
+    if (rows.links[row] >> back) & 1 == 1:
+        return g + (g - values[node + node_step(levels, back)]) * ((1.0 - theta) / (1.0 + theta))
+    # the cage is crossed again behind the node
+    g_back = crossing_value(rows, faces, vertex_values, row, back)
+    return g + (g - g_back) * ((1.0 - theta) / wp.max(theta + rows.fractions[row, back], 0.5))
+
+
+@wp.struct
+class Extrapolation:
+    linear: wp.vec3  # sum of 2 u_1 - u_2 over the directions that know both
+    linear_count: float
+    nearby: wp.vec3  # sum of u_1 over those that know it
+    nearby_count: float
+
+
+@wp.func
+def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, ring: int):
+    """What the 26 directions of the lattice say at a node of a ring, from inside nodes and the rings before."""
+    result = Extrapolation()
+    shape = levels.shapes[0]
+    for d in range(27):
+        step = ((d / 9 - 1) * shape[1] + (d / 3) % 3 - 1) * shape[2] + d % 3 - 1
+        code = levels.codes[node + step]
+        if d != 13 and (code >= REGULAR or (code <= RING and code > RING - ring)):
+            result.nearby += values[node + step]
+            result.nearby_count += 1.0
+            code = levels.codes[node + 2 * step]
+            if code >= REGULAR or (code <= RING and code > RING - ring):
+                result.linear += 2.0 * values[node + step] - values[node + 2 * step]
+                result.linear_count += 1.0
+    return result
+
+
+@wp.kernel
+def extend_through_cage(
+    first: int,
+    levels: NodeLevels,
+    rows: CutRows,
+    faces: wp.array(dtype=wp.vec3i),
+    vertex_values: wp.array(dtype=wp.vec3),
+    values: wp.array(dtype=wp.vec3),
+):
+    """Values of ring 0, of a map that takes vertex_values (v,) at the cage's vertices and is linear on its faces."""
+    n = first + wp.tid()
+    section = 3 * levels.shapes.shape[0]
+    if n >= levels.starts[section + 1] - levels.starts[section]:
+        return
+    node = levels.nodes[levels.starts[section] + n]
+    steady = wp.vec3(0.0, 0.0, 0.0)
+    steady_count = float(0.0)
+    other = wp.vec3(0.0, 0.0, 0.0)
+    other_count = float(0.0)
+    for direction in range(6):
+        inside = node + node_step(levels, direction)
+        row = levels.codes[inside]
+        if row >= 0:
+            value = value_beyond(levels, rows, faces, vertex_values, values, inside, direction ^ 1)
+            if is_steady(rows, row, direction ^ 1):
+                steady += value
+                steady_count += 1.0
+            else:
+                other += value
+                other_count += 1.0
+    if steady_count > 0.0:
+        values[node] = steady / steady_count
+    else:  # beside a tip of the cage
+        found = lattice_extrapolation(levels, values, node, 0)
+        if found.linear_count > 0.0:
+            values[node] = found.linear / found.linear_count
+        else:
+            values[node] = other / wp.max(other_count, 1.0)
+
+
+@wp.kernel
+def extend_outwards(
+    first: int,
+    ring: int,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    levels: NodeLevels,
+    vertex_values: wp.array(dtype=wp.vec3),
+    values: wp.array(dtype=wp.vec3),
+):
+    """Values of a ring from the inside nodes and the rings before it. vertices (v,) in node units."""
+    n = first + wp.tid()
+    section = 3 * levels.shapes.shape[0] + ring
+    if n >= levels.starts[section + 1] - levels.starts[section]:
+        return
+    node = levels.nodes[levels.starts[section] + n]
+    found = lattice_extrapolation(levels, values, node, ring)
+    if found.linear_count > 0.0:
+        values[node] = found.linear / found.linear_count
+    elif found.nearby_count > 0.0:
+        values[node] = found.nearby / found.nearby_count
+    else:
+        p = node_place(levels, 0, node)
+        x = wp.vec3(float(p[0]), float(p[1]), float(p[2]))
+        face = faces[nearest_face(x, vertices, faces)]
+        weight = barycentric(x, vertices[face[0]], vertices[face[1]], vertices[face[2]])
+        values[node] = (
+            weight[0] * vertex_values[face[0]] + weight[1] * vertex_values[face[1]] + weight[2] * vertex_values[face[2]]
+        )
+
+
+@wp.kernel
+def add_affine(
+    first: int, levels: NodeLevels, scale: float, matrix: wp.mat33, offset: wp.vec3, values: wp.array(dtype=wp.vec3)
+):
+    """values becomes scale * values + matrix (i, j, k) + offset at every node of level 0. One item a node."""
+    node = first + wp.tid()
+    p = node_place(levels, 0, node)
+    affine = matrix @ wp.vec3(float(p[0]), float(p[1]), float(p[2])) + offset
+    values[node] = scale * values[node] + affine
+
+
+@wp.kernel
+def flag_thin_nodes(first: int, levels: NodeLevels, rows: CutRows, flags: wp.array(dtype=int)):
+    """flags (cut rows and ring 0,): 1 where one outside node, or none, serves two sides of a gap of the cage.
+
+    Rows of cut nodes come first: 1 where a cut link ends inside again. Then nodes of ring 0: 1 between two inside
+    nodes.
+    """
+    n = first + wp.tid()
+    level_count = levels.shapes.shape[0]
+    cut_count = levels.starts[2 * level_count + 1] - levels.starts[2 * level_count]
+    flag = int(0)
+    if n < cut_count:
+        node = levels.nodes[levels.starts[2 * level_count] + n]
+        for direction in range(6):
+            if (rows.links[n] >> direction) & 1 == 0 and levels.codes[node + node_step(levels, direction)] >= REGULAR:
+                flag = 1
+    else:
+        node = levels.nodes[levels.starts[3 * level_count] + n - cut_count]
+        for axis in range(3):
+            step = node_step(levels, 2 * axis)
+            if levels.codes[node - step] >= REGULAR and levels.codes[node + step] >= REGULAR:
+                flag = 1
+    flags[n] = flag

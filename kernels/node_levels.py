@@ -1,0 +1,211 @@
+"""Lists of the nodes of a lattice over a cage, for every level of a multigrid hierarchy.
+
+Level l keeps every 2^l-th node of the lattice along each axis. Nodes of all levels are numbered on, level after level,
+the last axis fastest; node (i, j, k) of level l is first_node[l] + (i * ny + j) * nz + k. Each node has a code: its row
+in the table of cut nodes (see harmonic_rows) where that is >= 0, else one of the constants below.
+
+The list `nodes` holds, section after section,
+    2 l + c         inside nodes of level l with (i + j + k) % 2 = c ("red" 0, "black" 1)
+    2 L + l         inside nodes of level l whose cross of six grid edges meets the cage ("cut")
+    3 L + r         outside nodes of level 0: r = 0 face neighbours of an inside node, r = 1 other corners of cells with
+                    an inside node, r = 2 one ring more, r = 3 others within a cell's diagonal of the cage: corners of
+                    cells that it may cross where a part of it is too thin or pointed for inside nodes
+and starts[s] is where section s begins. Within a section nodes ascend, so that neighbours in the list are near in
+memory. They are counted column by column, summed up (exclusive scan) and written: no atomics, the same lists on every
+device.
+Siblings: crossings.
+"""
+
+import warp as wp
+
+from .crossings import LineCrossings, exit_distance
+
+wp.set_module_options({"enable_backward": False})
+
+OUTSIDE = wp.constant(-2)
+REGULAR = wp.constant(-1)  # inside, not cut
+RING = wp.constant(-3)  # ring r has code RING - r
+RINGS = wp.constant(4)
+CELL_DIAGONAL = wp.constant(1.7321)  # cells
+
+
+@wp.struct
+class NodeLevels:
+    shapes: wp.array(dtype=wp.vec3i)  # (L,) nodes along each axis
+    first_node: wp.array(dtype=int)  # (L + 1,)
+    first_column: wp.array(dtype=int)  # (L + 1,) columns (i, j) are numbered like nodes
+    codes: wp.array(dtype=int)  # (nodes of all levels,)
+    nodes: wp.array(dtype=int)  # the list
+    starts: wp.array(dtype=int)  # (3 L + RINGS + 1,)
+
+
+@wp.func
+def level_of(offsets: wp.array(dtype=int), n: int):
+    """Level whose share of `offsets` holds n."""
+    level = int(0)
+    for upper in range(1, offsets.shape[0] - 1):
+        if n >= offsets[upper]:
+            level = upper
+    return level
+
+
+@wp.func
+def node_place(levels: NodeLevels, level: int, node: int):
+    """(i, j, k) of a node of a level."""
+    shape = levels.shapes[level]
+    local = node - levels.first_node[level]
+    row = local / shape[2]
+    return wp.vec3i(row / shape[1], row % shape[1], local % shape[2])
+
+
+@wp.func
+def is_inside_node(distance: wp.array3d(dtype=float), i: int, j: int, k: int):
+    """Whether node (i, j, k) of the lattice is inside; nodes off the lattice are outside."""
+    if i < 0 or j < 0 or k < 0 or i >= distance.shape[0] or j >= distance.shape[1] or k >= distance.shape[2]:
+        return False
+    return distance[i, j, k] < 0.0
+
+
+@wp.func
+def is_cut_link(
+    crossings: LineCrossings, distance: wp.array3d(dtype=float), p: wp.vec3i, axis: int, forward: bool, reach: int
+):
+    """Whether the cage comes between inside node p (lattice numbering) and its neighbour `reach` nodes on."""
+    q = p
+    q[axis] = p[axis] + wp.where(forward, reach, -reach)
+    if not is_inside_node(distance, q[0], q[1], q[2]):
+        return True
+    return exit_distance(crossings, axis, forward, p[0], p[1], p[2]) < float(reach)
+
+
+@wp.func
+def ring_code(distance: wp.array3d(dtype=float), p: wp.vec3i):
+    """Code of outside node p of level 0: which ring around the inside nodes it belongs to."""
+    code = OUTSIDE
+    for di in range(-2, 3):
+        for dj in range(-2, 3):
+            for dk in range(-2, 3):
+                if is_inside_node(distance, p[0] + di, p[1] + dj, p[2] + dk):
+                    ring = int(2)
+                    if wp.max(wp.max(wp.abs(di), wp.abs(dj)), wp.abs(dk)) == 1:
+                        ring = wp.where(wp.abs(di) + wp.abs(dj) + wp.abs(dk) == 1, 0, 1)
+                    code = wp.where(code == OUTSIDE, RING - ring, wp.max(code, RING - ring))
+    return code
+
+
+@wp.kernel
+def classify_nodes(
+    first: int,
+    crossings: LineCrossings,
+    distance: wp.array3d(dtype=float),
+    spacing: float,
+    levels: NodeLevels,
+):
+    """Codes of all nodes; cut nodes get 0 until list_columns numbers them."""
+    node = first + wp.tid()
+    level = level_of(levels.first_node, node)
+    reach = 1 << level
+    p = node_place(levels, level, node) * reach
+    code = OUTSIDE
+    if is_inside_node(distance, p[0], p[1], p[2]):
+        code = REGULAR
+        # no link is cut where the cage is farther than its length; farther than 4 cells `distance` does not know
+        if level > 2 or -distance[p[0], p[1], p[2]] < 0.9999 * float(reach) * spacing:
+            for axis in range(3):
+                if is_cut_link(crossings, distance, p, axis, False, reach):
+                    code = 0
+                if is_cut_link(crossings, distance, p, axis, True, reach):
+                    code = 0
+    elif level == 0:
+        if distance[p[0], p[1], p[2]] < 3.5 * spacing:
+            code = ring_code(distance, p)
+        if code == OUTSIDE and distance[p[0], p[1], p[2]] < CELL_DIAGONAL * spacing:
+            code = RING - 3
+    levels.codes[node] = code
+
+
+@wp.kernel
+def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
+    """Nodes of each section in each column; counts lie section after section, a column of its level an entry."""
+    column = first + wp.tid()
+    level = level_of(levels.first_column, column)
+    level_count = levels.shapes.shape[0]
+    shape = levels.shapes[level]
+    local = column - levels.first_column[level]
+    begin = levels.first_node[level] + local * shape[2]
+    parity = local / shape[1] + local % shape[1]
+    inside = wp.vec2i(0, 0)
+    cut = int(0)
+    rings = wp.vec4i(0, 0, 0, 0)
+    for k in range(shape[2]):
+        code = levels.codes[begin + k]
+        if code >= REGULAR:
+            inside[(parity + k) % 2] += 1
+            if code != REGULAR:
+                cut += 1
+        elif code <= RING:
+            rings[RING - code] += 1
+    columns = levels.first_column[level_count]
+    width = levels.first_column[level + 1] - levels.first_column[level]
+    counts[2 * levels.first_column[level] + local] = inside[0]
+    counts[2 * levels.first_column[level] + width + local] = inside[1]
+    counts[2 * columns + column] = cut
+    if level == 0:
+        for r in range(RINGS):
+            counts[3 * columns + r * width + local] = rings[r]
+        if column == 0:
+            counts[3 * columns + RINGS * width] = 0
+
+
+@wp.kernel
+def find_starts(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
+    """starts from the scanned counts. One item a section, and one for the end."""
+    section = first + wp.tid()
+    level_count = levels.shapes.shape[0]
+    columns = levels.first_column[level_count]
+    entry = int(0)
+    if section < 2 * level_count:
+        level = section / 2
+        width = levels.first_column[level + 1] - levels.first_column[level]
+        entry = 2 * levels.first_column[level] + (section % 2) * width
+    elif section < 3 * level_count:
+        entry = 2 * columns + levels.first_column[section - 2 * level_count]
+    else:
+        entry = 3 * columns + (section - 3 * level_count) * levels.first_column[1]
+    levels.starts[section] = offsets[entry]
+
+
+@wp.kernel
+def list_columns(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
+    """Write the nodes of each column to their sections, and the rows of cut nodes to their codes."""
+    column = first + wp.tid()
+    level = level_of(levels.first_column, column)
+    level_count = levels.shapes.shape[0]
+    shape = levels.shapes[level]
+    local = column - levels.first_column[level]
+    begin = levels.first_node[level] + local * shape[2]
+    parity = local / shape[1] + local % shape[1]
+    columns = levels.first_column[level_count]
+    width = levels.first_column[level + 1] - levels.first_column[level]
+    inside = wp.vec2i(
+        offsets[2 * levels.first_column[level] + local], offsets[2 * levels.first_column[level] + width + local]
+    )
+    cut = offsets[2 * columns + column]
+    first_cut = offsets[2 * columns]
+    rings = wp.vec4i(0, 0, 0, 0)
+    if level == 0:
+        for r in range(RINGS):
+            rings[r] = offsets[3 * columns + r * width + local]
+    for k in range(shape[2]):
+        code = levels.codes[begin + k]
+        if code >= REGULAR:
+            colour = (parity + k) % 2
+            levels.nodes[inside[colour]] = begin + k
+            inside[colour] += 1
+            if code != REGULAR:
+                levels.nodes[cut] = begin + k
+                levels.codes[begin + k] = cut - first_cut
+                cut += 1
+        elif code <= RING:
+            levels.nodes[rings[RING - code]] = begin + k
+            rings[RING - code] += 1

@@ -1,0 +1,74 @@
+"""Small fields, a cage and cameras that the tests of deformed scenes share."""
+
+import numpy as np
+
+from warpcage.cage import Cage
+from warpcage.camera import Camera
+from warpcage.field import VoxelField
+
+KINDS = ("harmonic", "mean_value", "green")
+SIZE = 64
+BOX = Cage.box([-0.75, -0.55, -0.4], [0.75, 0.55, 0.4], segments=2)
+
+
+def nodes(resolution, bounds):
+    """(n, n, n, 3) voxel centres."""
+    lower, upper = np.asarray(bounds, float)
+    axes = [lower[a] + (np.arange(resolution) + 0.5) / resolution * (upper[a] - lower[a]) for a in range(3)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def make_field(density, sh, bounds=((-1, -1, -1), (1, 1, 1)), device="cpu", resolution=40, origin=(0, 0, 0)):
+    """A field from functions of positions relative to `origin`."""
+    x = nodes(resolution, bounds)
+    bounds = np.asarray(bounds, float) + origin
+    return VoxelField.from_dense(density(x), np.broadcast_to(sh(x), (*x.shape[:3], 9, 3)), bounds, device=device)
+
+
+def ellipsoid(x, centre=(0, 0, 0), radii=(0.55, 0.35, 0.25), sigma=30.0):
+    return sigma * np.clip((1.15 - np.linalg.norm((x - centre) / np.array(radii), axis=-1)) / 0.3, 0, 1)
+
+
+def shiny(x):
+    """Stripes whose colour depends strongly on the direction they are seen from."""
+    sh = np.zeros((*x.shape[:3], 9, 3))
+    sh[..., 0, :] = 0.8 * np.sin(x @ np.array([[7.0, 1, 2], [2, 6, -3], [1, -3, 7]]))
+    random = np.random.default_rng(0)
+    sh[..., 1:4, :] = 0.5 * random.normal(size=(3, 3))
+    sh[..., 4:, :] = 0.25 * random.normal(size=(5, 3))
+    return sh
+
+
+def plain(colour):
+    def sh(x):
+        result = np.zeros((*x.shape[:3], 9, 3))
+        result[..., 0, :] = (np.asarray(colour) - 0.5) / 0.28209479177387814
+        return result
+
+    return sh
+
+
+def shiny_field(device, **options):
+    return make_field(ellipsoid, shiny, device=device, **options)
+
+
+def view(eye=(2.5, 1.2, 1.0), size=SIZE, **options):
+    return Camera.look_at(np.asarray(eye, float), (0, 0, 0), width=size, height=size, fov_degrees=50, **options)
+
+
+def psnr(a, b):
+    return -10 * np.log10(max(np.mean((a - b) ** 2), 1e-12))
+
+
+def rotation(z_degrees, x_degrees):
+    a, b = np.radians([z_degrees, x_degrees])
+    about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    return about_z @ about_x
+
+
+def counter_moved(camera, turn, offset):
+    """The camera that sees the field at rest as `camera` sees it after x -> turn x + offset."""
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = turn, offset
+    return camera.moved(np.linalg.inv(transform))

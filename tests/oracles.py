@@ -1,0 +1,290 @@
+"""Float64 (or longer) NumPy references for cage coordinates, written from other formulas than the kernels.
+
+All take points (n, 3), vertices (v, 3), faces (f, 3) and return weights (n, v), psi (n, f) or values (n, k).
+"""
+
+import numpy as np
+
+GAUSS_POINTS = 24
+
+
+def icosphere(subdivisions: int = 1):
+    """Unit icosphere, its vertices moved a little (seed 0) so that nothing is symmetric: vertices, faces."""
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    vertices = np.array(mesh.vertices)
+    return 0.5 * (vertices + 0.04 * np.random.default_rng(0).uniform(-1, 1, vertices.shape)), np.array(mesh.faces)
+
+
+def box():
+    """Box of sides 1, 0.8, 0.6 about the origin, 12 triangles."""
+    import trimesh
+
+    mesh = trimesh.creation.box((1.0, 0.8, 0.6))
+    return np.array(mesh.vertices), np.array(mesh.faces)
+
+
+def concave_l():
+    """L-shaped prism, 1 x 1 x 0.5, with a reflex edge along z at (-0.1, -0.1)."""
+    outline = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, -0.1], [-0.1, -0.1], [-0.1, 0.5], [-0.5, 0.5]])
+    low = np.column_stack([outline, np.full(6, -0.25)])
+    high = np.column_stack([outline, np.full(6, 0.25)])
+    top = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
+    sides = [face for i in range(6) for j in [(i + 1) % 6] for face in ([i, j, j + 6], [i, j + 6, i + 6])]
+    return np.concatenate([low, high]), np.concatenate([top[:, ::-1], top + 6, sides])
+
+
+def two_boxes():
+    """Two separate boxes side by side along x."""
+    vertices, faces = box()
+    return (np.concatenate([0.4 * vertices - [0.4, 0, 0], 0.5 * vertices + [0.4, 0, 0]]),
+            np.concatenate([faces, faces + len(vertices)]))
+
+
+def cage_with_sliver(height: float):
+    """An icosphere one face of which is cut in three, by a vertex this far inside one of its edges."""
+    vertices, faces = icosphere(1)
+    a, b, c = faces[0]
+    middle = (vertices[a] + vertices[b]) / 2
+    up = (vertices[c] - middle) / np.linalg.norm(vertices[c] - middle)
+    new = len(vertices)
+    return (single(np.concatenate([vertices, [middle + height * up]])),
+            np.concatenate([faces[1:], [[a, b, new], [b, c, new], [c, a, new]]]))
+
+
+CAGES = {"icosphere": lambda: icosphere(1), "fine icosphere": lambda: icosphere(2), "box": box, "concave": concave_l,
+         "two boxes": two_boxes}
+
+
+def winding_numbers(points, vertices, faces):
+    """Winding number (n,), from the spherical excess of each face: dihedral angles less pi."""
+    corners = vertices[faces][None] - np.asarray(points)[:, None, None]
+    unit = corners / np.linalg.norm(corners, axis=3, keepdims=True)
+    normal = np.cross(unit[:, :, [1, 2, 0]], unit[:, :, [2, 0, 1]])
+    normal /= np.maximum(np.linalg.norm(normal, axis=3, keepdims=True), 1e-300)
+    cosines = -np.einsum("nfic,nfic->nfi", normal[:, :, [1, 2, 0]], normal[:, :, [2, 0, 1]])
+    excess = np.arccos(np.clip(cosines, -1, 1)).sum(axis=2) - np.pi
+    sign = np.sign(np.einsum("nfc,nfc->nf", unit[:, :, 0], np.cross(unit[:, :, 1], unit[:, :, 2])))
+    return (sign * excess).sum(axis=1) / (4 * np.pi)
+
+
+def inside_points(vertices, faces, count: int, seed: int = 1):
+    """`count` uniform random points inside a closed mesh."""
+    random = np.random.default_rng(seed)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    found = np.zeros((0, 3))
+    while len(found) < count:
+        tried = random.uniform(low, high, (2 * count, 3))
+        found = np.concatenate([found, tried[winding_numbers(tried, vertices, faces) > 0.5]])
+    return found[:count]
+
+
+def single(array):
+    """Rounded to float32, in float64: what a kernel and a reference see alike."""
+    return np.asarray(array, np.float32).astype(np.float64)
+
+
+def cage(name):
+    """A cage of CAGES with vertices that are float32 numbers."""
+    vertices, faces = CAGES[name]()
+    return single(vertices), faces
+
+
+def unit_normals(vertices, faces):
+    normal = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def points_near_planes(vertices, faces, height, count=250):
+    """Inside points at a height off the plane of some face, and clear of the cage itself."""
+    random = np.random.default_rng(5)
+    points = inside_points(vertices, faces, 8 * count)
+    which = random.integers(0, len(faces), len(points))
+    normal = unit_normals(vertices, faces)[which]
+    drop = np.einsum("nc,nc->n", vertices[faces[which, 0]] - points, normal) - height
+    points = single(points + drop[:, None] * normal)
+    return points[winding_numbers(points, vertices, faces) > 0.5][:count]
+
+
+def points_by_the_cage(vertices, faces, kind, distance, count=300):
+    """Points on random faces, edges or vertices, moved in by a distance along the mean normal there, and the weights of
+    linear interpolation at the foot: (n, 3), (n, v)."""
+    random = np.random.default_rng(6)
+    which = random.integers(0, len(faces), count)
+    share = random.dirichlet([1, 1, 1], count)
+    if kind == "edge":
+        share[:, 2] = 0
+    if kind == "vertex":
+        share[:, 1:] = 0
+    share /= share.sum(axis=1, keepdims=True)
+    weights = np.zeros((count, len(vertices)))
+    np.put_along_axis(weights, faces[which], share, axis=1)
+    normals = unit_normals(vertices, faces)
+    touched = np.zeros((count, len(faces)))
+    for f, face in enumerate(faces):
+        touched[:, f] = weights[:, face].sum(axis=1) > 1 - 1e-9
+    inward = -touched @ normals
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    return weights @ vertices + distance * inward, weights
+
+
+def mean_value_weights(points, vertices, faces, dtype=np.longdouble):
+    """Half-angle form of Ju, Schaefer and Warren 2005, figure 4 (points on no face): (n, v).
+
+    Extended precision by default: the form cancels next to the planes of faces.
+    """
+    points, vertices = np.asarray(points, dtype), np.asarray(vertices, dtype)
+    offsets = vertices[None] - points[:, None]
+    distance = np.sqrt((offsets**2).sum(axis=2))
+    unit = offsets / distance[:, :, None]
+    weights = np.zeros(distance.shape, dtype)
+    for face in faces:
+        u = unit[:, face]
+        chord = np.sqrt(((u[:, [1, 2, 0]] - u[:, [2, 0, 1]]) ** 2).sum(axis=2))
+        theta = 2 * np.arcsin(np.minimum(chord / 2, 1))
+        half = theta.sum(axis=1, keepdims=True) / 2
+        after, before = [1, 2, 0], [2, 0, 1]
+        c = 2 * np.sin(half) * np.sin(half - theta) / (np.sin(theta[:, after]) * np.sin(theta[:, before])) - 1
+        side = np.sign((u[:, 0] * np.cross(u[:, 1], u[:, 2])).sum(axis=1))
+        s = side[:, None] * np.sqrt(np.maximum(1 - c**2, 0))
+        numerator = theta - c[:, after] * theta[:, before] - c[:, before] * theta[:, after]
+        denominator = distance[:, face] * np.sin(theta[:, after]) * s[:, before]
+        ok = denominator != 0
+        add = np.where(ok, numerator / np.where(ok, denominator, 1), 0)
+        for k in range(3):
+            weights[:, face[k]] += add[:, k]
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True), np.float64)
+
+
+def green_weights(points, vertices, faces):
+    """Pseudo-code of Lipman, Levin and Cohen-Or 2008, appendix (points inside, on no plane): phi (n, v), psi (n, f)."""
+    points, vertices = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
+    phi, psi = np.zeros((len(points), len(vertices))), np.zeros((len(points), len(faces)))
+    zero = np.zeros_like(points)
+    for f, face in enumerate(faces):
+        corner = [vertices[i] - points for i in face]
+        normal = np.cross(vertices[face[1]] - vertices[face[0]], vertices[face[2]] - vertices[face[0]])
+        normal /= np.linalg.norm(normal)
+        foot = (corner[0] @ normal)[:, None] * normal
+        one, each, across = np.zeros(len(points)), [], []
+        for k in range(3):
+            v, w = corner[k], corner[(k + 1) % 3]
+            sign = np.sign(np.cross(v - foot, w - foot) @ normal)
+            one += sign * _gc_tri_int(foot, v, w, zero)
+            each.append(_gc_tri_int(zero, w, v, zero))
+            q = np.cross(w, v)
+            across.append(q / np.linalg.norm(q, axis=1, keepdims=True))
+        one = -np.abs(one)
+        psi[:, f] = -one
+        w = one[:, None] * normal + sum(across[k] * each[k][:, None] for k in range(3))
+        for k in range(3):
+            n = across[(k + 1) % 3]
+            phi[:, face[k]] += (n * w).sum(axis=1) / (n * corner[k]).sum(axis=1)
+    return phi, psi
+
+
+def _gc_tri_int(p, v1, v2, eta):
+    """Integral of the Green's function over the triangle p, v1, v2: GCTriInt of the paper."""
+    def angle(a, b):
+        return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+
+    alpha, beta = angle(v2 - v1, p - v1), angle(v1 - p, v2 - p)
+    lam = ((p - v1) ** 2).sum(axis=1) * np.sin(alpha) ** 2
+    c = ((p - eta) ** 2).sum(axis=1)
+
+    def term(theta):
+        s, cosine = np.sin(theta), np.cos(theta)
+        inner = 1 - 2 * c * cosine / (c * (1 + cosine) + lam + np.sqrt(lam**2 + lam * c * s**2))
+        log = np.log(2 * np.sqrt(lam) * s**2 / (1 - cosine) ** 2 * inner)
+        root = np.sqrt(c)
+        return -np.sign(s) / 2 * (2 * root * np.arctan(root * cosine / np.sqrt(lam + s**2 * c)) + np.sqrt(lam) * log)
+
+    return -np.abs(term(np.pi - alpha) - term(np.pi - alpha - beta) - np.sqrt(c) * beta) / (4 * np.pi)
+
+
+def green_weights_by_quadrature(points, vertices, faces):
+    """The defining integrals by Gauss quadrature on each face (points clear of the cage): phi (n, v), psi (n, f)."""
+    x, w = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+    x, w = (x + 1) / 2, w / 2
+    s, t = (grid.reshape(-1) for grid in np.meshgrid(x, x, indexing="ij"))
+    weight = (w[:, None] * w[None]).reshape(-1) * s
+    hats = np.stack([1 - s, s * (1 - t), s * t], axis=1)  # the square folded on the triangle
+    phi, psi = np.zeros((len(points), len(vertices))), np.zeros((len(points), len(faces)))
+    for f, face in enumerate(faces):
+        normal = np.cross(vertices[face[1]] - vertices[face[0]], vertices[face[2]] - vertices[face[0]])
+        offset = hats @ vertices[face] - np.asarray(points)[:, None]
+        distance = np.linalg.norm(offset, axis=2)
+        psi[:, f] = (weight / distance).sum(axis=1) * np.linalg.norm(normal) / (4 * np.pi)
+        kernel = weight * (offset @ normal) / distance**3 / (4 * np.pi)
+        for k in range(3):
+            phi[:, face[k]] += kernel @ hats[:, k]
+    return phi, psi
+
+
+def green_weights_in_closed_form(points, vertices, faces):
+    """The layer potentials in float64: phi (n, v), psi (n, f). Good to 1e-7 of the cage, where GCTriInt loses digits.
+
+    For points off the planes of faces next to them.
+    """
+    psi, phi = _layers(points, vertices[faces], np.eye(len(vertices))[faces])
+    return phi, psi
+
+
+def harmonic_oracle(vertices, faces, boundary_values, points, subdivisions: int = 2):
+    """Harmonic function inside a closed cage whose values on the cage are linear on each face, by boundary elements.
+
+    boundary_values (v, k), points (n, 3) inside; every face is cut in 4**subdivisions elements of constant flux,
+    collocated at their centroids: 1,280 elements solve in a second. Returns (n, k).
+    """
+    vertices, values = np.asarray(vertices, np.float64), np.asarray(boundary_values, np.float64)
+    size = np.ptp(vertices, axis=0).max()
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    corners, data = ((vertices - centre) / size)[faces], values[faces]  # (f, 3, 3), (f, 3, k)
+    for _ in range(subdivisions):
+        corners, data = _quartered(corners), _quartered(data)
+    middles = corners.mean(axis=1)
+    single, boundary = _layers(middles, corners, data, own=True)
+    flux = np.linalg.solve(single, data.mean(axis=1) - boundary)
+    single, boundary = _layers((np.asarray(points, np.float64) - centre) / size, corners, data)
+    return boundary + single @ flux
+
+
+def _quartered(corners):
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    return np.concatenate([np.stack(part, axis=1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+
+
+def _layers(points, corners, data, own=False, block=256):
+    """Single layer matrix (n, f) of constant densities, and double layer (n, k) of the linear data on the triangles.
+
+    own: the points are the centroids of the triangles, in order; each takes its own triangle's limit from inside.
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    edges = np.stack([c - b, a - c, b - a], axis=1)
+    lengths = np.linalg.norm(edges, axis=2)
+    normal = np.cross(b - a, c - a)
+    double_area = np.linalg.norm(normal, axis=1)
+    normal = normal / double_area[:, None]
+    outward = np.cross(edges, normal[:, None]) / lengths[:, :, None]  # in the plane, away from the triangle
+    single, double = np.zeros((len(points), len(corners))), np.zeros((len(points), data.shape[2]))
+    for start in range(0, len(points), block):
+        p = corners[None] - points[start : start + block, None, None]  # (m, f, 3, 3)
+        r = np.linalg.norm(p, axis=3)
+        height = np.einsum("mfc,fc->mf", p[:, :, 0], normal)
+        rim = np.einsum("mfic,fic->mfi", p[:, :, [1, 2, 0]], outward)  # distance of the foot behind edge i
+        log = 2 * np.arctanh(np.minimum(lengths / (r[:, :, [1, 2, 0]] + r[:, :, [2, 0, 1]]), 1 - 1e-15))
+        dots = np.einsum("mfic,mfic->mfi", p[:, :, [1, 2, 0]], p[:, :, [2, 0, 1]])
+        angle = 2 * np.arctan2(height * double_area, r.prod(axis=2) + (dots * r).sum(axis=2))
+        if own:
+            rows = np.arange(len(angle))
+            angle[rows, start + rows] = 2 * np.pi
+        single[start : start + block] = ((rim * log).sum(axis=2) - height * angle) / (4 * np.pi)
+        pull = np.einsum("mfi,fic->mfc", log, outward)
+        barycentric = rim * lengths / double_area[:, None]
+        slope = -outward * (lengths / double_area[:, None])[:, :, None]
+        hats = (barycentric * angle[:, :, None]
+                - height[:, :, None] * np.einsum("fic,mfc->mfi", slope, pull)) / (4 * np.pi)
+        double[start : start + block] = np.einsum("mfi,fik->mk", hats, data)
+    return single, double

@@ -1,0 +1,126 @@
+"""Several edits in one scene, sources kept or removed, and input that is refused."""
+
+import numpy as np
+import pytest
+from deformed_scenes import BOX, ellipsoid, make_field, plain, psnr, shiny_field, view
+
+from warpcage.cage import Cage
+from warpcage.cage_edits import CageEdit
+from warpcage.camera import Camera
+from warpcage.deformer import Deformer
+
+LEFT = Cage.box([-0.9, -0.3, -0.3], [-0.3, 0.3, 0.3])
+RIGHT = Cage.box([0.3, -0.3, -0.3], [0.9, 0.3, 0.3])
+
+
+@pytest.fixture
+def side_view():
+    return Camera.look_at([0.0, -4.0, 0.5], (0, 0, 0), width=48, height=48, fov_degrees=35)
+
+
+def balls(*centres, device):
+    def density(x):
+        return sum(ellipsoid(x, centre, (0.2, 0.2, 0.2)) for centre in centres)
+
+    return make_field(density, plain([0.8, 0.3, 0.1]), device=device)
+
+
+def test_disjoint_edits_each_move_their_part(device, side_view):
+    field = balls((-0.6, 0, 0), (0.6, 0, 0), device=device)
+    frame = Deformer(field, [LEFT, RIGHT], resolution=32).pose(
+        [LEFT.translate([0, 0, 0.5]), RIGHT.translate([-0.3, 0, -0.5])]
+    ).render(side_view)
+    # shifts by whole voxels, so that the expected field is the same one
+    expected = balls((-0.6, 0, 0.5), (0.3, 0, -0.5), device=device).render(side_view)
+    assert psnr(frame.rgb, expected.rgb) > 45
+
+
+def test_an_edit_can_keep_its_source_or_remove_it(device, side_view):
+    field = balls((-0.6, 0, 0), (0.6, 0, 0), device=device)
+    copied = Deformer(field, CageEdit(LEFT, keep_source=True), resolution=32).pose(LEFT.translate([0.6, 0, 0.5]))
+    expected = balls((-0.6, 0, 0), (0.6, 0, 0), (0, 0, 0.5), device=device).render(side_view)
+    frame = copied.render(side_view)
+    assert psnr(frame.rgb, expected.rgb) > 45
+    assert frame.reveal.max() == 0
+
+    removed = Deformer(field, CageEdit(LEFT, remove=True), resolution=32)
+    for deformer in (removed, removed.pose(None)):
+        frame = deformer.render(side_view)
+        assert psnr(frame.rgb, balls((0.6, 0, 0), device=device).render(side_view).rgb) > 45
+        assert frame.reveal.max() > 0.9
+
+
+def test_overlapping_edits_resolve_in_order(device, side_view):
+    """The second edit takes what the first one put into its cage, and leaves nothing there."""
+    field = balls((-0.6, 0, 0), device=device)
+    moved = RIGHT.translate([0, 0, 0.5])
+    frame = Deformer(field, [LEFT, RIGHT], resolution=32).pose([LEFT.translate([1.2, 0, 0]), moved]).render(side_view)
+    assert psnr(frame.rgb, balls((0.6, 0, 0.5), device=device).render(side_view).rgb) > 45
+    # the other way round the right cage is empty when it moves, and is then filled
+    frame = Deformer(field, [RIGHT, LEFT], resolution=32).pose([moved, LEFT.translate([1.2, 0, 0])]).render(side_view)
+    assert psnr(frame.rgb, balls((0.6, 0, 0), device=device).render(side_view).rgb) > 45
+
+
+# -- Bad input
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"coordinates": "bilinear"}, "coordinates 'bilinear'"),
+    ({"density": "thick"}, "density 'thick'"),
+    ({"resolution": None}, "harmonic coordinates have no closed form"),
+    ({"resolution": 2}, "resolution"),
+    ({"device": "cuda:99"}, "device"),
+])
+def test_bad_options_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        Deformer(shiny_field("cpu", resolution=8), BOX, **options)
+
+
+def test_bad_cages_are_refused():
+    field = shiny_field("cpu", resolution=8)
+    open_cage = Cage(BOX.vertices, BOX.faces[1:])
+    inverted = Cage(BOX.vertices, BOX.faces[:, ::-1])
+    for cage in (open_cage, inverted):
+        with pytest.raises(ValueError, match="the rest cage"):
+            Deformer(field, cage)
+    with pytest.raises(ValueError, match="Cage"):
+        Deformer(field, BOX.vertices)
+    with pytest.raises(ValueError, match="VoxelField"):
+        Deformer(BOX, BOX)
+    with pytest.raises(ValueError, match="1 to"):
+        Deformer(field, [])
+    with pytest.raises(ValueError, match="keep the source"):
+        CageEdit(BOX, keep_source=True, remove=True)
+
+
+def test_bad_poses_are_refused_and_the_last_one_stays():
+    field, camera = shiny_field("cpu", resolution=24), view(size=24)
+    deformer = Deformer(field, BOX, resolution=16).pose(BOX.twist(40))
+    before = deformer.render(camera).rgb
+    reordered = Cage(BOX.vertices, np.roll(BOX.faces, 1, axis=0))
+    mirrored = BOX.with_vertices(BOX.vertices * [-1, 1, 1])
+    flat = BOX.with_vertices(BOX.vertices * [1, 1, 0])
+    other = Cage.box([0, 0, 0], [1, 1, 1])
+    for pose, message in ((reordered, "order"), (mirrored, "the deformed cage"), (flat, "the deformed cage"),
+                          (other, "vertices"), ([BOX, BOX], "one cage an edit"), (BOX.vertices, "one cage an edit"),
+                          (None, "needs a Cage")):
+        with pytest.raises(ValueError, match=message):
+            deformer.pose(pose)
+        np.testing.assert_array_equal(deformer.render(camera).rgb, before)
+    with pytest.raises(ValueError, match="finite"):
+        deformer.pose(BOX.with_vertices(BOX.vertices * np.nan))
+
+
+def test_bad_points_and_steps_are_refused():
+    deformer = Deformer(shiny_field("cpu", resolution=8), BOX, resolution=8)
+    with pytest.raises(ValueError, match="as many"):
+        deformer.to_canonical(np.zeros((2, 3)), np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="points must be"):
+        deformer.to_canonical(np.zeros((2, 2)), np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="finite"):
+        deformer.to_canonical(np.full((2, 3), np.nan), np.zeros((2, 3)))
+    for step in (0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="step must be"):
+            deformer.render(view(), step=step)
+    with pytest.raises(ValueError, match="background"):
+        deformer.render(view(), background="plaid")

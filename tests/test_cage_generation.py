@@ -1,0 +1,145 @@
+import numpy as np
+import pytest
+import trimesh
+from test_surface import GridField, ball, nodes
+
+from warpcage.cage import Cage
+from warpcage.cage_generation import visible_nodes
+from warpcage.cage_shell import distance_to
+
+
+def winding(points, vertices, faces):
+    """Winding number by the sum of solid angles, one point at a time: an oracle of its own."""
+    result = []
+    for x in points:
+        a, b, c = (vertices[faces[:, k]] - x for k in range(3))
+        la, lb, lc = (np.sqrt((s * s).sum(axis=1)) for s in (a, b, c))
+        numerator = np.linalg.det(np.stack([a, b, c], axis=1))
+        denominator = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+        result.append(np.arctan2(numerator, denominator).sum() / (2 * np.pi))
+    return np.array(result)
+
+
+def join(*meshes):
+    return trimesh.util.concatenate(meshes)
+
+
+def shapes():
+    make = trimesh.creation
+    return {
+        "sphere": make.icosphere(subdivisions=3),
+        "L": join(make.box(bounds=[[0, 0, 0], [1, 0.3, 0.3]]), make.box(bounds=[[0, 0, 0], [0.3, 0.3, 1]])),
+        "torus": make.torus(1.0, 0.25),
+        "rod": make.cylinder(0.01, 1.0),
+        "plate": make.box([1, 1, 0.002]),
+        "far apart": join(make.icosphere(), make.icosphere().apply_translation([4, 0, 0])),
+        "close by": join(make.icosphere(), make.icosphere().apply_translation([2.1, 0, 0])),
+    }
+
+
+@pytest.mark.parametrize(
+    ("shape", "count"),
+    [("sphere", 30), ("sphere", 200), ("L", 30), ("L", 100), ("torus", 100), ("rod", 60), ("plate", 100),
+     ("far apart", 60), ("close by", 60)],
+)  # fmt: skip
+def test_cages_of_meshes_enclose_and_are_clean(shape, count):
+    mesh = shapes()[shape]
+    cage = Cage.from_mesh(mesh, count)
+    report = cage.check()
+    assert report.usable and report.intersecting_faces == () and report.unused_vertices == ()
+    assert abs(report.vertex_count - count) <= 0.1 * count
+    assert report.part_count == (2 if shape == "far apart" else 1)
+    points = np.concatenate([mesh.vertices[:300], mesh.sample(300, seed=0)])
+    assert (winding(points, cage.vertices, cage.faces) > 0.99).all()
+    # the margin of 1 % of the size is kept, also by the middles of faces
+    samples = cage.vertices[cage.faces].mean(axis=1)
+    assert trimesh.proximity.closest_point_naive(mesh, samples)[1].min() >= 0.01 * np.ptp(mesh.vertices, axis=0).max()
+
+
+def test_a_cage_of_a_ball_is_tight_and_even():
+    mesh = shapes()["sphere"]
+    cage = Cage.from_mesh(mesh, 100)
+    assert cage.volume < 1.4 * mesh.volume
+    sides = np.linalg.norm(cage.vertices[cage.edges[:, 0]] - cage.vertices[cage.edges[:, 1]], axis=1)
+    assert sides.max() < 3.0 * sides.min()
+
+
+def test_a_ring_keeps_its_hole_and_an_open_pot_is_filled():
+    assert Cage.from_mesh(shapes()["torus"], 100).check().genus == 1
+    pot = trimesh.creation.icosphere(subdivisions=3)
+    pot = trimesh.Trimesh(pot.vertices, pot.faces[pot.triangles_center[:, 2] < 0.95], process=False)  # a hole on top
+    cage = Cage.from_mesh(pot, 60)
+    assert cage.topology.part_count == 1 and cage.volume > 4.0
+
+
+def test_the_same_mesh_gives_the_same_cage_at_any_place_and_scale():
+    mesh = shapes()["L"]
+    one, two = Cage.from_mesh(mesh, 50), Cage.from_mesh(mesh, 50)
+    assert np.array_equal(one.vertices, two.vertices) and np.array_equal(one.faces, two.faces)
+    moved = trimesh.Trimesh(np.asarray(mesh.vertices) * 1e3 + 5e4, mesh.faces, process=False)
+    far = Cage.from_mesh(moved, 50)
+    assert far.check(mesh=moved).mesh_enclosed == 1.0 and far.volume == pytest.approx(1e9 * one.volume, rel=0.05)
+
+
+def test_a_wider_margin_is_kept():
+    mesh = shapes()["sphere"]
+    cage = Cage.from_mesh(mesh, 60, margin=0.4)
+    samples = np.einsum("sk,fki->fsi", np.random.default_rng(0).dirichlet([1, 1, 1], 50), cage.vertices[cage.faces])
+    assert np.linalg.norm(samples.reshape(-1, 3), axis=1).min() >= 1.4
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_cages_of_fields_enclose_every_visible_node(recorded):
+    density = ball(32).astype(np.float32)
+    density[np.abs(nodes((32,) * 3)[..., 0] - 0.1) > 0.9] = 0.002  # haze that nobody sees
+    weights = np.where(density > 1.0, 0.5, 0.001).astype(np.float32) if recorded else None
+    field = GridField(density, weights=weights)
+    cage = Cage.from_field(field, 60)
+    visible = np.argwhere(density > 1.0)
+    centres = field.bounds[0] + (visible + 0.5) * field.voxel_size
+    assert abs(len(cage.vertices) - 60) <= 6
+    assert (winding(centres[:: len(centres) // 500], cage.vertices, cage.faces) > 0.99).all()
+    assert cage.check(field=field).field_enclosed == 1.0
+    haze = field.bounds[0] + (np.argwhere(density == np.float32(0.002)) + 0.5) * field.voxel_size
+    assert len(haze) > 1000 and cage.contains(haze).mean() < 0.05
+    middles = cage.vertices[cage.faces].mean(axis=1)
+    nearest = np.linalg.norm(middles[:, None] - centres[None], axis=2).min()
+    assert nearest >= 2.0 * field.voxel_size[0]
+
+
+def test_visible_nodes_by_opacity_by_weight_and_by_threshold():
+    density = np.zeros((4, 4, 4), np.float32)
+    density[0, 0, 0], density[1, 1, 1], density[3, 2, 1] = 0.019, 0.021, 5.0  # 0.0201 is 1 % over half a unit
+    assert visible_nodes(GridField(density)).tolist() == [[-0.25, -0.25, -0.25], [0.75, 0.25, -0.25]]
+    assert visible_nodes(GridField(density), 0.5).tolist() == [[0.75, 0.25, -0.25]]
+    weights = np.where(density == 5.0, 0.0, 1.0)
+    assert visible_nodes(GridField(density, weights=weights)).tolist() == [[-0.75] * 3, [-0.25] * 3]
+
+
+def test_distances_are_exact_within_the_radius():
+    mask = np.random.default_rng(0).random((12, 9, 11)) < 0.01
+    places = np.argwhere(np.ones_like(mask))
+    exact = np.linalg.norm(places[:, None] - np.argwhere(mask)[None], axis=2).min(axis=1).reshape(mask.shape)
+    assert np.allclose(distance_to(mask, 5), np.minimum(exact, 5), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda m: Cage.from_mesh(m, 7), "vertex_count"),
+        (lambda m: Cage.from_mesh(m, 2001), "vertex_count"),
+        (lambda m: Cage.from_mesh(m, 50.5), "vertex_count"),
+        (lambda m: Cage.from_mesh(m, margin=-1.0), "margin"),
+        (lambda m: Cage.from_mesh(m, margin=np.nan), "margin"),
+        (lambda m: Cage.from_mesh(trimesh.Trimesh()), "the mesh is empty"),
+        (lambda m: Cage.from_mesh(trimesh.Trimesh(m.vertices * np.nan, m.faces, process=False)), "not finite"),
+        (lambda m: Cage.from_mesh(trimesh.Trimesh(m.vertices * 0.0, m.faces, process=False)), "no extent"),
+        (lambda m: Cage.from_field(GridField(np.zeros((4, 4, 4)))), "shows nothing"),
+        (lambda m: Cage.from_field(GridField(np.full((4, 4, 4), np.inf))), "not finite"),
+        (lambda m: Cage.from_field(GridField(np.ones((4, 4, 4))), threshold=0.0), "threshold"),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(ValueError) as error:
+        make(trimesh.creation.box())
+    assert message in str(error.value) and "\n" not in str(error.value)

@@ -1,0 +1,294 @@
+"""The command line: what it writes, what it says, how it ends."""
+
+import json
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from warpcage.cage import Cage
+from warpcage.cli import COMMANDS, main
+from warpcage.field import VoxelField
+from warpcage.images import read_image
+from warpcage.synthetic import write_brick_scene
+
+NAMES = [module.NAME for module in COMMANDS]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A ball as field and mesh, a box around it at rest and posed, a small scene."""
+    folder = tmp_path_factory.mktemp("cli")
+    x, y, z = np.meshgrid(*[(np.arange(24) + 0.5) / 12 - 1] * 3, indexing="ij")
+    density = np.where(x**2 + y**2 + z**2 < 0.3, 40.0, 0.0)
+    sh = np.zeros((24, 24, 24, 9, 3))
+    sh[..., 0, :] = np.where(z[..., None] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])
+    VoxelField.from_dense(density, sh, [[-1, -1, -1], [1, 1, 1]], device="cpu").save(folder / "ball.npz")
+    cage = Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7), segments=2)
+    cage.save(folder / "cage.obj")
+    cage.bend(40, axis="x", towards="z").save(folder / "posed.obj")
+    Cage(cage.vertices, cage.faces[1:]).save(folder / "open.obj")
+    Cage(cage.vertices, cage.faces[:, ::-1]).save(folder / "inward.obj")
+    Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7)).save(folder / "other.obj")
+    Cage(cage.vertices, np.roll(cage.faces, 1, axis=0)).save(folder / "shuffled.obj")
+    (folder / "text.txt").write_text("text")
+    (folder / "broken.npz").write_bytes(b"no archive")
+    (folder / "broken.obj").write_text("v 0 0 zero\n")
+    (folder / "empty").mkdir()
+    write_brick_scene(folder / "scene", train_views=6, test_views=2, size=24, device="cpu")
+    return folder
+
+
+def run(files, *words):
+    """main with file names of the folder put in for {name}."""
+    return main([str(word).replace("@", f"{files}/") for word in words])
+
+
+def succeed(files, *words):
+    assert run(files, *words) == 0
+
+
+# Help and wrong input
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_shows_an_example(name, capsys):
+    with pytest.raises(SystemExit) as leave:
+        main([name, "--help"])
+    assert leave.value.code == 0
+    text = capsys.readouterr().out
+    assert f"warpcage {name}" in text.split("example:")[1]
+    for option in {"fit": ["--device", "--downscale"], "pose": ["--bend"]}.get(name, ["--device"]):
+        assert option in text
+
+
+def test_help_lists_every_command(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert all(name in text for name in ("fit", "mesh", "cage", "pose", "render", "animate", "evaluate", "info"))
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out.startswith("warpcage ")
+
+
+DEFORMED = ("--cage", "@cage.obj", "--posed", "@posed.obj")
+BAD = {
+    "no command": ([], None),
+    "unknown command": (["bake"], "bake"),
+    "unknown option": (["info", "--wrong"], "--wrong"),
+    "fit without output": (["fit", "@scene"], "--output"),
+    "fit: no scene": (["fit", "@nowhere", "-o", "@new.npz"], "nowhere"),
+    "fit: no scene format": (["fit", "@empty", "-o", "@new.npz"], "known format"),
+    "fit: no split": (["fit", "@scene", "-o", "@new.npz", "--split", "validation"], "validation"),
+    "fit: ending": (["fit", "@scene", "-o", "@new.ckpt"], "must end in .npz"),
+    "fit: downscale": (["fit", "@scene", "-o", "@new.npz", "--downscale", "0"], "at least 1"),
+    "fit: device": (["fit", "@scene", "-o", "@new.npz", "--device", "cuda:99"], "cuda:99"),
+    "fit: background": (["fit", "@scene", "-o", "@new.npz", "--background", "mauve"], "mauve"),
+    "fit: under a file": (["fit", "@scene", "-o", "@text.txt/new.npz"], "no folder"),
+    "mesh: missing": (["mesh", "@nowhere.npz", "-o", "@new.obj"], "nowhere.npz"),
+    "mesh: no field": (["mesh", "@broken.npz", "-o", "@new.obj"], "broken.npz"),
+    "mesh: ending": (["mesh", "@ball.npz", "-o", "@new.txt"], "must end in"),
+    "mesh: too dense": (["mesh", "@ball.npz", "-o", "@new.obj", "--threshold", "1e9"], "threshold"),
+    "cage: missing": (["cage", "@nowhere.obj", "-o", "@new.obj"], "nowhere.obj"),
+    "cage: format": (["cage", "@text.txt", "-o", "@new.obj"], "text.txt"),
+    "cage: shapes": (["cage", "@cage.obj", "-o", "@new.obj", "--box", "--sides", "5"], "--sides belongs to --cylinder"),
+    "cage: two shapes": (["cage", "@cage.obj", "-o", "@new.obj", "--box", "--cylinder"], "not allowed with"),
+    "pose: no step": (["pose", "@cage.obj", "-o", "@new.obj"], "no step"),
+    "pose: broken": (["pose", "@broken.obj", "-o", "@new.obj", "--bend", "3"], "broken.obj:1"),
+    "pose: open": (["pose", "@open.obj", "-o", "@new.obj", "--bend", "3"], "open.obj"),
+    "pose: axes": (["pose", "@cage.obj", "-o", "@new.obj", "--bend", "3", "--axis", "x", "--towards", "x"], "axes"),
+    "pose: flattened": (["pose", "@cage.obj", "-o", "@new.obj", "--scale", "0"], "positive"),
+    "pose: not a number": (["pose", "@cage.obj", "-o", "@new.obj", "--bend", "nan"], "finite"),
+    "render: half a cage": (["render", "@ball.npz", "-o", "@new.png", "--cage", "@cage.obj"], "--cage and --posed"),
+    "render: open": (["render", "@ball.npz", "-o", "@new.png", "--cage", "@open.obj", "--posed", "@open.obj"],
+                     "open.obj"),
+    "render: inward": (["render", "@ball.npz", "-o", "@new.png", "--cage", "@inward.obj", "--posed", "@inward.obj"],
+                       "inward.obj"),
+    "render: faces": (["render", "@ball.npz", "-o", "@new.png", "--cage", "@cage.obj", "--posed", "@other.obj"],
+                      "vertices"),
+    "render: order of faces": (["render", "@ball.npz", "-o", "@new.png", "--cage", "@cage.obj", "--posed",
+                                "@shuffled.obj"], "order"),
+    "animate: faces": (["animate", "@ball.npz", "-o", "@new.mp4", "--cage", "@cage.obj", "--posed", "@other.obj"],
+                       "vertices"),
+    "render: precise": (["render", "@ball.npz", "-o", "@new.png", *DEFORMED, "--resolution", "precise"], "closed form"),
+    "render: overlay": (["render", "@ball.npz", "-o", "@new.png", "--overlay"], "--overlay"),
+    "render: ending": (["render", "@ball.npz", "-o", "@new.jpg"], "must end in .png"),
+    "render: camera": (["render", "@ball.npz", "-o", "@new.png", "--camera", "@scene:99"], "0 to 5"),
+    "render: camera form": (["render", "@ball.npz", "-o", "@new.png", "--camera", "@scene"], "SCENE:INDEX"),
+    "render: squeezed": (["render", "@ball.npz", "-o", "@new.png", "--camera", "@scene:0", "--size", "40", "20"],
+                         "squeeze"),
+    "animate: ending": (["animate", "@ball.npz", "-o", "@new.avi"], ".mp4 or .gif"),
+    "animate: frames": (["animate", "@ball.npz", "-o", "@new.mp4", "--frames", "0"], "at least 1"),
+    "evaluate: missing": (["evaluate", "@ball.npz", "@nowhere"], "nowhere"),
+    "info: missing": (["info", "@nowhere.npz"], "nowhere.npz"),
+    "info: format": (["info", "@text.txt"], "text.txt"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_ends_with_one_line_and_status_2(files, case, capsys):
+    words, expected = BAD[case]
+    before = sorted(files.rglob("*"))
+    assert run(files, *words) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    if expected is not None:
+        assert len(lines) == 1 and lines[0].startswith("warpcage: error: "), lines
+        assert expected in lines[0]
+    assert sorted(files.rglob("*")) == before
+
+
+def test_interruption_leaves_nothing_and_status_130(files, capsys, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("warpcage.optimize.fit", interrupted)
+    before = sorted(files.rglob("*"))
+    assert run(files, "fit", "@scene", "-o", "@new.npz", "--quiet") == 130
+    assert "Traceback" not in capsys.readouterr().err
+    assert sorted(files.rglob("*")) == before
+
+
+# What commands do
+
+
+def test_fit_and_evaluate(files, capsys, tmp_path):
+    out = tmp_path / "deep" / "field.npz"
+    words = ["--quiet", "--device", "cpu"]
+    succeed(files, "fit", "@scene", "-o", out, "--resolution", 32, "--epochs", 6, "--seed", 3, *words)
+    capsys.readouterr()
+    succeed(files, "evaluate", out, "@scene", "--split", "train", "--json", tmp_path / "psnr.json", *words)
+    table = capsys.readouterr().out.splitlines()
+    assert len(table) == 1 + 6 + 1 and table[1].split()[0] == "r_0" and table[-1].startswith("mean")
+    report = json.loads((tmp_path / "psnr.json").read_text())
+    assert report["mean_psnr"] == pytest.approx(np.mean([row["psnr"] for row in report["views"]]))
+    assert report["mean_psnr"] > 15.0
+    assert float(table[-1].split()[1]) == pytest.approx(report["mean_psnr"], abs=0.006)
+
+
+@pytest.mark.parametrize("ending", ["obj", "ply", "stl", "glb"])
+def test_mesh(files, tmp_path, ending):
+    import trimesh
+
+    succeed(files, "mesh", "@ball.npz", "-o", tmp_path / f"ball.{ending}", "--device", "cpu")
+    mesh = trimesh.load(tmp_path / f"ball.{ending}", force="mesh")
+    radius = np.linalg.norm(mesh.vertices, axis=1)
+    assert 0.4 < radius.min() and radius.max() < 0.7
+
+
+@pytest.mark.parametrize("shape", [["--box"], ["--box", "--segments", 2, 3, 1], ["--box", "--margin", 0.2],
+                                   ["--cylinder"], ["--cylinder", "--axis", "x", "--sides", 7, "--rings", 2]])
+@pytest.mark.parametrize("source", ["@ball.npz", "@posed.obj"])
+def test_simple_cages_hold_the_object(files, tmp_path, shape, source):
+    succeed(files, "cage", source, "-o", tmp_path / "cage.ply", *shape)
+    cage = Cage.load(tmp_path / "cage.ply")
+    cage.require_usable()
+    ball = np.random.default_rng(0).normal(size=(200, 3))
+    points = 0.54 * ball / np.linalg.norm(ball, axis=1, keepdims=True)
+    points = Cage.load(files / "posed.obj").vertices if source == "@posed.obj" else points
+    assert cage.contains(points, device="cpu").all()
+
+
+def test_wrapped_cage_holds_the_object(files, tmp_path):
+    pytest.importorskip("pymeshlab")
+    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "cage.obj", "--vertices", 60, "--device", "cpu")
+    cage = Cage.load(tmp_path / "cage.obj")
+    cage.require_usable()
+    assert 30 <= len(cage.vertices) <= 90
+    directions = np.random.default_rng(0).normal(size=(200, 3))
+    assert cage.contains(0.53 * directions / np.linalg.norm(directions, axis=1, keepdims=True), device="cpu").all()
+
+
+def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
+    rest = Cage.load(files / "cage.obj")
+    out = tmp_path / "posed.off"
+    succeed(files, "pose", "@cage.obj", "-o", out, "--translate", 1, 0, 0, "--scale", 2, "--centre", 0, 0, 0)
+    np.testing.assert_allclose(Cage.load(out).vertices, 2 * (rest.vertices + [1, 0, 0]))
+    succeed(files, "pose", "@cage.obj", "-o", out, "--scale", 2, "--translate", 1, 0, 0, "--centre", 0, 0, 0)
+    np.testing.assert_allclose(Cage.load(out).vertices, 2 * rest.vertices + [1, 0, 0])
+    words = ["--bend", -40, "--axis", "x", "--towards=-y", "--limits", 0.2, 0.9]
+    succeed(files, "pose", "@cage.obj", "-o", out, *words)
+    np.testing.assert_allclose(Cage.load(out).vertices,
+                               rest.bend(-40, axis="x", towards="-y", limits=(0.2, 0.9)).vertices)
+    succeed(files, "pose", "@cage.obj", "-o", out, "--twist", 30, "--taper", 0.5, "--stretch", 1.5, "--rotate", 20)
+    expected = rest.twist(30).taper(0.5).stretch(1.5).rotate(20)
+    np.testing.assert_allclose(Cage.load(out).vertices, expected.vertices)
+    np.testing.assert_array_equal(Cage.load(out).faces, rest.faces)
+    assert "twist 30.0, taper 0.5" in capsys.readouterr().out
+
+
+SMALL = ("--device", "cpu", "--size", "40", "--coordinates", "mean_value", "--resolution", "24")
+
+
+def test_render_of_a_plain_field(files, tmp_path):
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "ball.png", "--disparity", tmp_path / "disparity.png",
+            *SMALL, "--eye", 0, -3, 0, "--target", 0, 0, 0, "--fov", 50, "--background", "black")
+    image = read_image(tmp_path / "ball.png")
+    assert image.shape == (40, 40, 3)
+    assert (image[0] == 0).all() and image[15, 20].argmax() == 0 and image[25, 20].argmax() == 2
+    disparity = read_image(tmp_path / "disparity.png")
+    assert (disparity[0] == 0).all() and disparity[20, 20].sum() > disparity[20, 11].sum() > 0
+
+
+def test_render_at_rest_is_the_plain_render_and_a_pose_shows(files, tmp_path):
+    view = [*SMALL, "--camera", "@scene:test:1"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "plain.png", *view)
+    resting = ["--cage", "@cage.obj", "--posed", "@cage.obj"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "rest.png", *view, *resting)
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "posed.png", *view, *DEFORMED)
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "over.png", *view, *DEFORMED, "--overlay")
+    plain, rest, posed, over = (read_image(tmp_path / f"{name}.png") for name in ("plain", "rest", "posed", "over"))
+    assert np.abs(plain - rest).mean() < 0.004
+    assert np.abs(plain - posed).mean() > 0.02
+    assert 0.02 < (np.abs(over - posed).max(axis=-1) > 0.1).mean() < 0.7
+
+
+def test_camera_of_a_scene_has_its_size(files, tmp_path):
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "view.png", "--camera", "@scene:3", "--device", "cpu")
+    assert read_image(tmp_path / "view.png").shape == (24, 24, 3)
+
+
+@pytest.mark.parametrize("ending", ["mp4", "gif"])
+def test_animate_film(files, tmp_path, ending):
+    path = tmp_path / f"film.{ending}"
+    succeed(files, "animate", "@ball.npz", "-o", path, *DEFORMED, *SMALL, "--frames", 4, "--quiet", "--turn", 0)
+    frames = iio.imread(path, plugin="pyav" if ending == "mp4" else None).astype(float)
+    assert frames.shape[:3] == (4, 40, 40)
+    change = [np.abs(frame - frames[0]).mean() for frame in frames]
+    assert change[2] > change[1] > 1.0 and change[1] == pytest.approx(change[3], abs=1.0)  # there and back
+
+
+def test_animate_takes_a_folder_up_where_it_was_left(files, tmp_path, capsys):
+    folder = tmp_path / "frames"
+    words = ["animate", "@ball.npz", "-o", folder, *SMALL, "--frames", 3, "--quiet"]
+    succeed(files, *words)
+    names = sorted(path.name for path in folder.glob("*.png"))
+    assert names == ["frame_0000.png", "frame_0001.png", "frame_0002.png"]
+    content = (folder / "frame_0001.png").read_bytes()
+    (folder / "frame_0001.png").unlink()
+    kept = (folder / "frame_0002.png").stat().st_mtime_ns
+    capsys.readouterr()
+    succeed(files, *words)
+    assert "1 frames, 2 were there" in capsys.readouterr().out
+    assert (folder / "frame_0001.png").read_bytes() == content
+    assert (folder / "frame_0002.png").stat().st_mtime_ns == kept
+
+    assert run(files, *words, "--turn", 90) == 2
+    assert "another film (other turn" in capsys.readouterr().err
+    (folder / "animation.json").unlink()
+    assert run(files, *words) == 2
+
+
+def test_info(files, capsys):
+    succeed(files, "info")
+    text = capsys.readouterr().out
+    assert "warp " in text and "cpu" in text
+    succeed(files, "info", "@ball.npz", "--device", "cpu")
+    assert "24x24x24" in capsys.readouterr().out
+    succeed(files, "info", "@cage.obj")
+    text = capsys.readouterr().out
+    assert "26" in text and "usable" in text and "yes" in text
+    succeed(files, "info", "@open.obj")
+    assert "no: " in capsys.readouterr().out
+    succeed(files, "info", "@scene")
+    assert "6 of 24x24" in capsys.readouterr().out

@@ -1,0 +1,65 @@
+"""Every example runs to its own checks."""
+
+import json
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+from warpcage.cage import Cage
+from warpcage.images import read_image
+
+EXAMPLES = pathlib.Path(__file__).resolve().parent.parent / "examples"
+
+#: The brick scene, much smaller than by default.
+TINY = ("--size", "40", "--views", "24", "--picture", "64", "--film", "48", "--frames", "4", "--lattice", "24",
+        "--vertices", "80")  # fmt: skip
+
+
+def run(name, *words, cwd):
+    command = [sys.executable, str(EXAMPLES / name), *map(str, words)]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+def test_every_example_is_tested():
+    names = {path.name for path in EXAMPLES.glob("*.py")}
+    assert names == {"render_lego.py", "deform_in_a_pipeline.py", "kernel_alone.py"}
+
+
+@pytest.mark.parametrize("name", ["deform_in_a_pipeline.py", "kernel_alone.py"])
+def test_small_examples(name, tmp_path):
+    assert len((EXAMPLES / name).read_text().splitlines()) < 60
+    run(name, cwd=tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_kernel_alone_uses_no_class_of_the_library():
+    lines = [line for line in (EXAMPLES / "kernel_alone.py").read_text().splitlines() if "import" in line]
+    assert lines[:2] == ["import numpy as np", "import warp as wp"]
+    assert lines[2:] == ["from warpcage.kernels.mean_value import mean_value_position"]
+
+
+def test_render_lego_on_the_brick_scene(tmp_path, device):
+    run("render_lego.py", "--device", device, "--out", "out", *TINY, cwd=tmp_path)
+    out = tmp_path / "out"
+    names = ["bend.gif", "bend.mp4", "cage.obj", "deformed.png", "field.npz", "mesh.obj", "posed.obj", "scene",
+             "summary.json"]  # fmt: skip
+    assert sorted(path.name for path in out.iterdir()) == names
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["test_psnr"] > 20.0
+    assert set(summary["seconds"]) == {"scene", "fit", "evaluate", "mesh", "cage", "pose", "pictures", "film", "all"}
+    cage = Cage.load(out / "cage.obj")
+    assert (summary["cage_vertices"], summary["cage_faces"]) == (len(cage.vertices), len(cage.faces))
+    assert summary["voxels"] > 1000 and summary["versions"]["warp-lang"] and summary["device"]
+    assert read_image(out / "deformed.png").shape == (2 * 64 + 4, 3 * 64 + 8, 3)
+
+    # once more on that folder as data, with that cage, without the film
+    words = ["--data", out / "scene", "--cage", out / "cage.obj", "--device", device, "--no-video", *TINY]
+    run("render_lego.py", "--quick", "--out", "again", *words, cwd=tmp_path)
+    again = json.loads((tmp_path / "again" / "summary.json").read_text())
+    assert again["test_psnr"] == pytest.approx(summary["test_psnr"], abs=1.0)
+    assert not (tmp_path / "again" / "bend.mp4").exists()
+    assert (tmp_path / "again" / "cage.obj").read_bytes() == (out / "cage.obj").read_bytes()

@@ -1,0 +1,120 @@
+"""Mean value kernels against the half-angle form of Ju, Schaefer and Warren in extended precision."""
+
+import numpy as np
+import oracles
+import pytest
+import warp as wp
+
+from warpcage.devices import launch
+from warpcage.kernels import mean_value
+
+NAMES = list(oracles.CAGES)
+
+
+def weigh(points, vertices, faces, device):
+    arrays = on_device(points, vertices, faces, device)
+    weights = wp.empty((len(points), len(vertices)), dtype=float, device=device)
+    weights.fill_(float("nan"))  # rows must not depend on what was there
+    size = np.ptp(vertices, axis=0).max()
+    launch(mean_value.weigh_mean_value, len(points), [*arrays, size], [weights], device=device)
+    return weights.numpy().astype(np.float64)
+
+
+def on_device(points, vertices, faces, device):
+    return [wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device=device) for a in (points, vertices)] + [
+        wp.array(np.asarray(faces, np.int32), dtype=wp.vec3i, device=device)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_weights_match_oracle_inside(name, device):
+    vertices, faces = oracles.cage(name)
+    points = oracles.single(oracles.inside_points(vertices, faces, 1500))
+    weights = weigh(points, vertices, faces, device)
+    assert np.abs(weights - oracles.mean_value_weights(points, vertices, faces)).max() < 1e-5
+    assert np.abs(weights.sum(axis=1) - 1).max() < 5e-6
+    assert np.abs(weights @ vertices - points).max() < 5e-6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_weights_match_oracle_outside(name, device):
+    vertices, faces = oracles.cage(name)
+    points = oracles.single(np.random.default_rng(2).uniform(-1, 1, (1500, 3)))
+    points = points[np.abs(oracles.winding_numbers(points, vertices, faces)) < 0.5]
+    assert len(points) > 1000
+    weights = weigh(points, vertices, faces, device)
+    assert np.abs(weights - oracles.mean_value_weights(points, vertices, faces)).max() < 2e-5
+
+
+@pytest.mark.parametrize("height", [1e-7, 1.5e-6, 1e-5, 1e-4, 9e-4, 1.1e-3, 3e-3])
+@pytest.mark.parametrize("name", ["icosphere", "concave"])
+def test_weights_hold_near_planes_of_far_faces(name, height, device):
+    vertices, faces = oracles.cage(name)
+    points = oracles.points_near_planes(vertices, faces, height)
+    assert len(points) > 100
+    weights = weigh(points, vertices, faces, device)
+    wanted = oracles.mean_value_weights(points, vertices, faces)
+    # within 1e-6 of the surface the kernel takes the surface's own weights
+    assert np.abs(weights - wanted).max() < 1e-5
+    assert np.abs(weights @ vertices - points).max() < 5e-6
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-7, 9e-7, 1.1e-6, 1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("kind", ["face", "edge", "vertex"])
+@pytest.mark.parametrize("name", ["icosphere", "concave", "box"])
+def test_weights_tend_to_linear_interpolation_at_the_cage(name, kind, distance, device):
+    vertices, faces = oracles.cage(name)
+    for side in (1, -1):
+        points, wanted = oracles.points_by_the_cage(vertices, faces, kind, side * distance)
+        weights = weigh(points, vertices, faces, device)
+        assert np.isfinite(weights).all()
+        assert np.abs(weights @ vertices - points).max() < 5e-6
+        assert np.abs(weights - wanted).max() < 2e-5 + 60 * distance  # they leave at a bounded slope
+
+
+def test_points_in_the_plane_of_a_far_face_give_it_nothing(device):
+    """On the L's notch: the planes of the two reflex faces run through the inside."""
+    vertices, faces = oracles.cage("concave")
+    for height in (0.0, 1e-12):
+        point = np.array([[-0.1 + height, -0.3, 0.03125]])
+        nudged = np.array([[-0.1 + 1e-5, -0.3, 0.03125]])
+        exact, near = (weigh(p, vertices, faces, device) for p in (point, nudged))
+        wanted = oracles.mean_value_weights(oracles.single(nudged), vertices, faces)
+        assert np.abs(near - wanted).max() < 1e-5
+        assert np.abs(exact - wanted).max() < 1e-4
+
+
+def test_map_is_the_weighted_sum(device):
+    vertices, faces = oracles.cage("concave")
+    points = oracles.inside_points(vertices, faces, 500)
+    points[:4] = vertices[:4]  # on the cage too
+    targets = np.random.default_rng(3).normal(size=vertices.shape)
+    positions = wp.empty(len(points), dtype=wp.vec3, device=device)
+    arrays = on_device(points, vertices, faces, device)
+    launch(mean_value.map_mean_value, len(points),
+           [*arrays, wp.array(targets, dtype=wp.vec3, device=device), 1.0], [positions], device=device)
+    weights = weigh(points, vertices, faces, device)
+    assert np.abs(positions.numpy() - weights @ targets).max() < 1e-5
+
+
+def test_degenerate_face_gives_nothing_and_no_nan(device):
+    vertices, faces = oracles.cage("box")
+    points = oracles.single(oracles.inside_points(vertices, faces, 200))
+    more = np.concatenate([faces, [[0, 1, 1], [2, 2, 2]]])
+    assert np.array_equal(weigh(points, vertices, more, device), weigh(points, vertices, faces, device))
+
+
+def test_scale_does_not_matter(device):
+    """Lengths from 1e-4 to 1e4 at the kernel: lattices use node units."""
+    vertices, faces = oracles.cage("icosphere")
+    points = oracles.points_near_planes(vertices, faces, 3e-4)
+    wanted = oracles.mean_value_weights(points, vertices, faces)
+    for scale in (1e-4, 100.0, 1e4):
+        assert np.abs(weigh(points * scale, vertices * scale, faces, device) - wanted).max() < 1e-5
+
+
+@pytest.mark.parametrize("height", [1e-3, 1e-4, 1e-5])
+def test_slivers_keep_their_weights(height, device):
+    vertices, faces = oracles.cage_with_sliver(height)
+    points = oracles.single(oracles.inside_points(vertices, faces, 500))
+    wanted = oracles.mean_value_weights(points, vertices, faces)
+    assert np.abs(weigh(points, vertices, faces, device) - wanted).max() < 2e-5

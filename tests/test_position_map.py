@@ -1,0 +1,221 @@
+"""PositionMap: the map from a deformed cage to its rest cage, for all kinds of coordinates and both stores."""
+
+import numpy as np
+import oracles
+import pytest
+import warp as wp
+
+from warpcage import memory
+from warpcage.cage import Cage
+from warpcage.coordinates import stretched_normals
+from warpcage.devices import launch
+from warpcage.kernels.cage_map import sample_map
+from warpcage.position_map import PositionMap, fit_affine, harmonic_weights
+
+KINDS = ("harmonic", "mean_value", "green")
+STORES = ("map", "weights")
+
+
+def cage_named(name):
+    return Cage(*oracles.cage(name))
+
+
+def look_up(position_map, points):
+    """Positions (n, 3) float64 in world units and signed distances (n,)."""
+    device = position_map.device
+    local = wp.array((points - position_map.origin).astype(np.float32), dtype=wp.vec3, device=device)
+    positions = wp.empty(len(points), dtype=wp.vec3, device=device)
+    distance = wp.empty(len(points), dtype=float, device=device)
+    launch(sample_map, len(points), [position_map.data, local], [positions, distance], device=device)
+    return positions.numpy() + position_map.origin, distance.numpy()
+
+
+def inside_points(cage, count=300):
+    centre = cage.bounds.mean(axis=0)
+    return oracles.inside_points(cage.vertices - centre, cage.faces, count) + centre
+
+
+def points_up_to(cage, count=200):
+    """Inside points, and points on the faces moved in by 1e-5 of the size."""
+    share = np.random.default_rng(4).dirichlet([1, 1, 1], len(cage.faces))
+    corners = cage.vertices[cage.faces]
+    on_faces = np.einsum("fk,fkc->fc", share, corners)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.concatenate([inside_points(cage, count), on_faces - 1e-5 * cage.size * normal])
+
+
+def pose_noisily(cage, amount=0.04):
+    return cage.with_vertices(cage.vertices + amount * np.random.default_rng(2).uniform(-1, 1, cage.vertices.shape))
+
+
+@pytest.mark.parametrize("store", STORES)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["icosphere", "concave", "two boxes"])
+def test_affine_poses_are_undone_up_to_the_cage(name, kind, store, device):
+    rest = cage_named(name)
+    matrix = np.array([[0.9, -0.5, 0.1], [0.4, 1.2, 0.3], [-0.2, 0.1, 0.8]])
+    if kind == "green":  # similarity
+        matrix = 1.3 * np.linalg.qr(matrix)[0]
+        matrix *= np.sign(np.linalg.det(matrix))
+    deformed = rest.with_vertices(rest.vertices @ matrix.T + [3, -2, 1])
+    position_map = PositionMap(rest, coordinates=kind, resolution=16, store=store, device=device).pose(deformed)
+    points = points_up_to(deformed)
+    positions, _ = look_up(position_map, points)
+    expected = (points - [3, -2, 1]) @ np.linalg.inv(matrix).T
+    assert np.abs(positions - expected).max() < 2e-6 * rest.size
+
+
+def reference(kind, points, deformed, rest, device):
+    if kind == "mean_value":
+        return oracles.mean_value_weights(points, deformed.vertices, deformed.faces) @ rest.vertices
+    if kind == "green":
+        phi, psi = oracles.green_weights(points, deformed.vertices, deformed.faces)
+        return phi @ rest.vertices + psi @ stretched_normals(deformed, rest)
+    return harmonic_weights(points, deformed, 64, device) @ rest.vertices
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["icosphere", "concave"])
+def test_map_follows_the_coordinates_to_second_order(name, kind, device):
+    rest = cage_named(name)
+    deformed = pose_noisily(rest)
+    points = inside_points(deformed)
+    expected = reference(kind, points, deformed, rest, device)
+    errors = []
+    for resolution in (16, 32):
+        position_map = PositionMap(rest, coordinates=kind, resolution=resolution, device=device).pose(deformed)
+        positions, distance = look_up(position_map, points)
+        clear = distance < -1.5 * rest.size / 16
+        errors.append(np.sqrt(((positions - expected)[clear] ** 2).mean()))
+        assert np.abs(positions - expected).max() < 8e-3 * 16 / resolution
+    assert clear.sum() > 20
+    assert errors[1] < errors[0] / 2.2 and errors[1] < 1.5e-4
+
+
+@pytest.mark.parametrize("kind", ["harmonic", "mean_value"])
+def test_cage_itself_goes_to_the_rest_cage(kind, device):
+    rest = cage_named("concave")
+    deformed = pose_noisily(rest)
+    share = np.random.default_rng(7).dirichlet([1, 1, 1], (len(rest.faces), 20))
+    points = np.einsum("fnk,fkc->fnc", share, deformed.vertices[deformed.faces]).reshape(-1, 3)
+    expected = np.einsum("fnk,fkc->fnc", share, rest.vertices[rest.faces]).reshape(-1, 3)
+    position_map = PositionMap(rest, coordinates=kind, resolution=48, device=device).pose(deformed)
+    positions, distance = look_up(position_map, points)
+    assert np.abs(distance).max() < 0.6 * position_map.data.spacing
+    assert np.abs(positions - expected).max() < 5e-3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_stored_weights_give_the_same_map_and_rebind(kind, device):
+    rest = cage_named("concave")
+    deformed, other = pose_noisily(rest), rest.twist(40)
+    options = dict(coordinates=kind, resolution=20, device=device)
+    points = points_up_to(deformed)
+    weights = PositionMap(rest, store="weights", **options).pose(deformed)
+    by_weights, _ = look_up(weights, points)
+    by_map, _ = look_up(PositionMap(rest, **options).pose(deformed), points)
+    assert np.abs(by_weights - by_map).max() < 2e-5
+    rebound, _ = look_up(weights.rebind(other), points)
+    by_map, _ = look_up(PositionMap(other, origin=weights.origin, **options).pose(deformed), points)
+    assert np.abs(rebound - by_map).max() < 2e-5
+    assert np.abs(rebound - by_weights).max() > 1e-2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("scale", "shift"), [(1.0, 1e4), (1e3, 0.0), (1e-3, 0.0)])
+def test_far_origin_and_scale(kind, scale, shift, device):
+    rest = cage_named("icosphere")
+    deformed = pose_noisily(rest)
+    points = inside_points(deformed)
+    options = dict(coordinates=kind, resolution=16, device=device)
+    positions, _ = look_up(PositionMap(rest, **options).pose(deformed), points)
+    moved = [cage.with_vertices(cage.vertices * scale + shift) for cage in (rest, deformed)]
+    far, _ = look_up(PositionMap(moved[0], **options).pose(moved[1]), points * scale + shift)
+    assert np.abs((far - shift) / scale - positions).max() < 2e-5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_posing_again_gives_what_a_new_map_gives(kind, device):
+    rest = cage_named("icosphere")
+    options = dict(coordinates=kind, resolution=16, device=device)
+    kept = PositionMap(rest, **options)
+    for deformed in (rest.bend(60), rest.scale((0.5, 1, 2)), pose_noisily(rest), rest):
+        points = inside_points(deformed, 100)
+        positions, distance = look_up(kept.pose(deformed), points)
+        fresh = look_up(PositionMap(rest, **options).pose(deformed), points)
+        assert np.array_equal(positions, fresh[0]) and np.array_equal(distance, fresh[1])
+
+
+def test_harmonic_map_reports_its_solver(device):
+    rest = cage_named("icosphere")
+    position_map = PositionMap(rest, resolution=32, device=device)
+    assert position_map.cycles == 0
+    position_map.pose(pose_noisily(rest))
+    assert 2 <= position_map.cycles <= 7 and 0 < position_map.residual <= 1e-5
+    tight = PositionMap(rest, resolution=32, tolerance=2e-6, device=device).pose(pose_noisily(rest))
+    assert tight.residual <= 2e-6 < 1e-5
+
+
+def test_nodes_at_narrow_gaps_are_counted(device):
+    """A slit between two boxes, half a cell wide, then five cells wide."""
+    box = Cage.box((0, 0, 0), (1, 1, 1))
+    def pair(gap):
+        return Cage(np.concatenate([box.vertices, box.vertices + [1 + gap, 0, 0]]),
+                    np.concatenate([box.faces, box.faces + 8]))
+
+    wide, narrow = pair(5 * 2.1 / 32), pair(0.5 * 2.1 / 32)
+    position_map = PositionMap(wide, resolution=32, device=device)
+    assert position_map.pose(wide).thin_nodes == 0
+    assert position_map.pose(narrow).thin_nodes > 100
+
+
+def test_memory_is_foreseen_and_refused(device, monkeypatch):
+    rest = cage_named("icosphere")
+    for kind in KINDS:
+        for store in STORES:
+            position_map = PositionMap(rest, coordinates=kind, resolution=40, store=store, device=device).pose(rest)
+            held = position_map.lattice.buffers.bytes
+            if store == "weights":
+                held += sum(a.capacity for block in position_map.weights.blocks for a in block[1:] if a is not None)
+            assert held <= position_map.memory_bytes(rest) < 2.5 * held
+    monkeypatch.setattr(memory, "free_bytes", lambda device: 1 << 20)
+    with pytest.raises(ValueError, match='resolution 40 needs .* GiB free: take a lower resolution or store="map"'):
+        PositionMap(rest, resolution=40, store="weights", device=device).pose(rest)
+
+
+def test_maps_take_less_than_100_and_700_megabytes():
+    rest = cage_named("icosphere")
+    assert PositionMap(rest, resolution=128, device="cpu").memory_bytes() < 100e6
+    assert PositionMap(rest, resolution=256, device="cpu").memory_bytes() < 700e6
+
+
+def test_bad_input_is_refused(device):
+    rest = cage_named("box")
+    for options in (dict(coordinates="bezier"), dict(store="disk"), dict(resolution=4), dict(resolution=5000),
+                    dict(tolerance=0)):
+        with pytest.raises(ValueError):
+            PositionMap(rest, device=device, **options)
+    position_map = PositionMap(rest, resolution=8, device=device)
+    with pytest.raises(ValueError, match="no pose yet"):
+        _ = position_map.data
+    with pytest.raises(ValueError, match="42 vertices"):
+        position_map.pose(cage_named("icosphere"))
+    with pytest.raises(ValueError, match="another order"):
+        position_map.pose(Cage(rest.vertices, rest.faces[::-1]))
+    with pytest.raises(ValueError, match="deformed cage"):
+        position_map.pose(rest.with_vertices(rest.vertices * [-1, 1, 1]))
+    with pytest.raises(ValueError, match="weights"):
+        position_map.pose(rest).rebind(rest)
+    with pytest.raises(ValueError, match="no weights are kept"):
+        _ = position_map.weights
+    open_cage = Cage(rest.vertices, rest.faces[1:])
+    with pytest.raises(ValueError, match="rest cage"):
+        PositionMap(open_cage, device=device)
+
+
+def test_affine_fit_leaves_nothing_of_an_affine_pose():
+    rest = cage_named("concave")
+    matrix, offset = np.array([[1, 0.2, 0], [0, 2, 0], [0.1, 0, 0.5]]), np.array([1e4, 2, 3])
+    fitted, shift = fit_affine(rest, rest.with_vertices(rest.vertices @ matrix.T + offset))
+    assert np.allclose(fitted, matrix, atol=1e-9) and np.allclose(shift, offset, atol=1e-9)

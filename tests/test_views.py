@@ -1,0 +1,59 @@
+"""Cameras that frame an object, and the course of a film."""
+
+import numpy as np
+import pytest
+
+from warpcage.animation import pose_between, pose_weights
+from warpcage.cage import Cage
+from warpcage.views import framing_orbit
+
+
+@pytest.mark.parametrize("width, height", [(64, 64), (90, 40), (40, 90)])
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0), (1, 2, 3)])
+def test_orbit_holds_every_point_and_wastes_no_room(width, height, up):
+    points = np.random.default_rng(0).normal(size=(300, 3)) * (3.0, 0.5, 1.0) + (1e4, -2e3, 7.0)
+    view = {"up": up, "fov_degrees": 50, "width": width, "height": height, "fill": 0.9}
+    cameras = framing_orbit(points, 9, elevation_degrees=33, **view)
+    assert len(cameras) == 9
+    filled = []
+    for camera in cameras:
+        pixels, depth = camera.project(points)
+        assert (depth > 0).all()
+        share = np.abs(pixels - (width / 2, height / 2)) / (width / 2, height / 2)
+        assert share.max() < 0.9 + 1e-6
+        filled.append(share.max())
+        # the same distance and height all around
+        up_unit = np.asarray(up) / np.linalg.norm(up)
+        assert (camera.centre - cameras[0].centre) @ up_unit == pytest.approx(0, abs=1e-6)
+    assert max(filled) == pytest.approx(0.9, abs=1e-6)
+
+
+def test_orbit_of_one_point_and_what_it_refuses():
+    camera = framing_orbit([[1.0, 2.0, 3.0]], 1)[0]
+    np.testing.assert_allclose(camera.project([[1.0, 2.0, 3.0]])[0], [[200, 200]], atol=1e-9)
+    with pytest.raises(ValueError, match="at least one point"):
+        framing_orbit(np.zeros((0, 3)), 1)
+    with pytest.raises(ValueError, match="fov"):
+        framing_orbit([[0, 0, 0]], 1, fov_degrees=180)
+    with pytest.raises(ValueError, match="at least one view"):
+        framing_orbit([[0, 0, 0]], 0)
+
+
+def test_pose_weights():
+    np.testing.assert_allclose(pose_weights(4), [0, 0.5, 1, 0.5], atol=1e-12)
+    once = pose_weights(5, "once")
+    np.testing.assert_allclose(once[[0, 2, 4]], [0, 0.5, 1], atol=1e-12)
+    assert (np.diff(once) > 0).all()
+    np.testing.assert_array_equal(pose_weights(3, "hold"), 1.0)
+    assert pose_weights(1, "once").shape == (1,)
+    with pytest.raises(ValueError, match="wobble"):
+        pose_weights(3, "wobble")
+    with pytest.raises(ValueError, match="at least one frame"):
+        pose_weights(0)
+
+
+def test_pose_between():
+    rest = Cage.box((0, 0, 0), (1, 1, 1))
+    posed = rest.translate((2, 0, 0))
+    np.testing.assert_allclose(pose_between(rest, posed, 0.25).vertices, rest.vertices + [0.5, 0, 0])
+    np.testing.assert_array_equal(pose_between(rest, posed, 1.0).vertices, posed.vertices)

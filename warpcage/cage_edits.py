@@ -1,0 +1,183 @@
+"""CageEdit, and the buffers by which kernels resolve a list of edits: lattices, or closed forms at every sample."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import warp as wp
+
+from .cage import SURFACE_TOLERANCE, Cage
+from .devices import launch
+from .kernels.cage_edits import ClosedFormEdit, LatticeEdit
+from .kernels.cage_map import CageMap
+from .kernels.deformed_points import map_points, mark_edit_cases
+from .kernels.deformed_render import mark_edit_cells, render_deformed
+from .kernels.grid_skip import spread_distance
+from .lattice import CageLattice
+
+#: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
+#: the trilinear signed distance errs by up to half a cell at corners.
+LATTICE_SLACK = 0.5
+
+#: The same where distances are exact, as a share of the cage's size: float32 evaluates the maps to about 1e-5.
+CLOSED_FORM_SLACK = 1e-4
+
+#: Edits of one scene; a sample's way through them is kept in the bits of an int.
+MAX_EDITS = 31
+
+
+@dataclasses.dataclass(frozen=True)
+class CageEdit:
+    """One edit of a scene: what is in `cage` goes where the posed cage is.
+
+    cage: the cage at rest. keep_source: leave a copy where it was (a duplicate). remove: draw nothing in its place (it
+    is deleted; no pose is needed).
+    Raises ValueError for both at once, or a cage that cannot be used.
+    """
+
+    cage: Cage
+    keep_source: bool = False
+    remove: bool = False
+
+    def __post_init__(self):
+        if not isinstance(self.cage, Cage):
+            raise ValueError(f"an edit needs a Cage, got {type(self.cage).__name__}")
+        if self.keep_source and self.remove:
+            raise ValueError("an edit that removes its cage's content cannot keep the source: choose one")
+        self.cage.require_usable("the rest cage")
+
+
+def checked_edits(rest) -> list[CageEdit]:
+    """A Cage, a CageEdit or a list of either as a list of CageEdit. Raises ValueError for anything else."""
+    edits = [rest] if isinstance(rest, Cage | CageEdit) else list(rest)
+    edits = [edit if isinstance(edit, CageEdit) else CageEdit(edit) for edit in edits]
+    if not 1 <= len(edits) <= MAX_EDITS:
+        raise ValueError(f"a Deformer takes 1 to {MAX_EDITS} edits, got {len(edits)}")
+    return edits
+
+
+class LatticeEdits:
+    """Edits whose maps and signed distances are looked up on lattices of `resolution` cells, and the cells to skip.
+
+    origin: (3,) world point that device positions are relative to.
+    """
+
+    map_kernel = map_points
+    render_kernel = render_deformed
+
+    def __init__(self, edits: list[CageEdit], coordinates: str, resolution: int, origin, device):
+        from .position_map import PositionMap
+
+        self.device = device
+        self._edits = edits
+        self._rests = [CageLattice(edit.cage, resolution, origin=origin, device=device) for edit in edits]
+        self._maps = [
+            None if edit.remove
+            else PositionMap(edit.cage, coordinates=coordinates, resolution=resolution, origin=origin, device=device)
+            for edit in edits
+        ]
+        self._cells: list[wp.array] = []
+        self._skips: list[wp.array] = []
+        self.array: wp.array | None = None  #: (edit_count,) LatticeEdit
+        self._marked_step = 0.0
+
+    def pose(self, cages: list[Cage | None]) -> None:
+        """Compute the maps from the deformed cages (None where the edit removes)."""
+        structs = []
+        for edit, rest, position_map, cage in zip(self._edits, self._rests, self._maps, cages, strict=True):
+            struct = LatticeEdit()
+            struct.rest = _distance_map(rest)
+            struct.deformed = struct.rest if position_map is None else position_map.pose(cage).data
+            struct.tolerance = SURFACE_TOLERANCE * (edit.cage if cage is None else cage).size
+            struct.slack = LATTICE_SLACK * rest.spacing
+            struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
+            structs.append(struct)
+        self._cells = [self._cell_buffer(self._cells, i, struct) for i, struct in enumerate(structs)]
+        self._skips = [self._cell_buffer(self._skips, i, struct) for i, struct in enumerate(structs)]
+        for struct, cells, skip in zip(structs, self._cells, self._skips, strict=True):
+            struct.cells, struct.skip = cells, skip
+            launch(mark_edit_cases, cells.size, [struct], [cells], device=self.device)
+        self._structs = structs  # they own what the device array points to
+        self.array = wp.array(structs, dtype=LatticeEdit, device=self.device)
+        self._marked_step = 0.0
+
+    def _cell_buffer(self, held: list[wp.array], index: int, struct: LatticeEdit) -> wp.array:
+        """One byte for each lattice cell of an edit; the array of the last pose where that fits."""
+        shape = tuple(side - 1 for side in struct.deformed.distance.shape)
+        if index < len(held) and held[index].shape == shape:
+            return held[index]
+        return wp.empty(shape, dtype=wp.uint8, device=self.device)
+
+    def prepare(self, grid, step: float) -> None:
+        """Find the cells that a march of `step` (world units) through the deformed `grid` may skip; once a pose."""
+        if step <= self._marked_step:
+            return
+        for index, skip in enumerate(self._skips):  # in order: each looks at the ones before it
+            marks = wp.empty_like(skip)
+            launch(mark_edit_cells, skip.size, [grid, self.array, index, step], [marks], device=self.device)
+            source, target = marks, skip
+            for axis in range(3):
+                launch(spread_distance, skip.size, [axis, source], [target], device=self.device)
+                source, target = target, source
+        self._marked_step = step
+
+
+class ClosedFormEdits:
+    """Edits whose mean value or Green coordinates are evaluated at every sample ("precise")."""
+
+    def __init__(self, edits: list[CageEdit], coordinates: str, origin, device):
+        from .kernels.deformed_precise import map_points_precisely, render_precisely
+
+        self.map_kernel, self.render_kernel = map_points_precisely, render_precisely
+        self.device = device
+        self._edits, self._origin, self._is_green = edits, origin, coordinates == "green"
+        self.array: wp.array | None = None  #: (edit_count,) ClosedFormEdit
+
+    def pose(self, cages: list[Cage | None]) -> None:
+        """Upload the deformed cages (None where the edit removes)."""
+        self._structs = [
+            self._struct(edit, edit.cage if cage is None else cage)
+            for edit, cage in zip(self._edits, cages, strict=True)
+        ]
+        self.array = wp.array(self._structs, dtype=ClosedFormEdit, device=self.device)
+
+    def _struct(self, edit: CageEdit, deformed: Cage) -> ClosedFormEdit:
+        rest = edit.cage
+        struct = ClosedFormEdit()
+        struct.deformed_vertices = self._local(deformed.vertices)
+        struct.rest_vertices = self._local(rest.vertices)
+        if self._is_green:
+            from .coordinates import stretched_normals
+
+            normals = stretched_normals(deformed, rest).astype(np.float32)
+            struct.rest_normals = wp.array(normals, dtype=wp.vec3, device=self.device)
+        struct.faces = wp.array(rest.faces, dtype=wp.vec3i, device=self.device)
+        struct.size = deformed.size
+        struct.tolerance = SURFACE_TOLERANCE * deformed.size
+        struct.slack = CLOSED_FORM_SLACK * rest.size
+        struct.lower, struct.upper = self._box(deformed, struct.tolerance)
+        struct.rest_lower, struct.rest_upper = self._box(rest, struct.slack)
+        struct.is_green = int(self._is_green)
+        struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
+        return struct
+
+    def _local(self, vertices: np.ndarray) -> wp.array:
+        return wp.array((vertices - self._origin).astype(np.float32), dtype=wp.vec3, device=self.device)
+
+    def _box(self, cage: Cage, margin: float) -> tuple[wp.vec3, wp.vec3]:
+        lower, upper = cage.bounds - self._origin
+        return wp.vec3(*(lower - 2.0 * margin)), wp.vec3(*(upper + 2.0 * margin))
+
+    def prepare(self, grid, step: float) -> None:
+        """Nothing: without a lattice no cells are skipped."""
+
+
+def _distance_map(lattice: CageLattice) -> CageMap:
+    """A CageMap that holds distances only."""
+    data = CageMap()
+    data.lower = lattice.local_lower
+    data.spacing = lattice.spacing
+    data.inverse_spacing = 1.0 / lattice.spacing
+    data.distance = lattice.distance
+    return data

@@ -1,0 +1,113 @@
+"""`warpcage cage`: a cage around a field or a mesh."""
+
+import pathlib
+
+from . import options
+
+NAME = "cage"
+HELP = "put a cage around a field or a mesh"
+EXAMPLE = """\
+  warpcage cage lego.npz -o cage.obj --vertices 100
+  warpcage cage lego.obj -o box.obj --box --segments 2 2 3
+  warpcage cage lego.obj -o tube.obj --cylinder --axis z --sides 12 --rings 4
+"""
+
+MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
+
+
+def add_arguments(parser):
+    parser.add_argument("field", metavar="object", help="field (.npz) or mesh (.obj .ply .off .stl .glb)")
+    parser.add_argument("-o", "--output", required=True, metavar="CAGE", help="cage to write (.obj .ply .off)")
+    parser.add_argument("--vertices", type=options.positive_int, metavar="N",
+                        help="about this many vertices, 30 to 200, wrapped around the object (default: 100)")
+    parser.add_argument("--margin", type=options.positive_float, metavar="LENGTH",
+                        help="room between object and cage, world units (default: 0.03 of the object's size for a "
+                             "box or a cylinder, chosen from the object otherwise)")
+    shape = parser.add_mutually_exclusive_group()
+    shape.add_argument("--box", action="store_true", help="a box along the axes")
+    shape.add_argument("--cylinder", action="store_true", help="a cylinder along --axis")
+    parser.add_argument("--segments", type=options.positive_int, nargs="+", metavar="N",
+                        help="pieces along each axis of the box, one number or three (default: 1)")
+    parser.add_argument("--axis", choices="xyz", help="axis of the cylinder (default: z)")
+    parser.add_argument("--sides", type=options.positive_int, metavar="N", help="sides of the cylinder (default: 12)")
+    parser.add_argument("--rings", type=options.positive_int, metavar="N",
+                        help="pieces of the cylinder along its axis (default: 4)")
+    options.add_device(parser)
+
+
+def run(args):
+    output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
+    _check_combination(args)
+    is_field = pathlib.Path(args.field).suffix.lower() == ".npz"
+    thing = options.read_field(args) if is_field else read_mesh(args.field)
+    from ..cage import Cage
+
+    if args.box or args.cylinder:
+        mesh = thing.extract_mesh(components="all") if is_field else thing
+        cage = _box_around(mesh, args) if args.box else _cylinder_around(mesh, args)
+    else:
+        make = Cage.from_field if is_field else Cage.from_mesh
+        cage = make(thing, vertex_count=args.vertices or 100, margin=args.margin)
+    cage.require_usable("the cage")
+    cage.save(output)
+    print(f"wrote {output}: {len(cage.vertices)} vertices, {len(cage.faces)} faces")
+
+
+def _check_combination(args):
+    needs = {"segments": ("box", args.box), "axis": ("cylinder", args.cylinder), "sides": ("cylinder", args.cylinder),
+             "rings": ("cylinder", args.cylinder)}
+    for name, (shape, chosen) in needs.items():
+        if getattr(args, name) is not None and not chosen:
+            raise ValueError(f"--{name} belongs to --{shape}")
+    if args.vertices is not None and (args.box or args.cylinder):
+        raise ValueError("--vertices is for a cage wrapped around the object; a box takes --segments, a cylinder "
+                         "--sides and --rings")
+    if args.segments is not None and len(args.segments) not in (1, 3):
+        raise ValueError(f"--segments takes one number or three, got {len(args.segments)}")
+
+
+def read_mesh(path):
+    """A trimesh.Trimesh with its vertices in the file's order."""
+    import trimesh
+
+    from ..files import require_file
+
+    path = require_file(path, "mesh file")
+    if path.suffix.lower() not in MESH_ENDINGS:
+        raise ValueError(f"mesh file {str(path)!r} must end in {' or '.join(MESH_ENDINGS)}, a field in .npz")
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
+    except Exception as error:
+        raise ValueError(f"{path} cannot be read as a mesh: {error}") from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise ValueError(f"{path} holds no triangles")
+    return mesh
+
+
+def _margin(mesh, args) -> float:
+    return 0.03 * float(mesh.extents.max()) if args.margin is None else args.margin
+
+
+def _box_around(mesh, args):
+    from ..cage import Cage
+
+    margin = _margin(mesh, args)
+    segments = args.segments or [1]
+    low, high = mesh.bounds
+    return Cage.box(low - margin, high + margin, segments=segments[0] if len(segments) == 1 else tuple(segments))
+
+
+def _cylinder_around(mesh, args):
+    """About the middle of the bounding box, so wide that the flat sides clear every vertex."""
+    import numpy as np
+
+    from ..cage import Cage
+
+    margin, axis, sides = _margin(mesh, args), args.axis or "z", args.sides or 12
+    if sides < 3:
+        raise ValueError(f"a cylinder needs at least 3 sides, got {sides}")
+    centre = mesh.bounds.mean(axis=0)
+    along = "xyz".index(axis)
+    reach = np.linalg.norm(np.delete(mesh.vertices - centre, along, axis=1), axis=1).max() + margin
+    height = mesh.extents[along] + 2 * margin
+    return Cage.cylinder(centre, reach / np.cos(np.pi / sides), height, axis=axis, sides=sides, rings=args.rings or 4)

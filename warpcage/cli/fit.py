@@ -1,0 +1,46 @@
+"""`warpcage fit`: pictures to a field."""
+
+from . import options
+
+NAME = "fit"
+HELP = "fit a radiance field to the pictures of a scene"
+EXAMPLE = """\
+  warpcage fit data/lego --downscale 2 -o lego.npz
+  warpcage fit data/lego -o lego.npz --device cuda:0 --resolution 384 --background black
+"""
+
+
+def add_arguments(parser):
+    parser.add_argument("scene", help="folder with pictures and cameras")
+    parser.add_argument("-o", "--output", required=True, metavar="FIELD", help="field file to write (.npz)")
+    parser.add_argument("--split", default="train", help="which pictures (default: %(default)s)")
+    parser.add_argument("--format", metavar="NAME", help="scene format (default: found out)")
+    parser.add_argument("--downscale", type=options.positive_int, default=1, metavar="N",
+                        help="shrink the pictures by averaging N x N pixels (default: %(default)s)")
+    options.add_background(parser, "white")
+    parser.add_argument("--resolution", type=options.positive_int, metavar="N",
+                        help="voxels along the longest side (default: after the size of a pixel at the object)")
+    parser.add_argument("--epochs", type=options.positive_float, metavar="N", help="passes over the pixels that matter")
+    parser.add_argument("--bounds", type=options.finite_float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+                        help="box around the object, world units (default: found from the pictures)")
+    parser.add_argument("--seed", type=int, default=0, help="of the order of the pixels (default: %(default)s)")
+    options.add_device(parser)
+    options.add_quiet(parser)
+
+
+def run(args):
+    output = options.check_output(args.output, (".npz",), "field file")
+    options.require_folder(args.scene)
+    device = options.chosen_device(args)
+    from ..optimize import fit
+    from ..scene import load_scene
+
+    scene = load_scene(args.scene, split=args.split, downscale=args.downscale, format=args.format,
+                       background=args.background or "white")
+    given = {name: getattr(args, name) for name in ("resolution", "epochs") if getattr(args, name) is not None}
+    if args.bounds is not None:
+        given["bounds"] = [args.bounds[:3], args.bounds[3:]]
+    field = fit(scene, device=device, seed=args.seed, progress=not args.quiet, **given)
+    field.save(output)
+    size = "x".join(str(n) for n in field.resolution)
+    print(f"wrote {output}: {field.voxel_count} voxels of {size}, {output.stat().st_size / 1e6:.1f} MB")

@@ -1,0 +1,261 @@
+"""Cage coordinates of points, and the deformation of points and meshes by a cage.
+
+Mean value coordinates (Floater, Kos and Reimers 2005; Ju, Schaefer and Warren 2005), green coordinates (Lipman, Levin
+and Cohen-Or 2008) and harmonic coordinates (Joshi et al. 2007). Radiance fields go through `Deformer`, whose map runs
+from the deformed cage to the rest cage; `deform_points` runs the other way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from .arrays import as_host_points, as_points, is_device_array
+from .cage import SURFACE_TOLERANCE, Cage, require_same_faces
+from .devices import launch, resolve_device
+from .kernels import cage_map, green, local_points, mean_value
+
+#: Kinds of coordinates, as `coordinates=` takes them.
+KINDS = ("mean_value", "green", "harmonic")
+
+#: Nodes along the longest side of the lattice on which harmonic coordinates are solved.
+HARMONIC_RESOLUTION = 128
+
+
+def mean_value_coordinates(points, cage: Cage, device=None):
+    """Mean value coordinates of points in a cage: (n, v) float32, each row sums to one and reproduces its point.
+
+    points: (n, 3), world units, NumPy or an array of a device (Warp, DLPack); anywhere, inside the cage or out (outside
+    they extend the map smoothly; weights may be negative there, and inside concave cages). On the cage, to 1e-6 of its
+    size, they interpolate the face linearly. cage: usable `Cage` of v vertices. device: None takes that of an array of
+    a device, else the first GPU or the CPU.
+    Returns NumPy for NumPy, a Warp array on the device for an array of a device. Weights are good to about 1e-6 inside
+    the cage and 1e-5 within a size of it.
+    Raises ValueError for points of another shape or not finite, and for a cage that is open, inward or degenerate.
+    """
+    cage.require_usable()
+    local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
+    weights = wp.empty((local.count, len(cage.vertices)), dtype=wp.float32, device=local.device)
+    vertices, faces = _cage_arrays(cage, local)
+    launch(mean_value.weigh_mean_value, local.count, [local.points, vertices, faces, 1.0], [weights],
+           device=local.device)
+    return local.given_back(weights)
+
+
+def green_coordinates(points, cage: Cage, device=None, *, outside: str = "raise"):
+    """Green coordinates of points inside a cage: vertex weights (n, v) and face weights (n, f), float32.
+
+    points, cage, device and what is returned: as in `mean_value_coordinates`. x = vertex_weights @ vertices +
+    face_weights @ normals, with the unit outward normals; the face weights are lengths in world units. A deformed
+    cage takes its vertices and `stretched_normals(cage, deformed)` in their place.
+    Points within 1e-5 of the cage's size of its surface, either side, get the limit from inside. Farther outside green
+    coordinates are not defined: outside="raise" raises a ValueError with their number and the first of them,
+    outside="nan" fills their rows with NaN.
+    Raises ValueError as `mean_value_coordinates` does besides.
+    """
+    if outside not in ("raise", "nan"):
+        raise ValueError(f"outside must be 'raise' or 'nan', got {outside!r}")
+    cage.require_usable()
+    local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
+    lost = _outside_points(local, cage)
+    if len(lost) and outside == "raise":
+        raise ValueError(_outside_message(local, lost, "green"))
+    vertex_weights = wp.empty((local.count, len(cage.vertices)), dtype=wp.float32, device=local.device)
+    face_weights = wp.empty((local.count, len(cage.faces)), dtype=wp.float32, device=local.device)
+    vertices, faces = _cage_arrays(cage, local)
+    launch(green.weigh_green, local.count, [local.points, vertices, faces, 1.0], [vertex_weights, face_weights],
+           device=local.device)
+    launch(local_points.scale_rows, local.count, [cage.size], [face_weights], device=local.device)
+    if len(lost):
+        rows = wp.array(lost, dtype=wp.int32, device=local.device)
+        for weights in (vertex_weights, face_weights):
+            weights[rows].fill_(float("nan"))
+    return local.given_back(vertex_weights), local.given_back(face_weights)
+
+
+def harmonic_coordinates(points, cage: Cage, resolution: int = HARMONIC_RESOLUTION, device=None):
+    """Harmonic coordinates of points inside a cage: (n, v) float32, not negative up to rounding, rows sum to one.
+
+    points, cage, device and what is returned: as in `mean_value_coordinates`; points farther than 1e-5 of the size
+    outside raise a ValueError. resolution: nodes along the longest side of the lattice on which they are solved; errors
+    at 128 are about 1e-3 away from the cage and 1e-2 next to it.
+    """
+    from .position_map import harmonic_weights
+
+    cage.require_usable()
+    local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
+    _require_inside(local, cage, "harmonic")
+    weights = harmonic_weights(local.given, cage, resolution, local.device)
+    return _as_given(weights, local)
+
+
+def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_value", device=None):
+    """Move points, the vertices of a mesh say, as the cage around them moves from `rest` to `deformed`: (n, 3).
+
+    points: (n, 3), world units, NumPy or an array of a device. rest: usable `Cage`; deformed: the same faces in another
+    pose. coordinates: "mean_value" (points anywhere), "green" or "harmonic" (points inside `rest`, or within 1e-5 of
+    its size; harmonic on a lattice of 128 nodes). device: as in `mean_value_coordinates`.
+    Returns world units: float32 for float32 NumPy, float64 for other NumPy (float32 accuracy relative to the cages),
+    a Warp array of vec3 for an array of a device. No (n, v) matrix is held, save by harmonic.
+    Raises ValueError for points of another shape, not finite or (green, harmonic) outside, with their number and the
+    first of them; for cages whose faces differ; for a rest cage that is not usable; for another name of coordinates.
+
+    Example: `mesh.vertices = deform_points(mesh.vertices, rest, rest.twist(90))`
+    """
+    if coordinates not in KINDS:
+        raise ValueError(f"coordinates must be one of {', '.join(KINDS)}, got {coordinates!r}")
+    rest.require_usable("rest cage")
+    require_same_faces(rest, deformed)
+    local = _localise(points, rest.bounds.mean(axis=0), rest.size, device)
+    if coordinates != "mean_value":
+        _require_inside(local, rest, coordinates)
+    if coordinates == "harmonic":
+        return _deform_harmonic(local, rest, deformed)
+
+    centre = deformed.bounds.mean(axis=0)
+    targets = ((deformed.vertices - centre) / rest.size).astype(np.float32)
+    targets = wp.array(targets, dtype=wp.vec3, device=local.device)
+    moved = wp.empty(local.count, dtype=wp.vec3, device=local.device)
+    vertices, faces = _cage_arrays(rest, local)
+    inputs = [local.points, vertices, faces, targets]
+    if coordinates == "green":
+        normals = stretched_normals(rest, deformed).astype(np.float32)
+        inputs.append(wp.array(normals, dtype=wp.vec3, device=local.device))
+    kernel = mean_value.map_mean_value if coordinates == "mean_value" else green.map_green
+    launch(kernel, local.count, [*inputs, 1.0], [moved], device=local.device)
+    return _restore(moved, local, centre, rest.size)
+
+
+def stretched_normals(source: Cage, target: Cage) -> np.ndarray:
+    """Unit normals of `target`'s faces times how much each is stretched from `source`'s: (f, 3) float64.
+
+    What green face weights computed on `source` multiply. Stretch (Lipman et al. 2008, 3-D), with u, v two edges of a
+    face of area A in the source and u', v' the same in the target:
+    sqrt(|u'|^2 |v|^2 - 2 (u'.v')(u.v) + |v'|^2 |u|^2) / (sqrt(8) A).
+    A target face without area has no normal and gives zero. Raises ValueError for cages whose faces differ.
+    """
+    require_same_faces(source, target)
+    u, v = _edges(source)
+    s, t = _edges(target)
+    double_area = np.linalg.norm(np.cross(u, v), axis=1)
+    normal = np.cross(s, t)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
+
+    def dot(a, b):
+        return np.einsum("fi,fi->f", a, b)
+
+    energy = dot(s, s) * dot(v, v) - 2.0 * dot(s, t) * dot(u, v) + dot(t, t) * dot(u, u)
+    stretch = np.sqrt(np.maximum(energy, 0.0)) / (np.sqrt(2.0) * double_area)
+    return stretch[:, None] * normal
+
+
+def _edges(cage: Cage) -> tuple[np.ndarray, np.ndarray]:
+    local = cage.vertices - cage.bounds.mean(axis=0)
+    a, b, c = (local[cage.faces[:, k]] for k in range(3))
+    return b - a, c - a
+
+
+@dataclass
+class _Local:
+    """Points in a local frame: a cage's has the middle of its bounding box at the origin and a longest side of one."""
+
+    given: object  # as the caller gave them, except that host points are (n, 3) float64
+    points: wp.array  # (n,) vec3 on device
+    on_device: bool  # whether they were given as an array of a device
+    single: bool  # whether they were given as float32
+
+    @property
+    def device(self) -> wp.Device:
+        return self.points.device
+
+    @property
+    def count(self) -> int:
+        return len(self.points)
+
+    def given_back(self, array: wp.array):
+        """A result in the form the points came in."""
+        return array if self.on_device else array.numpy()
+
+    def world(self, rows) -> np.ndarray:
+        """World positions of some rows, for messages and checks on the host."""
+        host = np.asarray(self.given.numpy() if isinstance(self.given, wp.array) else self.given, dtype=np.float64)
+        return host.reshape(-1, 3)[rows]
+
+
+def _localise(points, centre: np.ndarray, size: float, device) -> _Local:
+    if not is_device_array(points):
+        host = as_host_points(points)
+        single = isinstance(points, np.ndarray) and points.dtype == np.float32
+        local = ((host - centre) / size).astype(np.float32)
+        return _Local(host, wp.array(local, dtype=wp.vec3, device=resolve_device(device)), False, single)
+
+    world, _ = as_points(points, device)
+    local = wp.empty(len(world), dtype=wp.vec3, device=world.device)
+    first_bad = wp.array([len(world)], dtype=int, device=world.device)
+    if len(world):
+        wp.launch(local_points.localise_points, dim=len(world), device=world.device,
+                  inputs=[0, world, wp.vec3d(*centre), wp.float64(size)], outputs=[local, first_bad])
+        row = int(first_bad.numpy()[0])
+        if row < len(world):
+            raise ValueError(f"points must be finite, row {row} is {world.numpy()[row]}")
+    return _Local(world, local, True, True)
+
+
+def _restore(moved: wp.array, local: _Local, centre: np.ndarray, size: float):
+    """Local results in world units, in the form the points came in."""
+    if local.on_device:
+        world = wp.empty_like(moved)
+        launch(local_points.restore_points, local.count, [moved, wp.vec3d(*centre), wp.float64(size)], [world],
+               device=local.device)
+        return world
+    world = moved.numpy().astype(np.float64).reshape(-1, 3) * size + centre
+    return world.astype(np.float32) if local.single else world
+
+
+def _cage_arrays(cage: Cage, local: _Local) -> tuple[wp.array, wp.array]:
+    vertices = ((cage.vertices - cage.bounds.mean(axis=0)) / cage.size).astype(np.float32)
+    return (wp.array(vertices, dtype=wp.vec3, device=local.device),
+            wp.array(cage.faces, dtype=wp.vec3i, device=local.device))
+
+
+def _outside_points(local: _Local, cage: Cage) -> np.ndarray:
+    """Rows of the points farther outside than 1e-5 of the size."""
+    if not local.count:
+        return np.zeros(0, dtype=np.int64)
+    inside = cage.contains(local.given, device=local.device)
+    return np.flatnonzero(~(inside.numpy() if isinstance(inside, wp.array) else np.asarray(inside)).astype(bool))
+
+
+def _require_inside(local: _Local, cage: Cage, kind: str) -> None:
+    lost = _outside_points(local, cage)
+    if len(lost):
+        raise ValueError(_outside_message(local, lost, kind))
+
+
+def _outside_message(local: _Local, lost: np.ndarray, kind: str) -> str:
+    place = ", ".join(f"{value:.6g}" for value in local.world(lost[:1])[0])
+    return (f"{len(lost)} of {local.count} points are outside the cage by more than {SURFACE_TOLERANCE:g} of its size, "
+            f"the first is point {lost[0]} at ({place}): {kind} coordinates are for points inside, mean_value for any")
+
+
+def _as_given(array, local: _Local):
+    """`array` as Warp or NumPy, whichever the points were."""
+    if local.on_device:
+        return array if isinstance(array, wp.array) else wp.array(array, dtype=wp.float32, device=local.device)
+    return array.numpy() if isinstance(array, wp.array) else array
+
+
+def _deform_harmonic(local: _Local, rest: Cage, deformed: Cage):
+    from .position_map import PositionMap
+
+    # the map runs from the cage it is posed to, here the rest cage, to the one it is made of
+    origin = deformed.bounds.mean(axis=0)
+    position_map = PositionMap(deformed, coordinates="harmonic", resolution=HARMONIC_RESOLUTION, origin=origin,
+                               device=local.device).pose(rest)
+    near = _localise(local.given, origin, 1.0, local.device)
+    moved, distance = wp.empty_like(near.points), wp.empty(local.count, dtype=float, device=local.device)
+    launch(cage_map.sample_map, local.count, [position_map.data, near.points], [moved, distance], device=local.device)
+    return _restore(moved, local, origin, 1.0)

@@ -1,0 +1,230 @@
+"""Pictures: PNG, video and GIF files, sheets, and colours for disparity."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+
+import imageio.v3 as iio
+import numpy as np
+
+from .files import atomic_path, require_file
+
+#: Colours of `colour_disparity` from far to near, (k, 3): dark violet over red and orange to pale yellow, with
+#: lightness rising evenly so that the order survives a grey print.
+_WARM = np.array([(10, 7, 34), (50, 12, 84), (95, 18, 110), (139, 34, 106), (182, 51, 90), (219, 80, 63),
+                  (244, 121, 26), (252, 168, 13), (246, 215, 70), (252, 252, 180)], np.float32) / 255.0
+
+
+def to_uint8(image) -> np.ndarray:
+    """An image or stack of values in [0, 1] (any shape) as uint8, rounded and clipped; uint8 comes back as it is.
+
+    Raises ValueError for values that are not finite.
+    """
+    image = np.asarray(image)
+    if image.dtype == np.uint8:
+        return image
+    if not np.isfinite(image).all():
+        raise ValueError("an image holds values that are not finite")
+    return np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def read_image(path) -> np.ndarray:
+    """A picture file as (h, w, c) float32 in [0, 1]; grey pictures have c = 1.
+
+    Raises FileNotFoundError, or ValueError where the file is no picture.
+    """
+    path = require_file(path, "image")
+    try:
+        pixels = np.asarray(iio.imread(path))
+    except Exception as error:
+        raise ValueError(f"image {str(path)!r} cannot be read: {_one_line(error)}") from error
+    if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
+        raise ValueError(f"image {str(path)!r} must hold 8 or 16 bits a channel, got {pixels.dtype} {pixels.shape}")
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    return (pixels / np.float32(np.iinfo(pixels.dtype).max)).astype(np.float32)
+
+
+def write_png(path, image) -> None:
+    """Write (h, w), (h, w, 3) or (h, w, 4) values in [0, 1], or uint8, as PNG; whole or not at all.
+
+    Raises ValueError for another shape or another ending than .png.
+    """
+    path = _path_with_ending(path, ".png")
+    pixels = to_uint8(image)
+    if pixels.ndim == 3 and pixels.shape[-1] == 1:
+        pixels = pixels[..., 0]
+    if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] in (3, 4))) or 0 in pixels.shape:
+        raise ValueError(f"a PNG holds (h, w), (h, w, 3) or (h, w, 4), got shape {pixels.shape}")
+    with atomic_path(path) as temporary:
+        iio.imwrite(temporary, pixels, extension=".png")
+
+
+def side_by_side(images, *, gap: int = 4, background=1.0) -> np.ndarray:
+    """Images of one height in a row, (h, w, 3) float32 each or grey (h, w); `gap` pixels of `background` between."""
+    images = list(images)
+    return contact_sheet(images, columns=max(1, len(images)), gap=gap, background=background)
+
+
+def contact_sheet(images, *, columns: int | None = None, gap: int = 4, background=1.0) -> np.ndarray:
+    """Images row by row on a sheet, (h, w, 3) float32.
+
+    images: values in [0, 1] or uint8, (h, w) grey or (h, w, 3), all of one size; columns: images a row (default: near
+    square); gap: pixels between them; background: a grey value or (3,) colour of gaps and empty places.
+    Raises ValueError for no images or images of several sizes.
+    """
+    images = [_as_rgb(image) for image in images]
+    if not images:
+        raise ValueError("a sheet needs at least one image")
+    if len({image.shape for image in images}) > 1:
+        raise ValueError(f"images of a sheet must have one size, got {sorted({i.shape[:2] for i in images})}")
+    columns = math.ceil(math.sqrt(len(images))) if columns is None else columns
+    if columns < 1 or gap < 0:
+        raise ValueError(f"a sheet needs columns >= 1 and gap >= 0, got {columns} and {gap}")
+    rows = math.ceil(len(images) / columns)
+    height, width = images[0].shape[:2]
+    sheet = np.empty((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), np.float32)
+    sheet[...] = background
+    for index, image in enumerate(images):
+        row, column = divmod(index, columns)
+        y, x = row * (height + gap), column * (width + gap)
+        sheet[y : y + height, x : x + width] = image
+    return sheet
+
+
+def disparity_range(disparity, *, percentiles=(2.0, 98.0)) -> tuple[float, float]:
+    """A scale for `colour_disparity` that a few wild pixels do not spoil: percentiles of what is seen (values > 0)."""
+    disparity = np.asarray(disparity, np.float32)
+    seen = disparity[np.isfinite(disparity) & (disparity > 0)]
+    if seen.size == 0:
+        return 0.0, 1.0
+    low, high = (float(value) for value in np.percentile(seen, percentiles))
+    # what is farthest should still differ from nothing at all
+    return low - 0.15 * (high - low), high
+
+
+def colour_disparity(disparity, *, alpha=None, scale: tuple[float, float] | None = None) -> np.ndarray:
+    """Disparity (h, w) in colour, (h, w, 3) float32: near is light, far is dark, nothing seen is black.
+
+    alpha: (h, w) opacity in [0, 1], fades what is hardly there (a frame has a depth for the faintest haze).
+    scale: (low, high) of the colours; None takes `disparity_range` of this image (give one scale to a whole video).
+    Values outside the scale take its end colours. Raises ValueError for another shape or a scale without extent.
+    """
+    disparity = np.asarray(disparity, np.float32)
+    if disparity.ndim != 2:
+        raise ValueError(f"disparity must be (h, w), got {disparity.shape}")
+    if alpha is not None and np.shape(alpha) != disparity.shape:
+        raise ValueError(f"alpha must be {disparity.shape} as the disparity, got {np.shape(alpha)}")
+    low, high = disparity_range(disparity) if scale is None else scale
+    if not (np.isfinite([low, high]).all() and high >= low):
+        raise ValueError(f"a disparity scale needs finite low <= high, got {low} and {high}")
+    seen = np.isfinite(disparity) & (disparity > 0)
+    level = np.clip((np.where(seen, disparity, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
+    place = level * (len(_WARM) - 1)
+    colour = np.stack([np.interp(place, np.arange(len(_WARM)), channel) for channel in _WARM.T], axis=-1)
+    share = seen if alpha is None else seen * np.asarray(alpha, np.float32)
+    return (share[..., None] * colour).astype(np.float32)
+
+
+def write_video(path, frames, fps: float = 24.0) -> None:
+    """Write frames (h, w, 3) as an H.264 .mp4 that browsers play (yuv420p); whole or not at all.
+
+    frames: any iterable of images of one size, values in [0, 1] or uint8; taken one by one, so a generator that
+    renders will do. Odd sizes lose their last row or column. Raises ValueError for no frames, sizes that differ, or
+    another ending.
+    """
+    path = _path_with_ending(path, ".mp4")
+    _check_rate(fps)
+    with atomic_path(path) as temporary:
+        with iio.imopen(temporary, "w", plugin="pyav", extension=".mp4") as video:
+            started = False
+            for frame in _even_frames(frames):
+                if not started:
+                    video.init_video_stream("libx264", fps=round(fps), pixel_format="yuv420p")
+                    started = True
+                video.write_frame(frame)
+
+
+def write_gif(path, frames, fps: float = 15.0, *, colours: int = 128, loop: bool = True) -> None:
+    """Write frames (h, w, 3) as an animated .gif with one palette, kept small; whole or not at all.
+
+    frames: as for `write_video`; colours: palette size, 2 to 256. Raises ValueError as `write_video` does.
+    """
+    from PIL import Image
+
+    path = _path_with_ending(path, ".gif")
+    _check_rate(fps)
+    if not 2 <= colours <= 256:
+        raise ValueError(f"a GIF palette holds 2 to 256 colours, got {colours}")
+    frames = list(_same_size(frames))
+    # one palette for all frames, from a thinned strip of them, so that still regions stay still
+    strip = np.concatenate(frames[:: max(1, len(frames) // 12)])
+    palette = Image.fromarray(strip).quantize(colours - 1, method=Image.Quantize.MEDIANCUT)
+    # median cut mixes the background with what is like it: it gets an entry of its own
+    entries, background = palette.getpalette()[: 3 * (colours - 1)], _most_frequent_colour(strip)
+    flat = []
+    for frame in frames:
+        indices = np.array(Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE))
+        indices[(frame == background).all(axis=-1)] = len(entries) // 3
+        flat.append(Image.fromarray(indices))
+        flat[-1].putpalette([*entries, *background.tolist()])
+    with atomic_path(path) as temporary:
+        options = {"loop": 0} if loop else {}
+        flat[0].save(temporary, format="GIF", save_all=True, append_images=flat[1:], duration=round(1000 / fps),
+                     optimize=True, **options)
+
+
+def _most_frequent_colour(pixels: np.ndarray) -> np.ndarray:
+    """(3,) uint8 of (..., 3) pixels: the background, as a rule."""
+    codes = pixels.reshape(-1, 3).astype(np.int64) @ (65536, 256, 1)
+    values, counts = np.unique(codes, return_counts=True)
+    code = int(values[counts.argmax()])
+    return np.array([code >> 16, code >> 8 & 255, code & 255], np.uint8)
+
+
+def _same_size(frames):
+    first = None
+    for index, frame in enumerate(frames):
+        frame = to_uint8(_as_rgb(frame))
+        first = frame.shape if first is None else first
+        if frame.shape != first:
+            raise ValueError(f"frames must have one size: frame 0 is {first[:2]}, frame {index} is {frame.shape[:2]}")
+        yield frame
+    if first is None:
+        raise ValueError("a film needs at least one frame")
+
+
+def _even_frames(frames):
+    for frame in _same_size(frames):
+        height, width = (side // 2 * 2 for side in frame.shape[:2])
+        if height == 0 or width == 0:
+            raise ValueError(f"a video needs frames of at least 2x2 pixels, got {frame.shape[:2]}")
+        yield np.ascontiguousarray(frame[:height, :width])
+
+
+def _as_rgb(image) -> np.ndarray:
+    """(h, w) or (h, w, 3) as (h, w, 3) float32 in [0, 1]."""
+    image = np.asarray(image)
+    scale = np.float32(255.0) if image.dtype == np.uint8 else np.float32(1.0)
+    image = image.astype(np.float32) / scale
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, axis=-1)
+    if image.ndim != 3 or image.shape[-1] != 3 or 0 in image.shape:
+        raise ValueError(f"an image must be (h, w) or (h, w, 3), got {image.shape}")
+    return image
+
+
+def _path_with_ending(path, ending: str) -> pathlib.Path:
+    path = pathlib.Path(path)
+    if path.suffix.lower() != ending:
+        raise ValueError(f"{str(path)!r} must end in {ending}")
+    return path
+
+
+def _check_rate(fps: float) -> None:
+    if not (np.isfinite(fps) and fps > 0):
+        raise ValueError(f"fps must be positive, got {fps}")
+
+
+def _one_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

@@ -1,0 +1,229 @@
+"""PositionMap: where every point inside a deformed cage comes from in the rest cage, on a lattice."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from .cage import require_same_faces
+from .closed_form_solver import GreenSolver, MeanValueSolver
+from .devices import launch, resolve_device
+from .harmonic_solver import HarmonicSolver, require_tolerance
+from .kernels.cage_map import CageMap
+from .kernels.map_extension import add_affine
+from .lattice import CageLattice, lattice_frame, require_resolution
+from .lattice_weights import LatticeWeights, harmonic_weights
+from .memory import require_memory
+
+__all__ = ["PositionMap", "fit_affine", "harmonic_weights"]
+
+COORDINATES = ("harmonic", "mean_value", "green")
+STORES = ("map", "weights")
+
+#: Bytes that a node, a lattice line and a square cell of the cage surface take, and some that all share.
+NODE_BYTES, LEVELS_BYTES, LINE_BYTES, SURFACE_BYTES, FIXED_BYTES = 20, 4, 100, 350, 1 << 19
+
+
+class PositionMap:
+    """The map x -> sum_j w_j(x) v_j from a deformed cage to its rest cage, on the nodes of a lattice over the former.
+
+    rest: the canonical Cage. coordinates: "harmonic", "mean_value" or "green". resolution: cells along the longest
+    side of the deformed cage, 8 to 1024. origin: (3,) world point that device arrays are relative to (default: the
+    middle of the rest cage's bounding box). store: "map" keeps three channels a node; "weights" keeps the weights of
+    all vertices at inside nodes (green: of faces too), so that `rebind` can give the pose another rest cage.
+    tolerance: harmonic only, the solver's, as a share of the rest cage's size.
+
+    What is computed is the remainder after the affine map that fits the cage's vertices best (least squares), which all
+    three kinds of coordinates reproduce: so affine poses are exact (green: similarities, up to rounding), whatever the
+    resolution. Nothing is computed before `pose`.
+
+    Attributes: data, the CageMap for kernels; lattice; origin (3,) float64; cycles and residual of the harmonic solver
+    (0 for the closed forms); thin_nodes, how many nodes lie at gaps of the deformed cage that are narrower than two
+    cells, where the map of one side reaches over to the other.
+
+    Raises ValueError for unusable cages, unknown names, a resolution or tolerance out of range, poses whose faces
+    differ, and where the device has not the memory. Source: "Deforming Radiance Fields with Cages" (ECCV 2022),
+    sections 3.3, 4.1.
+    """
+
+    def __init__(
+        self,
+        rest,
+        *,
+        coordinates: str = "harmonic",
+        resolution: int = 128,
+        origin=None,
+        device=None,
+        store: str = "map",
+        tolerance: float = 1e-5,
+    ):
+        if coordinates not in COORDINATES:
+            raise ValueError(f"coordinates must be one of {', '.join(COORDINATES)}, got {coordinates!r}")
+        if store not in STORES:
+            raise ValueError(f"store must be one of {', '.join(STORES)}, got {store!r}")
+        rest.require_usable("rest cage")
+        self.rest, self.coordinates, self.store = rest, coordinates, store
+        self.resolution = require_resolution(resolution)
+        self.tolerance = require_tolerance(tolerance)
+        self.device = resolve_device(device)
+        self.origin = np.array(rest.bounds.mean(axis=0) if origin is None else origin, dtype=np.float64).reshape(3)
+        self.lattice: CageLattice | None = None
+        self._solver = None
+        self._weights: LatticeWeights | None = None
+        self._data: CageMap | None = None
+
+    def pose(self, deformed) -> PositionMap:
+        """Compute the map from `deformed`, a Cage with the faces of the rest cage. Buffers of the last pose are reused.
+
+        Raises ValueError for faces that differ, an unusable cage, or too little memory.
+        """
+        require_same_faces(self.rest, deformed)
+        deformed.require_usable("deformed cage")
+        if self.store == "weights":
+            self._weights = self._data = None  # the last pose's go before this one's come
+        held = 0 if self.lattice is None else self.lattice.buffers.bytes
+        require_memory(self.memory_bytes(deformed), self.device, self._too_large(), held=held)
+        if self.lattice is None:
+            self.lattice = CageLattice(deformed, self.resolution, origin=self.origin, device=self.device)
+            self._solver = self._new_solver()
+        else:
+            self.lattice.fill(deformed, "deformed cage")
+            self._solver.prepare()
+        if self.store == "weights":
+            self._weights = LatticeWeights(self._solver)
+        self._map_positions()
+        return self
+
+    def rebind(self, rest) -> PositionMap:
+        """Map the same pose to another canonical cage, from the weights that were kept.
+
+        Raises ValueError without weights or a pose, for faces that differ, or an unusable cage.
+        """
+        if self.store != "weights":
+            raise ValueError('rebind needs the weights: make the PositionMap with store="weights"')
+        rest.require_usable("rest cage")
+        require_same_faces(rest, self._posed_lattice().cage)
+        self.rest = rest
+        self._map_positions()
+        return self
+
+    @property
+    def data(self) -> CageMap:
+        """The map for kernels: positions and distances relative to `origin`. The next pose overwrites its arrays."""
+        self._posed_lattice()
+        return self._data
+
+    @property
+    def weights(self) -> LatticeWeights:
+        """The weights of the last pose. Raises ValueError where none are kept."""
+        if self._weights is None:
+            raise ValueError('no weights are kept: make the PositionMap with store="weights", and pose it')
+        return self._weights
+
+    @property
+    def cycles(self) -> int:
+        return 0 if self._solver is None else self._solver.cycles
+
+    @property
+    def residual(self) -> float:
+        return 0.0 if self._solver is None else self._solver.residual
+
+    @property
+    def thin_nodes(self) -> int:
+        self._posed_lattice()
+        return self._solver.count_thin_nodes()
+
+    def memory_bytes(self, deformed=None) -> int:
+        """Bytes on the device that a pose takes (default: the rest pose), worked out from shapes before allocation."""
+        deformed = self.rest if deformed is None else deformed
+        shape, _, spacing = lattice_frame(deformed, self.resolution, self.origin)
+        nx, ny, nz = shape
+        nodes, lines = nx * ny * nz, nx * ny + ny * nz + nx * nz
+        inside = abs(deformed.volume) / spacing**3
+        surface = _face_areas(deformed).sum() / spacing**2
+        total = FIXED_BYTES + NODE_BYTES * nodes + LINE_BYTES * lines + SURFACE_BYTES * surface + 5 * inside
+        if self.coordinates == "harmonic":
+            total += LEVELS_BYTES * nodes
+        if self.store == "weights":
+            total += LatticeWeights.row_bytes(self.coordinates, deformed) * (inside + 4 * surface)
+        return int(total)
+
+    def _posed_lattice(self) -> CageLattice:
+        if self._data is None:
+            raise ValueError("the PositionMap has no pose yet: call pose(deformed) first")
+        return self.lattice
+
+    def _too_large(self) -> str:
+        remedy = "take a lower resolution"
+        if self.store == "weights":
+            remedy += ' or store="map"'
+        return f"a {self.coordinates} {self.store} lattice at resolution {self.resolution} needs {{size}}: {remedy}"
+
+    def _new_solver(self):
+        if self.coordinates == "harmonic":
+            return HarmonicSolver(self.lattice, tolerance=self.tolerance)
+        return MeanValueSolver(self.lattice) if self.coordinates == "mean_value" else GreenSolver(self.lattice)
+
+    def _map_positions(self) -> None:
+        """Fill the positions: remainder of the map, plus its affine part."""
+        lattice, deformed, rest = self.lattice, self.lattice.cage, self.rest
+        matrix, offset = fit_affine(deformed, rest)
+        remainder = (rest.vertices - (deformed.vertices @ matrix.T + offset)) / rest.size
+        vertex_values = wp.array(remainder.astype(np.float32), dtype=wp.vec3, device=self.device)
+        face_values = None
+        if self.coordinates == "green":
+            face_values = wp.array(self._face_values(matrix), dtype=wp.vec3, device=self.device)
+        solver = self._solver if self._weights is None else self._weights
+        solver.solve(vertex_values, face_values)
+
+        values = self._solver.values
+        at_lower = matrix @ lattice.lower + offset - self.origin
+        launch(
+            add_affine,
+            lattice.node_count,
+            [self._solver.nodes.levels, rest.size, wp.mat33(*(matrix * lattice.spacing).flatten()), wp.vec3(*at_lower)],
+            [values],
+            device=self.device,
+        )
+        data = self._data = CageMap()
+        data.lower, data.spacing, data.inverse_spacing = lattice.local_lower, lattice.spacing, 1.0 / lattice.spacing
+        data.positions = values.reshape(lattice.shape)
+        data.distance = lattice.distance
+
+    def _face_values(self, matrix: np.ndarray) -> np.ndarray:
+        """(f, 3) float32: stretched target normals less the affine part's, for psi in node units.
+
+        As x = sum phi v + sum psi n, an affine map A x + b is sum phi (A v + b) + sum psi A n.
+        """
+        from .coordinates import stretched_normals
+
+        deformed = self.lattice.cage
+        normals = stretched_normals(deformed, self.rest) - _face_normals(deformed) @ matrix.T
+        return (normals * (self.lattice.spacing / self.rest.size)).astype(np.float32)
+
+
+def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix (3, 3) and offset (3,) of the affine map that takes the vertices of one cage nearest to another's.
+
+    Vertices that no face uses do not count.
+    """
+    used = np.unique(source.faces)
+    a, b = source.vertices[used], target.vertices[used]
+    centre, size = a.mean(axis=0), source.size
+    solution, *_ = np.linalg.lstsq((a - centre) / size, b - b.mean(axis=0), rcond=1e-9)
+    matrix = solution.T / size
+    return matrix, b.mean(axis=0) - matrix @ centre
+
+
+def _face_crosses(cage) -> np.ndarray:
+    a, b, c = (cage.vertices[cage.faces[:, corner]] for corner in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _face_areas(cage) -> np.ndarray:
+    return 0.5 * np.linalg.norm(_face_crosses(cage), axis=1)
+
+
+def _face_normals(cage) -> np.ndarray:
+    crosses = _face_crosses(cage)
+    return crosses / np.linalg.norm(crosses, axis=1, keepdims=True)
