@@ -9,7 +9,7 @@ setup(
     license="Apache-2.0",
     license_files=["LICENSE"],
     python_requires=">=3.10",
-    packages=["warpcage", "warpcage.scenes", "warpcage.kernels"],
+    packages=["warpcage", "warpcage.cli", "warpcage.scenes", "warpcage.kernels"],
     package_dir={"warpcage": "warpcage", "warpcage.kernels": "kernels"},
     install_requires=[
         "warp-lang>=1.19",

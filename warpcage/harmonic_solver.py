@@ -32,8 +32,8 @@ MIN_TOLERANCE = 2e-6
 #: cycle gains a factor of about ten, and errors that its smoothing leaves are a few times their row's update.
 ERROR_PER_CORRECTION, ERROR_PER_RESIDUAL = 0.25, 8.0
 
-#: CPU launches shorter than this run on one thread: cutting them over threads takes longer than they do.
-SHORT_LAUNCH = 8192
+#: Sweeps over fewer nodes than this run on one thread of a CPU: cutting them over threads takes longer than they do.
+SHORT_LAUNCH = 1 << 16
 
 
 def require_tolerance(tolerance) -> float:
@@ -175,21 +175,25 @@ class HarmonicSolver:
     def _cycle(self) -> None:
         inside, system = self._lengths["inside"], self.system
         last = self.nodes.level_count - 1
-        self._launch(clear_corrections, self._lengths["corrections"], [system])
+        self._sweep(clear_corrections, self._lengths["corrections"], [system])
         for level in range(last):
             self._relax(level, SWEEPS)
-            self._launch(restrict_residual, int(inside[level + 1].sum()), [level + 1, system])
+            self._sweep(restrict_residual, int(inside[level + 1].sum()), [level + 1, system])
         self._relax(last, COARSEST_SWEEPS)
         for level in reversed(range(last)):
-            self._launch(prolong_correction, int(inside[level, 1]), [level, system])
+            self._sweep(prolong_correction, int(inside[level, 1]), [level, system])
             self._relax(level, SWEEPS)
         self._launch(measure_residual, self._largest.size, [system, self._largest])
-        self._launch(reduce_largest, self._reduced.size, [self._largest, self._reduced])
+        self._sweep(reduce_largest, self._reduced.size, [self._largest, self._reduced])
 
     def _relax(self, level: int, sweeps: int) -> None:
         for _ in range(sweeps):
             for colour in (0, 1):
-                self._launch(relax_laplace, int(self._lengths["inside"][level, colour]), [level, colour, self.system])
+                self._sweep(relax_laplace, int(self._lengths["inside"][level, colour]), [level, colour, self.system])
+
+    def _sweep(self, kernel, count: int, inputs) -> None:
+        """Launch a kernel of little work an item."""
+        launch(kernel, count, inputs, device=self.device, threads=1 if count < SHORT_LAUNCH else None)
 
     def _launch(self, kernel, count: int, inputs) -> None:
-        launch(kernel, count, inputs, device=self.device, threads=1 if 512 < count < SHORT_LAUNCH else None)
+        launch(kernel, count, inputs, device=self.device)

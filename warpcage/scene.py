@@ -105,7 +105,7 @@ def load_scene(path, *, split: str = "train", downscale: int = 1, format: str | 
 
 
 def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
-    """Area average of an (h, w, c) float image over factor x factor pixels (about, where that does not divide the size)."""
+    """Area average of an (h, w, c) float image over factor x factor pixels (about, where that leaves a remainder)."""
     if factor == 1:
         return premultiplied
     height, width = premultiplied.shape[:2]
