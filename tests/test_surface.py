@@ -65,7 +65,7 @@ def test_the_same_object_ten_times_larger_gives_the_same_mesh(opacity):
 def test_surface_density_is_half_opacity_or_between_two_fogs():
     voxel = np.full(3, 0.1)
     dense = np.array([0.0, 1.0, 50.0, 80.0, 90.0])
-    assert surface_density(dense, voxel) == pytest.approx(np.log(2) / 0.1)
+    assert surface_density(dense, voxel) == pytest.approx(np.log(2) / 0.2)
     fog = np.array([0.0] * 50 + [0.1] * 30 + [2.0] * 30)
     assert 0.1 < surface_density(fog, voxel) < 2.0
     assert surface_density(np.array([0.0, 1.0, 1.0]), voxel) == pytest.approx(0.5)

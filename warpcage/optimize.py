@@ -46,6 +46,7 @@ class FitOptions:
     variation_sh: float = 1e-3
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
+    keep_weight: float = 0.01  #: at the end a voxel stays where it, or a neighbour, reaches this rendering weight
     random_background: bool = True  #: supervise opacity with random backgrounds where the images have alpha
 
 
@@ -190,12 +191,11 @@ class FieldOptimizer:
             launch(field_step.join_maximum, rows, [other], [shards[0]], device=self.device)
         return shards[0]
 
-    def _pruned_mask(self) -> wp.array:
-        """The voxels whose rendering weight counts, and their neighbours, among those that there are."""
+    def _pruned_mask(self, threshold: float) -> wp.array:
+        """The voxels whose rendering weight reaches a threshold, and their neighbours, among those that there are."""
         stride = max(1, int(0.5 * self.field.resolution[0] ** -1 * self.scene.images.shape[2]))
         weights = self.measure_weights(stride)
         mask = wp.zeros(self.field.resolution, dtype=wp.int32, device=self.device)
-        threshold = self.options.prune_weight / max(self.field.resolution)
         launch(grid_refine.mark_weighty_nodes, self.field.voxel_count, [self.nodes, weights, threshold], [mask],
                device=self.device)
         mask = self._dilated(mask)
@@ -207,7 +207,7 @@ class FieldOptimizer:
     def _refine(self) -> None:
         """On to the next level: prune, halve the voxels, interpolate."""
         self.level += 1
-        pruned = self._pruned_mask()
+        pruned = self._pruned_mask(self.options.prune_weight / max(self.field.resolution))
         mask = wp.empty(self.shapes[self.level], dtype=wp.int32, device=self.device)
         launch(grid_refine.refine_mask, mask.size, [2, pruned], [mask], device=self.device)
         self._start_level(mask, self.field, 2)
@@ -280,8 +280,11 @@ class FieldOptimizer:
         return self.psnr
 
     def finish(self) -> VoxelField:
-        """Prune what no view needs, record rendering weights, and return the field."""
-        mask = self._pruned_mask()
+        """Prune what no view shows, record rendering weights, and return the field.
+
+        What is left is what a cage has to enclose: faint floaters would stay behind when the object moves.
+        """
+        mask = self._pruned_mask(self.options.keep_weight)
         self._start_level(mask, self.field)
         self.field.weights = self.measure_weights()
         return self.field

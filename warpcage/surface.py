@@ -51,7 +51,8 @@ def extract_mesh(field, *, threshold: float | None = None, components: str = "la
 
 
 def surface_density(densities: np.ndarray, voxel_size) -> float:
-    """The density taken as the surface: where a ray across one voxel becomes half opaque, ln 2 / voxel side.
+    """The density taken as the surface: where a ray across two voxels becomes half opaque, ln 2 / (2 voxel
+    sides): thin shells of a fitted field are about that thick, and hold together.
 
     Where fewer than one in twenty of the occupied nodes are that dense (a foggy field), Otsu's threshold between the
     occupied densities (Otsu 1979) instead, or half the largest where all are the same. Both scale as one over length,
@@ -62,7 +63,7 @@ def surface_density(densities: np.ndarray, voxel_size) -> float:
     occupied = densities[densities > 0.0]
     if not len(occupied):
         raise ValueError("the field is empty: it has no density above 0")
-    half_opaque = float(np.log(2.0) / np.prod(np.asarray(voxel_size, dtype=np.float64)) ** (1.0 / 3.0))
+    half_opaque = float(0.5 * np.log(2.0) / np.prod(np.asarray(voxel_size, dtype=np.float64)) ** (1.0 / 3.0))
     if np.mean(occupied > half_opaque) >= _LEAST_SHARE:
         return half_opaque
     lowest, highest = float(occupied.min()), float(occupied.max())
