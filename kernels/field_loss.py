@@ -11,7 +11,7 @@ import warp as wp
 
 from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
 from .rays import PinholeCamera, pixel_direction
-from .spherical_harmonics import mat93, sh_basis
+from .spherical_harmonics import sh_basis, vec9
 from .volume_render import exit_distance, grid_span, march, sample_index_after
 
 wp.set_module_options({"enable_backward": False})
@@ -42,7 +42,8 @@ def batch_pixel(rays: TrainingRays, n: int):
     return wp.vec3i(view, row, column)
 
 
-@wp.kernel
+# small blocks of few registers: a batch is hardly more threads than a large GPU holds at once
+@wp.kernel(launch_bounds=(64, 8))
 def accumulate_photometric_gradient(
     first: int,
     grid: VoxelGrid,
@@ -54,7 +55,7 @@ def accumulate_photometric_gradient(
     stop: float,
     scale: float,
     grad_density: wp.array(dtype=wp.float32),
-    grad_sh: wp.array(dtype=mat93),
+    grad_sh: wp.array2d(dtype=vec9),
     squared_error: wp.array(dtype=wp.float32),
 ):
     """Adds scale * d(sum over channels of (C - C*)^2) for each ray of a batch; squared_error: (rays,) that sum itself.
@@ -106,15 +107,15 @@ def accumulate_photometric_gradient(
                 radiance = wp.dot(wp.max(raw, wp.vec3(0.0, 0.0, 0.0)), grad_colour)
                 later -= weight * radiance
                 grad_sigma = step * (transmittance * radiance - later)
-                grad_raw = weight * grad_colour
-                for channel in range(3):
-                    if raw[channel] <= 0.0:  # the clamp max(0, .) passes no gradient
-                        grad_raw[channel] = 0.0
-                grad_cell = wp.outer(basis, grad_raw)
                 for c in range(8):
                     if cell.rows[c] >= 0:
                         wp.atomic_add(grad_density, cell.rows[c], cell.weights[c] * grad_sigma)
-                        wp.atomic_add(grad_sh, cell.rows[c], cell.weights[c] * grad_cell)
+                for channel in range(3):
+                    if raw[channel] > 0.0:  # the clamp max(0, .) passes no gradient
+                        grad_cell = weight * grad_colour[channel] * basis
+                        for c in range(8):
+                            if cell.rows[c] >= 0:
+                                wp.atomic_add(grad_sh, cell.rows[c], channel, cell.weights[c] * grad_cell)
             k += 1
 
 
@@ -135,6 +136,22 @@ def variation_slope(dx: float, dy: float, dz: float, scale: float):
     return scale / wp.sqrt(dx * dx + dy * dy + dz * dz + 1.0e-9)
 
 
+@wp.func
+def add_density_variation(
+    grid: VoxelGrid, rows: wp.vec4i, unit: float, scale: float, grad_density: wp.array(dtype=wp.float32)
+):
+    """rows: the cell's own and its next along x, y, z (-1: none)."""
+    difference = wp.vec3()
+    for axis in range(3):
+        if rows[axis + 1] >= 0:
+            difference[axis] = (grid.density[rows[axis + 1]] - grid.density[rows[0]]) / unit
+    slope = variation_slope(difference[0], difference[1], difference[2], scale / unit)
+    wp.atomic_add(grad_density, rows[0], -slope * (difference[0] + difference[1] + difference[2]))
+    for axis in range(3):
+        if rows[axis + 1] >= 0:
+            wp.atomic_add(grad_density, rows[axis + 1], slope * difference[axis])
+
+
 @wp.kernel
 def accumulate_variation_gradient(
     first: int,
@@ -145,52 +162,42 @@ def accumulate_variation_gradient(
     scale_density: float,
     scale_sh: float,
     grad_density: wp.array(dtype=wp.float32),
-    grad_sh: wp.array(dtype=mat93),
+    grad_sh: wp.array2d(dtype=vec9),
 ):
     """Adds the gradient of scale_density * TV(density / density_unit) + scale_sh * TV(sh) over a run of rows.
 
-    nodes: (rows,) grid indices of each row. A difference to a node without a row counts as zero. Rows are shared with
-    neighbours: on the CPU each thread needs gradient arrays of its own.
+    Three items a row, one a channel. nodes: (rows,) grid indices of each row. A difference to a node without a row
+    counts as zero. Rows are shared with neighbours: on the CPU each thread needs gradient arrays of its own.
     """
-    row = (first_row + first + wp.tid()) % nodes.shape[0]
-    row_x = neighbour_row(grid, nodes[row], 0)
-    row_y = neighbour_row(grid, nodes[row], 1)
-    row_z = neighbour_row(grid, nodes[row], 2)
-    sigma = grid.density[row]
-    sh = grid.sh[row]
-    dx = float(0.0)
-    dy = float(0.0)
-    dz = float(0.0)
-    sh_dx = mat93(0.0)
-    sh_dy = mat93(0.0)
-    sh_dz = mat93(0.0)
-    if row_x >= 0:
-        dx = (grid.density[row_x] - sigma) / density_unit
-        sh_dx = grid.sh[row_x] - sh
-    if row_y >= 0:
-        dy = (grid.density[row_y] - sigma) / density_unit
-        sh_dy = grid.sh[row_y] - sh
-    if row_z >= 0:
-        dz = (grid.density[row_z] - sigma) / density_unit
-        sh_dz = grid.sh[row_z] - sh
-    slope = variation_slope(dx, dy, dz, scale_density / density_unit)
+    n = first + wp.tid()
+    channel = n % 3
+    row = (first_row + n // 3) % nodes.shape[0]
+    node = nodes[row]
+    rows = wp.vec4i(row, neighbour_row(grid, node, 0), neighbour_row(grid, node, 1), neighbour_row(grid, node, 2))
+    if channel == 0:
+        add_density_variation(grid, rows, density_unit, scale_density, grad_density)
+    sh = grid.sh[row, channel]
+    dx = vec9()
+    dy = vec9()
+    dz = vec9()
+    if rows[1] >= 0:
+        dx = grid.sh[rows[1], channel] - sh
+    if rows[2] >= 0:
+        dy = grid.sh[rows[2], channel] - sh
+    if rows[3] >= 0:
+        dz = grid.sh[rows[3], channel] - sh
     for b in range(9):
-        for channel in range(3):
-            sh_slope = variation_slope(sh_dx[b, channel], sh_dy[b, channel], sh_dz[b, channel], scale_sh)
-            sh_dx[b, channel] = sh_dx[b, channel] * sh_slope
-            sh_dy[b, channel] = sh_dy[b, channel] * sh_slope
-            sh_dz[b, channel] = sh_dz[b, channel] * sh_slope
-    wp.atomic_add(grad_density, row, -slope * (dx + dy + dz))
-    wp.atomic_add(grad_sh, row, -(sh_dx + sh_dy + sh_dz))
-    if row_x >= 0:
-        wp.atomic_add(grad_density, row_x, slope * dx)
-        wp.atomic_add(grad_sh, row_x, sh_dx)
-    if row_y >= 0:
-        wp.atomic_add(grad_density, row_y, slope * dy)
-        wp.atomic_add(grad_sh, row_y, sh_dy)
-    if row_z >= 0:
-        wp.atomic_add(grad_density, row_z, slope * dz)
-        wp.atomic_add(grad_sh, row_z, sh_dz)
+        slope = variation_slope(dx[b], dy[b], dz[b], scale_sh)
+        dx[b] = dx[b] * slope
+        dy[b] = dy[b] * slope
+        dz[b] = dz[b] * slope
+    wp.atomic_add(grad_sh, row, channel, -(dx + dy + dz))
+    if rows[1] >= 0:
+        wp.atomic_add(grad_sh, rows[1], channel, dx)
+    if rows[2] >= 0:
+        wp.atomic_add(grad_sh, rows[2], channel, dy)
+    if rows[3] >= 0:
+        wp.atomic_add(grad_sh, rows[3], channel, dz)
 
 
 @wp.kernel

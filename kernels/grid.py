@@ -11,7 +11,7 @@ Siblings: spherical_harmonics.
 
 import warp as wp
 
-from .spherical_harmonics import mat93, sh_basis, vec9
+from .spherical_harmonics import sh_basis, vec9
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,7 +24,7 @@ class VoxelGrid:
     links: wp.array3d(dtype=wp.int32)  # row of a node, or -1
     skip: wp.array3d(dtype=wp.uint8)  # cell -> Chebyshev distance in cells to the nearest that holds anything, 0 there
     density: wp.array(dtype=wp.float32)  # (rows,) per world unit
-    sh: wp.array(dtype=mat93)  # (rows,) rgb coefficients, one basis function a matrix row
+    sh: wp.array2d(dtype=vec9)  # (rows, 3) coefficients of red, green and blue
 
 
 @wp.struct
@@ -81,19 +81,21 @@ def cell_density(grid: VoxelGrid, cell: CellSample):
 
 
 @wp.func
-def cell_sh(grid: VoxelGrid, cell: CellSample):
-    """Trilinear SH coefficients."""
-    sh = mat93(0.0)
+def cell_channel(grid: VoxelGrid, cell: CellSample, basis: vec9, channel: int):
+    """One channel of the colour before the clamp at zero: basis . trilinear sh + 0.5."""
+    sh = vec9()
     for c in range(8):
         if cell.rows[c] >= 0:
-            sh += cell.weights[c] * grid.sh[cell.rows[c]]
-    return sh
+            sh += cell.weights[c] * grid.sh[cell.rows[c], channel]
+    return wp.dot(basis, sh) + 0.5
 
 
 @wp.func
 def cell_colour(grid: VoxelGrid, cell: CellSample, basis: vec9):
-    """SH colour before the clamp at zero: sum_b basis_b * trilinear sh_b + 0.5."""
-    return basis @ cell_sh(grid, cell) + wp.vec3(0.5, 0.5, 0.5)
+    """SH colour before the clamp at zero."""
+    return wp.vec3(
+        cell_channel(grid, cell, basis, 0), cell_channel(grid, cell, basis, 1), cell_channel(grid, cell, basis, 2)
+    )
 
 
 @wp.func

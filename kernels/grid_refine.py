@@ -1,68 +1,14 @@
-"""Choose, prune, dilate and refine the nodes of a sparse voxel grid.
+"""Prune, dilate and refine the nodes of a sparse voxel grid.
 
-Siblings: grid, rays, spherical_harmonics.
+Siblings: grid, spherical_harmonics.
 """
 
 import warp as wp
 
 from .grid import VoxelGrid
-from .rays import PinholeCamera
-from .spherical_harmonics import mat93
+from .spherical_harmonics import vec9
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def carve_visual_hull(
-    first: int,
-    lower: wp.vec3,
-    voxel_size: wp.vec3,
-    cameras: wp.array(dtype=PinholeCamera),
-    opaque_sums: wp.array3d(dtype=wp.int32),
-    bounded: wp.array(dtype=wp.int32),
-    mask: wp.array3d(dtype=wp.int32),
-):
-    """1 where no image shows a node's voxel as transparent (Laurentini 1994, conservative in the voxel's extent).
-
-    opaque_sums: (views, h + 1, w + 1) summed-area tables of the opaque pixels. bounded: (views,) 1 where the silhouette
-    keeps clear of the image's border, so that whatever lies beyond the image is transparent too. A voxel that no image
-    sees is carved.
-    """
-    n = first + wp.tid()
-    k = n % mask.shape[2]
-    j = (n // mask.shape[2]) % mask.shape[1]
-    i = n // (mask.shape[2] * mask.shape[1])
-    x = lower + wp.cw_mul(wp.vec3(float(i), float(j), float(k)), voxel_size)
-    radius = 0.5 * wp.length(voxel_size)
-    views = int(0)
-    kept = int(1)
-    for view in range(cameras.shape[0]):
-        camera = cameras[view]
-        local = wp.transpose(camera.rotation) * (x - camera.centre)
-        if local[2] > 2.0 * radius:
-            # half-width of the voxel's bounding sphere in the image, with room for its perspective
-            spread = radius / (local[2] - radius)
-            u = local[0] / local[2] * camera.focal[0] + camera.principal_point[0]
-            v = local[1] / local[2] * camera.focal[1] + camera.principal_point[1]
-            ru = spread * camera.focal[0] * (1.0 + wp.abs(local[0] / local[2]))
-            rv = spread * camera.focal[1] * (1.0 + wp.abs(local[1] / local[2]))
-            opaque = int(0)
-            if u + ru >= 0.0 and v + rv >= 0.0 and u - ru <= float(camera.width) and v - rv <= float(camera.height):
-                u0 = wp.clamp(int(wp.floor(u - ru)), 0, camera.width - 1)
-                u1 = wp.clamp(int(wp.floor(u + ru)), 0, camera.width - 1) + 1
-                v0 = wp.clamp(int(wp.floor(v - rv)), 0, camera.height - 1)
-                v1 = wp.clamp(int(wp.floor(v + rv)), 0, camera.height - 1) + 1
-                opaque = (
-                    opaque_sums[view, v1, u1] - opaque_sums[view, v0, u1]
-                    - opaque_sums[view, v1, u0] + opaque_sums[view, v0, u0]
-                )
-            centred = u >= 0.0 and v >= 0.0 and u <= float(camera.width) and v <= float(camera.height)
-            if centred:
-                views += 1
-            if opaque == 0 and (centred or bounded[view] == 1):
-                kept = int(0)
-                break
-    mask[i, j, k] = wp.where(views > 0, kept, 0)
 
 
 @wp.kernel
@@ -143,7 +89,7 @@ def resample_rows(
     factor: int,
     nodes: wp.array(dtype=wp.vec3i),
     density: wp.array(dtype=wp.float32),
-    sh: wp.array(dtype=mat93),
+    sh: wp.array2d(dtype=vec9),
 ):
     """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (weights renormalised)."""
     row = first + wp.tid()
@@ -152,7 +98,9 @@ def resample_rows(
     g -= wp.vec3(0.5, 0.5, 0.5)
     total = float(0.0)
     value = float(0.0)
-    coefficients = mat93(0.0)
+    red = vec9()
+    green = vec9()
+    blue = vec9()
     i = int(wp.floor(g[0]))
     j = int(wp.floor(g[1]))
     k = int(wp.floor(g[2]))
@@ -168,9 +116,11 @@ def resample_rows(
         if other >= 0 and weight > 0.0:
             total += weight
             value += weight * coarse.density[other]
-            coefficients += weight * coarse.sh[other]
-    if total > 0.0:
-        value /= total
-        coefficients = coefficients / total
-    density[row] = value
-    sh[row] = coefficients
+            red += weight * coarse.sh[other, 0]
+            green += weight * coarse.sh[other, 1]
+            blue += weight * coarse.sh[other, 2]
+    scale = wp.where(total > 0.0, 1.0 / wp.max(total, 1.0e-12), 0.0)
+    density[row] = scale * value
+    sh[row, 0] = scale * red
+    sh[row, 1] = scale * green
+    sh[row, 2] = scale * blue

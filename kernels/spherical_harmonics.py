@@ -8,7 +8,6 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 vec9 = wp.types.vector(length=9, dtype=wp.float32)
-mat93 = wp.types.matrix(shape=(9, 3), dtype=wp.float32)
 
 
 @wp.func

@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 
 from .devices import launch
-from .kernels.grid_refine import carve_visual_hull
 from .kernels.rays import PinholeCamera
+from .kernels.visual_hull import carve_visual_hull, sum_columns, sum_rows
 from .render import camera_struct
 from .scene import Scene
 
@@ -37,41 +37,55 @@ def view_box(scene: Scene) -> np.ndarray:
     return np.stack([centre - half, centre + half])
 
 
-def visual_hull(scene: Scene, bounds, resolution, device) -> wp.array:
-    """(nx, ny, nz) int32 mask of the voxels that no image shows as transparent, at `resolution` over `bounds`."""
-    bounds = np.asarray(bounds, np.float64)
-    center = bounds.mean(axis=0)
-    voxel_size = (bounds[1] - bounds[0]) / resolution
-    opaque = scene.alphas > OPAQUE
-    sums = np.zeros((len(scene), opaque.shape[1] + 1, opaque.shape[2] + 1), np.int32)
-    np.cumsum(np.cumsum(opaque, axis=1, dtype=np.int32), axis=2, out=sums[:, 1:, 1:])
-    bounded = ~(opaque[:, [0, -1]].any(axis=(1, 2)) | opaque[:, :, [0, -1]].any(axis=(1, 2)))
-    mask = wp.empty(tuple(int(n) for n in resolution), dtype=wp.int32, device=device)
-    lower = bounds[0] - center + 0.5 * voxel_size
-    inputs = [wp.vec3(*lower), wp.vec3(*voxel_size), camera_array(scene.cameras, center, device),
-              wp.array(sums, dtype=wp.int32, device=device), wp.array(bounded, dtype=wp.int32, device=device)]
-    launch(carve_visual_hull, mask.size, inputs, [mask], device=device)
-    return mask
+class Silhouettes:
+    """The outlines of a scene's object in its images, on a device.
 
-
-def object_bounds(scene: Scene, device, *, resolution: int = 64, rounds: int = 2) -> np.ndarray:
-    """(2, 3) box of the object: view_box, shrunk to the visual hull where the scene has alphas.
-
-    Raises ValueError where every pixel is transparent or the silhouettes of the views have no common inside.
+    Raises ValueError where the scene has no alphas or every pixel is transparent.
     """
-    box = view_box(scene)
-    if scene.alphas is None:
+
+    def __init__(self, scene: Scene, device):
+        if scene.alphas is None:
+            raise ValueError("the scene's images have no alpha: there are no silhouettes")
+        opaque = (scene.alphas > OPAQUE).view(np.uint8)
+        if not opaque.any():
+            raise ValueError("every pixel of the scene is transparent: there is nothing to fit")
+        self.cameras, self.device = scene.cameras, device
+        count, height, width = opaque.shape
+        self.sums = wp.zeros((count, height + 1, width + 1), dtype=wp.int32, device=device)
+        held = wp.array(opaque, dtype=wp.uint8, device=device)
+        launch(sum_rows, count * height, [held], [self.sums], device=device)
+        launch(sum_columns, count * (width + 1), [], [self.sums], device=device)
+        touching = opaque[:, [0, -1]].any(axis=(1, 2)) | opaque[:, :, [0, -1]].any(axis=(1, 2))
+        self.bounded = wp.array(~touching, dtype=wp.int32, device=device)
+
+    def carve(self, bounds, resolution) -> wp.array:
+        """(nx, ny, nz) int32 mask of the voxels that no image shows as transparent, at `resolution` over `bounds`."""
+        bounds = np.asarray(bounds, np.float64)
+        center = bounds.mean(axis=0)
+        voxel_size = (bounds[1] - bounds[0]) / resolution
+        lower = bounds[0] - center + 0.5 * voxel_size
+        mask = wp.empty(tuple(int(n) for n in resolution), dtype=wp.int32, device=self.device)
+        inputs = [wp.vec3(*lower), wp.vec3(*voxel_size), camera_array(self.cameras, center, self.device), self.sums,
+                  self.bounded]
+        launch(carve_visual_hull, mask.size, inputs, [mask], device=self.device)
+        return mask
+
+    def bound(self, box, *, resolution: int = 64, rounds: int = 2) -> np.ndarray:
+        """(2, 3) `box` shrunk to the visual hull. Raises ValueError where the silhouettes have no common inside."""
+        for _ in range(rounds):
+            shape = np.maximum(8, np.ceil(resolution * (box[1] - box[0]) / (box[1] - box[0]).max()).astype(int))
+            occupied = np.argwhere(self.carve(box, shape).numpy())
+            if len(occupied) == 0:
+                raise ValueError("the silhouettes of the views have no common inside: check cameras' axes and alphas")
+            voxel = (box[1] - box[0]) / shape
+            box = np.stack([box[0] + (occupied.min(axis=0) - 1) * voxel, box[0] + (occupied.max(axis=0) + 2) * voxel])
         return box
-    if not (scene.alphas > OPAQUE).any():
-        raise ValueError("every pixel of the scene is transparent: there is nothing to fit")
-    for _ in range(rounds):
-        shape = np.maximum(8, np.ceil(resolution * (box[1] - box[0]) / (box[1] - box[0]).max()).astype(int))
-        occupied = np.argwhere(visual_hull(scene, box, shape, device).numpy())
-        if len(occupied) == 0:
-            raise ValueError("the silhouettes of the views have no common inside: check cameras' axes and alphas")
-        voxel = (box[1] - box[0]) / shape
-        box = np.stack([box[0] + (occupied.min(axis=0) - 1) * voxel, box[0] + (occupied.max(axis=0) + 2) * voxel])
-    return box
+
+
+def object_bounds(scene: Scene, device) -> np.ndarray:
+    """(2, 3) box of the object: view_box, shrunk to the visual hull where the scene has alphas."""
+    box = view_box(scene)
+    return box if scene.alphas is None else Silhouettes(scene, device).bound(box)
 
 
 def camera_array(cameras, origin, device) -> wp.array:

@@ -71,7 +71,7 @@ def _own_contents(field: VoxelField) -> dict:
         "resolution": np.array(field.resolution, np.int32),
         "occupancy": np.packbits(occupied.ravel()),
         "density": field.grid.density.numpy()[order],
-        "sh": _as_half(field.grid.sh.numpy()[order]),
+        "sh": _as_half(field.grid.sh.numpy()[order]),  # (rows, rgb, basis)
     }
     if field.weights is not None:
         contents["weights"] = _as_half(field.weights.numpy()[order])
@@ -92,18 +92,19 @@ def _read_own(contents: dict, path) -> tuple:
     options = {"background": contents.get("background", "white")}
     if "weights" in contents:
         options["weights"] = contents["weights"].astype(np.float32)
-    return contents["bounds"], links, contents["density"].astype(np.float32), contents["sh"].astype(np.float32), options
+    sh = contents["sh"].astype(np.float32).transpose(0, 2, 1)
+    return contents["bounds"], links, contents["density"].astype(np.float32), sh, options
 
 
 def _svox2_contents(field: VoxelField) -> dict:
     half = 0.5 * (field.bounds[1] - field.bounds[0])
-    sh = field.grid.sh.numpy()  # (rows, basis, rgb); svox2 keeps each colour's coefficients together
+    sh = field.grid.sh.numpy()  # (rows, rgb, basis), as svox2 has it
     return {
         "radius": half.astype(np.float32),
         "center": field.center.astype(np.float32),
         "links": field.grid.links.numpy(),
         "density_data": field.grid.density.numpy()[:, None],
-        "sh_data": _as_half(sh.transpose(0, 2, 1).reshape(len(sh), -1)),
+        "sh_data": _as_half(sh.reshape(len(sh), -1)),
         "basis_type": np.array(SVOX2_BASIS_SH),
     }
 

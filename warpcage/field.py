@@ -8,7 +8,7 @@ import warp as wp
 from .arrays import as_host_points, as_points, is_device_array
 from .devices import launch, resolve_device
 from .kernels.grid import VoxelGrid, sample_field
-from .kernels.spherical_harmonics import mat93
+from .kernels.spherical_harmonics import vec9
 from .kernels.volume_render import render_image
 from .scene import parse_background
 from .sparse_grid import link_mask, measure_skip
@@ -28,7 +28,7 @@ class VoxelField:
     bounds: (2, 3) lower and upper corner in world units.
     links: (nx, ny, nz) int32, row of each voxel or -1.
     density: (rows,) float32 per world unit, before the ReLU.
-    sh: (rows, 9, 3) float32, coefficients of each basis function in rgb.
+    sh: (rows, 9, 3) float32, coefficients of each basis function in rgb (or a Warp array (rows, 3) of vec9).
     background: colour behind everything, a name or (3,).
     weights: (rows,) float32 or None, the largest rendering weight that a training ray gave each voxel.
     device: Warp device; None is CUDA where there is one.
@@ -50,9 +50,9 @@ class VoxelField:
 
         links = _on_device(links, wp.int32, self.device)
         density = _on_device(density, wp.float32, self.device)
-        sh = _on_device(sh, mat93, self.device)
-        if density.ndim != 1 or sh.shape != density.shape:
-            raise ValueError(f"density must be (rows,) and sh (rows, 9, 3), got {density.shape} and {sh.shape} rows")
+        sh = _sh_on_device(sh, self.device)
+        if density.ndim != 1 or sh.shape[0] != density.shape[0]:
+            raise ValueError(f"density and sh must have one row a voxel, got {density.shape} and {sh.shape[0]} rows")
         self.weights = None if weights is None else _on_device(weights, wp.float32, self.device)
         if self.weights is not None and self.weights.shape != density.shape:
             raise ValueError(f"weights must be one a row ({density.shape[0]}), got {self.weights.shape}")
@@ -191,7 +191,7 @@ def field_from_mask(bounds, mask: wp.array, density: float, *, background, devic
     links, nodes = link_mask(mask)
     rows = nodes.shape[0]
     field = VoxelField(bounds, links, wp.full(rows, density, dtype=wp.float32, device=device),
-                       wp.zeros(rows, dtype=mat93, device=device), background=background, device=device)
+                       wp.zeros((rows, 3), dtype=vec9, device=device), background=background, device=device)
     return field, nodes
 
 
@@ -207,6 +207,14 @@ def _on_device(array, dtype, device) -> wp.array:
     if isinstance(array, wp.array):
         return array if array.device == device else array.to(device)
     host = np.ascontiguousarray(array, dtype=np.int32 if dtype == wp.int32 else np.float32)
-    if dtype == mat93 and host.ndim == 3 and host.shape[1:] != (BASIS_COUNT, 3):
-        raise ValueError(f"sh must be (rows, 9, 3), got {host.shape}")
     return wp.array(host, dtype=dtype, device=device)
+
+
+def _sh_on_device(sh, device) -> wp.array:
+    """(rows, 3) of vec9 from that on a device, or from NumPy (rows, 9, 3)."""
+    if isinstance(sh, wp.array):
+        return sh if sh.device == device else sh.to(device)
+    host = np.asarray(sh, np.float32)
+    if host.ndim != 3 or host.shape[1:] != (BASIS_COUNT, 3):
+        raise ValueError(f"sh must be (rows, 9, 3), got {host.shape}")
+    return wp.array(np.ascontiguousarray(host.transpose(0, 2, 1)), dtype=vec9, device=device)

@@ -9,17 +9,20 @@ import time
 import numpy as np
 import warp as wp
 
-from .bounds import camera_array, object_bounds, visual_hull
+from .bounds import Silhouettes, camera_array, view_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
 from .field import VoxelField, field_from_mask
 from .kernels import field_loss, field_step, grid_refine
-from .kernels.spherical_harmonics import mat93
+from .kernels.spherical_harmonics import vec9
 from .kernels.volume_render import record_weights
 from .scene import Scene
 from .sparse_grid import link_mask
 
 #: Training marches stop later than renders: what is behind must still learn that it is hidden.
 STOP_TRANSMITTANCE = 1e-4
+
+#: Threads a block of the kernels that hold many registers: small blocks spread more evenly over the processors.
+BLOCK_DIM = 64
 
 #: A CPU thread's own gradients are worth their memory up to this many.
 MAX_SHARDS = 8
@@ -46,7 +49,9 @@ class FitOptions:
     variation_sh: float = 1e-3
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
-    keep_weight: float = 0.01  #: at the end a voxel stays where it, or a neighbour, reaches this rendering weight
+    keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
+    #: this rendering weight
+    keep_at: float = 0.4  #: share of the last level's steps after which that happens first
     random_background: bool = True  #: supervise opacity with random backgrounds where the images have alpha
 
 
@@ -73,8 +78,12 @@ class FieldOptimizer:
         self.level = 0
         self.shards = min(CPU_THREADS, MAX_SHARDS) if self.device.is_cpu else 1
 
-        box = object_bounds(scene, self.device) if bounds is None else np.asarray(bounds, np.float64)
-        self._choose_grid(box)
+        self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
+        if bounds is None:
+            bounds = view_box(scene)
+            if self._silhouettes is not None:
+                bounds = self._silhouettes.bound(bounds)
+        self._choose_grid(np.asarray(bounds, np.float64))
         self._upload_images()
         self._start_level(self._initial_mask(), None)
         self._plan()
@@ -103,9 +112,12 @@ class FieldOptimizer:
         count, height, width = scene.images.shape[:3]
         alphas = np.ones((count, height, width), np.float32) if scene.alphas is None else scene.alphas
         pixels = np.empty((count, height, width, 4), np.float16)
-        for target, image, alpha in zip(pixels, scene.images, alphas, strict=True):
+
+        def pack(target, image, alpha) -> None:
             target[..., :3] = image - (1.0 - alpha[..., None]) * scene.background
             target[..., 3] = alpha
+
+        run_parallel([lambda parts=parts: pack(*parts) for parts in zip(pixels, scene.images, alphas, strict=True)])
         rays = field_loss.TrainingRays()
         rays.cameras = camera_array(scene.cameras, self.bounds.mean(axis=0), self.device)
         rays.pixels = wp.array(pixels, dtype=wp.vec4h, device=self.device)
@@ -119,9 +131,10 @@ class FieldOptimizer:
         self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
 
     def _initial_mask(self) -> wp.array:
-        if self.scene.alphas is None:
+        if self._silhouettes is None:
             return wp.ones(self.shapes[0], dtype=wp.int32, device=self.device)
-        mask = visual_hull(self.scene, self.bounds, self.shapes[0], self.device)
+        mask = self._silhouettes.carve(self.bounds, self.shapes[0])
+        self._silhouettes = None  # its tables are as large as the images
         if not mask.numpy().any():
             raise ValueError("no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas")
         return self._dilated(mask)
@@ -147,11 +160,12 @@ class FieldOptimizer:
         self.field = field
         rows = field.voxel_count
 
-        def zeros(dtype):
-            return wp.zeros(rows, dtype=dtype, device=self.device)
+        def zeros():
+            return (wp.zeros(rows, dtype=wp.float32, device=self.device),
+                    wp.zeros((rows, 3), dtype=vec9, device=self.device))
 
-        self.gradients = [(zeros(wp.float32), zeros(mat93)) for _ in range(self.shards)]
-        self.moments = (zeros(wp.float32), zeros(mat93))
+        self.gradients = [zeros() for _ in range(self.shards)]
+        self.moments = zeros()
         self._activate_tiles()
 
     def _activate_tiles(self) -> None:
@@ -212,6 +226,15 @@ class FieldOptimizer:
         launch(grid_refine.refine_mask, mask.size, [2, pruned], [mask], device=self.device)
         self._start_level(mask, self.field, 2)
 
+    def _thin_out(self) -> None:
+        """Drop what no view shows, and keep the optimiser's state of the rest."""
+        before, moments = self.field, self.moments
+        self._start_level(self._pruned_mask(self.options.keep_weight), before)
+        grid = before.grid
+        grid.density, grid.sh = moments
+        launch(grid_refine.resample_rows, self.field.voxel_count, [grid, 1, self.nodes], list(self.moments),
+               device=self.device)
+
     # Steps
 
     @property
@@ -224,6 +247,8 @@ class FieldOptimizer:
             raise ValueError(f"all {self.total_steps} steps are done")
         if self.level_done and self.level + 1 < self.options.levels:
             self._refine()
+        if self.step_count == self.total_steps - round((1.0 - self.options.keep_at) * self.level_steps[-1]):
+            self._thin_out()
         if self.cursor + self.batch_tiles > self.active_tiles:
             self._shuffle_tiles()
         self.rays.first_tile = self.cursor
@@ -251,27 +276,27 @@ class FieldOptimizer:
             grad_density, grad_sh = self.gradients[index]
             begin, end = (self.batch_rays * i // self.shards for i in (index, index + 1))
             wp.launch(field_loss.accumulate_photometric_gradient, dim=end - begin, inputs=[begin, *photometric],
-                      outputs=[grad_density, grad_sh, self.squared_error], device=self.device)
-            begin, end = (variation_rows * i // self.shards for i in (index, index + 1))
+                      outputs=[grad_density, grad_sh, self.squared_error], device=self.device, block_dim=BLOCK_DIM)
+            begin, end = (3 * (variation_rows * i // self.shards) for i in (index, index + 1))
             if end > begin and (options.variation_density > 0 or options.variation_sh > 0):
                 wp.launch(field_loss.accumulate_variation_gradient, dim=end - begin, inputs=[begin, *variation],
-                          outputs=[grad_density, grad_sh], device=self.device)
+                          outputs=[grad_density, grad_sh], device=self.device, block_dim=BLOCK_DIM)
 
         wp.load_module(field_loss, device=self.device)
         run_parallel([lambda i=i: shard(i) for i in range(self.shards)], self.shards)
 
     def _apply_gradients(self) -> None:
         options, field = self.options, self.field
-        rows = field.voxel_count
-        total_density, total_sh = self.gradients[0]
-        for other in self.gradients[1:]:
-            launch(field_step.add_gradients, rows, list(other), [total_density, total_sh], device=self.device)
         progress = self.step_count / max(1, self.total_steps - 1)
         voxel = float(field.voxel_size.max())
-        rate_density = _log_interpolate(options.rate_density, options.rate_density_end, progress) / voxel
-        rate_sh = _log_interpolate(options.rate_sh, options.rate_sh_end, progress)
-        launch(field_step.apply_rmsprop, rows, [rate_density, rate_sh, options.beta, 1e-12, total_density, total_sh,
-                                                *self.moments], [field.grid.density, field.grid.sh], device=self.device)
+        rates = (_log_interpolate(options.rate_density, options.rate_density_end, progress) / voxel,
+                 _log_interpolate(options.rate_sh, options.rate_sh_end, progress))
+        for index, (rate, values) in enumerate(zip(rates, (field.grid.density, field.grid.sh), strict=True)):
+            total, *others = (_flat(gradients[index]) for gradients in self.gradients)
+            for other in others:
+                launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
+            inputs = [rate, options.beta, 1e-12, total, _flat(self.moments[index])]
+            launch(field_step.apply_rmsprop, total.size, inputs, [_flat(values)], device=self.device)
 
     def measure_psnr(self) -> float:
         """PSNR in dB of the last batch, over all pixels of the images: those that see no voxel count as right."""
@@ -313,6 +338,12 @@ def fit(scene: Scene, *, device=None, seed: int = 0, progress: bool = True, boun
                 bar.set_postfix_str(f"{optimizer.measure_psnr():.2f} dB at {size}")
     optimizer.measure_psnr()
     return optimizer.finish()
+
+
+def _flat(array: wp.array) -> wp.array:
+    """The numbers of an array of vectors, one after another, without a copy."""
+    count = array.size * (9 if array.dtype == vec9 else 1)
+    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=count, device=array.device, copy=False)
 
 
 def _log_interpolate(start: float, end: float, progress: float) -> float:
