@@ -14,11 +14,14 @@ from .scene import Scene
 #: Alpha above which a pixel counts as part of the object (of 1).
 OPAQUE = 0.5 / 255
 
+#: Where all cameras look the same way, the object is taken to be this many times their largest spread ahead.
+PARALLEL_DISTANCE = 4.0
+
 
 def view_box(scene: Scene) -> np.ndarray:
     """(2, 3) a cube around what the cameras look at.
 
-    Its centre is the point nearest to all optical axes (least squares; the mean of what they look at where they are
+    Its centre is the point nearest to all optical axes (least squares; ahead of the cameras where those are
     parallel), its half side the largest radius that most cameras see whole, at most their distance to the centre.
     """
     centres = np.stack([camera.centre for camera in scene.cameras])
@@ -27,8 +30,9 @@ def view_box(scene: Scene) -> np.ndarray:
     system = across.sum(axis=0)
     if np.linalg.cond(system) < 1e6:
         centre = np.linalg.solve(system, (across @ centres[:, :, None])[..., 0].sum(axis=0))
-    else:  # one camera, or parallel ones: nothing says how far the object is, so take a unit distance
-        centre = (centres + axes).mean(axis=0)
+    else:  # one camera, or parallel ones: how far the object is nobody says, so go by how far apart they are
+        spread = float(np.ptp(centres, axis=0).max())
+        centre = (centres + axes * (PARALLEL_DISTANCE * spread if spread > 0 else 1.0)).mean(axis=0)
     distance = np.linalg.norm(centres - centre, axis=1)
     tangent = np.array([max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in scene.cameras])
     # an object that fills the image's longer side at that distance
@@ -83,9 +87,14 @@ class Silhouettes:
 
 
 def object_bounds(scene: Scene, device) -> np.ndarray:
-    """(2, 3) box of the object: view_box, shrunk to the visual hull where the scene has alphas."""
-    box = view_box(scene)
+    """(2, 3) box of the object: `scene_box`, shrunk to the visual hull where the scene has alphas."""
+    box = scene_box(scene)
     return box if scene.alphas is None else Silhouettes(scene, device).bound(box)
+
+
+def scene_box(scene: Scene) -> np.ndarray:
+    """(2, 3) the bounds that the scene's files give, or else view_box."""
+    return view_box(scene) if getattr(scene, "bounds", None) is None else scene.bounds
 
 
 def camera_array(cameras, origin, device) -> wp.array:

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import warp as wp
 
-from .bounds import Silhouettes, camera_array, view_box
+from .bounds import Silhouettes, camera_array, scene_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
 from .field import VoxelField, field_from_mask
 from .kernels import field_loss, field_step, grid_refine
@@ -80,7 +80,7 @@ class FieldOptimizer:
 
         self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
-            bounds = view_box(scene)
+            bounds = scene_box(scene)
             if self._silhouettes is not None:
                 bounds = self._silhouettes.bound(bounds)
         self._choose_grid(np.asarray(bounds, np.float64))
@@ -291,11 +291,12 @@ class FieldOptimizer:
         voxel = float(field.voxel_size.max())
         rates = (_log_interpolate(options.rate_density, options.rate_density_end, progress) / voxel,
                  _log_interpolate(options.rate_sh, options.rate_sh_end, progress))
-        for index, (rate, values) in enumerate(zip(rates, (field.grid.density, field.grid.sh), strict=True)):
+        epsilons = (1e-12 * voxel, 1e-12)  # a density's gradient is a length
+        for index, values in enumerate((field.grid.density, field.grid.sh)):
             total, *others = (_flat(gradients[index]) for gradients in self.gradients)
             for other in others:
                 launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
-            inputs = [rate, options.beta, 1e-12, total, _flat(self.moments[index])]
+            inputs = [rates[index], options.beta, epsilons[index], total, _flat(self.moments[index])]
             launch(field_step.apply_rmsprop, total.size, inputs, [_flat(values)], device=self.device)
 
     def measure_psnr(self) -> float:
