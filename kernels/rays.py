@@ -29,6 +29,16 @@ def pixel_direction(camera: PinholeCamera, column: int, row: int):
 
 
 @wp.func
+def tiled_pixel(camera: PinholeCamera, n: int):
+    """(column, row) of the n-th thread of an image whose pixels are taken in tiles of 8x4, one a warp: its rays stay
+    together. Pixels of the last tiles may lie beyond the image; tiled_count threads cover all."""
+    tiles = (camera.width + 7) // 8
+    tile = n // 32
+    within = n % 32
+    return wp.vec2i(tile % tiles * 8 + within % 8, tile // tiles * 4 + within // 8)
+
+
+@wp.func
 def box_span(origin: wp.vec3, direction: wp.vec3, lower: wp.vec3, upper: wp.vec3):
     """Distances (near, far) at which a ray from `origin` is inside a box, near >= 0; near >= far where it misses."""
     near = float(0.0)

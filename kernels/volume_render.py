@@ -9,7 +9,7 @@ Siblings: grid, rays, spherical_harmonics.
 import warp as wp
 
 from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
-from .rays import PinholeCamera, box_span, pixel_direction
+from .rays import PinholeCamera, box_span, pixel_direction, tiled_pixel
 from .spherical_harmonics import sh_basis
 
 wp.set_module_options({"enable_backward": False})
@@ -95,9 +95,13 @@ def render_image(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
-    """One thread a pixel, row by row; outputs (h * w,). depth: expected distance along the ray, inf where empty."""
-    n = first + wp.tid()
-    direction = pixel_direction(camera, n % camera.width, n // camera.width)
+    """One thread a pixel, in the order of rays.tiled_pixel; outputs (h * w,) row by row. depth: expected distance along
+    the ray, inf where empty."""
+    pixel = tiled_pixel(camera, first + wp.tid())
+    if pixel[0] >= camera.width or pixel[1] >= camera.height:
+        return
+    n = pixel[1] * camera.width + pixel[0]
+    direction = pixel_direction(camera, pixel[0], pixel[1])
     seen = march(grid, camera.centre, direction, step, stop)
     opacity = 1.0 - seen.transmittance
     rgb[n] = seen.colour + seen.transmittance * background

@@ -1,5 +1,9 @@
 """Gradients against finite differences, the optimiser's step against NumPy, and small fits."""
 
+import pathlib
+import subprocess
+import sys
+
 import field_oracles as oracle
 import numpy as np
 import pytest
@@ -221,7 +225,8 @@ def test_optimizer_counts_steps_and_refuses_more():
 
 
 @pytest.mark.parametrize("options, word", [({"epoch": 3}, "no option 'epoch'"), ({"resolution": 2}, "resolution"),
-                                           ({"levels": 0}, "levels"), ({"epochs": 0}, "epochs")])
+                                           ({"levels": 0}, "levels"), ({"epochs": 0}, "epochs"),
+                                           ({"quality": "best"}, "quality")])
 def test_bad_options(options, word):
     with pytest.raises(ValueError, match=word):
         warpcage.fit(blob_scene(count=2, size=8), progress=False, **options)
@@ -244,3 +249,53 @@ def test_lego_at_a_tenth_of_the_effort(real_data):
     test = warpcage.load_scene(real_data / "lego_800", split="test", downscale=16)
     field = warpcage.fit(scene, progress=False, epochs=4)
     assert mean_psnr(evaluate(field, test)) > 25
+
+
+KILLED = """
+import os, signal, sys
+import test_optimize as t
+import warpcage
+from warpcage import fit_progress
+saves = []
+write = fit_progress.save_progress
+def save_then_die(optimizer, path):
+    write(optimizer, path)
+    saves.append(path)
+    if len(saves) == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+fit_progress.save_progress = save_then_die
+warpcage.fit(t.blob_scene(count=12, size=24, device="cpu"), device="cpu", progress=False, checkpoint=sys.argv[1],
+             checkpoint_seconds=0.0, **t.RESUMED)
+"""
+
+RESUMED = {"resolution": 24, "levels": 2, "epochs": 12, "batch_rays": 512}
+
+
+def test_a_killed_fit_goes_on_from_its_checkpoint(tmp_path):
+    checkpoint = tmp_path / "progress.npz"
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(checkpoint)], cwd=pathlib.Path(__file__).parent,
+                            capture_output=True, timeout=120)
+    assert killed.returncode == -9, killed.stderr.decode()
+    assert [p.name for p in tmp_path.iterdir()] == ["progress.npz"]
+    scene = blob_scene(count=12, size=24, device="cpu")
+    resumed = warpcage.fit(scene, device="cpu", progress=False, checkpoint=checkpoint, **RESUMED)
+    assert not checkpoint.exists()
+    through = warpcage.fit(scene, device="cpu", progress=False, **RESUMED)
+    assert abs(mean_psnr(evaluate(resumed, scene)) - mean_psnr(evaluate(through, scene))) < 0.05
+
+
+def test_checkpoints_of_other_fits_are_refused(tmp_path):
+    from warpcage.fit_progress import load_progress, save_progress
+
+    scene = blob_scene(count=4, size=16)
+    optimizer = FieldOptimizer(scene, resolution=16, levels=1, batch_rays=256)
+    optimizer.step()
+    save_progress(optimizer, tmp_path / "c.npz")
+    load_progress(FieldOptimizer(scene, resolution=16, levels=1, batch_rays=256), tmp_path / "c.npz")
+    with pytest.raises(ValueError, match="another fit"):
+        load_progress(FieldOptimizer(scene, resolution=16, levels=1, batch_rays=256, seed=1), tmp_path / "c.npz")
+    np.savez(tmp_path / "d.npz", a=1)
+    with pytest.raises(ValueError, match="no fit checkpoint"):
+        load_progress(optimizer, tmp_path / "d.npz")
+    with pytest.raises(ValueError, match="ends in .npz"):
+        warpcage.fit(scene, progress=False, checkpoint=tmp_path / "c.pt")

@@ -30,18 +30,20 @@ def resolve_device(device=None) -> wp.Device:
         raise ValueError(f"device {str(device)!r} is not there: this machine has {present}") from error
 
 
-def launch(kernel: wp.Kernel, count: int, inputs, outputs=(), *, device, threads: int | None = None) -> None:
+def launch(kernel: wp.Kernel, count: int, inputs, outputs=(), *, device, threads: int | None = None,
+           block_dim: int = 256) -> None:
     """Launch a one-dimensional kernel whose first parameter is `first`, the index of this launch's first item.
 
-    On CUDA it is one launch with `first` = 0. On the CPU the items are cut into chunks that run on `threads` threads
-    (default CPU_THREADS), so outputs of different items must be disjoint: no atomics across items there.
+    On CUDA it is one launch with `first` = 0, in blocks of `block_dim`. On the CPU the items are cut into chunks that
+    run on `threads` threads (default CPU_THREADS), so outputs of different items must be disjoint: no atomics across
+    items there.
     """
     device = wp.get_device(device)
     if count <= 0:
         return
     threads = CPU_THREADS if threads is None else threads
     if not device.is_cpu or threads <= 1 or count < 2 * threads:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device)
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device, block_dim=block_dim)
         return
 
     wp.load_module(kernel.module, device=device)  # before the threads, so that it is compiled once

@@ -16,6 +16,9 @@ from .sparse_grid import link_mask, measure_skip
 #: A march ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-3
 
+#: Threads a block of a render on CUDA.
+RENDER_BLOCK_DIM = 128
+
 BASIS_COUNT = 9
 
 
@@ -141,7 +144,8 @@ class VoxelField:
         depth = wp.empty(count, dtype=wp.float32, device=self.device)
         behind = wp.vec3(*map(float, background))
         inputs = [self.grid, camera_struct(camera, self.center), behind, step, STOP_TRANSMITTANCE]
-        launch(render_image, count, inputs, [rgb, alpha, depth], device=self.device)
+        threads = -(-camera.width // 8) * -(-camera.height // 4) * 32  # whole tiles
+        launch(render_image, threads, inputs, [rgb, alpha, depth], device=self.device, block_dim=RENDER_BLOCK_DIM)
         return Frame(camera.width, camera.height, rgb, alpha, depth)
 
     def extract_mesh(self, *, threshold: float | None = None, components: str = "largest"):

@@ -7,8 +7,11 @@ import os
 
 def free_bytes(device) -> int:
     """Bytes that can still be allocated on a device; for the CPU what the system says, or all there is."""
-    if not device.is_cpu:
-        return device.free_memory
+    return free_host_bytes() if device.is_cpu else device.free_memory
+
+
+def free_host_bytes() -> int:
+    """Bytes of main memory that can still be allocated; where the system does not say, all there is."""
     try:
         with open("/proc/meminfo") as lines:
             for line in lines:

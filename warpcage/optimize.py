@@ -36,7 +36,7 @@ class FitOptions:
     max_resolution: int = 512
     footprint: float = 0.7  #: voxel side over a pixel's footprint at the object, where resolution is None
     levels: int = 3  #: the resolution doubles from level to level
-    level_shares: tuple[float, ...] = (0.12, 0.28, 0.60)  #: of all rays, coarse to fine
+    level_growth: float = 2.2  #: each level gets this many times the rays of the one before
     epochs: float = 8.0  #: passes over the pixels that see the object
     batch_rays: int | None = None  #: None follows the number of pixels
     tile_size: int = 2  #: a batch is made of square tiles of this many pixels, neighbours share voxels
@@ -55,13 +55,21 @@ class FitOptions:
     random_background: bool = True  #: supervise opacity with random backgrounds where the images have alpha
 
 
+#: What `quality` stands for, over the defaults.
+QUALITIES = {
+    "fast": {"epochs": 3.0},
+    "standard": {},
+    "high": {"epochs": 16.0, "max_resolution": 720, "variation_density": 2e-5, "variation_sh": 2e-3},
+}
+
+
 class FieldOptimizer:
     """Plenoxels' optimisation of a VoxelField, step by step: coarse to fine, RMSProp, total variation, pruning by
     rendering weight (Fridovich-Keil and Yu et al. 2022, section 3).
 
     scene: Scene. device: Warp device, None is CUDA where there is one. seed: of the pixel order and the backgrounds;
     on the CPU the same seed, scene and number of cores give the same field to the bit. bounds: (2, 3) world units, None
-    finds the object. options: FitOptions fields by name.
+    finds the object. options: quality, and FitOptions fields by name, which come before it.
 
     Use `fit` unless you need the steps. `.field` is the field so far, `.psnr` of the last measured batch,
     `.step_count` of `.total_steps`. Raises ValueError for options out of range or a scene with nothing in it.
@@ -72,6 +80,8 @@ class FieldOptimizer:
         self.options = _checked_options(options)
         self.device = resolve_device(device)
         self.seed = int(seed)
+        self.given = {"seed": self.seed, "bounds": None if bounds is None else np.asarray(bounds, np.float64).tolist(),
+                      **dataclasses.asdict(self.options)}
         self.random = np.random.default_rng(self.seed)
         self.psnr = float("nan")
         self.step_count = 0
@@ -86,6 +96,8 @@ class FieldOptimizer:
         self._choose_grid(np.asarray(bounds, np.float64))
         self._upload_images()
         self._start_level(self._initial_mask(), None)
+        self._allocate_state()
+        self._activate_tiles()
         self._plan()
 
     # Set-up
@@ -141,7 +153,7 @@ class FieldOptimizer:
 
     def _plan(self) -> None:
         options = self.options
-        shares = np.asarray(options.level_shares[-options.levels:], np.float64)
+        shares = options.level_growth ** np.arange(options.levels)
         shares = shares / shares.sum()
         steps = options.epochs * self.active_tiles / self.batch_tiles
         self.level_steps = [max(1, round(float(share) * steps)) for share in shares]
@@ -150,7 +162,8 @@ class FieldOptimizer:
     # Levels
 
     def _start_level(self, mask: wp.array, coarse: VoxelField | None, factor: int = 1) -> None:
-        """Allocate the rows of a mask, filled from a coarser field where there is one, with optimiser state."""
+        """A field of the rows of a mask, filled from a coarser one where there is one. What the optimiser held goes."""
+        self.gradients = self.moments = None
         start_density = 0.1 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
         field, self.nodes = field_from_mask(self.bounds, mask, start_density, background=self.scene.background,
                                             device=self.device)
@@ -158,7 +171,9 @@ class FieldOptimizer:
             launch(grid_refine.resample_rows, field.voxel_count, [coarse.grid, factor, self.nodes],
                    [field.grid.density, field.grid.sh], device=self.device)
         self.field = field
-        rows = field.voxel_count
+
+    def _allocate_state(self) -> None:
+        rows = self.field.voxel_count
 
         def zeros():
             return (wp.zeros(rows, dtype=wp.float32, device=self.device),
@@ -166,7 +181,6 @@ class FieldOptimizer:
 
         self.gradients = [zeros() for _ in range(self.shards)]
         self.moments = zeros()
-        self._activate_tiles()
 
     def _activate_tiles(self) -> None:
         active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
@@ -225,11 +239,21 @@ class FieldOptimizer:
         mask = wp.empty(self.shapes[self.level], dtype=wp.int32, device=self.device)
         launch(grid_refine.refine_mask, mask.size, [2, pruned], [mask], device=self.device)
         self._start_level(mask, self.field, 2)
+        self._allocate_state()
+        self._activate_tiles()
+
+    def restore_field(self, mask: wp.array) -> None:
+        """Rows for a mask, with fresh optimiser state: what a checkpoint fills."""
+        self._start_level(mask, None)
+        self._allocate_state()
+        self._activate_tiles()
 
     def _thin_out(self) -> None:
         """Drop what no view shows, and keep the optimiser's state of the rest."""
         before, moments = self.field, self.moments
         self._start_level(self._pruned_mask(self.options.keep_weight), before)
+        self._allocate_state()
+        self._activate_tiles()
         grid = before.grid
         grid.density, grid.sh = moments
         launch(grid_refine.resample_rows, self.field.voxel_count, [grid, 1, self.nodes], list(self.moments),
@@ -261,7 +285,7 @@ class FieldOptimizer:
         options, field = self.options, self.field
         random_background = int(options.random_background and self.scene.alphas is not None)
         photometric = [field.grid, self.rays, wp.vec3(*map(float, field.background)), random_background,
-                       self.seed * 1_000_003 + self.step_count, field.step, STOP_TRANSMITTANCE,
+                       (self.seed * 1_000_003 + self.step_count) % (2**31 - 1), field.step, STOP_TRANSMITTANCE,
                        1.0 / (3.0 * self.batch_rays)]
         cells = float(np.prod(field.resolution))
         scale = max(field.resolution) / 256.0
@@ -316,20 +340,30 @@ class FieldOptimizer:
         return self.field
 
 
-def fit(scene: Scene, *, device=None, seed: int = 0, progress: bool = True, bounds=None, **options) -> VoxelField:
+def fit(scene: Scene, *, quality: str = "standard", device=None, seed: int = 0, progress: bool = True, bounds=None,
+        checkpoint=None, checkpoint_seconds: float = 60.0, **options) -> VoxelField:
     """Optimise a VoxelField from a Scene.
 
+    quality: "fast", "standard" or "high" (see QUALITIES and the README for times and dB).
     device: Warp device, None is CUDA where there is one. seed: see FieldOptimizer. progress: a bar with the PSNR of the
     last batch. bounds: (2, 3) world units of the object, None finds it (visual hull where the images have alpha).
+    checkpoint: file (.npz) that holds the progress, written every checkpoint_seconds, whole or not at all. Where it is
+    there already the fit goes on from it; when the fit is done it is removed.
     options: FitOptions fields by name, e.g. resolution=256, epochs=12.
 
-    Raises ValueError for a scene with nothing in it or options out of range.
+    Raises ValueError for a scene with nothing in it, options out of range, or a checkpoint of another scene or options.
     """
     from tqdm import tqdm
 
-    optimizer = FieldOptimizer(scene, device=device, seed=seed, bounds=bounds, **options)
-    with tqdm(total=optimizer.total_steps, desc="fit", disable=not progress) as bar:
-        shown = time.monotonic()
+    from .fit_progress import load_progress, require_writable, save_progress
+
+    if checkpoint is not None:
+        checkpoint = require_writable(checkpoint)
+    optimizer = FieldOptimizer(scene, device=device, seed=seed, bounds=bounds, quality=quality, **options)
+    if checkpoint is not None and checkpoint.exists():
+        load_progress(optimizer, checkpoint)
+    with tqdm(total=optimizer.total_steps, initial=optimizer.step_count, desc="fit", disable=not progress) as bar:
+        shown = saved = time.monotonic()
         while optimizer.step_count < optimizer.total_steps:
             optimizer.step()
             bar.update()
@@ -337,8 +371,14 @@ def fit(scene: Scene, *, device=None, seed: int = 0, progress: bool = True, boun
                 shown = time.monotonic()
                 size = "x".join(str(n) for n in optimizer.field.resolution)
                 bar.set_postfix_str(f"{optimizer.measure_psnr():.2f} dB at {size}")
+            if checkpoint is not None and time.monotonic() - saved > checkpoint_seconds:
+                save_progress(optimizer, checkpoint)
+                saved = time.monotonic()
     optimizer.measure_psnr()
-    return optimizer.finish()
+    field = optimizer.finish()
+    if checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
+    return field
 
 
 def _flat(array: wp.array) -> wp.array:
@@ -352,16 +392,21 @@ def _log_interpolate(start: float, end: float, progress: float) -> float:
 
 
 def _checked_options(options: dict) -> FitOptions:
-    names = {field.name for field in dataclasses.fields(FitOptions)}
+    options = dict(options)
+    names = {field.name for field in dataclasses.fields(FitOptions)} | {"quality"}
     unknown = sorted(set(options) - names)
     if unknown:
         raise ValueError(f"fit has no option {unknown[0]!r}; it has {', '.join(sorted(names))}")
-    checked = FitOptions(**options)
+    quality = options.pop("quality", "standard")
+    if quality not in QUALITIES:
+        raise ValueError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
+    checked = FitOptions(**{**QUALITIES[quality], **options})
     if checked.resolution is not None and not 8 <= checked.resolution <= 2048:
         raise ValueError(f"resolution must lie between 8 and 2048 voxels, got {checked.resolution}")
-    if not 1 <= checked.levels <= len(checked.level_shares):
-        raise ValueError(f"levels must lie between 1 and {len(checked.level_shares)}, got {checked.levels}")
-    for name in ("epochs", "tile_size", "rate_density", "rate_density_end", "rate_sh", "rate_sh_end", "footprint"):
+    if not 1 <= checked.levels <= 6:
+        raise ValueError(f"levels must lie between 1 and 6, got {checked.levels}")
+    for name in ("epochs", "tile_size", "rate_density", "rate_density_end", "rate_sh", "rate_sh_end", "footprint",
+                 "level_growth"):
         if not getattr(checked, name) > 0:
             raise ValueError(f"{name} must be positive, got {getattr(checked, name)}")
     return checked
