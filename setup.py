@@ -22,8 +22,8 @@ setup(
         "tqdm>=4.66",
     ],
     extras_require={
-        "test": ["pytest>=8.0", "scipy>=1.11"],
-        "dev": ["pytest>=8.0", "scipy>=1.11", "ruff>=0.6"],
+        "test": ["pytest>=8.0", "hypothesis>=6.100", "scipy>=1.11"],
+        "dev": ["pytest>=8.0", "hypothesis>=6.100", "scipy>=1.11", "ruff>=0.6"],
     },
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[

@@ -4,7 +4,9 @@
     python benchmarks/coordinates.py --device cpu --resolution 64 128 --runs 3
 
 A map is what `PositionMap.pose` does, host and device: lattice, distances, coordinates on the deformed cage, and the
-extension beyond it. Median of warm runs, alternating between two poses so that nothing is reused.
+extension beyond it; on CUDA one graph. Median of warm runs, alternating between two poses, each a new Cage so that its
+checks are paid for as well. Memory is what the map's buffers hold. On a CPU the ratio to one thread is printed, at the
+lowest resolution. Several vertex counts show how the cost grows.
 """
 
 import argparse
@@ -39,7 +41,7 @@ def main() -> None:
     parser.add_argument("--vertices", type=int, nargs="*", default=[42])
     parser.add_argument("--cage", nargs="*", default=[], help="cage files instead (where pymeshlab is missing)")
     parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--points", type=int, default=1_000_000, help="for the closed forms")
+    parser.add_argument("--points", type=int, default=4_000_000, help="for the closed forms")
     parser.add_argument("--json")
     args = parser.parse_args()
     wp.config.quiet = True
@@ -55,12 +57,19 @@ def main() -> None:
 
                 def pose(position_map=position_map, poses=poses, turn=turn):
                     turn[0] += 1
-                    position_map.pose(poses[turn[0] % 2])
+                    deformed = poses[turn[0] % 2]
+                    position_map.pose(deformed.with_vertices(deformed.vertices))
 
                 seconds = median_seconds(pose, device, runs=args.runs)
                 rows.append({"kind": kind, "resolution": resolution, "vertices": len(rest.vertices),
                              "faces": len(rest.faces), "milliseconds": round(1e3 * seconds, 3),
-                             "cycles": position_map.cycles, "nodes": position_map.lattice.node_count})
+                             "cycles": position_map.cycles, "nodes": position_map.lattice.node_count,
+                             "megabytes": round(position_map.lattice.buffers.bytes / 1e6, 1)})
+                if device.is_cpu and resolution == min(args.resolution):
+                    threads, warpcage.devices.CPU_THREADS = warpcage.devices.CPU_THREADS, 1
+                    alone = median_seconds(pose, device, runs=max(3, args.runs // 4))
+                    warpcage.devices.CPU_THREADS = threads
+                    rows[-1]["times_one_thread"] = round(alone / seconds, 2)
                 print(rows[-1], flush=True)
         random = np.random.default_rng(0)
         points = wp.array(random.uniform(-0.3, 0.3, (args.points, 3)), dtype=wp.vec3, device=device)

@@ -1,10 +1,13 @@
-"""Time of a canonical frame, a deformed frame with its lattice ready, and a new pose with its frame.
+"""Time of a canonical frame, a deformed frame with its lattice ready, a new pose with its frame, and posing in a loop.
 
     python benchmarks/deformed_render.py --field field.npz --cage cage.obj --device cuda:0 --json render.json
+
+The kernels behind a frame and a pose are listed with --profile (CUDA only); NOTES-render.md holds what was found.
 """
 
 import argparse
 import json
+import time
 
 import warp as wp
 from timing import median_seconds
@@ -13,6 +16,50 @@ import warpcage
 
 
 def main() -> None:
+    args = parse_arguments()
+    wp.config.quiet = True
+    device = warpcage.devices.resolve_device(args.device)
+    field = warpcage.VoxelField.load(args.field, device=device)
+    rest = warpcage.Cage.load(args.cage)
+    camera = warpcage.turntable(field.center, 4.03, 30, 1, fov_degrees=39.6, width=args.size, height=args.size,
+                                start_degrees=30)[0]
+    rows = []
+
+    def report(what, seconds, **more):
+        rows.append({"what": what, "milliseconds": round(1e3 * seconds, 3), **more})
+        print(rows[-1], flush=True)
+
+    report("canonical frame", median_seconds(lambda: field.render(camera), device, runs=args.runs))
+    poses = [rest.bend(share * args.bend, axis="y", towards="z") for share in (1.0, 0.8)]
+    for kind in args.kinds:
+        deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution).pose(poses[0])
+        report("frame, lattice ready", median_seconds(lambda d=deformer: d.render(camera), device, runs=args.runs),
+               kind=kind)
+        cycle = Cycle(deformer, poses)
+        report("pose", median_seconds(cycle.pose, device, runs=args.runs), kind=kind)
+        report("pose and frame", median_seconds(lambda c=cycle: c.pose().render(camera), device, runs=args.runs),
+               kind=kind)
+        if device.is_cuda:
+            seconds = posing_loop(deformer, rest, camera, args)
+            report("posing in a loop", seconds, kind=kind, frames_a_second=round(1 / seconds, 1))
+        if args.profile and device.is_cuda:
+            profile(lambda c=cycle: c.pose().render(camera))
+        if args.bake:
+            report("bake", median_seconds(lambda d=deformer: warpcage.bake(d), device, runs=1), kind=kind)
+            baked = warpcage.bake(deformer)
+            live = deformer.render(camera).rgb
+            print({"bake": repr(baked), "psnr": round(float(warpcage.psnr(baked.render(camera).rgb, live)), 2)})
+            report("frame of the baked field", median_seconds(lambda b=baked: b.render(camera), device, runs=args.runs),
+                   kind=kind)
+    peak = wp.get_mempool_used_mem_high(device) if device.is_cuda else None
+    print({"peak_device_bytes": peak})
+    if args.json:
+        with open(args.json, "w", encoding="utf-8") as file:
+            json.dump({"device": device.name, "warp": wp.__version__, "voxels": field.voxel_count, "size": args.size,
+                       "resolution": args.resolution, "peak_device_bytes": peak, "rows": rows}, file, indent=1)
+
+
+def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--field", required=True)
     parser.add_argument("--cage", required=True)
@@ -21,39 +68,51 @@ def main() -> None:
     parser.add_argument("--resolution", type=int, default=128)
     parser.add_argument("--bend", type=float, default=45.0)
     parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--kinds", nargs="+", default=["harmonic", "mean_value", "green"])
+    parser.add_argument("--profile", action="store_true", help="list the kernels of a pose and its frame")
+    parser.add_argument("--bake", action="store_true", help="bake the pose too, and compare with the live frame")
     parser.add_argument("--json")
-    args = parser.parse_args()
-    wp.config.quiet = True
-    device = warpcage.devices.resolve_device(args.device)
-    field = warpcage.VoxelField.load(args.field, device=device)
-    rest = warpcage.Cage.load(args.cage)
-    poses = [rest.bend(args.bend, axis="y", towards="z"), rest.bend(0.8 * args.bend, axis="y", towards="z")]
-    camera = warpcage.turntable(field.center, 4.03, 30, 1, fov_degrees=39.6, width=args.size, height=args.size,
-                                start_degrees=30)[0]
-    rows = [{"what": "canonical frame",
-             "milliseconds": 1e3 * median_seconds(lambda: field.render(camera), device, runs=args.runs)}]
-    print(rows[-1], flush=True)
-    for kind in ("harmonic", "mean_value", "green"):
-        deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution).pose(poses[0])
-        frame = median_seconds(lambda deformer=deformer: deformer.render(camera), device, runs=args.runs)
-        turn = [0]
+    return parser.parse_args()
 
-        def pose(deformer=deformer, turn=turn):
-            turn[0] += 1
-            deformer.pose(poses[turn[0] % 2])
 
-        posing = median_seconds(pose, device, runs=args.runs)
-        both = median_seconds(lambda pose=pose, deformer=deformer: (pose(), deformer.render(camera)), device,
-                              runs=args.runs)
-        for what, seconds in (("frame, lattice ready", frame), ("pose", posing), ("pose and frame", both)):
-            rows.append({"what": what, "kind": kind, "milliseconds": round(1e3 * seconds, 3)})
-            print(rows[-1], flush=True)
-    if device.is_cuda:
-        print({"peak_device_bytes": wp.get_mempool_used_mem_high(device)})
-    if args.json:
-        with open(args.json, "w", encoding="utf-8") as file:
-            json.dump({"device": device.name, "warp": wp.__version__, "voxels": field.voxel_count, "size": args.size,
-                       "resolution": args.resolution, "rows": rows}, file, indent=1)
+class Cycle:
+    """Poses by turns, so that each is a new one."""
+
+    def __init__(self, deformer, poses):
+        self.deformer, self.poses, self.turn = deformer, poses, 0
+
+    def pose(self):
+        self.turn += 1
+        return self.deformer.pose(self.poses[self.turn % len(self.poses)])
+
+
+def posing_loop(deformer, rest, camera, args, count: int = 60) -> float:
+    """Seconds a frame of a bend that swings, each frame a new pose, cages made beforehand. The device may run behind
+    the host within the loop, as it would in a viewer; the solver's cycles replay CUDA graphs."""
+    cages = [rest.bend(args.bend * (0.5 + 0.5 * k / count), axis="y", towards="z") for k in range(count)]
+    for cage in cages[:3]:
+        deformer.pose(cage).render(camera)
+    wp.synchronize_device(deformer.device)
+    begin = time.perf_counter()
+    for cage in cages:
+        deformer.pose(cage).render(camera)
+    wp.synchronize_device(deformer.device)
+    return (time.perf_counter() - begin) / count
+
+
+def profile(action) -> None:
+    """Print the device time of each kernel of action()."""
+    action()
+    with wp.ScopedTimer("kernels", cuda_filter=wp.TIMING_KERNEL | wp.TIMING_MEMCPY | wp.TIMING_MEMSET | wp.TIMING_GRAPH,
+                        print=False) as timer:
+        action()
+    totals: dict[str, list] = {}
+    for result in timer.timing_results:
+        entry = totals.setdefault(result.name, [0, 0.0])
+        entry[0] += 1
+        entry[1] += result.elapsed
+    for name, (number, milliseconds) in sorted(totals.items(), key=lambda item: -item[1][1]):
+        print(f"  {milliseconds:8.3f} ms {number:4d} {name}")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from .cage_map import CageMap, map_distance, map_position
+from .cage_map import CageMap, cell_sides, corner_share, map_distance
 from .containment import cage_distance, winding_number
 from .green import green_position
 from .mean_value import mean_value_position
@@ -27,11 +27,16 @@ UNCHANGED = wp.constant(0)
 CLEARED = wp.constant(1)
 MAPPED = wp.constant(2)
 
-#: Flags of a lattice cell: all in the deformed cage, all out of it, all mapped into the rest cage, turned over.
+#: Flags of a lattice cell: all in the deformed cage, all out of it, all mapped into the rest cage, turned over, and
+#: steps that may be longer in canonical space than CUT_LENGTH times their length.
 CELL_INSIDE = wp.constant(1)
 CELL_OUTSIDE = wp.constant(2)
 CELL_STAYS = wp.constant(4)
 CELL_FOLDED = wp.constant(8)
+CELL_STEEP = wp.constant(16)
+
+#: A sample that is this many steps long in canonical space is cut into several.
+CUT_LENGTH = wp.constant(1.5)
 
 #: Part of a step that the finite difference falls back to where neither neighbour shares the point's cage.
 SHORT_DIFFERENCE = wp.constant(0.0625)
@@ -74,57 +79,115 @@ class ClosedFormEdit:
 
 
 @wp.struct
+class EditPoint:
+    """What one edit says of a point."""
+
+    position: wp.vec3  # in the rest cage where `mapped`, else as it was
+    mapped: int  # 1: the point is in the deformed cage
+    leaves: int  # 1: the map sends it out of the rest cage
+    flags: int  # CELL_... of the lattice cell that mapped it
+
+
+@wp.struct
 class CanonicalPoint:
     position: wp.vec3
     region: int  # UNCHANGED, CLEARED or MAPPED
     path: int  # bit e is set where edit e mapped the point
     vacant: int  # 1: nothing is there, whatever the field holds at `position`
     outside: int  # 1: a map sent the point out of its rest cage
+    flags: int  # CELL_... of all cells that mapped the point, joined
+
+
+@wp.struct
+class LatticeCell:
+    """The cell of a point on an edit's lattice."""
+
+    i: int
+    j: int
+    k: int
+    offset: wp.vec3  # place in the cell, 0 to 1
+    flags: int
 
 
 @wp.func
-def cell_flags(edit: LatticeEdit, x: wp.vec3):
-    """Flags of the lattice cell of a point; CELL_OUTSIDE beside the lattice."""
+def lattice_cell(edit: LatticeEdit, x: wp.vec3):
+    """Cell and flags of a point; CELL_OUTSIDE (and no cell) beside the lattice."""
     g = (x - edit.deformed.lower) * edit.deformed.inverse_spacing
+    cell = LatticeCell()
+    cell.flags = CELL_OUTSIDE
     i = int(wp.floor(g[0]))
     j = int(wp.floor(g[1]))
     k = int(wp.floor(g[2]))
-    if i < 0 or j < 0 or k < 0:
-        return CELL_OUTSIDE
-    if i >= edit.cells.shape[0] or j >= edit.cells.shape[1] or k >= edit.cells.shape[2]:
-        return CELL_OUTSIDE
-    return int(edit.cells[i, j, k])
+    if (
+        i >= 0 and j >= 0 and k >= 0
+        and i < edit.cells.shape[0] and j < edit.cells.shape[1] and k < edit.cells.shape[2]
+    ):
+        cell.i = i
+        cell.j = j
+        cell.k = k
+        cell.offset = g - wp.vec3(float(i), float(j), float(k))
+        cell.flags = int(edit.cells[i, j, k])
+    return cell
 
 
 @wp.func
-def in_deformed_cage(edit: LatticeEdit, x: wp.vec3):
-    """Whether a point lies in the deformed cage of an edit."""
-    flags = cell_flags(edit, x)
-    if flags & CELL_INSIDE:
-        return True
-    if flags & CELL_OUTSIDE:
-        return False
-    return map_distance(edit.deformed, x) <= edit.tolerance
+def cell_trilinear(values: wp.array3d(dtype=Any), cell: LatticeCell):
+    """Trilinear value in a cell of a lattice."""
+    i = cell.i
+    j = cell.j
+    k = cell.k
+    fz = cell.offset[2]
+    v00 = wp.lerp(values[i, j, k], values[i, j, k + 1], fz)
+    v01 = wp.lerp(values[i, j + 1, k], values[i, j + 1, k + 1], fz)
+    v10 = wp.lerp(values[i + 1, j, k], values[i + 1, j, k + 1], fz)
+    v11 = wp.lerp(values[i + 1, j + 1, k], values[i + 1, j + 1, k + 1], fz)
+    return wp.lerp(wp.lerp(v00, v01, cell.offset[1]), wp.lerp(v10, v11, cell.offset[1]), cell.offset[0])
+
+
+@wp.func(inline=False)  # rare
+def gap_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3):
+    """cage_map.side_position from the array alone: a whole CageMap handed to a function that is not inlined is copied
+    to the stack of every ray."""
+    lowest = float(1.0e30)
+    position = wp.vec3(0.0, 0.0, 0.0)
+    for side in range(entry % 8):
+        total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        for corner in range(8):
+            total += corner_share(corner, offset) * sides[entry / 8 + side, corner]
+        if total[3] < lowest:
+            lowest = total[3]
+            position = wp.vec3(total[0], total[1], total[2])
+    return position
 
 
 @wp.func
-def leaves_rest_cage(edit: LatticeEdit, x: wp.vec3, position: wp.vec3):
-    """Whether `position`, the map of x, lies out of the rest cage of an edit."""
-    if cell_flags(edit, x) & CELL_STAYS:
-        return False
-    return not in_rest_cage(edit, position, edit.slack)
+def edit_point(edit: LatticeEdit, x: wp.vec3):
+    """Whether a point is in the deformed cage of an edit, and where the map leads; nothing is where an edit removes."""
+    result = EditPoint()
+    result.position = x
+    if edit.removes == 1:
+        return result
+    cell = lattice_cell(edit, x)
+    inside = (cell.flags & CELL_INSIDE) != 0
+    if (cell.flags & (CELL_INSIDE | CELL_OUTSIDE)) == 0:
+        inside = cell_trilinear(edit.deformed.distance, cell) <= edit.tolerance
+    if inside:
+        result.mapped = 1
+        result.flags = cell.flags
+        sides = cell_sides(edit.deformed, cell.i, cell.j, cell.k)
+        if sides == 0:
+            result.position = cell_trilinear(edit.deformed.positions, cell)
+        else:
+            result.position = gap_position(edit.deformed.sides, sides, cell.offset)
+        if (cell.flags & CELL_STAYS) == 0:
+            result.leaves = wp.where(in_rest_cage(edit, result.position, edit.slack), 0, 1)
+    return result
 
 
 @wp.func
 def in_rest_cage(edit: LatticeEdit, x: wp.vec3, slack: float):
     """Whether a point lies in the rest cage of an edit, or within `slack` of it."""
     return map_distance(edit.rest, x) <= slack
-
-
-@wp.func
-def edit_position(edit: LatticeEdit, x: wp.vec3):
-    """The map of an edit, from its deformed into its rest cage."""
-    return map_position(edit.deformed, x)
 
 
 @wp.func
@@ -145,14 +208,6 @@ def in_cage(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype
 
 
 @wp.func
-def in_deformed_cage(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811 (a Warp overload)
-    """Whether a point lies in the deformed cage of an edit."""
-    if not in_box(x, edit.lower, edit.upper):
-        return False
-    return in_cage(x, edit.deformed_vertices, edit.faces, edit.tolerance)
-
-
-@wp.func
 def in_rest_cage(edit: ClosedFormEdit, x: wp.vec3, slack: float):  # noqa: F811
     """Whether a point lies in the rest cage of an edit, or within `slack` of it."""
     if not in_box(x, edit.rest_lower, edit.rest_upper):
@@ -160,20 +215,28 @@ def in_rest_cage(edit: ClosedFormEdit, x: wp.vec3, slack: float):  # noqa: F811
     return in_cage(x, edit.rest_vertices, edit.faces, slack)
 
 
-@wp.func
-def leaves_rest_cage(edit: ClosedFormEdit, x: wp.vec3, position: wp.vec3):  # noqa: F811
-    """Whether `position`, the map of x, lies out of the rest cage of an edit."""
-    return not in_rest_cage(edit, position, edit.slack)
-
-
 @wp.func(inline=False)
-def edit_position(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
+def edit_position(edit: ClosedFormEdit, x: wp.vec3):
     """The map of an edit, from its deformed into its rest cage."""
     if edit.is_green == 1:
         return green_position(
             x, edit.deformed_vertices, edit.faces, edit.rest_vertices, edit.rest_normals, edit.size
         )
     return mean_value_position(x, edit.deformed_vertices, edit.faces, edit.rest_vertices, edit.size)
+
+
+@wp.func
+def edit_point(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
+    """Whether a point is in the deformed cage of an edit, and where the map leads; nothing is where an edit removes."""
+    result = EditPoint()
+    result.position = x
+    if edit.removes == 0 and in_box(x, edit.lower, edit.upper):
+        if in_cage(x, edit.deformed_vertices, edit.faces, edit.tolerance):
+            result.mapped = 1
+            result.flags = CELL_STEEP  # for all that is known of it
+            result.position = edit_position(edit, x)
+            result.leaves = wp.where(in_rest_cage(edit, result.position, edit.slack), 0, 1)
+    return result
 
 
 @wp.func
@@ -188,13 +251,16 @@ def canonical_point(edits: Any, x: wp.vec3):
     e = int(edits.shape[0]) - 1
     while e >= 0 and result.vacant == 0:
         edit = edits[e]
-        if edit.removes == 0 and in_deformed_cage(edit, position):
-            mapped = edit_position(edit, position)
+        place = edit_point(edit, position)
+        if place.mapped == 1:
+            if result.path != 0:
+                result.flags = result.flags | CELL_STEEP  # each may be gentle, but not both together
             result.path = result.path | (1 << e)
-            if leaves_rest_cage(edit, position, mapped):
+            result.flags = result.flags | place.flags
+            if place.leaves == 1:
                 result.vacant = 1
                 result.outside = 1 - cleared
-            position = mapped
+            position = place.position
         elif edit.keeps_source == 0 and in_rest_cage(edit, position, 0.0):
             result.vacant = cleared  # what was cleared once is not there to be cleared again
             cleared = 1
@@ -263,7 +329,7 @@ def canonical_direction(step: wp.vec3, dt: float, direction: wp.vec3):
 
 
 @wp.func
-def difference_determinant(edit: Any, x: wp.vec3, h: float):
+def difference_determinant(edit: ClosedFormEdit, x: wp.vec3, h: float):
     """det of the central differences of an edit's map."""
     dx = edit_position(edit, x + wp.vec3(h, 0.0, 0.0)) - edit_position(edit, x - wp.vec3(h, 0.0, 0.0))
     dy = edit_position(edit, x + wp.vec3(0.0, h, 0.0)) - edit_position(edit, x - wp.vec3(0.0, h, 0.0))
@@ -272,14 +338,9 @@ def difference_determinant(edit: Any, x: wp.vec3, h: float):
 
 
 @wp.func
-def turns_over(edit: LatticeEdit, x: wp.vec3):
-    """Whether the map of an edit turns space over around a point (det J <= 0): what its lattice cell says."""
-    return (cell_flags(edit, x) & CELL_FOLDED) != 0
-
-
-@wp.func
-def turns_over(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
-    """The same by differences; not next to the cage, beyond which Green coordinates hold no map."""
+def turns_over(edit: ClosedFormEdit, x: wp.vec3):
+    """Whether the map of an edit turns space over around a point (det J <= 0), by differences; not next to the cage,
+    beyond which Green coordinates hold no map."""
     h = CLOSED_FORM_DIFFERENCE * edit.size
     if cage_distance(x, edit.deformed_vertices, edit.faces) < h:
         return False
@@ -287,13 +348,19 @@ def turns_over(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
 
 
 @wp.func
-def is_folded(edits: Any, x: wp.vec3, path: int):
-    """Whether any of the maps that a point goes through turns space over there."""
+def is_folded(edits: Any, x: wp.vec3, point: CanonicalPoint):
+    """Whether any of the maps that a point x goes through turns space over there: what the lattice cells say."""
+    return (point.flags & CELL_FOLDED) != 0
+
+
+@wp.func
+def is_folded(edits: wp.array(dtype=ClosedFormEdit), x: wp.vec3, point: CanonicalPoint):  # noqa: F811
+    """The same without lattices."""
     position = x
-    rest_of_path = path
+    rest_of_path = point.path
     e = int(edits.shape[0]) - 1
     while rest_of_path != 0:
-        if (path & (1 << e)) != 0:
+        if (point.path & (1 << e)) != 0:
             edit = edits[e]
             if turns_over(edit, position):
                 return True

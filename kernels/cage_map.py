@@ -7,7 +7,7 @@ interpolating positions is the same as interpolating weights and summing afterwa
 Node (i, j, k) lies at lower + (i, j, k) * spacing, in world units relative to any origin that the caller keeps to.
 `distance` is the signed distance to the cage the lattice is built on, negative inside, exact at nodes nearer than
 4 * spacing and clamped to that elsewhere. `positions` hold at inside nodes and at the rings of nodes around them that
-look-up near the cage takes in.
+look-up near the cage takes in. Cells at narrow gaps of the cage have corner values for each side (see map_sides).
 Siblings: none.
 """
 
@@ -23,6 +23,8 @@ class CageMap:
     inverse_spacing: float
     positions: wp.array3d(dtype=wp.vec3)  # canonical position of each node
     distance: wp.array3d(dtype=float)  # signed distance, negative inside, clamped to +-4 spacings
+    side_index: wp.array(dtype=int)  # (nodes,) 8 * first row of `sides` + rows, of the cell beyond a node; or (0,)
+    sides: wp.array2d(dtype=wp.vec4)  # (rows, 8) position and signed distance at a cell's corners, as one side has them
 
 
 @wp.func
@@ -51,6 +53,38 @@ def map_distance(cage_map: CageMap, x: wp.vec3):
 
 
 @wp.func
+def corner_share(corner: int, offset: wp.vec3):
+    """Trilinear weight of a corner of a cell at a place in it, 0 to 1; highest bit of `corner`: axis 0."""
+    wi = wp.where((corner & 4) != 0, offset[0], 1.0 - offset[0])
+    wj = wp.where((corner & 2) != 0, offset[1], 1.0 - offset[1])
+    wk = wp.where((corner & 1) != 0, offset[2], 1.0 - offset[2])
+    return wi * wj * wk
+
+
+@wp.func
+def cell_sides(cage_map: CageMap, i: int, j: int, k: int):
+    """Entry of `side_index` for a cell: 0 where the positions at its corners hold for all of it."""
+    if cage_map.side_index.shape[0] == 0:
+        return int(0)
+    return cage_map.side_index[(i * cage_map.positions.shape[1] + j) * cage_map.positions.shape[2] + k]
+
+
+@wp.func(inline=False)  # rare
+def side_position(cage_map: CageMap, entry: int, offset: wp.vec3):
+    """Canonical position at a place in a cell with an entry that is not 0: of the side that the place is on."""
+    lowest = float(1.0e30)
+    position = wp.vec3(0.0, 0.0, 0.0)
+    for side in range(entry % 8):
+        total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        for corner in range(8):
+            total += corner_share(corner, offset) * cage_map.sides[entry / 8 + side, corner]
+        if total[3] < lowest:
+            lowest = total[3]
+            position = wp.vec3(total[0], total[1], total[2])
+    return position
+
+
+@wp.func
 def map_position(cage_map: CageMap, x: wp.vec3):
     """Trilinear canonical position of a point; valid where map_distance is negative. Clamped to the lattice's cells."""
     g = (x - cage_map.lower) * cage_map.inverse_spacing
@@ -60,6 +94,9 @@ def map_position(cage_map: CageMap, x: wp.vec3):
     fx = g[0] - float(i)
     fy = g[1] - float(j)
     fz = g[2] - float(k)
+    entry = cell_sides(cage_map, i, j, k)
+    if entry != 0:
+        return side_position(cage_map, entry, wp.vec3(fx, fy, fz))
     p00 = wp.lerp(cage_map.positions[i, j, k], cage_map.positions[i, j, k + 1], fz)
     p01 = wp.lerp(cage_map.positions[i, j + 1, k], cage_map.positions[i, j + 1, k + 1], fz)
     p10 = wp.lerp(cage_map.positions[i + 1, j, k], cage_map.positions[i + 1, j, k + 1], fz)

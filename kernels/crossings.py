@@ -19,7 +19,7 @@ SLACK = wp.constant(1.0e-3)
 
 @wp.struct
 class LineCrossings:
-    shape: wp.vec3i  # nodes along each axis
+    shapes: wp.array(dtype=wp.vec3i)  # (1 or more,) the first entry: nodes along each axis
     counts: wp.array(dtype=int)  # (lines,) crossings kept on a line; lines of axis 0 first, then 1, then 2
     places: wp.array2d(dtype=float)  # (lines, m) coordinate along the axis, ascending
     faces: wp.array2d(dtype=int)  # (lines, m) cage face crossed there
@@ -87,11 +87,18 @@ def keep_changes(crossings: LineCrossings, line: int):
     crossings.counts[line] = kept
 
 
+@wp.func
+def segment_count(shape: wp.vec3i, axis: int, segment: int):
+    """Runs of at most `segment` neighbouring lines along `axis`."""
+    rows = wp.where(axis == 0, shape[1], shape[0])
+    columns = wp.where(axis == 2, shape[1], shape[2])
+    return rows * ((columns + segment - 1) / segment)
+
+
 @wp.kernel
 def cross_lines(
     first: int,
     segment: int,
-    segment_bases: wp.vec3i,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
     crossings: LineCrossings,
@@ -99,26 +106,26 @@ def cross_lines(
 ):
     """Crossings of all lines of a lattice with a cage.
 
-    An item is a run of `segment` neighbouring lines of one axis; segment_bases holds the first item of each axis.
-    overflow (1,) becomes the crossings a line would need where they are more than the capacity.
+    An item is a run of `segment` neighbouring lines of one axis, those of axis 0 first. overflow (1,) becomes the
+    crossings a line would need where they are more than the capacity.
     """
+    shape = crossings.shapes[0]
     item = first + wp.tid()
     axis = int(0)
-    if item >= segment_bases[1]:
-        axis = 1
-    if item >= segment_bases[2]:
-        axis = 2
+    while axis < 3 and item >= segment_count(shape, axis, segment):
+        item -= segment_count(shape, axis, segment)
+        axis += 1
+    if axis == 3:
+        return
     # lines of axis 0, 1, 2 are numbered by (j, k), (i, k), (i, j): row and column
     row_axis = wp.where(axis == 0, 1, 0)
     column_axis = wp.where(axis == 2, 1, 2)
-    columns = crossings.shape[column_axis]
+    columns = shape[column_axis]
     runs = (columns + segment - 1) / segment
-    row = (item - segment_bases[axis]) / runs
-    begin = (item - segment_bases[axis] - row * runs) * segment
+    row = item / runs
+    begin = (item - row * runs) * segment
     end = wp.min(begin + segment, columns)
-    first_line = line_index(
-        crossings.shape, axis, wp.where(row_axis == 0, row, 0), wp.where(row_axis == 1, row, 0), 0
-    )
+    first_line = line_index(shape, axis, wp.where(row_axis == 0, row, 0), wp.where(row_axis == 1, row, 0), 0)
     for column in range(begin, end):
         crossings.counts[first_line + column] = 0
 
@@ -162,7 +169,7 @@ def cross_lines(
 @wp.func
 def is_inside(crossings: LineCrossings, i: int, j: int, k: int):
     """Whether node (i, j, k) is inside the cage."""
-    line = line_index(crossings.shape, 2, i, j, k)
+    line = line_index(crossings.shapes[0], 2, i, j, k)
     passed = int(0)
     for n in range(crossings.counts[line]):
         if crossings.places[line, n] < float(k):
@@ -173,7 +180,7 @@ def is_inside(crossings: LineCrossings, i: int, j: int, k: int):
 @wp.func
 def exit_crossing(crossings: LineCrossings, axis: int, forward: bool, i: int, j: int, k: int):
     """Slot, on the line along `axis`, of the crossing by which an inside node leaves the cage; -1 for none."""
-    line = line_index(crossings.shape, axis, i, j, k)
+    line = line_index(crossings.shapes[0], axis, i, j, k)
     place = float(wp.where(axis == 0, i, wp.where(axis == 1, j, k)))
     slot = int(-1)
     if forward:
@@ -194,5 +201,5 @@ def exit_distance(crossings: LineCrossings, axis: int, forward: bool, i: int, j:
     if slot < 0:
         return float(1.0e9)
     place = float(wp.where(axis == 0, i, wp.where(axis == 1, j, k)))
-    crossing = crossings.places[line_index(crossings.shape, axis, i, j, k), slot]
+    crossing = crossings.places[line_index(crossings.shapes[0], axis, i, j, k), slot]
     return wp.max(wp.where(forward, crossing - place, place - crossing), 0.0)

@@ -14,7 +14,9 @@ from typing import Any
 import warp as wp
 
 from .cage_edits import (
+    CELL_STEEP,
     CLEARED,
+    CUT_LENGTH,
     MAPPED,
     CanonicalPoint,
     ClosedFormEdit,
@@ -31,14 +33,14 @@ from .volume_render import exit_distance, grid_span, sample_index_after
 
 wp.set_module_options({"enable_backward": False})
 
-#: A sample that is this many steps long in canonical space is cut ...
-CUT_LENGTH = wp.constant(1.5)
-
-#: ... into at most this many.
+#: A sample that is longer than CUT_LENGTH in canonical space is cut into at most this many.
 MAX_SUB_SAMPLES = wp.constant(16)
 
 #: Samples that weigh less than this are not examined for folds: an 8-bit image does not show them.
 FOLD_MIN_WEIGHT = wp.constant(1.0 / 255.0)
+
+#: Behind cleared matter that would have let less light than this through nothing more is revealed.
+FAINT = wp.constant(1.0e-3)
 
 
 @wp.struct
@@ -102,6 +104,22 @@ def empty_reach(edit: ClosedFormEdit, x: wp.vec3, direction: wp.vec3):  # noqa: 
 
 
 @wp.func
+def empty_reach_of_grid(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, t: float):
+    """Distance along a ray from t on over which the canonical grid is empty; 0 where it may hold something."""
+    span = grid_span(grid, origin, direction)
+    reach = float(1.0e30)
+    if span[0] < span[1] and t < span[1]:
+        reach = span[0] - t
+        if t >= span[0]:
+            g = grid_position(grid, origin + t * direction)
+            empty = empty_distance(grid, g)
+            reach = float(0.0)
+            if empty > 0:
+                reach = exit_distance(g, wp.cw_mul(direction, grid.inverse_voxel_size), empty)
+    return reach
+
+
+@wp.func
 def empty_until(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, t: float):
     """Distance along a ray up to which the deformed scene is certainly empty from t on; t where it may hold something.
 
@@ -123,17 +141,7 @@ def empty_until(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3
                 limit = wp.min(limit, span[0])
         e -= 1
     if reach < 0.0:
-        g = grid_position(grid, x)
-        span = grid_span(grid, origin, direction)
-        if span[0] < span[1] and t < span[1]:
-            if t < span[0]:
-                reach = span[0] - t
-            else:
-                empty = empty_distance(grid, g)
-                if empty > 0:
-                    reach = exit_distance(g, wp.cw_mul(direction, grid.inverse_voxel_size), empty)
-        else:
-            reach = float(1.0e30)
+        reach = empty_reach_of_grid(grid, origin, direction, t)
     if reach <= 0.0:
         return t
     return wp.max(t, wp.min(t + reach, limit))
@@ -158,43 +166,6 @@ def scene_span(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3)
 
 
 @wp.func
-def composite_sample(
-    seen: DeformedRadiance,
-    edits: Any,
-    grid: VoxelGrid,
-    x: wp.vec3,
-    t: float,
-    point: CanonicalPoint,
-    direction: wp.vec3,
-    length: float,
-):
-    """`seen` with one more sample: at x in the deformed scene, `point` and `direction` in canonical space."""
-    result = seen
-    if point.vacant == 1:
-        result.outside += float(point.outside)
-        return result
-    if point.region == CLEARED and result.cleared_transmittance < 1.0e-3:
-        return result
-    cell = cell_sample(grid, grid_position(grid, point.position))
-    sigma = cell_density(grid, cell)
-    if sigma <= 0.0:
-        return result
-    kept = wp.exp(-sigma * length)
-    if point.region == CLEARED:
-        result.reveal += result.transmittance * result.cleared_transmittance * (1.0 - kept)
-        result.cleared_transmittance *= kept
-        return result
-    weight = result.transmittance * (1.0 - kept)
-    result.colour += weight * wp.max(cell_colour(grid, cell, sh_basis(direction)), wp.vec3(0.0, 0.0, 0.0))
-    result.depth += weight * t
-    result.transmittance *= kept
-    if point.region == MAPPED and weight > FOLD_MIN_WEIGHT:
-        if is_folded(edits, x, point.path):
-            result.fold += weight
-    return result
-
-
-@wp.func
 def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, options: MarchOptions):
     """Gather radiance along a ray through the deformed scene."""
     seen = DeformedRadiance()
@@ -216,15 +187,16 @@ def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.v
         if ahead_index != k:
             here = canonical_point(edits, x)
         delta = step * direction
-        if here.region == MAPPED:
+        has_delta = here.region != MAPPED
+        count = int(1)
+        if here.region == MAPPED and (here.flags & CELL_STEEP) != 0:
             ahead = canonical_point(edits, x + delta)
             ahead_index = k + 1
             delta = canonical_step(edits, x, direction, step, here, ahead)
-        mapped_direction = canonical_direction(delta, step, direction)
-        arc = wp.length(delta)
-        count = int(1)
-        if arc > CUT_LENGTH * step:
-            count = wp.min(int(wp.ceil(arc / step - 1.0e-3)), MAX_SUB_SAMPLES)
+            has_delta = bool(True)
+            arc = wp.length(delta)
+            if arc > CUT_LENGTH * step:
+                count = wp.min(int(wp.ceil(arc / step - 1.0e-3)), MAX_SUB_SAMPLES)
         share = 1.0 / float(count)
         for j in range(count):
             t_sub = t + ((float(j) + 0.5) * share - 0.5) * step
@@ -232,9 +204,38 @@ def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.v
             point = here
             if count > 1:
                 point = canonical_point(edits, x_sub)
-            is_mapped = point.region == MAPPED
-            length = share * wp.where(is_mapped and options.arc_opacity == 1, arc, step)
-            seen_along = wp.where(is_mapped, mapped_direction, direction)
-            seen = composite_sample(seen, edits, grid, x_sub, t_sub, point, seen_along, length)
+            if point.vacant == 1:
+                seen.outside += float(point.outside)
+            elif point.region != CLEARED or seen.cleared_transmittance > FAINT:
+                g = grid_position(grid, point.position)
+                sigma = float(0.0)
+                if empty_distance(grid, g) == 0:
+                    cell = cell_sample(grid, g)
+                    sigma = cell_density(grid, cell)
+                if sigma > 0.0:
+                    if not has_delta:  # only now, as most samples hold nothing
+                        ahead = canonical_point(edits, x + delta)
+                        ahead_index = k + 1
+                        delta = canonical_step(edits, x, direction, step, here, ahead)
+                        has_delta = bool(True)
+                    length = share * step
+                    along = direction
+                    if point.region == MAPPED:
+                        along = canonical_direction(delta, step, direction)
+                        if options.arc_opacity == 1:
+                            length = share * wp.length(delta)
+                    kept = wp.exp(-sigma * length)
+                    if point.region == CLEARED:
+                        seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
+                        seen.cleared_transmittance *= kept
+                    else:
+                        weight = seen.transmittance * (1.0 - kept)
+                        colour = wp.max(cell_colour(grid, cell, sh_basis(along)), wp.vec3(0.0, 0.0, 0.0))
+                        seen.colour += weight * colour
+                        seen.depth += weight * t_sub
+                        seen.transmittance *= kept
+                        if point.region == MAPPED and weight > FOLD_MIN_WEIGHT:
+                            if is_folded(edits, x_sub, point):
+                                seen.fold += weight
         k += 1
     return seen

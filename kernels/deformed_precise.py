@@ -10,9 +10,9 @@ import warp as wp
 from .cage_edits import ClosedFormEdit
 from .deformed_march import MarchOptions, march_deformed
 from .deformed_points import canonical_ray
-from .deformed_render import visible_depth
+from .deformed_render import Picture, fill_pixel
 from .grid import VoxelGrid
-from .rays import PinholeCamera, pixel_direction
+from .rays import PinholeCamera, pixel_direction, tile_pixel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,20 +47,10 @@ def render_precisely(
     camera: PinholeCamera,
     background: wp.vec3,
     options: MarchOptions,
-    rgb: wp.array(dtype=wp.vec3),
-    alpha: wp.array(dtype=wp.float32),
-    depth: wp.array(dtype=wp.float32),
-    reveal: wp.array(dtype=wp.float32),
-    fold: wp.array(dtype=wp.float32),
-    outside: wp.array(dtype=wp.float32),
+    picture: Picture,
 ):
-    """As deformed_render.render_deformed."""
-    n = first + wp.tid()
-    direction = pixel_direction(camera, n % camera.width, n // camera.width)
-    seen = march_deformed(edits, grid, camera.centre, direction, options)
-    rgb[n] = seen.colour + seen.transmittance * background
-    alpha[n] = 1.0 - seen.transmittance
-    depth[n] = visible_depth(seen)
-    reveal[n] = seen.reveal
-    fold[n] = seen.fold
-    outside[n] = seen.outside
+    """As deformed_render.render_edits."""
+    column, row = tile_pixel(first + wp.tid(), camera.width)
+    if column < camera.width and row < camera.height:
+        seen = march_deformed(edits, grid, camera.centre, pixel_direction(camera, column, row), options)
+        fill_pixel(picture, row * camera.width + column, seen, background)

@@ -2,16 +2,17 @@
 
 "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. See deformed_march for
 the march and cage_edits for the map.
-Siblings: cage_edits, deformed_march, grid, rays, volume_render (and, to spread the marks, grid_skip).
+Siblings: cage_edits, cage_map, deformed_march, grid, rays, volume_render (and, to spread the marks, grid_skip).
 """
 
 import warp as wp
 
-from .cage_edits import LatticeEdit, in_rest_cage
+from .cage_edits import CELL_STAYS, LatticeEdit, in_rest_cage
+from .cage_map import cell_sides
 from .deformed_march import DeformedRadiance, MarchOptions, lattice_lower, lattice_upper, march_deformed
 from .grid import VoxelGrid, empty_distance, grid_position
 from .grid_skip import SKIP_LIMIT
-from .rays import PinholeCamera, pixel_direction
+from .rays import PinholeCamera, pixel_direction, tile_pixel
 from .volume_render import DEPTH_MIN_ALPHA
 
 wp.set_module_options({"enable_backward": False})
@@ -24,31 +25,44 @@ def visible_depth(seen: DeformedRadiance):
     return wp.where(opacity > DEPTH_MIN_ALPHA, seen.depth / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
 
 
+@wp.struct
+class Picture:
+    """Where a view goes, (h * w,) each; the masks are those of DeformedRadiance."""
+
+    rgb: wp.array(dtype=wp.vec3)
+    alpha: wp.array(dtype=wp.float32)
+    depth: wp.array(dtype=wp.float32)
+    reveal: wp.array(dtype=wp.float32)
+    fold: wp.array(dtype=wp.float32)
+    outside: wp.array(dtype=wp.float32)
+
+
+@wp.func
+def fill_pixel(picture: Picture, pixel: int, seen: DeformedRadiance, background: wp.vec3):
+    """Write what a march saw to a pixel."""
+    picture.rgb[pixel] = seen.colour + seen.transmittance * background
+    picture.alpha[pixel] = 1.0 - seen.transmittance
+    picture.depth[pixel] = visible_depth(seen)
+    picture.reveal[pixel] = seen.reveal
+    picture.fold[pixel] = seen.fold
+    picture.outside[pixel] = seen.outside
+
+
 @wp.kernel
-def render_deformed(
+def render_edits(
     first: int,
     grid: VoxelGrid,
     edits: wp.array(dtype=LatticeEdit),
     camera: PinholeCamera,
     background: wp.vec3,
     options: MarchOptions,
-    rgb: wp.array(dtype=wp.vec3),
-    alpha: wp.array(dtype=wp.float32),
-    depth: wp.array(dtype=wp.float32),
-    reveal: wp.array(dtype=wp.float32),
-    fold: wp.array(dtype=wp.float32),
-    outside: wp.array(dtype=wp.float32),
+    picture: Picture,
 ):
-    """One thread a pixel, row by row; outputs (h * w,). The masks are those of DeformedRadiance."""
-    n = first + wp.tid()
-    direction = pixel_direction(camera, n % camera.width, n // camera.width)
-    seen = march_deformed(edits, grid, camera.centre, direction, options)
-    rgb[n] = seen.colour + seen.transmittance * background
-    alpha[n] = 1.0 - seen.transmittance
-    depth[n] = visible_depth(seen)
-    reveal[n] = seen.reveal
-    fold[n] = seen.fold
-    outside[n] = seen.outside
+    """One thread a pixel, tile by tile."""
+    column, row = tile_pixel(first + wp.tid(), camera.width)
+    if column < camera.width and row < camera.height:
+        seen = march_deformed(edits, grid, camera.centre, pixel_direction(camera, column, row), options)
+        fill_pixel(picture, row * camera.width + column, seen, background)
 
 
 @wp.func
@@ -125,14 +139,16 @@ def mark_edit_cells(
         farthest = wp.max(farthest, distance)
     empty = bool(True)
     if edit.removes == 0 and nearest <= edit.tolerance:
+        empty = cell_sides(edit.deformed, i, j, k) == 0
+        stays = (int(edit.cells[i, j, k]) & CELL_STAYS) != 0
         lower = wp.vec3(1.0e30, 1.0e30, 1.0e30)
         upper = -lower
         for c in range(8):
             position = edit.deformed.positions[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
             lower = wp.min(lower, position)
             upper = wp.max(upper, position)
-            if not in_rest_cage(edit, position, edit.slack):
-                empty = False
+            if empty and not stays:
+                empty = in_rest_cage(edit, position, edit.slack)
         reach = 0.5 * (1.0 + step * edit.deformed.inverse_spacing)
         empty = empty and scene_is_empty(edits, edit_index, grid, 0.5 * (lower + upper), reach * (upper - lower))
     if edit.removes == 1 or farthest > edit.tolerance:

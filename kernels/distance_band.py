@@ -1,8 +1,8 @@
 """Signed distance to a cage on the nodes of a lattice: exact in a narrow band, clamped outside it.
 
 The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
-the nearest face, gathered a block of nodes at a time so that outputs of different items are disjoint. Units: node
-units (see crossings) for vertices, world units for the result. Siblings: containment, crossings.
+the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Units: node units (see
+crossings) for vertices, world units for the result. Siblings: containment, crossings.
 """
 
 import warp as wp
@@ -15,6 +15,9 @@ wp.set_module_options({"enable_backward": False})
 #: Half-width of the band, in cells.
 BAND = wp.constant(4.0)
 
+#: Nodes along a side of a block.
+BLOCK = wp.constant(4)
+
 
 @wp.func
 def box_gap_squared(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
@@ -25,54 +28,83 @@ def box_gap_squared(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
     return wp.dot(gap, gap)
 
 
-@wp.kernel
-def mark_inside(first: int, crossings: LineCrossings, spacing: float, distance: wp.array3d(dtype=float)):
-    """distance (nx, ny, nz): -BAND * spacing at inside nodes, +BAND * spacing at others. One item a node."""
-    n = first + wp.tid()
-    k = n % distance.shape[2]
-    j = (n / distance.shape[2]) % distance.shape[1]
-    i = n / (distance.shape[2] * distance.shape[1])
-    distance[i, j, k] = wp.where(is_inside(crossings, i, j, k), -BAND * spacing, BAND * spacing)
+@wp.func
+def block_count(side: int):
+    """Blocks that cover a side of so many nodes."""
+    return (side + BLOCK - 1) / BLOCK
 
 
 @wp.kernel
-def measure_band(
+def list_block_faces(
     first: int,
-    block: int,
+    crossings: LineCrossings,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
-    spacing: float,
-    distance: wp.array3d(dtype=float),
+    counts: wp.array(dtype=int),
+    near: wp.array2d(dtype=int),
 ):
-    """Distances nearer than BAND cells, with the signs that `distance` (nx, ny, nz) holds. One item a block."""
-    item = first + wp.tid()
-    ny = (distance.shape[1] + block - 1) / block
-    nz = (distance.shape[2] + block - 1) / block
-    i0 = (item / (ny * nz)) * block
-    j0 = ((item / nz) % ny) * block
-    k0 = (item % nz) * block
-    i1 = wp.min(i0 + block, distance.shape[0])
-    j1 = wp.min(j0 + block, distance.shape[1])
-    k1 = wp.min(k0 + block, distance.shape[2])
-
-    half = 0.5 * float(block - 1)
-    centre = wp.vec3(float(i0) + half, float(j0) + half, float(k0) + half)
+    """near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,) how many, also beyond m."""
+    block = first + wp.tid()
+    shape = crossings.shapes[0]
+    ny = block_count(shape[1])
+    nz = block_count(shape[2])
+    if block >= block_count(shape[0]) * ny * nz:
+        return
+    half = 0.5 * float(BLOCK - 1)
+    centre = wp.vec3(
+        float((block / (ny * nz)) * BLOCK) + half, float(((block / nz) % ny) * BLOCK) + half,
+        float((block % nz) * BLOCK) + half,
+    )  # fmt: skip
     reach = BAND + half * wp.sqrt(3.0)
+    count = int(0)
     for f in range(faces.shape[0]):
         face = faces[f]
         a = vertices[face[0]]
         b = vertices[face[1]]
         c = vertices[face[2]]
-        if box_gap_squared(centre, a, b, c) > reach * reach:
-            continue
-        if triangle_distance_squared(centre, a, b, c) > reach * reach:
-            continue
-        for i in range(i0, i1):
-            for j in range(j0, j1):
-                for k in range(k0, k1):
-                    x = wp.vec3(float(i), float(j), float(k))
-                    known = distance[i, j, k]
-                    found = wp.sqrt(triangle_distance_squared(x, a, b, c)) * spacing
-                    if found < wp.abs(known):
-                        found = wp.max(found, 1.0e-30)  # a node on the cage keeps its side
-                        distance[i, j, k] = wp.where(known < 0.0, -found, found)
+        if box_gap_squared(centre, a, b, c) <= reach * reach:
+            if triangle_distance_squared(centre, a, b, c) <= reach * reach:
+                if count < near.shape[1]:
+                    near[block, count] = f
+                count += 1
+    counts[block] = count
+
+
+@wp.kernel
+def measure_band(
+    first: int,
+    crossings: LineCrossings,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    counts: wp.array(dtype=int),
+    near: wp.array2d(dtype=int),
+    scales: wp.array(dtype=float),
+    distance: wp.array(dtype=float),
+):
+    """distance (nodes,): signed, clamped to BAND cells. scales[0]: world units a cell. One item a node."""
+    n = first + wp.tid()
+    shape = crossings.shapes[0]
+    if n >= shape[0] * shape[1] * shape[2]:
+        return
+    k = n % shape[2]
+    j = (n / shape[2]) % shape[1]
+    i = n / (shape[2] * shape[1])
+    block = ((i / BLOCK) * block_count(shape[1]) + j / BLOCK) * block_count(shape[2]) + k / BLOCK
+    count = counts[block]
+    listed = count <= near.shape[1]
+    if not listed:
+        count = faces.shape[0]
+    x = wp.vec3(float(i), float(j), float(k))
+    nearest = float(BAND * BAND)
+    for m in range(count):
+        f = int(m)
+        if listed:
+            f = near[block, m]
+        face = faces[f]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        if box_gap_squared(x, a, b, c) < nearest:
+            nearest = wp.min(nearest, triangle_distance_squared(x, a, b, c))
+    found = wp.max(wp.sqrt(nearest) * scales[0], 1.0e-30)  # a node on the cage keeps its side
+    distance[n] = wp.where(is_inside(crossings, i, j, k), -found, found)

@@ -62,6 +62,7 @@ def accumulate_photometric_gradient(
 
     random_background: a colour drawn for each ray goes behind both the image's alpha and the render, so that opacity is
     supervised too; 0 takes `background` for all. Gradient rows are shared: on the CPU each thread needs its own.
+    Launch in blocks of at most 64 threads.
     """
     n = first + wp.tid()
     squared_error[n] = 0.0

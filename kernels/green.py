@@ -24,7 +24,7 @@ import warp as wp
 
 from .triangle import nearest_barycentric
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 #: Faces whose plane passes closer than this share of the size, and that are seen wide, take the float64 path.
 PLANE_BAND = wp.constant(2.0e-3)
@@ -190,8 +190,14 @@ def missing_winding(winding: float):
     return wp.max(wp.ceil(winding - 1.0e-4), 1.0) - winding
 
 
+@wp.struct
+class GreenPoint:
+    position: wp.vec3
+    inside: int  # 1 where the point is in the cage, or within SURFACE of it
+
+
 @wp.func
-def green_position(
+def green_point(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
@@ -199,7 +205,8 @@ def green_position(
     target_normals: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """sum_i phi_i(x) targets_i + sum_f psi_f(x) target_normals_f with phi, psi of the cage `vertices`."""
+    """green_position, and whether it is one: the sum of phi is the winding number."""
+    result = GreenPoint()
     position = wp.vec3(0.0, 0.0, 0.0)
     winding = float(0.0)
     touched = int(0)
@@ -219,7 +226,23 @@ def green_position(
             touched_target = nearest[0] * target_a + nearest[1] * target_b + nearest[2] * target_c
     if touched == 1:
         position += missing_winding(winding) * touched_target
-    return position
+    result.position = position
+    if touched == 1 or winding > 0.5:
+        result.inside = 1
+    return result
+
+
+@wp.func
+def green_position(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    targets: wp.array(dtype=wp.vec3),
+    target_normals: wp.array(dtype=wp.vec3),
+    size: float,
+):
+    """sum_i phi_i(x) targets_i + sum_f psi_f(x) target_normals_f with phi, psi of the cage `vertices`."""
+    return green_point(x, vertices, faces, targets, target_normals, size).position
 
 
 @wp.kernel
@@ -236,6 +259,26 @@ def map_green(
     """positions (n,) = sum_i phi_i(points) targets_i + sum_f psi_f(points) target_normals_f."""
     n = first + wp.tid()
     positions[n] = green_position(points[n], vertices, faces, targets, target_normals, size)
+
+
+@wp.kernel
+def map_green_inside(
+    first: int,
+    points: wp.array(dtype=wp.vec3),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    targets: wp.array(dtype=wp.vec3),
+    target_normals: wp.array(dtype=wp.vec3),
+    size: float,
+    positions: wp.array(dtype=wp.vec3),
+    outside: wp.array(dtype=int),
+):
+    """The same; outside (1,) becomes 1 where a point is not inside."""
+    n = first + wp.tid()
+    point = green_point(points[n], vertices, faces, targets, target_normals, size)
+    positions[n] = point.position
+    if point.inside == 0:
+        outside[0] = 1
 
 
 @wp.kernel

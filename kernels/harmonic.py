@@ -13,7 +13,7 @@ the correction.
 values (nodes of all levels,) vec3, as numbered by node_levels; zero outside. A launch writes nodes of one colour and
 reads the other, so items are independent. Every kernel takes its count from the device: launches may be longer than
 the list, which lets one CUDA graph serve poses with different counts.
-Siblings: node_levels, harmonic_rows.
+Siblings: node_levels, harmonic_rows. The levels with few nodes go through one launch in harmonic_coarse.
 """
 
 import warp as wp
@@ -98,27 +98,17 @@ def residual(system: LaplaceSystem, level: int, node: int):
     return right_side(system, level, node, code) + link_sum(system, level, node, code) - d * system.values[node]
 
 
-@wp.kernel
-def relax_laplace(first: int, level: int, colour: int, system: LaplaceSystem):
-    """Half a Gauss-Seidel sweep: solve the rows of one colour for their own node."""
-    n = first + wp.tid()
-    begin = system.levels.starts[2 * level + colour]
-    if n >= system.levels.starts[2 * level + colour + 1] - begin:
-        return
-    node = system.levels.nodes[begin + n]
+@wp.func
+def relaxed_value(system: LaplaceSystem, level: int, node: int):
+    """Solution of a node's row for its own value."""
     code = system.levels.codes[node]
     total = right_side(system, level, node, code) + link_sum(system, level, node, code)
-    system.values[node] = total / diagonal(system, code)
+    return total / diagonal(system, code)
 
 
-@wp.kernel
-def restrict_residual(first: int, level: int, system: LaplaceSystem):
-    """Loads of `level` (1 and up) from the residuals of red nodes of the level below, by full weighting."""
-    n = first + wp.tid()
-    begin = system.levels.starts[2 * level]
-    if n >= system.levels.starts[2 * level + 2] - begin:
-        return
-    node = system.levels.nodes[begin + n]
+@wp.func
+def restricted_load(system: LaplaceSystem, level: int, node: int):
+    """Load of a node of `level` (1 and up) from the residuals of red nodes of the level below, by full weighting."""
     p = node_place(system.levels, level, node)
     shape = system.levels.shapes[level - 1]
     row = shape[2]
@@ -131,17 +121,12 @@ def restrict_residual(first: int, level: int, system: LaplaceSystem):
             total += residual(system, level - 1, centre + s * slab + t)
             total += residual(system, level - 1, centre + s * row + t)
     # weights 1/8 and 1/32, times 4 for the doubled spacing
-    system.loads[node - system.levels.first_node[1]] = total / 8.0
+    return total / 8.0
 
 
-@wp.kernel
-def prolong_correction(first: int, level: int, system: LaplaceSystem):
-    """Add the trilinear interpolation of the correction of level + 1 to the black nodes of `level`."""
-    n = first + wp.tid()
-    begin = system.levels.starts[2 * level + 1]
-    if n >= system.levels.starts[2 * level + 2] - begin:
-        return
-    node = system.levels.nodes[begin + n]
+@wp.func
+def prolonged_correction(system: LaplaceSystem, level: int, node: int):
+    """Trilinear interpolation of the correction of level + 1 at a black node of `level`."""
     p = node_place(system.levels, level, node)
     shape = system.levels.shapes[level + 1]
     coarse = system.levels.first_node[level + 1] + ((p[0] / 2) * shape[1] + p[1] / 2) * shape[2] + p[2] / 2
@@ -154,7 +139,40 @@ def prolong_correction(first: int, level: int, system: LaplaceSystem):
         total += system.values[coarse + di] + system.values[coarse + dj] + system.values[coarse + dk]
         total += system.values[coarse + dj + dk] + system.values[coarse + di + dk] + system.values[coarse + di + dj]
         total = 0.25 * total
-    system.values[node] = system.values[node] + 0.5 * total
+    return 0.5 * total
+
+
+@wp.kernel
+def relax_laplace(first: int, level: int, colour: int, system: LaplaceSystem):
+    """Half a Gauss-Seidel sweep: solve the rows of one colour for their own node."""
+    n = first + wp.tid()
+    begin = system.levels.starts[2 * level + colour]
+    if n >= system.levels.starts[2 * level + colour + 1] - begin:
+        return
+    node = system.levels.nodes[begin + n]
+    system.values[node] = relaxed_value(system, level, node)
+
+
+@wp.kernel
+def restrict_residual(first: int, level: int, system: LaplaceSystem):
+    """Loads of `level` (1 and up)."""
+    n = first + wp.tid()
+    begin = system.levels.starts[2 * level]
+    if n >= system.levels.starts[2 * level + 2] - begin:
+        return
+    node = system.levels.nodes[begin + n]
+    system.loads[node - system.levels.first_node[1]] = restricted_load(system, level, node)
+
+
+@wp.kernel
+def prolong_correction(first: int, level: int, system: LaplaceSystem):
+    """Add the correction of level + 1 to the black nodes of `level`."""
+    n = first + wp.tid()
+    begin = system.levels.starts[2 * level + 1]
+    if n >= system.levels.starts[2 * level + 2] - begin:
+        return
+    node = system.levels.nodes[begin + n]
+    system.values[node] = system.values[node] + prolonged_correction(system, level, node)
 
 
 @wp.kernel
@@ -166,10 +184,11 @@ def clear_corrections(first: int, system: LaplaceSystem):
 
 
 @wp.kernel
-def measure_residual(first: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
-    """Largest residual over diagonal on level 0, and largest correction on level 1, over every m-th listed node.
+def measure_residual(first: int, items: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
+    """Largest residual over diagonal on level 0, and largest correction on level 1; zero before.
 
-    Item n visits the lists from its n-th entry on in steps of m and writes largest[n], m = largest.shape[0].
+    Each of `items` items visits the lists in steps of `items` and raises entry (item % slots) of largest (slots,).
+    Items that share a slot may not run on two threads of a CPU.
     """
     item = first + wp.tid()
     worst = float(0.0)
@@ -178,23 +197,50 @@ def measure_residual(first: int, system: LaplaceSystem, largest: wp.array(dtype=
         node = system.levels.nodes[n]
         scaled = residual(system, 0, node) / diagonal(system, system.levels.codes[node])
         worst = wp.max(worst, wp.max(wp.abs(scaled)))
-        n += largest.shape[0]
+        n += items
     change = float(0.0)
     if system.levels.shapes.shape[0] > 1:
         n = system.levels.starts[2] + item
         while n < system.levels.starts[4]:
             change = wp.max(change, wp.max(wp.abs(system.values[system.levels.nodes[n]])))
-            n += largest.shape[0]
-    largest[item] = wp.vec2(worst, change)
+            n += items
+    slot = item % largest.shape[0]
+    held = largest[slot]
+    # what is held only grows, so that a look spares most of the waiting
+    if worst > held[0] or change > held[1]:
+        wp.atomic_max(largest, slot, wp.vec2(worst, change))
 
 
 @wp.kernel
-def reduce_largest(first: int, largest: wp.array(dtype=wp.vec2), reduced: wp.array(dtype=wp.vec2)):
-    """reduced (r,): componentwise largest of every r-th entry of largest (m,)."""
-    item = first + wp.tid()
+def begin_cycles(
+    first: int, going: wp.array(dtype=int), status: wp.array(dtype=float), largest: wp.array(dtype=wp.vec2)
+):
+    """going (1,) becomes 1, status (cycles, residual) and largest zero. One item."""
+    going[0] = 1
+    for n in range(2):
+        status[n] = 0.0
+    for n in range(largest.shape[0]):
+        largest[n] = wp.vec2(0.0, 0.0)
+
+
+@wp.kernel
+def judge_cycle(
+    first: int,
+    per_residual: float,
+    per_correction: float,
+    tolerance: float,
+    most_cycles: int,
+    largest: wp.array(dtype=wp.vec2),
+    going: wp.array(dtype=int),
+    status: wp.array(dtype=float),
+):
+    """Count a cycle and work out what is left after it; going (1,) becomes 0 where that is within the tolerance, and
+    largest zero. One item."""
     worst = wp.vec2(0.0, 0.0)
-    n = int(item)
-    while n < largest.shape[0]:
+    for n in range(largest.shape[0]):
         worst = wp.max(worst, largest[n])
-        n += reduced.shape[0]
-    reduced[item] = worst
+        largest[n] = wp.vec2(0.0, 0.0)
+    left = wp.max(per_residual * worst[0], per_correction * worst[1])
+    status[0] = status[0] + 1.0
+    status[1] = left
+    going[0] = wp.where(left > tolerance and status[0] < float(most_cycles), 1, 0)

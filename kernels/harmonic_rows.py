@@ -18,13 +18,17 @@ import warp as wp
 
 from .containment import closest_point_on_triangle, triangle_distance_squared
 from .crossings import LineCrossings, exit_crossing, exit_distance, line_index
-from .node_levels import NodeLevels, is_cut_link, level_of, node_place
+from .node_levels import NodeLevels, is_cut_link, is_inside_node, level_of, node_place
 
 wp.set_module_options({"enable_backward": False})
 
 #: Smallest fraction of a cell between a node and the cage. Nodes nearer than that move by less than the lattice's
 #: rounding.
 MIN_FRACTION = wp.constant(1.0e-4)
+
+
+#: Bit of `links` at nodes of level 0 with a neighbour that is inside as well, but beyond a gap of the cage.
+DOUBLE_CUT = wp.constant(64)
 
 
 @wp.struct
@@ -65,7 +69,7 @@ def nearest_face(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(
 def describe_rows(
     first: int,
     crossings: LineCrossings,
-    distance: wp.array3d(dtype=float),
+    distance: wp.array(dtype=float),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
     levels: NodeLevels,
@@ -93,12 +97,16 @@ def describe_rows(
                 away = exit_distance(crossings, axis, forward, p[0], p[1], p[2])
                 fraction = wp.clamp(away / float(reach), MIN_FRACTION, 1.0)
                 if level == 0:
+                    q = p
+                    q[axis] = p[axis] + wp.where(forward, 1, -1)
+                    if is_inside_node(crossings.shapes[0], distance, q[0], q[1], q[2]):
+                        links = links | DOUBLE_CUT
                     x = wp.vec3(float(p[0]), float(p[1]), float(p[2]))
                     step = wp.min(away, 1.0)
                     x[axis] = x[axis] + wp.where(forward, step, -step)
                     if away < 1.0 + 1.0e-3:
                         slot = exit_crossing(crossings, axis, forward, p[0], p[1], p[2])
-                        face = crossings.faces[line_index(crossings.shape, axis, p[0], p[1], p[2]), slot]
+                        face = crossings.faces[line_index(crossings.shapes[0], axis, p[0], p[1], p[2]), slot]
                     else:  # lines of two axes disagree by rounding
                         face = nearest_face(x, vertices, faces)
                     triangle = faces[face]

@@ -7,17 +7,16 @@ Siblings: node_levels.
 
 import warp as wp
 
-from .node_levels import NodeLevels, node_place
+from .node_levels import NodeLevels, centred_place
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def place_nodes(first: int, begin: int, centre: wp.vec3, levels: NodeLevels, points: wp.array(dtype=wp.vec3)):
-    """points (m,): places, in node units relative to `centre`, of the entries of the node list from `begin` on."""
+def place_nodes(first: int, begin: int, levels: NodeLevels, points: wp.array(dtype=wp.vec3)):
+    """points (m,): places of entries of the node list from `begin` on; node units from the middle of the lattice."""
     n = first + wp.tid()
-    p = node_place(levels, 0, levels.nodes[begin + n])
-    points[n] = wp.vec3(float(p[0]), float(p[1]), float(p[2])) - centre
+    points[n] = centred_place(levels, levels.nodes[begin + n])
 
 
 @wp.kernel

@@ -16,16 +16,13 @@ def localise_points(
     centre: wp.vec3d,
     size: wp.float64,
     local: wp.array(dtype=wp.vec3),
-    first_bad: wp.array(dtype=int),
+    bad: wp.array(dtype=int),
 ):
-    """local (n,) = (points - centre) / size; first_bad (1,) takes the lowest index of a point that is not finite.
-
-    Shares first_bad among items: one plain launch, not one cut over threads.
-    """
+    """local (n,) = (points - centre) / size; bad (1,) becomes 1 where a point is not finite."""
     n = first + wp.tid()
     x = points[n]
     if not wp.isfinite(x):
-        wp.atomic_min(first_bad, 0, n)
+        bad[0] = 1
     local[n] = wp.vec3((wp.vec3d(x) - centre) / size)
 
 

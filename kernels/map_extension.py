@@ -7,9 +7,10 @@ cell from the crossing, and u_back the one behind it,
     g + (g - u_in) (1 - theta) / theta                theta >= 1/2
     g + (g - u_back) (1 - theta) / (1 + theta)        else,
 
-averaged over the grid edges; the other rings take the mean of 2 u_1 - u_2 along the 26 directions of the lattice. All
-of it is linear in the values and exact for linear functions; where a part of the cage is too thin for that (no second
-value), the mean of the neighbours or the value at the nearest point of the cage stands in.
+averaged over the grid edges; the other rings take the mean of 2 u_1 - u_2 along the 26 directions of the lattice,
+ring 1 from inside nodes alone where it can. All of it is linear in the values and exact for linear functions; where a
+part of the cage is too thin for that (no second value), the mean of the neighbours or the value at the nearest point of
+the cage stands in.
 Siblings: node_levels, harmonic_rows.
 """
 
@@ -77,18 +78,18 @@ class Extrapolation:
 
 
 @wp.func
-def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, ring: int):
-    """What the 26 directions of the lattice say at a node of a ring, from inside nodes and the rings before."""
+def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int):
+    """What the 26 directions of the lattice say at a node, from inside nodes and the first `rings` rings."""
     result = Extrapolation()
     shape = levels.shapes[0]
     for d in range(27):
         step = ((d / 9 - 1) * shape[1] + (d / 3) % 3 - 1) * shape[2] + d % 3 - 1
         code = levels.codes[node + step]
-        if d != 13 and (code >= REGULAR or (code <= RING and code > RING - ring)):
+        if d != 13 and (code >= REGULAR or (code <= RING and code > RING - rings)):
             result.nearby += values[node + step]
             result.nearby_count += 1.0
             code = levels.codes[node + 2 * step]
-            if code >= REGULAR or (code <= RING and code > RING - ring):
+            if code >= REGULAR or (code <= RING and code > RING - rings):
                 result.linear += 2.0 * values[node + step] - values[node + 2 * step]
                 result.linear_count += 1.0
     return result
@@ -150,7 +151,10 @@ def extend_outwards(
     if n >= levels.starts[section + 1] - levels.starts[section]:
         return
     node = levels.nodes[levels.starts[section] + n]
-    found = lattice_extrapolation(levels, values, node, ring)
+    # nodes of ring 1 have an inside node next to them; nodes of ring 0 that are near may belong to another part
+    found = lattice_extrapolation(levels, values, node, wp.where(ring == 1, 0, ring))
+    if found.linear_count == 0.0:
+        found = lattice_extrapolation(levels, values, node, ring)
     if found.linear_count > 0.0:
         values[node] = found.linear / found.linear_count
     elif found.nearby_count > 0.0:
@@ -167,35 +171,34 @@ def extend_outwards(
 
 @wp.kernel
 def add_affine(
-    first: int, levels: NodeLevels, scale: float, matrix: wp.mat33, offset: wp.vec3, values: wp.array(dtype=wp.vec3)
+    first: int, levels: NodeLevels, scale: float, affine: wp.array(dtype=wp.vec3), values: wp.array(dtype=wp.vec3)
 ):
-    """values becomes scale * values + matrix (i, j, k) + offset at every node of level 0. One item a node."""
+    """values becomes scale * values + i a_0 + j a_1 + k a_2 + a_3, a = affine (4,), at every node of level 0."""
     node = first + wp.tid()
+    if node >= levels.first_node[1]:
+        return
     p = node_place(levels, 0, node)
-    affine = matrix @ wp.vec3(float(p[0]), float(p[1]), float(p[2])) + offset
-    values[node] = scale * values[node] + affine
+    values[node] = (
+        scale * values[node] + float(p[0]) * affine[0] + float(p[1]) * affine[1] + float(p[2]) * affine[2] + affine[3]
+    )
 
 
 @wp.kernel
-def flag_thin_nodes(first: int, levels: NodeLevels, rows: CutRows, flags: wp.array(dtype=int)):
-    """flags (cut rows and ring 0,): 1 where one outside node, or none, serves two sides of a gap of the cage.
-
-    Rows of cut nodes come first: 1 where a cut link ends inside again. Then nodes of ring 0: 1 between two inside
-    nodes.
-    """
-    n = first + wp.tid()
-    level_count = levels.shapes.shape[0]
-    cut_count = levels.starts[2 * level_count + 1] - levels.starts[2 * level_count]
-    flag = int(0)
-    if n < cut_count:
-        node = levels.nodes[levels.starts[2 * level_count] + n]
-        for direction in range(6):
-            if (rows.links[n] >> direction) & 1 == 0 and levels.codes[node + node_step(levels, direction)] >= REGULAR:
-                flag = 1
-    else:
-        node = levels.nodes[levels.starts[3 * level_count] + n - cut_count]
-        for axis in range(3):
-            step = node_step(levels, 2 * axis)
-            if levels.codes[node - step] >= REGULAR and levels.codes[node + step] >= REGULAR:
-                flag = 1
-    flags[n] = flag
+def gather_status(
+    first: int,
+    line_overflow: wp.array(dtype=int),
+    list_overflow: wp.array(dtype=int),
+    solver: wp.array(dtype=float),
+    gap_count: wp.array(dtype=int),
+    levels: NodeLevels,
+    status: wp.array(dtype=float),
+):
+    """status: both overflows, the solver's cycles and residual, nodes at gaps, and the length of each section. One
+    item."""
+    status[0] = float(line_overflow[0])
+    status[1] = float(list_overflow[0])
+    status[2] = solver[0]
+    status[3] = solver[1]
+    status[4] = float(gap_count[0])
+    for s in range(status.shape[0] - 5):
+        status[5 + s] = float(levels.starts[s + 1] - levels.starts[s])

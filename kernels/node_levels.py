@@ -8,8 +8,8 @@ The list `nodes` holds, section after section,
     2 l + c         inside nodes of level l with (i + j + k) % 2 = c ("red" 0, "black" 1)
     2 L + l         inside nodes of level l whose cross of six grid edges meets the cage ("cut")
     3 L + r         outside nodes of level 0: r = 0 face neighbours of an inside node, r = 1 other corners of cells with
-                    an inside node, r = 2 one ring more, r = 3 others within a cell's diagonal of the cage: corners of
-                    cells that it may cross where a part of it is too thin or pointed for inside nodes
+                    an inside node, r = 2 others within a cell's diagonal of the cage: corners of cells that it may
+                    cross where a part of it is too thin or pointed for inside nodes
 and starts[s] is where section s begins. Within a section nodes ascend, so that neighbours in the list are near in
 memory. They are counted column by column, summed up (exclusive scan) and written: no atomics, the same lists on every
 device.
@@ -25,7 +25,7 @@ wp.set_module_options({"enable_backward": False})
 OUTSIDE = wp.constant(-2)
 REGULAR = wp.constant(-1)  # inside, not cut
 RING = wp.constant(-3)  # ring r has code RING - r
-RINGS = wp.constant(4)
+RINGS = wp.constant(3)
 CELL_DIAGONAL = wp.constant(1.7321)  # cells
 
 
@@ -59,68 +59,83 @@ def node_place(levels: NodeLevels, level: int, node: int):
 
 
 @wp.func
-def is_inside_node(distance: wp.array3d(dtype=float), i: int, j: int, k: int):
+def centred_place(levels: NodeLevels, node: int):
+    """Place of a node of level 0 from the middle of the lattice, node units."""
+    p = node_place(levels, 0, node)
+    shape = levels.shapes[0]
+    return wp.vec3(
+        float(p[0] - (shape[0] - 1) / 2), float(p[1] - (shape[1] - 1) / 2), float(p[2] - (shape[2] - 1) / 2)
+    )
+
+
+@wp.func
+def is_inside_node(shape: wp.vec3i, distance: wp.array(dtype=float), i: int, j: int, k: int):
     """Whether node (i, j, k) of the lattice is inside; nodes off the lattice are outside."""
-    if i < 0 or j < 0 or k < 0 or i >= distance.shape[0] or j >= distance.shape[1] or k >= distance.shape[2]:
+    if i < 0 or j < 0 or k < 0 or i >= shape[0] or j >= shape[1] or k >= shape[2]:
         return False
-    return distance[i, j, k] < 0.0
+    return distance[(i * shape[1] + j) * shape[2] + k] < 0.0
 
 
 @wp.func
 def is_cut_link(
-    crossings: LineCrossings, distance: wp.array3d(dtype=float), p: wp.vec3i, axis: int, forward: bool, reach: int
+    crossings: LineCrossings, distance: wp.array(dtype=float), p: wp.vec3i, axis: int, forward: bool, reach: int
 ):
     """Whether the cage comes between inside node p (lattice numbering) and its neighbour `reach` nodes on."""
     q = p
     q[axis] = p[axis] + wp.where(forward, reach, -reach)
-    if not is_inside_node(distance, q[0], q[1], q[2]):
+    if not is_inside_node(crossings.shapes[0], distance, q[0], q[1], q[2]):
         return True
     return exit_distance(crossings, axis, forward, p[0], p[1], p[2]) < float(reach)
 
 
 @wp.func
-def ring_code(distance: wp.array3d(dtype=float), p: wp.vec3i):
-    """Code of outside node p of level 0: which ring around the inside nodes it belongs to."""
-    code = OUTSIDE
-    for di in range(-2, 3):
-        for dj in range(-2, 3):
-            for dk in range(-2, 3):
-                if is_inside_node(distance, p[0] + di, p[1] + dj, p[2] + dk):
-                    ring = int(2)
-                    if wp.max(wp.max(wp.abs(di), wp.abs(dj)), wp.abs(dk)) == 1:
-                        ring = wp.where(wp.abs(di) + wp.abs(dj) + wp.abs(dk) == 1, 0, 1)
-                    code = wp.where(code == OUTSIDE, RING - ring, wp.max(code, RING - ring))
-    return code
+def ring_code(shape: wp.vec3i, distance: wp.array(dtype=float), p: wp.vec3i):
+    """Code of outside node p of level 0, within a cell's diagonal of the cage: the ring that it belongs to."""
+    for axis in range(3):
+        step = wp.vec3i(0, 0, 0)
+        step[axis] = 1
+        a = p - step
+        b = p + step
+        if is_inside_node(shape, distance, a[0], a[1], a[2]) or is_inside_node(shape, distance, b[0], b[1], b[2]):
+            return RING
+    for d in range(27):
+        if is_inside_node(shape, distance, p[0] + d / 9 - 1, p[1] + (d / 3) % 3 - 1, p[2] + d % 3 - 1):
+            return RING - 1
+    return RING - 2
 
 
 @wp.kernel
 def classify_nodes(
     first: int,
     crossings: LineCrossings,
-    distance: wp.array3d(dtype=float),
-    spacing: float,
+    distance: wp.array(dtype=float),
+    scales: wp.array(dtype=float),
     levels: NodeLevels,
 ):
-    """Codes of all nodes; cut nodes get 0 until list_columns numbers them."""
+    """Codes of all nodes; cut nodes get 0 until list_columns numbers them. distance (nodes of level 0,): signed, and
+    scales[0] its units a cell."""
     node = first + wp.tid()
+    if node >= levels.first_node[levels.shapes.shape[0]]:
+        return
     level = level_of(levels.first_node, node)
     reach = 1 << level
     p = node_place(levels, level, node) * reach
+    shape = levels.shapes[0]
     code = OUTSIDE
-    if is_inside_node(distance, p[0], p[1], p[2]):
+    cells = float(0.0)
+    if p[0] < shape[0] and p[1] < shape[1] and p[2] < shape[2]:
+        cells = distance[(p[0] * shape[1] + p[1]) * shape[2] + p[2]] / scales[0]
+    if cells < 0.0:
         code = REGULAR
         # no link is cut where the cage is farther than its length; farther than 4 cells `distance` does not know
-        if level > 2 or -distance[p[0], p[1], p[2]] < 0.9999 * float(reach) * spacing:
+        if level > 2 or -cells < 0.9999 * float(reach):
             for axis in range(3):
                 if is_cut_link(crossings, distance, p, axis, False, reach):
                     code = 0
                 if is_cut_link(crossings, distance, p, axis, True, reach):
                     code = 0
-    elif level == 0:
-        if distance[p[0], p[1], p[2]] < 3.5 * spacing:
-            code = ring_code(distance, p)
-        if code == OUTSIDE and distance[p[0], p[1], p[2]] < CELL_DIAGONAL * spacing:
-            code = RING - 3
+    elif level == 0 and cells < CELL_DIAGONAL:
+        code = ring_code(shape, distance, p)
     levels.codes[node] = code
 
 
@@ -128,15 +143,17 @@ def classify_nodes(
 def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
     """Nodes of each section in each column; counts lie section after section, a column of its level an entry."""
     column = first + wp.tid()
-    level = level_of(levels.first_column, column)
     level_count = levels.shapes.shape[0]
+    if column >= levels.first_column[level_count]:
+        return
+    level = level_of(levels.first_column, column)
     shape = levels.shapes[level]
     local = column - levels.first_column[level]
     begin = levels.first_node[level] + local * shape[2]
     parity = local / shape[1] + local % shape[1]
     inside = wp.vec2i(0, 0)
     cut = int(0)
-    rings = wp.vec4i(0, 0, 0, 0)
+    rings = wp.vec3i(0, 0, 0)
     for k in range(shape[2]):
         code = levels.codes[begin + k]
         if code >= REGULAR:
@@ -157,30 +174,53 @@ def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
             counts[3 * columns + RINGS * width] = 0
 
 
-@wp.kernel
-def find_starts(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
-    """starts from the scanned counts. One item a section, and one for the end."""
-    section = first + wp.tid()
+@wp.func
+def scan_entry(levels: NodeLevels, section: int):
+    """Entry of the scanned counts at which a section begins."""
     level_count = levels.shapes.shape[0]
     columns = levels.first_column[level_count]
-    entry = int(0)
     if section < 2 * level_count:
         level = section / 2
         width = levels.first_column[level + 1] - levels.first_column[level]
-        entry = 2 * levels.first_column[level] + (section % 2) * width
-    elif section < 3 * level_count:
-        entry = 2 * columns + levels.first_column[section - 2 * level_count]
-    else:
-        entry = 3 * columns + (section - 3 * level_count) * levels.first_column[1]
-    levels.starts[section] = offsets[entry]
+        return 2 * levels.first_column[level] + (section % 2) * width
+    if section < 3 * level_count:
+        return 2 * columns + levels.first_column[section - 2 * level_count]
+    return 3 * columns + (section - 3 * level_count) * levels.first_column[1]
+
+
+@wp.kernel
+def find_starts(
+    first: int,
+    levels: NodeLevels,
+    offsets: wp.array(dtype=int),
+    limits: wp.array(dtype=int),
+    overflow: wp.array(dtype=int),
+):
+    """starts from the scanned counts. One item a section, and one for the end.
+
+    limits (sections,): entries that there is room for. Where one is exceeded, overflow (1,) becomes 1 and all sections
+    are empty.
+    """
+    section = first + wp.tid()
+    fits = int(1)
+    for s in range(limits.shape[0]):
+        if offsets[scan_entry(levels, s + 1)] - offsets[scan_entry(levels, s)] > limits[s]:
+            fits = 0
+    start = offsets[scan_entry(levels, section)]
+    if fits == 0:
+        overflow[0] = 1
+        start = 0
+    levels.starts[section] = start
 
 
 @wp.kernel
 def list_columns(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
     """Write the nodes of each column to their sections, and the rows of cut nodes to their codes."""
     column = first + wp.tid()
-    level = level_of(levels.first_column, column)
     level_count = levels.shapes.shape[0]
+    if column >= levels.first_column[level_count] or levels.starts[3 * level_count + RINGS] == 0:
+        return
+    level = level_of(levels.first_column, column)
     shape = levels.shapes[level]
     local = column - levels.first_column[level]
     begin = levels.first_node[level] + local * shape[2]
@@ -192,7 +232,7 @@ def list_columns(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
     )
     cut = offsets[2 * columns + column]
     first_cut = offsets[2 * columns]
-    rings = wp.vec4i(0, 0, 0, 0)
+    rings = wp.vec3i(0, 0, 0)
     if level == 0:
         for r in range(RINGS):
             rings[r] = offsets[3 * columns + r * width + local]

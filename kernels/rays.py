@@ -7,6 +7,11 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+#: Pixels of a tile, and that many threads.
+TILE_WIDTH = wp.constant(8)
+TILE_HEIGHT = wp.constant(4)
+TILE_SIZE = wp.constant(32)
+
 
 @wp.struct
 class PinholeCamera:
@@ -29,13 +34,16 @@ def pixel_direction(camera: PinholeCamera, column: int, row: int):
 
 
 @wp.func
-def tiled_pixel(camera: PinholeCamera, n: int):
-    """(column, row) of the n-th thread of an image whose pixels are taken in tiles of 8x4, one a warp: its rays stay
-    together. Pixels of the last tiles may lie beyond the image; tiled_count threads cover all."""
-    tiles = (camera.width + 7) // 8
-    tile = n // 32
-    within = n % 32
-    return wp.vec2i(tile % tiles * 8 + within % 8, tile // tiles * 4 + within // 8)
+def tile_pixel(n: int, width: int):
+    """Column and row of the n-th pixel when a picture is walked tile by tile; the last tiles reach out of it.
+
+    A tile is one warp of a GPU: its rays lie together and read the same cells.
+    """
+    tile = n // TILE_SIZE
+    tiles_per_row = (width + TILE_WIDTH - 1) // TILE_WIDTH
+    column = (tile % tiles_per_row) * TILE_WIDTH + n % TILE_WIDTH
+    row = (tile // tiles_per_row) * TILE_HEIGHT + (n % TILE_SIZE) // TILE_WIDTH
+    return column, row
 
 
 @wp.func

@@ -9,7 +9,7 @@ Siblings: grid, rays, spherical_harmonics.
 import warp as wp
 
 from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
-from .rays import PinholeCamera, box_span, pixel_direction, tiled_pixel
+from .rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .spherical_harmonics import sh_basis
 
 wp.set_module_options({"enable_backward": False})
@@ -95,13 +95,13 @@ def render_image(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
-    """One thread a pixel, in the order of rays.tiled_pixel; outputs (h * w,) row by row. depth: expected distance along
+    """One thread a pixel, in the order of rays.tile_pixel; outputs (h * w,) row by row. depth: expected distance along
     the ray, inf where empty."""
-    pixel = tiled_pixel(camera, first + wp.tid())
-    if pixel[0] >= camera.width or pixel[1] >= camera.height:
+    column, row = tile_pixel(first + wp.tid(), camera.width)
+    if column >= camera.width or row >= camera.height:
         return
-    n = pixel[1] * camera.width + pixel[0]
-    direction = pixel_direction(camera, pixel[0], pixel[1])
+    n = row * camera.width + column
+    direction = pixel_direction(camera, column, row)
     seen = march(grid, camera.centre, direction, step, stop)
     opacity = 1.0 - seen.transmittance
     rgb[n] = seen.colour + seen.transmittance * background

@@ -231,17 +231,20 @@ def green_weights_in_closed_form(points, vertices, faces):
     return phi, psi
 
 
-def harmonic_oracle(vertices, faces, boundary_values, points, subdivisions: int = 2):
+def harmonic_oracle(vertices, faces, boundary_values, points, subdivisions: int = 2, graded: int | None = None):
     """Harmonic function inside a closed cage whose values on the cage are linear on each face, by boundary elements.
 
     boundary_values (v, k), points (n, 3) inside; every face is cut in 4**subdivisions elements of constant flux,
-    collocated at their centroids: 1,280 elements solve in a second. Returns (n, k).
+    collocated at their centroids: 1,280 elements solve in a second. graded: in (2 * graded)**2 instead, whose sides
+    shrink towards the edges of the face, where fluxes are singular. Returns (n, k).
     """
     vertices, values = np.asarray(vertices, np.float64), np.asarray(boundary_values, np.float64)
     size = np.ptp(vertices, axis=0).max()
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     corners, data = ((vertices - centre) / size)[faces], values[faces]  # (f, 3, 3), (f, 3, k)
-    for _ in range(subdivisions):
+    if graded is not None:
+        corners, data = _graded(corners, graded), _graded(data, graded)
+    for _ in range(0 if graded is not None else subdivisions):
         corners, data = _quartered(corners), _quartered(data)
     middles = corners.mean(axis=1)
     single, boundary = _layers(middles, corners, data, own=True)
@@ -254,6 +257,22 @@ def _quartered(corners):
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     return np.concatenate([np.stack(part, axis=1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+
+
+def _graded(corners, steps, power=2.0):
+    """Triangles (f, 3, k) cut on a grid of barycentric coordinates that is finer towards all three edges."""
+    count = 2 * steps
+    s = np.linspace(0, 1, count + 1)
+    s = np.where(s < 0.5, (2 * s) ** power, 2 - (2 - 2 * s) ** power) / 2
+    i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
+    k = count - i - j
+    grid = np.stack([s[i], s[j], s[np.maximum(k, 0)]], axis=-1)
+    grid /= grid.sum(axis=-1, keepdims=True)
+    up = [(i, j) for i in range(count) for j in range(count - i)]
+    down = [(i, j) for i in range(count - 1) for j in range(count - 1 - i)]
+    shares = [(grid[i + 1, j], grid[i, j + 1], grid[i, j]) for i, j in up]
+    shares += [(grid[i + 1, j + 1], grid[i, j + 1], grid[i + 1, j]) for i, j in down]
+    return np.einsum("eac,fck->feak", np.array(shares), corners).reshape(-1, 3, corners.shape[2])
 
 
 def _layers(points, corners, data, own=False, block=256):

@@ -181,7 +181,7 @@ def test_require_same_faces_says_what_differs():
         "in another order, from face 0": Cage(rest.vertices, rest.faces[::-1]),
         "11 faces": Cage(rest.vertices, rest.faces[:11]),
         "9 vertices": Cage(np.concatenate([rest.vertices, [[0, 0, 9]]]), rest.faces),
-        "face 0 of the deformed cage": Cage(rest.vertices, rest.faces[:, ::-1]),
+        "turned inside out": Cage(rest.vertices, rest.faces[:, ::-1]),
     }
     for message, other in cases.items():
         with pytest.raises(ValueError, match=message):

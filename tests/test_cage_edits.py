@@ -73,11 +73,11 @@ def test_overlapping_edits_resolve_in_order(device, side_view):
 ])
 def test_bad_options_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        Deformer(shiny_field("cpu", resolution=8), BOX, **options)
+        Deformer(shiny_field(None, resolution=8), BOX, **options)
 
 
 def test_bad_cages_are_refused():
-    field = shiny_field("cpu", resolution=8)
+    field = shiny_field(None, resolution=8)
     open_cage = Cage(BOX.vertices, BOX.faces[1:])
     inverted = Cage(BOX.vertices, BOX.faces[:, ::-1])
     for cage in (open_cage, inverted):
@@ -94,7 +94,7 @@ def test_bad_cages_are_refused():
 
 
 def test_bad_poses_are_refused_and_the_last_one_stays():
-    field, camera = shiny_field("cpu", resolution=24), view(size=24)
+    field, camera = shiny_field(None, resolution=24), view(size=24)
     deformer = Deformer(field, BOX, resolution=16).pose(BOX.twist(40))
     before = deformer.render(camera).rgb
     reordered = Cage(BOX.vertices, np.roll(BOX.faces, 1, axis=0))
@@ -112,7 +112,7 @@ def test_bad_poses_are_refused_and_the_last_one_stays():
 
 
 def test_bad_points_and_steps_are_refused():
-    deformer = Deformer(shiny_field("cpu", resolution=8), BOX, resolution=8)
+    deformer = Deformer(shiny_field(None, resolution=8), BOX, resolution=8)
     with pytest.raises(ValueError, match="as many"):
         deformer.to_canonical(np.zeros((2, 3)), np.zeros((3, 3)))
     with pytest.raises(ValueError, match="points must be"):
@@ -124,3 +124,9 @@ def test_bad_points_and_steps_are_refused():
             deformer.render(view(), step=step)
     with pytest.raises(ValueError, match="background"):
         deformer.render(view(), background="plaid")
+
+
+@pytest.mark.parametrize(("width", "height"), [(0, 4), (4, 0), (-1, 4)])
+def test_pictures_without_pixels_are_refused(width, height):
+    with pytest.raises(ValueError, match="at least 1x1 pixel"):
+        Camera(10.0, 10.0, 2.0, 2.0, width, height, np.eye(4))

@@ -26,10 +26,11 @@ def run(name, *words, cwd):
 
 def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("*.py")}
-    assert names == {"render_lego.py", "deform_in_a_pipeline.py", "kernel_alone.py"}
+    assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
+                     "analytic_field.py"}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["deform_in_a_pipeline.py", "kernel_alone.py"])
+@pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
 def test_small_examples(name, tmp_path):
     assert len((EXAMPLES / name).read_text().splitlines()) < 60
     run(name, cwd=tmp_path)

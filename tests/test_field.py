@@ -101,6 +101,20 @@ def test_own_file_round_trip(device, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["f.npz"]
 
 
+def test_compact_file_is_small_and_close(device, tmp_path):
+    field, _, _ = oracle.random_field(device, resolution=(30, 30, 30), density_scale=1.0)
+    field.weights = wp.array(np.random.default_rng(0).random(field.voxel_count), dtype=wp.float32, device=device)
+    field.save(tmp_path / "f.npz")
+    field.save(tmp_path / "c.npz", format="compact")
+    assert (tmp_path / "c.npz").stat().st_size < 0.6 * (tmp_path / "f.npz").stat().st_size  # of random numbers
+    again = warpcage.VoxelField.load(tmp_path / "c.npz", device=device)
+    assert np.abs(again.grid.sh.numpy() - field.grid.sh.numpy()).max() < 1 / 128 + 1e-3
+    np.testing.assert_allclose(again.node_densities(), field.node_densities(), rtol=2**-6, atol=1e-6)
+    np.testing.assert_allclose(again.node_weights(), field.node_weights(), atol=5e-3)
+    camera = warpcage.Camera.look_at(field.center + [3.0, 1.0, 1.5], field.center, width=32, height=32)
+    assert warpcage.psnr(again.render(camera).rgb, field.render(camera).rgb) > 45
+
+
 def test_svox2_file_round_trip_and_scene_scale(device, tmp_path):
     field, _, _ = oracle.random_field(device)
     field.save(tmp_path / "p.npz", format="svox2")

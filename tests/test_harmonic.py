@@ -127,15 +127,11 @@ def test_solver_can_be_used_again_for_another_pose(device):
 
 def test_launches_longer_than_the_lists_change_nothing(monkeypatch):
     """What a CUDA graph that was captured for a larger pose does."""
-    cage, solver = solver_of("concave", 24, "cpu")
+    cage, solver = solver_of("concave", 24, None)
     values = random_values(cage)
     expected = solved(solver, values)
-    lengths = {
-        "inside": solver.nodes.counts["inside"] * 2 + 1000,
-        "corrections": 2 * int(solver.nodes.first_node[-1] - solver.nodes.first_node[1]),
-    }
-    solver._lengths = lengths
-    monkeypatch.setattr(solver, "_cycle_runner", lambda: solver._cycle)
+    cycle = solver._cycle
+    monkeypatch.setattr(solver, "_cycle_runner", lambda sections: lambda: cycle(2 * sections + 1000))
     assert np.array_equal(solved(solver, values), expected)
 
 

@@ -1,5 +1,8 @@
 """Picture and film files, sheets, disparity colours."""
 
+import struct
+import zlib
+
 import imageio.v3 as iio
 import numpy as np
 import pytest
@@ -8,6 +11,7 @@ from warpcage.images import (
     colour_disparity,
     contact_sheet,
     disparity_range,
+    image_size,
     read_image,
     side_by_side,
     to_uint8,
@@ -48,6 +52,55 @@ def test_png_refuses_what_is_no_picture_and_keeps_the_old_file(tmp_path, image):
         write_png(path, image)
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["image.png"]
+
+
+def png_bytes(width, height, depth, kind, data):
+    """A PNG by hand: kind is 0 grey, 2 colour, 4 grey with alpha, 6 colour with alpha."""
+
+    def chunk(name, content):
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
+
+
+def write_deep_png(path, image):
+    """(h, w, c) uint16 as a PNG of 16 bits a channel."""
+    height, width, channels = image.shape
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in image)
+    path.write_bytes(png_bytes(width, height, 16, {1: 0, 2: 4, 3: 2, 4: 6}[channels], rows))
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_all_16_bits_of_a_png_are_read(tmp_path, channels):
+    image = np.random.default_rng(0).integers(0, 65536, (9, 70, channels), dtype=np.uint16)
+    write_deep_png(tmp_path / "deep.png", image)
+    np.testing.assert_array_equal(np.round(read_image(tmp_path / "deep.png") * 65535), image)
+    assert image_size(tmp_path / "deep.png") == (70, 9)
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+def test_a_picture_that_declares_a_huge_size_is_refused_unread(tmp_path, depth):
+    path = tmp_path / "bomb.png"
+    path.write_bytes(png_bytes(60000, 60000, depth, 2, bytes(1000)))
+    for read in (read_image, image_size):
+        with pytest.raises(ValueError, match="bomb.png.*(60000x60000|exceeds limit)"):
+            read(path)
+
+
+@pytest.mark.parametrize("name", ["cut.png", "cut.jpg", "deep.png"])
+def test_a_truncated_picture_is_named(tmp_path, name):
+    path = tmp_path / name
+    if name == "deep.png":
+        write_deep_png(path, np.random.default_rng(0).integers(0, 65536, (40, 40, 3), dtype=np.uint16))
+    else:
+        iio.imwrite(path, np.random.default_rng(0).integers(0, 256, (40, 40, 3), dtype=np.uint8))
+    whole = path.read_bytes()
+    for share in (0.1, 0.3, 0.5, 0.7, 0.9):
+        path.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(ValueError, match=f"{name}.*cannot be read") as error:
+            read_image(path)
+        assert "\n" not in str(error.value)
 
 
 def test_png_wants_its_ending(tmp_path):

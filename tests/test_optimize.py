@@ -12,7 +12,7 @@ import warp as wp
 import warpcage
 from warpcage.bounds import camera_array, object_bounds
 from warpcage.devices import resolve_device
-from warpcage.evaluation import evaluate, mean_psnr, psnr
+from warpcage.evaluation import error_image, evaluate, mean_psnr, psnr, ssim
 from warpcage.kernels import field_loss, field_step
 from warpcage.kernels.spherical_harmonics import vec9
 from warpcage.optimize import FieldOptimizer
@@ -44,7 +44,7 @@ def test_photometric_gradient_matches_finite_differences(device):
     error = wp.zeros(96, dtype=wp.float32, device=device)
     background = (0.3, 0.6, 0.1)
     scale = 1 / (3 * 96)
-    wp.launch(field_loss.accumulate_photometric_gradient, dim=96, device=device,
+    wp.launch(field_loss.accumulate_photometric_gradient, dim=96, device=device, block_dim=64,
               inputs=[0, field.grid, rays, wp.vec3(*background), 0, 0, field.step, 0.0, scale],
               outputs=[grad_density, grad_sh, error])
 
@@ -91,7 +91,7 @@ def test_random_backgrounds_reward_the_right_alpha(device):
     for alphas, right in ((frame.alpha, True), (0.5 * frame.alpha, False)):
         rays = training_rays(cameras, seen[None] if right else (seen - 1 + 1)[None], alphas[None], field, device)
         error = wp.zeros(48, dtype=wp.float32, device=device)
-        wp.launch(field_loss.accumulate_photometric_gradient, dim=48, device=device,
+        wp.launch(field_loss.accumulate_photometric_gradient, dim=48, device=device, block_dim=64,
                   inputs=[0, field.grid, rays, wp.vec3(1.0, 1.0, 1.0), 1, 7, field.step, 1e-3, 1.0],
                   outputs=[wp.zeros(field.voxel_count, dtype=wp.float32, device=device),
                            wp.zeros((field.voxel_count, 3), dtype=vec9, device=device), error])
@@ -244,6 +244,21 @@ def test_psnr_by_hand():
     assert psnr(np.full((1, 1, 3), 1.7), np.ones((1, 1, 3))) == float("inf")  # clamped
 
 
+def test_ssim_and_error_image():
+    random = np.random.default_rng(0)
+    image = random.random((24, 20, 3))
+    assert ssim(image, image) == pytest.approx(1.0)
+    noisy = np.clip(image + random.normal(0, 0.2, image.shape), 0, 1)
+    assert ssim(noisy, image) < 0.9
+    wrong = image.copy()
+    wrong[3, 4] += 0.5
+    errors = error_image(wrong, image)
+    np.testing.assert_allclose(errors[3, 4], [0.85, 0, 0], atol=1e-6)
+    assert np.ptp(errors[10, 10]) < 1e-6  # grey where it is right
+    with pytest.raises(ValueError, match="11x11"):
+        ssim(image[:5], image[:5])
+
+
 def test_lego_at_a_tenth_of_the_effort(real_data):
     scene = warpcage.load_scene(real_data / "lego_800", downscale=16)
     test = warpcage.load_scene(real_data / "lego_800", split="test", downscale=16)
@@ -264,7 +279,7 @@ def save_then_die(optimizer, path):
     if len(saves) == 3:
         os.kill(os.getpid(), signal.SIGKILL)
 fit_progress.save_progress = save_then_die
-warpcage.fit(t.blob_scene(count=12, size=24, device="cpu"), device="cpu", progress=False, checkpoint=sys.argv[1],
+warpcage.fit(t.blob_scene(count=12, size=24), progress=False, checkpoint=sys.argv[1],
              checkpoint_seconds=0.0, **t.RESUMED)
 """
 
@@ -277,10 +292,10 @@ def test_a_killed_fit_goes_on_from_its_checkpoint(tmp_path):
                             capture_output=True, timeout=120)
     assert killed.returncode == -9, killed.stderr.decode()
     assert [p.name for p in tmp_path.iterdir()] == ["progress.npz"]
-    scene = blob_scene(count=12, size=24, device="cpu")
-    resumed = warpcage.fit(scene, device="cpu", progress=False, checkpoint=checkpoint, **RESUMED)
+    scene = blob_scene(count=12, size=24)
+    resumed = warpcage.fit(scene, progress=False, checkpoint=checkpoint, **RESUMED)
     assert not checkpoint.exists()
-    through = warpcage.fit(scene, device="cpu", progress=False, **RESUMED)
+    through = warpcage.fit(scene, progress=False, **RESUMED)
     assert abs(mean_psnr(evaluate(resumed, scene)) - mean_psnr(evaluate(through, scene))) < 0.05
 
 

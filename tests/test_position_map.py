@@ -10,6 +10,7 @@ from warpcage.cage import Cage
 from warpcage.coordinates import stretched_normals
 from warpcage.devices import launch
 from warpcage.kernels.cage_map import sample_map
+from warpcage.pose_graph import PoseGraph
 from warpcage.position_map import PositionMap, fit_affine, harmonic_weights
 
 KINDS = ("harmonic", "mean_value", "green")
@@ -145,6 +146,30 @@ def test_posing_again_gives_what_a_new_map_gives(kind, device):
         positions, distance = look_up(kept.pose(deformed), points)
         fresh = look_up(PositionMap(rest, **options).pose(deformed), points)
         assert np.array_equal(positions, fresh[0]) and np.array_equal(distance, fresh[1])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_replayed_poses_are_the_same(kind, device, monkeypatch):
+    """The launches of a pose as a CUDA graph has them, with room for other poses; on the CPU they run one by one."""
+    rest = cage_named("icosphere")
+    options = dict(coordinates=kind, resolution=16, device=device)
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
+    poses = [pose_noisily(rest), rest.scale((1, 1.02, 0.97)), rest.rotate(20), rest.scale((1, 0.5, 0.4)), rest]
+    expected = []
+    for deformed in poses:
+        points = inside_points(deformed, 100)
+        position_map = PositionMap(rest, **options).pose(deformed)
+        expected.append((points, *look_up(position_map, points), position_map.cycles))
+    replays = []
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
+    run = PoseGraph.run
+    monkeypatch.setattr(PoseGraph, "run", lambda self: replays.append(run(self)) or replays[-1])
+    kept = PositionMap(rest, **options)
+    for deformed, (points, positions, distance, cycles) in zip(poses, expected, strict=True):
+        found = look_up(kept.pose(deformed), points)
+        assert np.array_equal(found[0], positions) and np.array_equal(found[1], distance)
+        assert kept.cycles == cycles
+    assert sum(replays) >= 2
 
 
 def test_harmonic_map_reports_its_solver(device):

@@ -117,7 +117,7 @@ def test_bad_arguments(tmp_path):
     with pytest.raises(ValueError, match="background"):
         load_scene(tmp_path, background="transparent")
     with pytest.raises(ValueError, match="not known"):
-        load_scene(tmp_path, format="colmap")
+        load_scene(tmp_path, format="llff")
 
 
 def test_scene_refuses_what_does_not_fit():

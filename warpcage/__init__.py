@@ -4,6 +4,7 @@ images + cameras -> Scene -> VoxelField -> surface mesh -> Cage -> coordinates o
 after Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022).
 """
 
+from .bake import bake
 from .cage import Cage
 from .cage_check import CageReport
 from .cage_edits import CageEdit
@@ -31,6 +32,7 @@ __all__ = [
     "PositionMap",
     "Scene",
     "VoxelField",
+    "bake",
     "deform_points",
     "evaluate",
     "fit",

@@ -35,6 +35,22 @@ def read_npz(path, what: str) -> dict[str, np.ndarray]:
         raise ValueError(f"{path} is no .npz {what}: {' '.join(str(error).split()) or type(error).__name__}") from error
 
 
+def require_numbers(contents: dict, name: str, shape: tuple | None, path) -> np.ndarray:
+    """The array `name` of what read_npz read, of real numbers and of a shape (None in it, or for it, is any).
+
+    Raises ValueError that names the file, where it is missing or something else.
+    """
+    if name not in contents:
+        raise ValueError(f"{path} lacks {name}")
+    array = contents[name]
+    fits = shape is None or (array.ndim == len(shape) and all(want in (None, size)
+                                                              for want, size in zip(shape, array.shape, strict=True)))
+    if array.dtype.kind not in "fiu" or not fits:
+        wanted = "numbers" if shape is None else f"numbers of shape {shape}".replace("None", "any")
+        raise ValueError(f"{path}: {name} must hold {wanted}, got {array.dtype} {array.shape}")
+    return array
+
+
 def _check_sizes(archive: zipfile.ZipFile, members) -> None:
     names = [info.filename for info in members]
     if len(set(names)) < len(names):

@@ -12,7 +12,8 @@ def is_device_array(array) -> bool:
         return True
     if isinstance(array, np.ndarray | list | tuple):
         return False
-    return hasattr(array, "__cuda_array_interface__") or hasattr(array, "__dlpack__")
+    # DLPack first: torch refuses even to say whether a tensor that requires grad has the other
+    return hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")
 
 
 def as_points(points, device=None, *, name: str = "points") -> tuple[wp.array, bool]:

@@ -6,6 +6,8 @@ import math
 
 import warp as wp
 
+_WARP_TYPES = {int: wp.int32, float: wp.float32, bool: wp.bool}
+
 
 class Buffers:
     """Named flat arrays that only grow, so that a new pose of about the same shape allocates nothing.
@@ -22,6 +24,7 @@ class Buffers:
         """An uninitialised contiguous array of `shape`, a view of the buffer of that name (grown where too small)."""
         shape = (shape,) if isinstance(shape, int) else tuple(int(side) for side in shape)
         count = math.prod(shape)
+        dtype = _WARP_TYPES.get(dtype, dtype)  # as arrays name theirs
         held = self._arrays.get(name)
         if held is None or held.size < count or held.dtype != dtype:
             spare = 0 if held is None else count // 16  # poses of one cage differ by little

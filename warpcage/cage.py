@@ -94,6 +94,18 @@ class Cage:
         posed._set(vertices, self.faces, self.topology)
         return posed
 
+    def match(self, pose: Cage) -> Cage:
+        """A pose read from elsewhere as a pose of this cage: its vertices in this cage's order, with this cage's faces.
+
+        pose: a Cage of the same mesh whose vertices or faces may come in another order, with quads cut along other
+        diagonals, or with vertices repeated where faces meet. A symmetric cage can be laid over itself in several
+        ways; the one that moves the vertices least is taken.
+        Raises ValueError that says how they differ where no order fits, or where two fit equally well.
+        """
+        from .cage_match import matched_vertices
+
+        return self.with_vertices(matched_vertices(self, pose))
+
     # -- Checks
 
     def require_usable(self, name: str = "cage") -> None:
@@ -120,39 +132,52 @@ class Cage:
 
         return inside_cage(points, self, tolerance=SURFACE_TOLERANCE, device=device)
 
-    def check(self, field=None, mesh=None):
-        """Examine the cage, and what it encloses where a field or a mesh is given: a CageReport.
+    def check(self, field=None, mesh=None, pose: Cage | None = None):
+        """Examine the cage, what it encloses where a field or a mesh is given, and what a pose does: a CageReport.
 
         mesh: trimesh.Trimesh whose vertices ought to be inside. field: VoxelField whose visible voxels ought to be.
+        pose: a pose of this cage, in any order that `match` takes. Raises ValueError for one that does not match.
         """
         from .cage_check import check_cage
 
-        return check_cage(self, field=field, mesh=mesh)
+        return check_cage(self, field=field, mesh=mesh, pose=pose)
+
+    def repair(self, *, largest_hole: int = 12) -> tuple[Cage, tuple[str, ...]]:
+        """A mended cage and a line for each thing done to it: see `warpcage.cage_repair.repaired_cage`.
+
+        Repeated vertices, repeated faces, winding and holes of few edges; vertices keep their numbers and places.
+        """
+        from .cage_repair import repaired_cage
+
+        return repaired_cage(self, largest_hole)
 
     # -- Files
 
     @classmethod
-    def load(cls, path) -> Cage:
-        """Read an OBJ, PLY or OFF file. Vertices keep their order exactly, used or not; polygons are cut into fans.
+    def load(cls, path, *, up: str | None = None) -> Cage:
+        """Read an OBJ, PLY, OFF or glTF file. Vertices keep their order exactly, used or not; polygons are cut.
 
+        up: the axis that points up in the file, "z" or "y" (as Blender writes OBJ by default); y-up files are turned,
+        (x, y, z) -> (x, -z, y). None is "y" for glTF, which is y-up by its specification, "z" for the others.
         Raises FileNotFoundError for a missing file, ValueError with file name and line for one that cannot be read.
         """
         from .cage_files import read_mesh
 
-        path, vertices, faces = read_mesh(path)
+        path, vertices, faces = read_mesh(path, up)
         try:
             return cls(vertices, faces)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
-    def save(self, path) -> None:
-        """Write an OBJ, PLY (binary) or OFF file, as the ending of `path` says; vertices survive to the last bit.
+    def save(self, path, *, up: str | None = None) -> None:
+        """Write an OBJ, PLY (binary), OFF or glTF (.glb, .gltf) file, as the ending of `path` says; up: as in `load`.
 
-        The file appears whole or not at all. Raises ValueError for another ending.
+        Vertices survive in their order, and to the last bit save in glTF, which holds float32. The file appears whole
+        or not at all. Raises ValueError for another ending.
         """
         from .cage_files import write_mesh
 
-        write_mesh(path, self.vertices, self.faces)
+        write_mesh(path, self.vertices, self.faces, up)
 
     # -- Simple shapes
 
@@ -193,18 +218,40 @@ class Cage:
     # -- Generation
 
     @classmethod
-    def from_mesh(cls, mesh, vertex_count: int = 100, *, margin: float | None = None) -> Cage:
-        """A cage of about `vertex_count` vertices around a mesh: see `warpcage.cage_generation.cage_around_mesh`."""
+    def from_mesh(cls, mesh, vertex_count: int = 100, **options) -> Cage:
+        """A cage of about `vertex_count` vertices around a mesh. options: margin, method, symmetry, progress; see
+        `warpcage.cage_generation.cage_around_mesh`."""
         from .cage_generation import cage_around_mesh
 
-        return cage_around_mesh(mesh, vertex_count, margin=margin)
+        return cage_around_mesh(mesh, vertex_count, **options)
 
     @classmethod
-    def from_field(cls, field, vertex_count: int = 100, *, margin: float | None = None, threshold: float | None = None):
-        """A cage of about `vertex_count` vertices around what a field shows: see `cage_around_field` there."""
+    def from_field(cls, field, vertex_count: int = 100, **options) -> Cage:
+        """A cage of about `vertex_count` vertices around what a field shows. options: margin, threshold, select,
+        method, symmetry, progress; see `cage_around_field` there."""
         from .cage_generation import cage_around_field
 
-        return cage_around_field(field, vertex_count, margin=margin, threshold=threshold)
+        return cage_around_field(field, vertex_count, **options)
+
+    # -- Other cages of the same object
+
+    def subdivide(self, times: int = 1) -> Cage:
+        """Every face cut in four: see `warpcage.cage_refine.subdivided`."""
+        from .cage_refine import subdivided
+
+        return subdivided(self, times)
+
+    def simplify(self, vertex_count: int, *, field=None, mesh=None, margin: float = 0.0) -> Cage:
+        """Fewer vertices around the same object: see `warpcage.cage_refine.simplified`."""
+        from .cage_refine import simplified
+
+        return simplified(self, vertex_count, field=field, mesh=mesh, margin=margin)
+
+    def symmetrise(self, axis: str = "x", *, centre: float | None = None, keep: str = "both") -> Cage:
+        """Its own mirror image: see `warpcage.cage_refine.symmetrised`."""
+        from .cage_refine import symmetrised
+
+        return symmetrised(self, axis, centre=centre, keep=keep)
 
     # -- Poses: the same faces, other vertices
 
@@ -236,6 +283,12 @@ class Cage:
         """Turn about `axis` through `centre`, anticlockwise seen against it: see `warpcage.poses.rotate`."""
         return self._posed("rotate", degrees, axis=axis, centre=centre)
 
+    def move(self, offset, *, group=None, centre=None, radius: float | None = None) -> Cage:
+        """Move a group of vertices, or what is near `centre`, with falloff over `radius`: see `warpcage.poses.move`."""
+        from . import poses
+
+        return self.with_vertices(poses.move(self.vertices, offset, group=group, centre=centre, radius=radius))
+
     def _posed(self, pose: str, *arguments, **options) -> Cage:
         from . import poses
 
@@ -246,24 +299,24 @@ class Cage:
 
 def require_same_faces(rest: Cage, deformed: Cage) -> None:
     """Raise a ValueError that says how they differ unless both cages have the same faces in the same order."""
-    if len(rest.vertices) != len(deformed.vertices):
-        raise ValueError(f"the deformed cage has {len(deformed.vertices)} vertices, the rest cage "
-                         f"{len(rest.vertices)}: they must match one to one")
     if rest.faces is deformed.faces:
         return
-    if len(rest.faces) != len(deformed.faces):
-        raise ValueError(f"the deformed cage has {len(deformed.faces)} faces, the rest cage {len(rest.faces)}: "
-                         "they must be the same")
-    differing = np.flatnonzero((rest.faces != deformed.faces).any(axis=1))
-    if not len(differing):
+    same_count = len(rest.vertices) == len(deformed.vertices)
+    if same_count and np.array_equal(rest.faces, deformed.faces):
         return
-    first = int(differing[0])
-    ours, theirs = rest.faces[first].tolist(), deformed.faces[first].tolist()
-    if np.array_equal(_sorted_faces(rest), _sorted_faces(deformed)):
-        raise ValueError(f"the deformed cage has the rest cage's faces in another order, from face {first} ({theirs}, "
-                         f"not {ours}): use rest.with_vertices(deformed.vertices)")
-    raise ValueError(f"face {first} of the deformed cage is {theirs}, of the rest cage {ours} "
-                     f"({len(differing)} differ): save both without reordering vertices")
+    try:
+        rest.match(deformed)
+    except ValueError as error:
+        raise ValueError(str(error).replace("the pose", "the deformed cage", 1)) from None
+    if same_count and np.array_equal(np.unique(np.sort(rest.faces, axis=1), axis=0),
+                                     np.unique(np.sort(deformed.faces, axis=1), axis=0)):
+        first = int(np.flatnonzero((rest.faces != deformed.faces).any(axis=1))[0])
+        raise ValueError(f"the deformed cage has the rest cage's faces in another order, from face {first} "
+                         f"({deformed.faces[first].tolist()}, not {rest.faces[first].tolist()}): pass "
+                         "rest.match(deformed)")
+    what = "vertices in another order" if same_count else f"faces on {len(deformed.vertices)} vertices, not on "\
+        f"{len(rest.vertices)}"
+    raise ValueError(f"the deformed cage has the rest cage's {what}: pass rest.match(deformed)")
 
 
 def _checked_vertices(vertices) -> np.ndarray:
@@ -284,10 +337,3 @@ def _checked_faces(faces, vertex_count: int) -> np.ndarray:
     faces = np.array(faces, dtype=np.int32, order="C", copy=True)
     faces.setflags(write=False)
     return faces
-
-
-def _sorted_faces(cage: Cage) -> np.ndarray:
-    """Faces with the lowest index first (same direction), sorted: equal for cages that differ in order only."""
-    turn = np.argmin(cage.faces, axis=1)[:, None] + np.arange(3)
-    turned = np.take_along_axis(cage.faces, turn % 3, axis=1)
-    return turned[np.lexsort(turned.T[::-1])]

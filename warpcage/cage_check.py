@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .cage_intersections import intersecting_faces
+from .cage_report import COST_RESOLUTION, CageReport
 
 if TYPE_CHECKING:
     from .cage import Cage
@@ -16,143 +16,103 @@ if TYPE_CHECKING:
 DEGENERATE_HEIGHT = 1e-7
 
 
-@dataclasses.dataclass(frozen=True)
-class CageReport:
-    """What `Cage.check` found. `str(report)` is a table that says what to do about each problem.
-
-    Counts and measures of the cage, world units; the offenders themselves as tuples of indices; `enclosed` the share of
-    the mesh's vertices and of the field's visible voxels that lie inside (None where none was given).
-    """
-
-    vertex_count: int
-    face_count: int
-    part_count: int
-    genus: int | None
-    volume: float
-    size: float
-    convexity: float
-    open_edges: tuple
-    crowded_edges: tuple
-    pinched_vertices: tuple
-    clashing_edges: tuple
-    degenerate_faces: tuple
-    coincident_vertices: tuple
-    inward_parts: tuple
-    intersecting_faces: tuple
-    unused_vertices: tuple
-    mesh_enclosed: float | None
-    field_enclosed: float | None
-    problem: str
-
-    @property
-    def closed(self) -> bool:
-        """Whether no edge has a single face."""
-        return not self.open_edges
-
-    @property
-    def manifold(self) -> bool:
-        """Whether every edge has at most two faces and every vertex one fan of them."""
-        return not self.crowded_edges and not self.pinched_vertices
-
-    @property
-    def oriented(self) -> bool:
-        """Whether all faces look outward (those of a cavity into it)."""
-        return not self.clashing_edges and not self.inward_parts
-
-    @property
-    def usable(self) -> bool:
-        """Whether coordinates can be computed on the cage: what `Cage.require_usable` demands."""
-        return not self.problem
-
-    def as_dict(self) -> dict:
-        """All entries as plain numbers, strings and lists, as JSON takes them."""
-        entries = {entry.name: getattr(self, entry.name) for entry in dataclasses.fields(self)}
-        plain = {name: _plain(value) for name, value in entries.items()}
-        return plain | {name: getattr(self, name) for name in ("closed", "manifold", "oriented", "usable")}
-
-    def __str__(self) -> str:
-        genus = "not defined" if self.genus is None else self.genus
-        rows = [
-            ("vertices, faces", f"{self.vertex_count}, {self.face_count}", ""),
-            ("connected parts, handles", f"{self.part_count}, {genus}", ""),
-            ("size, volume", f"{self.size:.6g}, {self.volume:.6g}", ""),
-            ("volume of the convex hull filled", f"{100 * self.convexity:.1f} %", ""),
-            _row("open edges", self.open_edges, "fill the holes: every edge needs two faces"),
-            _row("edges of three or more faces", self.crowded_edges, "delete inner faces or split the edge"),
-            _row("pinched vertices", self.pinched_vertices, "duplicate the vertex, one for each fan of faces"),
-            _row("clashing edges", self.clashing_edges, "flip faces until all look outward"),
-            _row("inward parts", self.inward_parts, "flip all faces of the part"),
-            _row("degenerate faces", self.degenerate_faces, "remove the face or move its vertices apart"),
-            _row("vertices at the same place", self.coincident_vertices, "merge them or move them apart"),
-            _row("intersecting faces", self.intersecting_faces, "move vertices apart: the map folds there"),
-            _row("unused vertices", self.unused_vertices, "harmless: kept so that poses match one to one"),
-        ]
-        for what, share in (("mesh vertices", self.mesh_enclosed), ("visible voxels", self.field_enclosed)):
-            if share is not None:
-                advice = "" if share == 1.0 else "move the cage outward there: what is outside does not follow"
-                rows.append((f"{what} enclosed", f"{100 * share:.3f} %", advice))
-        rows.append(("usable", "yes" if self.usable else "no", f"the cage {self.problem}" if self.problem else ""))
-        widths = [max(len(row[k]) for row in rows) for k in range(2)]
-        return "\n".join(f"{a:<{widths[0]}}  {b:<{widths[1]}}  {c}".rstrip() for a, b, c in rows)
-
-
-def check_cage(cage: Cage, field=None, mesh=None) -> CageReport:
-    """Examine a cage: see `Cage.check`. Raises ValueError for a mesh or a field with nothing in it.
+def check_cage(cage: Cage, field=None, mesh=None, pose=None) -> CageReport:
+    """Examine a cage: see `Cage.check`. Raises ValueError for a mesh or a field with nothing in it, or a pose that does
+    not match.
 
     Enclosure is only defined for a usable cage; it is 0 otherwise.
     """
     topology = cage.topology
     problem = first_problem(cage)
-    shares = {"mesh": None, "field": None}
+    shares, outside, objects = {"mesh": None, "field": None}, [], []
     if mesh is not None:
-        shares["mesh"] = _enclosed(cage, np.asarray(mesh.vertices, dtype=np.float64), problem, "mesh has no vertices")
+        points = np.asarray(mesh.vertices, dtype=np.float64)
+        shares["mesh"] = _enclosed(cage, points, problem, "mesh has no vertices", outside)
+        objects.append(points)
     if field is not None:
         from .cage_generation import visible_nodes
 
-        shares["field"] = _enclosed(cage, visible_nodes(field), problem, "field has no visible voxels")
+        points = visible_nodes(field)
+        shares["field"] = _enclosed(cage, points, problem, "field has no visible voxels", outside)
+        objects.append(points)
+    if pose is not None:
+        from .pose_check import check_pose
+
+        pose = check_pose(cage, pose) if not problem else None
     closed = topology.closed and topology.manifold
     return CageReport(
         vertex_count=len(cage.vertices), face_count=len(cage.faces), part_count=topology.part_count,
         genus=topology.genus, volume=cage.volume, size=cage.size, convexity=_convexity(cage),
-        open_edges=_tuples(topology.open_edges), crowded_edges=_tuples(topology.crowded_edges),
-        pinched_vertices=_tuples(topology.pinched_vertices), clashing_edges=_tuples(topology.clashing_edges),
-        degenerate_faces=_tuples(degenerate_faces(cage)), coincident_vertices=_tuples(coincident_vertices(cage)),
-        inward_parts=_tuples(inward_parts(cage)) if closed else (),
-        intersecting_faces=_tuples(intersecting_faces(cage.vertices, cage.faces)),
-        unused_vertices=_tuples(topology.unused_vertices),
-        mesh_enclosed=shares["mesh"], field_enclosed=shares["field"], problem=problem,
+        open_edges=tuples(topology.open_edges), crowded_edges=tuples(topology.crowded_edges),
+        pinched_vertices=tuples(topology.pinched_vertices), clashing_edges=tuples(topology.clashing_edges),
+        degenerate_faces=tuples(degenerate_faces(cage)), coincident_vertices=tuples(coincident_vertices(cage)),
+        inward_parts=tuples(inward_parts(cage)) if closed else (),
+        intersecting_faces=tuples(intersecting_faces(cage.vertices, cage.faces)),
+        unused_vertices=tuples(topology.unused_vertices),
+        mesh_enclosed=shares["mesh"], field_enclosed=shares["field"],
+        leaking_faces=_nearest_faces(cage, outside), hull_ratio=_hull_ratio(cage, objects),
+        lattice_nodes=_lattice_nodes(cage), notes=tuple(getattr(field, "notes", ())), problem=problem, pose=pose,
     )  # fmt: skip
 
 
-def _enclosed(cage, points, problem, complaint) -> float:
+def _enclosed(cage, points, problem, complaint, outside) -> float:
+    """Share of points inside; those outside are added to a list."""
     if not len(points):
         raise ValueError(complaint)
-    return 0.0 if problem else float(np.mean(cage.contains(points)))
+    if problem:
+        return 0.0
+    inside = cage.contains(points)
+    outside.append(points[~inside])
+    return float(np.mean(inside))
+
+
+def _nearest_faces(cage, outside, most: int = 500) -> tuple:
+    """(face, count) by the centre nearest to each point outside, the most frequent first; an even choice of points."""
+    points = np.concatenate(outside) if outside else np.zeros((0, 3))
+    if not len(points):
+        return ()
+    points = points[:: -(-len(points) // most)]
+    centres = cage.vertices[cage.faces].mean(axis=1)
+    nearest = np.argmin(((points[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
+    faces, counts = np.unique(nearest, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    return tuples(np.stack([faces[order], counts[order]], axis=1))
+
+
+def _lattice_nodes(cage) -> int:
+    """Nodes of a lattice of COST_RESOLUTION cells along the longest side, with its margins; 0 for no extent."""
+    if cage.size == 0.0:
+        return 0
+    return int(np.prod(np.ceil(np.ptp(cage.bounds, axis=0) / cage.size * COST_RESOLUTION) + 6))
 
 
 def _convexity(cage) -> float:
     """Volume over that of the convex hull; 0 for a flat cage."""
-    if cage.size == 0.0 or np.ptp(cage.bounds, axis=0).min() == 0.0:
+    hull = _hull_volume(np.concatenate(cage.corners))
+    return cage.volume / hull if hull > 0.0 else 0.0
+
+
+def _hull_ratio(cage, objects) -> float | None:
+    """Volume over that of the convex hull of points (n, 3); None without points, or for flat ones."""
+    hull = _hull_volume(np.concatenate(objects)) if objects else 0.0
+    return cage.volume / hull if hull > 0.0 else None
+
+
+def _hull_volume(points) -> float:
+    extent = np.ptp(points, axis=0)
+    if len(points) < 4 or extent.min() <= 1e-12 * extent.max():
         return 0.0
     import trimesh
 
-    hull = trimesh.convex.convex_hull(np.concatenate(cage.corners))
-    return cage.volume / hull.volume if hull.volume > 0.0 else 0.0
+    try:
+        return float(trimesh.convex.convex_hull(points).volume)
+    except Exception:  # all in one plane, as its solver says in its own way
+        return 0.0
 
 
-def _tuples(array) -> tuple:
+def tuples(array) -> tuple:
+    """Rows of an array as (tuples of) plain numbers."""
     return tuple(tuple(row) if isinstance(row, list) else row for row in np.asarray(array).tolist())
-
-
-def _plain(value):
-    return [_plain(each) for each in value] if isinstance(value, tuple) else value
-
-
-def _row(what: str, offenders: tuple, advice: str) -> tuple:
-    if not offenders:
-        return what, "none", ""
-    shown = ", ".join(str(each) for each in offenders[:3]) + (", ..." if len(offenders) > 3 else "")
-    return what, str(len(offenders)), f"{advice}: {shown}"
 
 
 def degenerate_faces(cage: Cage) -> np.ndarray:

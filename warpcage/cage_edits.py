@@ -12,7 +12,8 @@ from .devices import launch
 from .kernels.cage_edits import ClosedFormEdit, LatticeEdit
 from .kernels.cage_map import CageMap
 from .kernels.deformed_points import map_points, mark_edit_cases
-from .kernels.deformed_render import mark_edit_cells, render_deformed
+from .kernels.deformed_render import mark_edit_cells, render_edits
+from .kernels.deformed_single import SingleEdit, join_cell_tables, render_edit
 from .kernels.grid_skip import spread_distance
 from .lattice import CageLattice
 
@@ -64,9 +65,9 @@ class LatticeEdits:
     """
 
     map_kernel = map_points
-    render_kernel = render_deformed
 
-    def __init__(self, edits: list[CageEdit], coordinates: str, resolution: int, origin, device):
+    def __init__(self, edits: list[CageEdit], coordinates: str, resolution: int, origin, device,
+                 store: str = "map"):
         from .position_map import PositionMap
 
         self.device = device
@@ -74,13 +75,17 @@ class LatticeEdits:
         self._rests = [CageLattice(edit.cage, resolution, origin=origin, device=device) for edit in edits]
         self._maps = [
             None if edit.remove
-            else PositionMap(edit.cage, coordinates=coordinates, resolution=resolution, origin=origin, device=device)
+            else PositionMap(edit.cage, coordinates=coordinates, resolution=resolution, origin=origin, device=device,
+                             store=store)
             for edit in edits
         ]
         self._cells: list[wp.array] = []
         self._skips: list[wp.array] = []
+        self._look: wp.array | None = None
         self.array: wp.array | None = None  #: (edit_count,) LatticeEdit
+        self.scene = None  #: what the render kernel takes, once prepared: the one edit, or the array of all
         self._marked_step = 0.0
+        self.render_kernel = render_edit if len(edits) == 1 else render_edits
 
     def pose(self, cages: list[Cage | None]) -> None:
         """Compute the maps from the deformed cages (None where the edit removes)."""
@@ -98,6 +103,7 @@ class LatticeEdits:
         for struct, cells, skip in zip(structs, self._cells, self._skips, strict=True):
             struct.cells, struct.skip = cells, skip
             launch(mark_edit_cases, cells.size, [struct], [cells], device=self.device)
+        self.scene = None
         self._structs = structs  # they own what the device array points to
         self.array = wp.array(structs, dtype=LatticeEdit, device=self.device)
         self._marked_step = 0.0
@@ -121,6 +127,29 @@ class LatticeEdits:
                 launch(spread_distance, skip.size, [axis, source], [target], device=self.device)
                 source, target = target, source
         self._marked_step = step
+        self.scene = self._single_edit() if len(self._edits) == 1 else self.array
+
+    def _single_edit(self) -> SingleEdit:
+        """The one edit of a scene as its own kernel takes it."""
+        edit, single = self._structs[0], SingleEdit()
+        shape = edit.deformed.distance.shape
+        single.lower, single.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
+        single.node_counts = wp.vec3i(*shape)
+        single.distance = edit.deformed.distance.flatten()
+        if not edit.removes:
+            single.positions = edit.deformed.positions.flatten()
+        if self._look is None or self._look.size != single.distance.size:
+            self._look = wp.zeros(single.distance.size, dtype=wp.uint8, device=self.device)
+        single.look, single.rest = self._look, edit.rest
+        side_index = edit.deformed.side_index
+        single.has_sides = int(side_index is not None and side_index.size > 0)
+        if single.has_sides:
+            single.side_index, single.sides = side_index, edit.deformed.sides
+        single.tolerance, single.slack = edit.tolerance, edit.slack
+        single.keeps_source, single.removes = edit.keeps_source, edit.removes
+        launch(join_cell_tables, edit.cells.size, [edit.cells, edit.skip, single.node_counts], [single.look],
+               device=self.device)
+        return single
 
 
 class ClosedFormEdits:
@@ -161,6 +190,11 @@ class ClosedFormEdits:
         struct.is_green = int(self._is_green)
         struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
         return struct
+
+    @property
+    def scene(self) -> wp.array:
+        """What the render kernel takes: the array of all edits."""
+        return self.array
 
     def _local(self, vertices: np.ndarray) -> wp.array:
         return wp.array((vertices - self._origin).astype(np.float32), dtype=wp.vec3, device=self.device)

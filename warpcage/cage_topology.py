@@ -75,7 +75,7 @@ class CageTopology:
             return None
         used = int(self.edges.max()) + 1 - np.count_nonzero(self.unused_vertices <= self.edges.max())
         euler = used - len(self.edges) + len(self.parts)
-        return (2 * self.part_count - euler) // 2
+        return int(2 * self.part_count - euler) // 2
 
 
 def connected_parts(count: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, int]:

@@ -11,6 +11,8 @@ from .kernels.green import weigh_green
 from .kernels.lattice_weights import place_nodes
 from .kernels.map_extension import extend_outwards
 from .kernels.mean_value import weigh_mean_value
+from .kernels.node_levels import RINGS
+from .map_sides import GapFlags
 from .node_levels import LatticeNodes
 
 
@@ -22,53 +24,64 @@ class ClosedFormSolver:
     def __init__(self, lattice):
         self.lattice, self.device = lattice, lattice.device
         self.nodes = LatticeNodes(lattice, level_count=1)
-        self._set_up()
+        self.status = wp.zeros(2, dtype=float, device=self.device)
+        self.gaps = GapFlags(self)
 
     def prepare(self) -> None:
         """Set up for the pose that the lattice was filled with."""
         self.nodes.fill()
-        self._set_up()
 
-    def _set_up(self) -> None:
-        lattice = self.lattice
-        self.values = lattice.buffers.get("values", lattice.node_count, wp.vec3)
-        # float32 keeps most digits around the middle
-        centre = (np.array(lattice.shape) - 1) // 2
-        vertices = (lattice.cage.vertices - lattice.lower) / lattice.spacing - centre
-        self._centre = wp.vec3(*centre.astype(float))
-        self._vertices = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=self.device)
+    @property
+    def values(self) -> wp.array:
+        """(nodes,) vec3, flat: the last map."""
+        return self.lattice.buffers.get("values", self.lattice.node_count, wp.vec3)
 
-    def count_thin_nodes(self) -> int:
-        return 0
+    def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
+        """Nothing to set up."""
+
+    def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
+        """Launch what fills the values. sizes, sections: of this pose, or upper bounds."""
+        values = self.lattice.buffers.get("values", sizes["nodes"], wp.vec3)
+        values.zero_()
+        self.launch_map(sections, vertex_values, face_values, values)
+
+    def solve(self, vertex_values: wp.array, face_values=None) -> None:
+        """Values at inside nodes and rings for vertex_values (v,) and, for green, face_values (f,) vec3: what psi in
+        node units multiplies."""
+        self.launch_solution(self.nodes.sizes, self.nodes.sections, vertex_values, face_values)
+
+    def take_status(self, status: np.ndarray) -> None:
+        """Nothing to note."""
+
+    def load_modules(self) -> None:
+        """Compile what a capture would need: the map has run before."""
 
     def _size(self) -> float:
         """Size of the cage in node units."""
-        return self.lattice.cage.size / self.lattice.spacing
+        return float(self.lattice.resolution)
+
+    @property
+    def _vertices(self) -> wp.array:
+        return self.lattice.constants.arrays["centred"]
 
     def _place(self, begin: int, count: int) -> wp.array:
         points = wp.empty(count, dtype=wp.vec3, device=self.device)
-        launch(place_nodes, count, [begin, self._centre, self.nodes.levels], [points], device=self.device)
+        launch(place_nodes, count, [begin, self.nodes.levels], [points], device=self.device)
         return points
 
 
 class MeanValueSolver(ClosedFormSolver):
     """Mean value maps: the formula holds outside the cage as well, so the rings take their own values."""
 
-    def solve(self, vertex_values: wp.array, face_values=None) -> None:
-        """Values at inside nodes and rings for vertex_values (v,) vec3 at the cage's vertices."""
-        lattice = self.lattice
-        self.values.zero_()
-        for begin, count in self.node_ranges():
-            launch(
-                map_nodes_mean_value,
-                count,
-                [
-                    begin, self._centre, self.nodes.levels, self._vertices, lattice.faces, vertex_values,
-                    self._size(),
-                ],
-                [self.values],
-                device=self.device,
-            )
+    def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
+        """Launch the map at all listed nodes."""
+        launch(
+            map_nodes_mean_value,
+            int(sections[:2].sum() + sections[3:].sum()),
+            [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, self._size()],
+            [values],
+            device=self.device,
+        )
 
     def extend(self, vertex_values: wp.array) -> None:
         """Nothing to do: the rings have values of their own."""
@@ -96,33 +109,29 @@ class MeanValueSolver(ClosedFormSolver):
 class GreenSolver(ClosedFormSolver):
     """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly."""
 
-    def solve(self, vertex_values: wp.array, face_values: wp.array) -> None:
-        """Values at inside nodes and rings for vertex_values (v,) and face_values (f,) vec3, as the normals weighted by
-        psi in node units."""
-        lattice = self.lattice
-        self.values.zero_()
-        for begin, count in self.node_ranges():
-            launch(
-                map_nodes_green,
-                count,
-                [
-                    begin, self._centre, self.nodes.levels, self._vertices, lattice.faces, vertex_values, face_values,
-                    self._size(),
-                ],
-                [self.values],
-                device=self.device,
-            )
-        self.extend(vertex_values)
+    def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
+        """Launch the map at inside nodes and what continues it."""
+        launch(
+            map_nodes_green,
+            int(sections[:2].sum()),
+            [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, face_values, self._size()],
+            [values],
+            device=self.device,
+        )
+        self._launch_rings(sections, vertex_values, values)
 
     def extend(self, vertex_values: wp.array) -> None:
         """Continue the values at inside nodes to the rings of outside nodes around them."""
+        self._launch_rings(self.nodes.sections, vertex_values, self.values)
+
+    def _launch_rings(self, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
         lattice = self.lattice
-        for ring in range(4):
+        for ring in range(RINGS):
             launch(
                 extend_outwards,
-                int(self.nodes.counts["rings"][ring]),
+                int(sections[3 + ring]),
                 [ring, lattice.vertices, lattice.faces, self.nodes.levels, vertex_values],
-                [self.values],
+                [values],
                 device=self.device,
             )
 

@@ -16,6 +16,7 @@ from .arrays import as_host_points, as_points, is_device_array
 from .cage import SURFACE_TOLERANCE, Cage, require_same_faces
 from .devices import launch, resolve_device
 from .kernels import cage_map, green, local_points, mean_value
+from .memory import require_memory
 
 #: Kinds of coordinates, as `coordinates=` takes them.
 KINDS = ("mean_value", "green", "harmonic")
@@ -33,10 +34,12 @@ def mean_value_coordinates(points, cage: Cage, device=None):
     a device, else the first GPU or the CPU.
     Returns NumPy for NumPy, a Warp array on the device for an array of a device. Weights are good to about 1e-6 inside
     the cage and 1e-5 within a size of it.
-    Raises ValueError for points of another shape or not finite, and for a cage that is open, inward or degenerate.
+    Raises ValueError for points of another shape or not finite, for a cage that is open, inward or degenerate, and
+    where the device has not the memory.
     """
     cage.require_usable()
     local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
+    _require_room(local, len(cage.vertices))
     weights = wp.empty((local.count, len(cage.vertices)), dtype=wp.float32, device=local.device)
     vertices, faces = _cage_arrays(cage, local)
     launch(mean_value.weigh_mean_value, local.count, [local.points, vertices, faces, 1.0], [weights],
@@ -62,6 +65,7 @@ def green_coordinates(points, cage: Cage, device=None, *, outside: str = "raise"
     lost = _outside_points(local, cage)
     if len(lost) and outside == "raise":
         raise ValueError(_outside_message(local, lost, "green"))
+    _require_room(local, len(cage.vertices) + len(cage.faces))
     vertex_weights = wp.empty((local.count, len(cage.vertices)), dtype=wp.float32, device=local.device)
     face_weights = wp.empty((local.count, len(cage.faces)), dtype=wp.float32, device=local.device)
     vertices, faces = _cage_arrays(cage, local)
@@ -108,10 +112,9 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
         raise ValueError(f"coordinates must be one of {', '.join(KINDS)}, got {coordinates!r}")
     rest.require_usable("rest cage")
     require_same_faces(rest, deformed)
-    local = _localise(points, rest.bounds.mean(axis=0), rest.size, device)
-    if coordinates != "mean_value":
-        _require_inside(local, rest, coordinates)
+    local = _localise(points, rest.bounds.mean(axis=0), rest.size, device, check=coordinates == "harmonic")
     if coordinates == "harmonic":
+        _require_inside(local, rest, coordinates)
         return _deform_harmonic(local, rest, deformed)
 
     centre = deformed.bounds.mean(axis=0)
@@ -119,13 +122,18 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
     targets = wp.array(targets, dtype=wp.vec3, device=local.device)
     moved = wp.empty(local.count, dtype=wp.vec3, device=local.device)
     vertices, faces = _cage_arrays(rest, local)
-    inputs = [local.points, vertices, faces, targets]
+    inputs, outputs = [local.points, vertices, faces, targets], [moved]
     if coordinates == "green":
         normals = stretched_normals(rest, deformed).astype(np.float32)
         inputs.append(wp.array(normals, dtype=wp.vec3, device=local.device))
-    kernel = mean_value.map_mean_value if coordinates == "mean_value" else green.map_green
-    launch(kernel, local.count, [*inputs, 1.0], [moved], device=local.device)
-    return _restore(moved, local, centre, rest.size)
+        outputs.append(local.bad)
+    kernel = mean_value.map_mean_value if coordinates == "mean_value" else green.map_green_inside
+    launch(kernel, local.count, [*inputs, 1.0], outputs, device=local.device)
+    world = _restore(moved, local, centre, rest.size)
+    if int(local.bad.numpy()[0]):  # read once, after all is under way
+        _require_finite(local)
+        _require_inside(local, rest, coordinates)
+    return world
 
 
 def stretched_normals(source: Cage, target: Cage) -> np.ndarray:
@@ -166,6 +174,7 @@ class _Local:
     points: wp.array  # (n,) vec3 on device
     on_device: bool  # whether they were given as an array of a device
     single: bool  # whether they were given as float32
+    bad: wp.array  # (1,) int, above 0 where a point is not finite
 
     @property
     def device(self) -> wp.Device:
@@ -185,23 +194,27 @@ class _Local:
         return host.reshape(-1, 3)[rows]
 
 
-def _localise(points, centre: np.ndarray, size: float, device) -> _Local:
+def _localise(points, centre: np.ndarray, size: float, device, *, check: bool = True) -> _Local:
+    """check: refuse points of a device that are not finite at once, which waits for the device."""
     if not is_device_array(points):
         host = as_host_points(points)
         single = isinstance(points, np.ndarray) and points.dtype == np.float32
-        local = ((host - centre) / size).astype(np.float32)
-        return _Local(host, wp.array(local, dtype=wp.vec3, device=resolve_device(device)), False, single)
+        local = wp.array(((host - centre) / size).astype(np.float32), dtype=wp.vec3, device=resolve_device(device))
+        return _Local(host, local, False, single, wp.zeros(1, dtype=int, device=local.device))
 
     world, _ = as_points(points, device)
     local = wp.empty(len(world), dtype=wp.vec3, device=world.device)
-    first_bad = wp.array([len(world)], dtype=int, device=world.device)
-    if len(world):
-        wp.launch(local_points.localise_points, dim=len(world), device=world.device,
-                  inputs=[0, world, wp.vec3d(*centre), wp.float64(size)], outputs=[local, first_bad])
-        row = int(first_bad.numpy()[0])
-        if row < len(world):
-            raise ValueError(f"points must be finite, row {row} is {world.numpy()[row]}")
-    return _Local(world, local, True, True)
+    bad = wp.zeros(1, dtype=int, device=world.device)
+    launch(local_points.localise_points, len(world), [world, wp.vec3d(*centre), wp.float64(size)], [local, bad],
+           device=world.device)
+    result = _Local(world, local, True, True, bad)
+    if check and int(bad.numpy()[0]):
+        _require_finite(result)
+    return result
+
+
+def _require_finite(local: _Local) -> None:
+    as_host_points(local.given)
 
 
 def _restore(moved: wp.array, local: _Local, centre: np.ndarray, size: float):
@@ -227,6 +240,15 @@ def _outside_points(local: _Local, cage: Cage) -> np.ndarray:
         return np.zeros(0, dtype=np.int64)
     inside = cage.contains(local.given, device=local.device)
     return np.flatnonzero(~(inside.numpy() if isinstance(inside, wp.array) else np.asarray(inside)).astype(bool))
+
+
+def _require_room(local: _Local, columns: int) -> None:
+    """Refuse weights that the device has not the memory for; NumPy results are held on the host as well."""
+    size = 4 * local.count * columns
+    message = f"weights of {local.count} points, {columns} each, need {{size}}: take fewer points at a time"
+    require_memory(size, local.device, message + ", or deform_points, which keeps none")
+    if not local.on_device and not local.device.is_cpu:
+        require_memory(size, wp.get_device("cpu"), message)
 
 
 def _require_inside(local: _Local, cage: Cage, kind: str) -> None:

@@ -11,11 +11,13 @@ from .cage_edits import ClosedFormEdits, LatticeEdits, checked_edits
 from .devices import launch, resolve_device
 from .field import STOP_TRANSMITTANCE, VoxelField
 from .kernels.deformed_march import MarchOptions
-from .render import Frame, camera_struct
+from .kernels.deformed_render import Picture
+from .render import Frame, camera_struct, tile_threads
 from .scene import parse_background
 
 COORDINATES = ("harmonic", "mean_value", "green")
 DENSITIES = ("opacity", "paper")
+STORES = ("map", "weights")
 
 
 class Deformer:
@@ -27,7 +29,8 @@ class Deformer:
     cage; None evaluates mean value or Green coordinates at every sample (slow: the paper's "precise").
     density: "opacity" takes optical depth in canonical arc length, sigma |phi(x + dt d) - phi(x)|, so that a part keeps
     its opacity when it is scaled; "paper" keeps sigma as Eq. 5 has it.
-    device: Warp device; None is the field's.
+    device: Warp device; None is the field's. store: "map" keeps the positions that the weights lead to on the lattice;
+    "weights" keeps the weights themselves, as the paper does, at many times the memory, for the same picture.
 
     Before the first `pose` the cages are at rest: the deformed scene is the field itself.
 
@@ -44,7 +47,7 @@ class Deformer:
     """
 
     def __init__(self, field: VoxelField, rest, *, coordinates: str = "harmonic", resolution: int | None = 128,
-                 density: str = "opacity", device=None):
+                 density: str = "opacity", device=None, store: str = "map"):
         if not isinstance(field, VoxelField):
             raise ValueError(f"a Deformer needs a VoxelField, got {type(field).__name__}")
         if coordinates not in COORDINATES:
@@ -53,15 +56,19 @@ class Deformer:
             raise ValueError(f"density {density!r} is not known: {', '.join(DENSITIES)}")
         if resolution is None and coordinates == "harmonic":
             raise ValueError("harmonic coordinates have no closed form: give a resolution, or mean_value or green")
+        if store not in STORES:
+            raise ValueError(f"store {store!r} is not known: {', '.join(STORES)}")
+        if resolution is None and store != "map":
+            raise ValueError('store="weights" keeps weights on a lattice: give a resolution')
         self.edits = checked_edits(rest)
         self.device = field.device if device is None else resolve_device(device)
         self.field = field.to(self.device)
-        self.coordinates, self.resolution, self.density = coordinates, resolution, density
+        self.coordinates, self.resolution, self.density, self.store = coordinates, resolution, density, store
         self.deformed: list[Cage | None] | None = None  #: one cage an edit, None for an edit that removes
         if resolution is None:
             self._edits = ClosedFormEdits(self.edits, coordinates, self.field.center, self.device)
         else:
-            self._edits = LatticeEdits(self.edits, coordinates, resolution, self.field.center, self.device)
+            self._edits = LatticeEdits(self.edits, coordinates, resolution, self.field.center, self.device, store)
 
     def pose(self, deformed) -> Deformer:
         """Move the cages: one Cage, or one an edit in their order (None for an edit that removes). Returns self.
@@ -145,15 +152,16 @@ class Deformer:
         options.arc_opacity = int(self.density == "opacity")
         self._edits.prepare(self.field.grid, options.step)
         count = camera.width * camera.height
-        rgb = wp.empty(count, dtype=wp.vec3, device=self.device)
-        alpha, depth, reveal, fold, outside = (
-            wp.empty(count, dtype=wp.float32, device=self.device) for _ in range(5)
-        )
+        picture = Picture()
+        picture.rgb = wp.empty(count, dtype=wp.vec3, device=self.device)
+        names = ("alpha", "depth", "reveal", "fold", "outside")
+        for name in names:
+            setattr(picture, name, wp.empty(count, dtype=wp.float32, device=self.device))
         camera_data = camera_struct(camera, self.field.center)
-        inputs = [self.field.grid, self._edits.array, camera_data, wp.vec3(*map(float, background)), options]
-        outputs = [rgb, alpha, depth, reveal, fold, outside]
-        launch(self._edits.render_kernel, count, inputs, outputs, device=self.device)
-        return Frame(camera.width, camera.height, rgb, alpha, depth, reveal=reveal, fold=fold, outside=outside)
+        inputs = [self.field.grid, self._edits.scene, camera_data, wp.vec3(*map(float, background)), options, picture]
+        # small blocks: rays of one end at very different times
+        launch(self._edits.render_kernel, tile_threads(camera), inputs, device=self.device, block_dim=64)
+        return Frame(camera.width, camera.height, picture.rgb, **{name: getattr(picture, name) for name in names})
 
     def _checked_step(self, step: float | None) -> float:
         step = self.field.step if step is None else float(step)

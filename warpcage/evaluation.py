@@ -11,18 +11,40 @@ def psnr(image, reference) -> float:
     return float("inf") if error == 0 else -10.0 * np.log10(error)
 
 
-def evaluate(renderer, scene, *, progress: bool = False) -> list[dict]:
+def ssim(image, reference) -> float:
+    """Structural similarity (Wang et al. 2004, Gaussian window of 1.5 pixels) of an (h, w, 3) image clamped to [0, 1]
+    against a reference; both sides must be at least 11 pixels (ValueError)."""
+    from skimage.metrics import structural_similarity
+
+    image, reference = np.clip(np.asarray(image, np.float64), 0, 1), np.asarray(reference, np.float64)
+    if min(image.shape[:2]) < 11:
+        raise ValueError(f"structural similarity needs images of at least 11x11 pixels, got {image.shape[:2]}")
+    return float(structural_similarity(image, reference, channel_axis=-1, data_range=1.0, gaussian_weights=True,
+                                       sigma=1.5, use_sample_covariance=False))
+
+
+def error_image(image, reference) -> np.ndarray:
+    """(h, w, 3) the render, and where it errs in red: full red from an absolute error of 0.1 on."""
+    image = np.clip(np.asarray(image, np.float32), 0, 1)
+    error = np.clip(np.abs(image - reference).max(axis=-1, keepdims=True) / 0.1, 0, 1)
+    grey = 0.5 + 0.5 * image.mean(axis=-1, keepdims=True)
+    return (1 - error) * grey + error * np.array([0.85, 0.0, 0.0], np.float32)
+
+
+def evaluate(renderer, scene, *, similarity: bool = False, progress: bool = False) -> list[dict]:
     """Render every view of a scene and compare.
 
     renderer: anything with .render(camera, background=...) -> Frame, a VoxelField or a Deformer.
-    Returns one {"view": name, "psnr": dB} a view, at the scene's image size, not quantised.
+    Returns one {"view": name, "psnr": dB} a view, with "ssim" where `similarity` is set, at the scene's image size, not
+    quantised.
     """
     from tqdm import tqdm
 
     rows = []
     views = zip(scene.names, scene.cameras, scene.images, strict=True)
     for name, camera, image in tqdm(views, total=len(scene), desc="evaluate", disable=not progress):
-        rows.append({"view": name, "psnr": psnr(renderer.render(camera, background=scene.background).rgb, image)})
+        rgb = renderer.render(camera, background=scene.background).rgb
+        rows.append({"view": name, "psnr": psnr(rgb, image)} | ({"ssim": ssim(rgb, image)} if similarity else {}))
     return rows
 
 

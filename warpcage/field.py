@@ -34,6 +34,7 @@ class VoxelField:
     sh: (rows, 9, 3) float32, coefficients of each basis function in rgb (or a Warp array (rows, 3) of vec9).
     background: colour behind everything, a name or (3,).
     weights: (rows,) float32 or None, the largest rendering weight that a training ray gave each voxel.
+    up: (3,) what is up in the world, for views of it; of any length but zero.
     device: Warp device; None is CUDA where there is one.
 
     Raises ValueError for shapes that do not fit together or values that are not finite.
@@ -42,10 +43,12 @@ class VoxelField:
     zeros), no background model besides one colour.
     """
 
-    def __init__(self, bounds, links, density, sh, *, background="white", weights=None, device=None):
+    def __init__(self, bounds, links, density, sh, *, background="white", weights=None,
+                 up=(0.0, 0.0, 1.0), device=None):
         self.device = resolve_device(device if device is not None or not isinstance(links, wp.array) else links.device)
         self.bounds = _checked_bounds(bounds)
         self.background = parse_background(background)
+        self.up = _checked_up(up)
         if len(links.shape) != 3 or min(links.shape) < 2:
             raise ValueError(f"links must be (nx, ny, nz) of at least 2 voxels a side, got {tuple(links.shape)}")
         self.resolution = tuple(int(n) for n in links.shape)
@@ -132,7 +135,7 @@ class VoxelField:
         background: colour name or (3,); None takes the field's. step: march step in world units; None takes `.step`.
         Raises ValueError for a step that is not positive.
         """
-        from .render import Frame, camera_struct
+        from .render import Frame, camera_struct, tile_threads
 
         background = self.background if background is None else parse_background(background)
         step = self.step if step is None else float(step)
@@ -144,8 +147,8 @@ class VoxelField:
         depth = wp.empty(count, dtype=wp.float32, device=self.device)
         behind = wp.vec3(*map(float, background))
         inputs = [self.grid, camera_struct(camera, self.center), behind, step, STOP_TRANSMITTANCE]
-        threads = -(-camera.width // 8) * -(-camera.height // 4) * 32  # whole tiles
-        launch(render_image, threads, inputs, [rgb, alpha, depth], device=self.device, block_dim=RENDER_BLOCK_DIM)
+        launch(render_image, tile_threads(camera), inputs, [rgb, alpha, depth], device=self.device,
+               block_dim=RENDER_BLOCK_DIM)
         return Frame(camera.width, camera.height, rgb, alpha, depth)
 
     def extract_mesh(self, *, threshold: float | None = None, components: str = "largest"):
@@ -168,7 +171,8 @@ class VoxelField:
             links.shape, np.float32)
 
     def save(self, path, *, format: str = "warpcage") -> None:
-        """Write the field, whole or not at all. format: "warpcage" (.npz) or "svox2" (a Plenoxels checkpoint, .npz)."""
+        """Write the field, whole or not at all. format: "warpcage" (.npz), "compact" (quantised to a third of
+        that) or "svox2" (a Plenoxels checkpoint, .npz)."""
         from .checkpoints import save_field
 
         save_field(self, path, format=format)
@@ -187,7 +191,7 @@ class VoxelField:
             return self
         grid = self.grid
         return VoxelField(self.bounds, grid.links, grid.density, grid.sh, background=self.background,
-                          weights=self.weights, device=device)
+                          weights=self.weights, up=self.up, device=device)
 
 
 def field_from_mask(bounds, mask: wp.array, density: float, *, background, device) -> tuple[VoxelField, wp.array]:
@@ -205,6 +209,14 @@ def _checked_bounds(bounds) -> np.ndarray:
         raise ValueError(f"bounds must be (2, 3), finite, lower below upper, got {bounds.tolist()}")
     bounds.setflags(write=False)
     return bounds
+
+
+def _checked_up(up) -> np.ndarray:
+    up = np.array(up, dtype=np.float64)
+    if up.shape != (3,) or not np.isfinite(up).all() or not np.linalg.norm(up) > 0:
+        raise ValueError(f"up must be a finite direction (3,), got {up.tolist()}")
+    up /= np.linalg.norm(up)
+    return up
 
 
 def _on_device(array, dtype, device) -> wp.array:

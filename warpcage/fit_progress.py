@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import pathlib
 
 import numpy as np
 import warp as wp
 
-from .archives import read_npz
+from .archives import read_npz, require_numbers
 from .files import atomic_path
 from .kernels.spherical_harmonics import vec9
 
@@ -57,28 +58,56 @@ def load_progress(optimizer, path) -> None:
     Raises ValueError for a file that is no checkpoint, or one of another scene, seed or options.
     """
     contents = read_npz(path, "checkpoint")
-    if str(contents.get("format", "")) != "warpcage fit" or int(contents.get("version", -1)) != VERSION:
+    if str(contents.get("format", "")) != "warpcage fit" or str(contents.get("version")) != str(VERSION):
         raise ValueError(f"{path} is no fit checkpoint of this version: remove it or name another file")
-    if str(contents["fingerprint"]) != fingerprint(optimizer):
+    if str(contents.get("fingerprint")) != fingerprint(optimizer):
         raise ValueError(f"{path} is the checkpoint of another fit (scene, seed or options differ): remove it or name "
                          "another file")
+    try:
+        _restore(optimizer, contents, path)
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path} is a damaged fit checkpoint, remove it or name another file: {reason}") from error
+
+
+def _restore(optimizer, contents: dict, path) -> None:
+    """Everything is looked at before it reaches a kernel, which would not."""
     state = json.loads(str(contents["state"]))
-    shape = tuple(int(n) for n in contents["resolution"])
-    occupied = np.unpackbits(contents["occupancy"], count=int(np.prod(shape))).reshape(shape)
+    level, cursor = int(state["level"]), int(state["cursor"])
+    level_steps = [int(count) for count in state["level_steps"]]
+    if not 0 <= level < len(optimizer.shapes) or len(level_steps) != len(optimizer.level_steps):
+        raise ValueError(f"level {level} of {len(level_steps)} steps")
+    shape = tuple(int(n) for n in require_numbers(contents, "resolution", (3,), path))
+    if shape != optimizer.shapes[level]:
+        raise ValueError(f"resolution {shape} at level {level}, {optimizer.shapes[level]} expected")
+    packed = require_numbers(contents, "occupancy", (-(-math.prod(shape) // 8),), path)
+    occupied = np.unpackbits(packed, count=math.prod(shape)).reshape(shape)
+    rows = int(occupied.sum())
+    density, moment_density = (require_numbers(contents, name, (rows,), path) for name in ("density", "moment_density"))
+    sh, moment_sh = (require_numbers(contents, name, (rows, 3, 9), path) for name in ("sh", "moment_sh"))
+    moments = [_exp_half(moment_density), _exp_half(moment_sh)]
+    if not all(np.isfinite(values).all() for values in (density, sh, *moments)):
+        raise ValueError("values that are not finite")
+    tiles = require_numbers(contents, "tiles", (None,), path)
+
     optimizer.restore_field(wp.array(occupied.astype(np.int32), device=optimizer.device))
+    if len(tiles) != optimizer.active_tiles or tiles.min() < 0 or tiles.max() >= optimizer.tile_total:
+        raise ValueError(f"{len(tiles)} tiles of pixels, {optimizer.active_tiles} expected")
+    if not 0 <= cursor <= len(tiles):
+        raise ValueError(f"cursor {cursor} among {len(tiles)} tiles")
     for target, values, dtype in (
-        (optimizer.field.grid.density, contents["density"], wp.float32),
-        (optimizer.field.grid.sh, contents["sh"], vec9),
-        (optimizer.moments[0], _exp_half(contents["moment_density"]), wp.float32),
-        (optimizer.moments[1], _exp_half(contents["moment_sh"]), vec9),
+        (optimizer.field.grid.density, density, wp.float32),
+        (optimizer.field.grid.sh, sh, vec9),
+        (optimizer.moments[0], moments[0], wp.float32),
+        (optimizer.moments[1], moments[1], vec9),
     ):
         target.assign(wp.array(values, dtype=dtype, device=optimizer.device))
-    optimizer.step_count, optimizer.level = state["step_count"], state["level"]
-    optimizer.level_steps = state["level_steps"]
-    optimizer.total_steps = sum(optimizer.level_steps)
+    optimizer.step_count, optimizer.level = int(state["step_count"]), level
+    optimizer.level_steps = level_steps
+    optimizer.total_steps = sum(level_steps)
     optimizer.random.bit_generator.state = state["random"]
-    optimizer.rays.tiles = wp.array(contents["tiles"], dtype=wp.int32, device=optimizer.device)
-    optimizer.cursor = state["cursor"]
+    optimizer.rays.tiles = wp.array(tiles, dtype=wp.int32, device=optimizer.device)
+    optimizer.cursor = cursor
 
 
 def fingerprint(optimizer) -> str:

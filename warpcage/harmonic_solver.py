@@ -10,15 +10,19 @@ import warp as wp
 from .devices import launch
 from .kernels.harmonic import (
     LaplaceSystem,
+    begin_cycles,
     clear_corrections,
+    judge_cycle,
     measure_residual,
     prolong_correction,
-    reduce_largest,
     relax_laplace,
     restrict_residual,
 )
+from .kernels.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
 from .kernels.harmonic_rows import CutRows, describe_rows, set_sources
-from .kernels.map_extension import extend_outwards, extend_through_cage, flag_thin_nodes
+from .kernels.map_extension import extend_outwards, extend_through_cage
+from .kernels.node_levels import RINGS
+from .map_sides import GapFlags
 from .node_levels import LatticeNodes
 
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)
@@ -32,8 +36,14 @@ MIN_TOLERANCE = 2e-6
 #: cycle gains a factor of about ten, and errors that its smoothing leaves are a few times their row's update.
 ERROR_PER_CORRECTION, ERROR_PER_RESIDUAL = 0.25, 8.0
 
+#: Slots that the largest residuals are gathered in.
+LARGEST_SLOTS = 64
+
 #: Sweeps over fewer nodes than this run on one thread of a CPU: cutting them over threads takes longer than they do.
 SHORT_LAUNCH = 1 << 16
+
+#: Levels with fewer nodes of a colour than this go through one launch of one block of threads on CUDA.
+COARSE_NODES = 2600
 
 
 def require_tolerance(tolerance) -> float:
@@ -63,14 +73,16 @@ class HarmonicSolver:
         self.tolerance = require_tolerance(tolerance)
         self.nodes = LatticeNodes(lattice)
         self.cycles, self.residual = 0, 0.0
-        self._graph, self._graph_key = None, None
-        self._lengths: dict = {}
-        self._build_rows()
+        self.going = wp.zeros(1, dtype=int, device=self.device)
+        self.status = wp.zeros(2, dtype=float, device=self.device)  # cycles, residual
+        self.gaps = GapFlags(self)
+        self._graph, self._graph_key, self._graph_sections = None, None, None
+        self.launch_rows(self.nodes.sizes, self.nodes.sections)
 
     def prepare(self) -> None:
         """Set up for the pose that the lattice was filled with."""
         self.nodes.fill()
-        self._build_rows()
+        self.launch_rows(self.nodes.sizes, self.nodes.sections)
 
     @property
     def values(self) -> wp.array:
@@ -84,56 +96,45 @@ class HarmonicSolver:
         """
         self.solve_inside(vertex_values)
         self.extend(vertex_values)
+        self.gaps.launch(self.nodes.sections)
 
     def solve_inside(self, vertex_values: wp.array) -> None:
         """The same for inside nodes only; other nodes are zero."""
-        system, nodes = self.system, self.nodes
-        system.values.zero_()
-        self._launch(
-            set_sources,
-            int(nodes.counts["cut"][0]),
-            [nodes.levels, self.rows, self.lattice.faces, vertex_values, system.sources],
-        )
-        run_cycle = self._cycle_runner()
-        for cycle in range(1, MAX_CYCLES + 1):
+        sections = self.nodes.sections
+        self._launch_start(sections, vertex_values)
+        run_cycle = self._cycle_runner(sections)
+        going = True
+        while going:
             run_cycle()
-            row_residual, correction = self._reduced.numpy().max(axis=0)
-            self.cycles = cycle
-            self.residual = float(max(ERROR_PER_RESIDUAL * row_residual, ERROR_PER_CORRECTION * correction))
-            if self.residual <= self.tolerance:
-                return
-        warnings.warn(
-            f"harmonic map: {self.residual:.1e} of the size left after {MAX_CYCLES} cycles, above the tolerance "
-            f"{self.tolerance:.1e}: the cage may cross itself or be too thin for its resolution",
-            stacklevel=2,
-        )
+            self.take_status(self.status.numpy())
+            going = self.residual > self.tolerance and self.cycles < MAX_CYCLES
+
+    def take_status(self, status: np.ndarray) -> None:
+        """Note the cycles taken and the residual; warn where it is above the tolerance at the end."""
+        self.cycles, self.residual = int(status[0]), float(status[1])
+        if self.cycles == MAX_CYCLES and self.residual > self.tolerance:
+            warnings.warn(
+                f"harmonic map: {self.residual:.1e} of the size left after {MAX_CYCLES} cycles, above the tolerance "
+                f"{self.tolerance:.1e}: the cage may cross itself or be too thin for its resolution",
+                stacklevel=2,
+            )
 
     def extend(self, vertex_values: wp.array) -> None:
         """Continue the values at inside nodes to the rings of outside nodes around them (kernels/map_extension.py)."""
-        lattice, levels = self.lattice, self.nodes.levels
-        rings = self.nodes.counts["rings"]
-        self._launch(
-            extend_through_cage,
-            int(rings[0]),
-            [levels, self.rows, lattice.faces, vertex_values, self.system.values],
-        )
-        for ring in (1, 2, 3):
-            self._launch(
-                extend_outwards,
-                int(rings[ring]),
-                [ring, lattice.vertices, lattice.faces, levels, vertex_values, self.system.values],
-            )
+        self._launch_rings(self.nodes.sections, vertex_values)
 
-    def count_thin_nodes(self) -> int:
-        """Nodes at gaps of the cage so narrow that one outside node serves both sides; the map is rough there."""
-        count = int(self.nodes.counts["cut"][0] + self.nodes.counts["rings"][0])
-        flags = wp.zeros(count, dtype=int, device=self.device)
-        self._launch(flag_thin_nodes, count, [self.nodes.levels, self.rows, flags])
-        return int(flags.numpy().sum())
+    def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
+        """Launch a whole solution, for a CUDA graph: the cycles end on the device. sections: upper bounds."""
+        self._launch_start(sections, vertex_values)
+        wp.capture_while(self.going, lambda: self._cycle(sections))
+        self._launch_rings(sections, vertex_values)
+        self.gaps.launch(sections)
 
-    def _build_rows(self) -> None:
+    def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
+        """Launch the description of the cut rows. sizes, sections: of this pose, or upper bounds."""
         lattice, nodes, buffers = self.lattice, self.nodes, self.lattice.buffers
-        row_count, finest = int(nodes.counts["cut"].sum()), int(nodes.counts["cut"][0])
+        levels = nodes.level_count
+        row_count, finest = int(sections[2 * levels : 3 * levels].sum()), int(sections[2 * levels])
         rows = self.rows = CutRows()
         rows.links = buffers.get("links", row_count, int)
         rows.diagonals = buffers.get("diagonals", row_count, float)
@@ -143,53 +144,80 @@ class HarmonicSolver:
         self._launch(
             describe_rows,
             row_count,
-            [lattice.crossings, lattice.distance, lattice.vertices, lattice.faces, nodes.levels, rows],
+            [lattice.crossings, lattice.flat_distance, lattice.vertices, lattice.faces, nodes.levels, rows],
         )
         system = self.system = LaplaceSystem()
         system.levels, system.rows = nodes.levels, rows
         system.sources = buffers.get("sources", finest, wp.vec3)
-        system.loads = buffers.get("loads", int(nodes.first_node[-1] - nodes.first_node[1]), wp.vec3)
-        system.values = buffers.get("values", int(nodes.first_node[-1]), wp.vec3)
-        self._largest = buffers.get("largest", 512 if self.device.is_cpu else 32768, wp.vec2)
-        self._reduced = buffers.get("reduced", 64, wp.vec2)
+        system.loads = buffers.get("loads", sizes["coarse_nodes"], wp.vec3)
+        system.values = buffers.get("values", sizes["nodes"], wp.vec3)
+        self._largest = buffers.get("largest", LARGEST_SLOTS, wp.vec2)
 
-    def _cycle_runner(self):
+    def _launch_start(self, sections: np.ndarray, vertex_values: wp.array) -> None:
+        system, nodes = self.system, self.nodes
+        system.values.zero_()
+        inputs = [nodes.levels, self.rows, self.lattice.faces, vertex_values, system.sources]
+        self._launch(set_sources, int(sections[2 * nodes.level_count]), inputs)
+        self._launch(begin_cycles, 1, [self.going, self.status, self._largest])
+
+    def _launch_rings(self, sections: np.ndarray, vertex_values: wp.array) -> None:
+        lattice, levels, values = self.lattice, self.nodes.levels, self.system.values
+        rings = sections[3 * self.nodes.level_count :]
+        self._launch(extend_through_cage, int(rings[0]), [levels, self.rows, lattice.faces, vertex_values, values])
+        for ring in range(1, RINGS):
+            inputs = [ring, lattice.vertices, lattice.faces, levels, vertex_values, values]
+            self._launch(extend_outwards, int(rings[ring]), inputs)
+
+    def _cycle_runner(self, sections: np.ndarray):
         """A callable that runs one cycle: launches on the CPU, the replay of one graph on CUDA."""
-        counts = self.nodes.counts["inside"]
-        corrections = int(self.nodes.first_node[-1] - self.nodes.first_node[1])
         if self.device.is_cpu:
-            self._lengths = {"inside": counts, "corrections": corrections}
-            return self._cycle
-        held = self._lengths
-        if not held or (counts > held["inside"]).any() or corrections > held["corrections"]:
+            return lambda: self._cycle(sections)
+        held = self._graph_sections
+        if self._graph_key != self.lattice.buffers.generation or (sections > held).any():
             # launches somewhat longer than the lists, so that the graph serves other poses of the cage as well
-            self._lengths = {"inside": counts + counts // 8 + 32, "corrections": corrections + corrections // 8}
-            self._graph = None
-        if self._graph is None or self._graph_key != self.lattice.buffers.generation:
-            wp.load_module(relax_laplace.module, device=self.device)
+            held = self._graph_sections = roomier(sections)
+            self.load_modules()
             with wp.ScopedCapture(device=self.device) as capture:
-                self._cycle()
+                self._cycle(held)
             self._graph, self._graph_key = capture.graph, self.lattice.buffers.generation
         return lambda: wp.capture_launch(self._graph)
 
-    def _cycle(self) -> None:
-        inside, system = self._lengths["inside"], self.system
-        last = self.nodes.level_count - 1
-        self._sweep(clear_corrections, self._lengths["corrections"], [system])
-        for level in range(last):
-            self._relax(level, SWEEPS)
-            self._sweep(restrict_residual, int(inside[level + 1].sum()), [level + 1, system])
-        self._relax(last, COARSEST_SWEEPS)
-        for level in reversed(range(last)):
-            self._sweep(prolong_correction, int(inside[level, 1]), [level, system])
-            self._relax(level, SWEEPS)
-        self._launch(measure_residual, self._largest.size, [system, self._largest])
-        self._sweep(reduce_largest, self._reduced.size, [self._largest, self._reduced])
+    def load_modules(self) -> None:
+        """Compile what a capture would need."""
+        wp.load_module(relax_laplace.module, device=self.device)
+        wp.load_module(cycle_coarse_levels.module, device=self.device)
 
-    def _relax(self, level: int, sweeps: int) -> None:
+    def _cycle(self, sections: np.ndarray) -> None:
+        """Launch a V-cycle and what judges it."""
+        system, last = self.system, self.nodes.level_count - 1
+        inside = sections[: 2 * last + 2].reshape(-1, 2)
+        few = SHORT_LAUNCH if self.device.is_cpu else COARSE_NODES
+        coarse = last
+        while coarse > 1 and inside[coarse - 1].max() < few:
+            coarse -= 1
+        self._sweep(clear_corrections, system.loads.size, [system])
+        for level in range(coarse):
+            self._relax(level, SWEEPS, inside)
+            self._sweep(restrict_residual, int(inside[level + 1].sum()), [level + 1, system])
+        self._cycle_coarse(coarse)
+        for level in reversed(range(coarse)):
+            self._sweep(prolong_correction, int(inside[level, 1]), [level, system])
+            self._relax(level, SWEEPS, inside)
+        nodes = LARGEST_SLOTS if self.device.is_cpu else int(max(inside[0, 0], inside[1].sum() if last else 0))
+        self._launch(measure_residual, nodes, [nodes, system, self._largest])
+        inputs = [ERROR_PER_RESIDUAL, ERROR_PER_CORRECTION, self.tolerance, MAX_CYCLES, self._largest]
+        self._launch(judge_cycle, 1, [*inputs, self.going, self.status])
+
+    def _cycle_coarse(self, level: int) -> None:
+        """Launch the levels from `level` on as one block of threads."""
+        threads = 1 if self.device.is_cpu else BLOCK_THREADS
+        inputs = [0, level, SWEEPS, COARSEST_SWEEPS, threads, self.system]
+        wp.launch(cycle_coarse_levels, dim=threads, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
+
+    def _relax(self, level: int, sweeps: int, inside: np.ndarray) -> None:
         for _ in range(sweeps):
             for colour in (0, 1):
-                self._sweep(relax_laplace, int(self._lengths["inside"][level, colour]), [level, colour, self.system])
+                self._sweep(relax_laplace, int(inside[level, colour]), [level, colour, self.system])
 
     def _sweep(self, kernel, count: int, inputs) -> None:
         """Launch a kernel of little work an item."""
@@ -197,3 +225,8 @@ class HarmonicSolver:
 
     def _launch(self, kernel, count: int, inputs) -> None:
         launch(kernel, count, inputs, device=self.device)
+
+
+def roomier(sections: np.ndarray) -> np.ndarray:
+    """Lengths for launches and lists that serve other poses of the same cage as well."""
+    return sections + sections // 8 + 32

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import pathlib
 
@@ -14,6 +15,13 @@ from .files import atomic_path, require_file
 #: lightness rising evenly so that the order survives a grey print.
 _WARM = np.array([(10, 7, 34), (50, 12, 84), (95, 18, 110), (139, 34, 106), (182, 51, 90), (219, 80, 63),
                   (244, 121, 26), (252, 168, 13), (246, 215, 70), (252, 252, 180)], np.float32) / 255.0
+
+
+#: What `read_image` opens.
+PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
+
+#: The largest picture that is read: a few bytes can declare any size.
+MAX_PIXELS = 89_000_000
 
 
 def to_uint8(image) -> np.ndarray:
@@ -30,19 +38,68 @@ def to_uint8(image) -> np.ndarray:
 
 
 def read_image(path) -> np.ndarray:
-    """A picture file as (h, w, c) float32 in [0, 1]; grey pictures have c = 1.
+    """A picture file (PNG, JPEG, WebP, BMP) as (h, w, c) float32 in [0, 1]; c is 1 for grey, 2 for grey with
+    alpha, 3 or 4 for colour. Rows are as the file stores them: a camera's orientation tag is not applied.
 
-    Raises FileNotFoundError, or ValueError where the file is no picture.
+    Raises FileNotFoundError, or ValueError where the file is no picture, is cut off, or declares too large a size.
     """
+    pixels = _read_pixels(require_file(path, "image"))
+    return (pixels / np.float32(np.iinfo(pixels.dtype).max)).astype(np.float32)
+
+
+def image_size(path) -> tuple[int, int]:
+    """(width, height) that a picture file declares; its pixels are not read. Raises as `read_image` does."""
     path = require_file(path, "image")
+    with _opened(path) as picture:
+        return picture.size
+
+
+@contextlib.contextmanager
+def _opened(path):
+    """A PIL image whose header is read and whose size is bearable; whatever goes wrong becomes one ValueError."""
+    from PIL import Image
+
     try:
-        pixels = np.asarray(iio.imread(path))
+        with Image.open(path, formats=PICTURE_FORMATS) as picture:
+            width, height = picture.size
+            if width * height > MAX_PIXELS:
+                raise ValueError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
+            yield picture
     except Exception as error:
         raise ValueError(f"image {str(path)!r} cannot be read: {_one_line(error)}") from error
-    if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
-        raise ValueError(f"image {str(path)!r} must hold 8 or 16 bits a channel, got {pixels.dtype} {pixels.shape}")
-    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
-    return (pixels / np.float32(np.iinfo(pixels.dtype).max)).astype(np.float32)
+
+
+def _read_pixels(path) -> np.ndarray:
+    """(h, w, c) uint8 or uint16."""
+    with _opened(path) as picture:
+        if picture.format == "PNG" and _png_depth(path) == 16:
+            return _read_deep_png(path)
+        if picture.mode in ("P", "PA", "1") or "transparency" in picture.info:
+            grey = picture.mode in ("1", "L")
+            picture = picture.convert("RGBA" if "transparency" in picture.info else "L" if grey else "RGB")
+        elif picture.mode in ("CMYK", "YCbCr", "LAB", "HSV"):
+            picture = picture.convert("RGB")
+        pixels = np.asarray(picture)
+        if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
+            raise ValueError(f"it must hold 8 or 16 bits a channel, got {pixels.dtype} {pixels.shape}")
+        return pixels[..., None] if pixels.ndim == 2 else pixels
+
+
+def _png_depth(path) -> int:
+    with open(path, "rb") as file:
+        return file.read(25)[24]
+
+
+def _read_deep_png(path) -> np.ndarray:
+    """A PNG of 16 bits a channel; Pillow would cut colour to 8."""
+    import av
+
+    with av.open(str(path), format="png_pipe") as file:
+        frame = next(file.decode(video=0))
+        if frame.format.name == "ya16be":
+            return frame.reformat(format="rgba64le").to_ndarray()[..., [0, 3]].astype(np.uint16)
+        pixels = frame.to_ndarray().astype(np.uint16)
+        return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
 def write_png(path, image) -> None:

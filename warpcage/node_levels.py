@@ -8,8 +8,7 @@ import warp as wp
 from .devices import launch
 from .kernels.node_levels import RINGS, NodeLevels, classify_nodes, count_columns, find_starts, list_columns
 
-#: Cells along the longest side at which coarsening ends.
-COARSEST_RESOLUTION = 4
+NO_LIMIT = np.iinfo(np.int32).max
 
 
 class LatticeNodes:
@@ -18,66 +17,77 @@ class LatticeNodes:
     level_count 1 lists the inside nodes and the rings around them, as the closed forms need; None takes as many levels
     as multigrid has use for.
 
-    Attributes: levels, the kernels' struct; counts: {"inside": (L, 2), "cut": (L,), "rings": (4,)} NumPy ints;
-    first_node (L + 1,) NumPy ints.
+    Attributes: levels, the kernels' struct; counts: {"inside": (L, 2), "cut": (L,), "rings": (3,)} NumPy ints;
+    sections (3 L + 3,) the same in one row; first_node (L + 1,) NumPy ints.
     """
 
     def __init__(self, lattice, level_count: int | None = None):
         self.lattice = lattice
-        if level_count is None:
-            level_count = 1
-            while lattice.resolution >> level_count >= COARSEST_RESOLUTION:
-                level_count += 1
-        self.level_count = level_count
+        self.level_count = lattice.level_count if level_count is None else level_count
+        self.section_count = 3 * self.level_count + RINGS
+        self._limits = wp.zeros(self.section_count, dtype=int, device=lattice.device)
+        self.overflow = wp.zeros(1, dtype=int, device=lattice.device)
         self.fill()
 
     def fill(self) -> LatticeNodes:
         """List the nodes anew, after the lattice was laid over another pose."""
-        lattice, device, buffers, count = self.lattice, self.lattice.device, self.lattice.buffers, self.level_count
-        shapes = level_shapes(lattice.shape, count)
-        self.first_node = np.concatenate([[0], np.cumsum(shapes.prod(axis=1, dtype=np.int64))])
-        first_column = np.concatenate([[0], np.cumsum(shapes[:, 0] * shapes[:, 1])])
-        columns = int(first_column[-1])
-
-        levels = self.levels = NodeLevels()
-        levels.shapes = self._constant("shapes", shapes, wp.vec3i)
-        levels.first_node = self._constant("first_node", self.first_node, int)
-        levels.first_column = self._constant("first_column", first_column, int)
-        levels.codes = buffers.get("codes", int(self.first_node[-1]), int)
-        levels.starts = buffers.get("starts", 3 * count + RINGS + 1, int)
-        launch(
-            classify_nodes,
-            int(self.first_node[-1]),
-            [lattice.crossings, lattice.distance, lattice.spacing, levels],
-            device=device,
-        )
-        entries = 3 * columns + RINGS * int(first_column[1]) + 1
-        counts = buffers.get("column_counts", entries, int)
-        offsets = buffers.get("column_offsets", entries, int)
-        launch(count_columns, columns, [levels], [counts], device=device)
-        wp.utils.array_scan(counts, offsets, inclusive=False)
-        launch(find_starts, 3 * count + RINGS + 1, [levels, offsets], device=device)
-        starts = self.starts = levels.starts.numpy().astype(np.int64)
-        sizes = np.diff(starts)
-        self.counts = {
-            "inside": sizes[: 2 * count].reshape(count, 2),
-            "cut": sizes[2 * count : 3 * count],
-            "rings": sizes[3 * count :],
-        }
-        levels.nodes = buffers.get("nodes", int(starts[-1]), int)
-        launch(list_columns, columns, [levels, offsets], device=device)
+        self._limits.fill_(NO_LIMIT)
+        self.launch_classes(self.sizes)
+        self.take_sections(np.diff(self.levels.starts.numpy().astype(np.int64)))
+        self.launch_lists(self.sizes, int(self.sections.sum()))
         return self
 
-    def _constant(self, name: str, values: np.ndarray, dtype) -> wp.array:
-        """A small table on the device, at the same address for every pose."""
-        array = self.lattice.buffers.get(name, len(values), dtype)
-        array.assign(np.ascontiguousarray(values, dtype=np.int32))
-        return array
+    @property
+    def first_node(self) -> np.ndarray:
+        return self.lattice.first_node[: self.level_count + 1]
 
+    @property
+    def sizes(self) -> dict:
+        """Nodes of all levels and of those above the finest, columns and entries to scan, of this pose."""
+        first_column = self.lattice.first_column
+        columns = int(first_column[self.level_count])
+        return {
+            "nodes": int(self.first_node[-1]),
+            "coarse_nodes": int(self.first_node[-1] - self.first_node[1]),
+            "columns": columns,
+            "entries": 3 * columns + RINGS * int(first_column[1]) + 1,
+        }
 
-def level_shapes(shape, level_count: int) -> np.ndarray:
-    """(L, 3) node counts: each level keeps every second node and has a last one at or beyond the finer level's."""
-    shapes = [np.asarray(shape, dtype=np.int64)]
-    for _ in range(level_count - 1):
-        shapes.append(shapes[-1] // 2 + 1)
-    return np.stack(shapes)
+    def set_limits(self, sections: np.ndarray) -> None:
+        """Let lists that are longer than `sections` (sections,) be left out, and flagged in `overflow`."""
+        self._limits.assign(sections.astype(np.int32))
+
+    def take_sections(self, sections: np.ndarray) -> None:
+        """Note how many nodes each section has."""
+        count = self.level_count
+        self.sections = sections
+        self.starts = np.concatenate([[0], np.cumsum(sections)])
+        self.counts = {
+            "inside": sections[: 2 * count].reshape(count, 2),
+            "cut": sections[2 * count : 3 * count],
+            "rings": sections[3 * count :],
+        }
+
+    def launch_classes(self, sizes: dict) -> None:
+        """Launch what classifies and counts the nodes. sizes: those of this pose, or upper bounds."""
+        lattice, device, buffers, count = self.lattice, self.lattice.device, self.lattice.buffers, self.level_count
+        arrays = lattice.constants.arrays
+        levels = self.levels = NodeLevels()
+        levels.shapes = arrays["shapes"][:count]
+        levels.first_node = arrays["first_node"][: count + 1]
+        levels.first_column = arrays["first_column"][: count + 1]
+        levels.codes = buffers.get("codes", sizes["nodes"], int)
+        levels.starts = buffers.get("starts", self.section_count + 1, int)
+        inputs = [lattice.crossings, lattice.flat_distance, arrays["scales"], levels]
+        launch(classify_nodes, sizes["nodes"], inputs, device=device)
+        counts = buffers.get("column_counts", sizes["entries"], int)
+        self._offsets = buffers.get("column_offsets", sizes["entries"], int)
+        launch(count_columns, sizes["columns"], [levels], [counts], device=device)
+        wp.utils.array_scan(counts, self._offsets, inclusive=False)
+        inputs = [levels, self._offsets, self._limits, self.overflow]
+        launch(find_starts, self.section_count + 1, inputs, device=device)
+
+    def launch_lists(self, sizes: dict, room: int) -> None:
+        """Launch what writes the lists, of at most `room` nodes."""
+        self.levels.nodes = self.lattice.buffers.get("nodes", room, int)
+        launch(list_columns, sizes["columns"], [self.levels, self._offsets], device=self.lattice.device)

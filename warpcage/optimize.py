@@ -57,7 +57,7 @@ class FitOptions:
 
 #: What `quality` stands for, over the defaults.
 QUALITIES = {
-    "fast": {"epochs": 3.0},
+    "fast": {"epochs": 4.0},
     "standard": {},
     "high": {"epochs": 16.0, "max_resolution": 720, "variation_density": 2e-5, "variation_sh": 2e-3},
 }
@@ -337,6 +337,7 @@ class FieldOptimizer:
         mask = self._pruned_mask(self.options.keep_weight)
         self._start_level(mask, self.field)
         self.field.weights = self.measure_weights()
+        self.field.up = self.scene.up
         return self.field
 
 

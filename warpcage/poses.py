@@ -130,6 +130,33 @@ def rotate(vertices, degrees, *, axis="z", centre=None, bounds=None) -> np.ndarr
     return centre + np.cos(angle) * y + np.sin(angle) * np.cross(k, y) + (1.0 - np.cos(angle)) * np.outer(y @ k, k)
 
 
+def move(vertices, offset, *, group=None, centre=None, radius: float | None = None) -> np.ndarray:
+    """Move a group of vertices by `offset` (3,), and their surroundings less and less: x' = x + w(d / radius) offset.
+
+    group: vertex numbers (k,), d the distance to the nearest of them; or centre (3,), d the distance to it. radius:
+    world units, where the effect ends; None moves the group alone. w(t) = (1 - t)^2 (1 + 2 t), smooth at both ends.
+    """
+    vertices, offset = as_host_points(vertices, name="vertices"), _vector(offset, "offset")
+    if (group is None) == (centre is None):
+        raise ValueError("move needs a group of vertices or a centre, one of both")
+    if radius is not None and _finite(radius, "radius") <= 0.0:
+        raise ValueError(f"radius must be positive, got {radius}")
+    if centre is not None:
+        if radius is None:
+            raise ValueError("move about a centre needs a radius")
+        distance = np.linalg.norm(vertices - _vector(centre, "centre"), axis=1)
+    else:
+        group = np.atleast_1d(np.asarray(group))
+        whole = group.dtype.kind in "iu" and group.ndim == 1 and len(group)
+        if not whole or group.min() < 0 or group.max() >= len(vertices):
+            raise ValueError(f"group must be vertex numbers from 0 to {len(vertices) - 1}, at least one")
+        distance = np.array([np.linalg.norm(vertices[group] - x, axis=1).min() for x in vertices])
+        if radius is None:
+            distance, radius = np.where(np.isin(np.arange(len(vertices)), group), 0.0, 1.0), 1.0
+    t = np.clip(distance / radius, 0.0, 1.0)
+    return vertices + ((1.0 - t) ** 2 * (1.0 + 2.0 * t))[:, None] * offset
+
+
 def axis_index(axis) -> int:
     """0, 1 or 2 for "x", "y" or "z". Raises ValueError for anything else."""
     if not isinstance(axis, str) or len(axis) != 1 or axis not in AXES:

@@ -13,7 +13,9 @@ from .kernels.cage_map import CageMap
 from .kernels.map_extension import add_affine
 from .lattice import CageLattice, lattice_frame, require_resolution
 from .lattice_weights import LatticeWeights, harmonic_weights
+from .map_sides import build_sides
 from .memory import require_memory
+from .pose_graph import PoseGraph
 
 __all__ = ["PositionMap", "fit_affine", "harmonic_weights"]
 
@@ -38,8 +40,9 @@ class PositionMap:
     resolution. Nothing is computed before `pose`.
 
     Attributes: data, the CageMap for kernels; lattice; origin (3,) float64; cycles and residual of the harmonic solver
-    (0 for the closed forms); thin_nodes, how many nodes lie at gaps of the deformed cage that are narrower than two
-    cells, where the map of one side reaches over to the other.
+    (0 for the closed forms); thin_nodes, how many nodes lie at gaps of the deformed cage that are narrower than about
+    two cells. There harmonic maps keep values for each side (kernels/map_sides.py) and hold down to gaps of one cell;
+    maps of closed forms, which see across gaps themselves, are rough.
 
     Raises ValueError for unusable cages, unknown names, a resolution or tolerance out of range, poses whose faces
     differ, and where the device has not the memory. Source: "Deforming Radiance Fields with Cages" (ECCV 2022),
@@ -71,6 +74,7 @@ class PositionMap:
         self._solver = None
         self._weights: LatticeWeights | None = None
         self._data: CageMap | None = None
+        self._graph: PoseGraph | None = None
 
     def pose(self, deformed) -> PositionMap:
         """Compute the map from `deformed`, a Cage with the faces of the rest cage. Buffers of the last pose are reused.
@@ -79,19 +83,31 @@ class PositionMap:
         """
         require_same_faces(self.rest, deformed)
         deformed.require_usable("deformed cage")
-        if self.store == "weights":
-            self._weights = self._data = None  # the last pose's go before this one's come
+        self._data = None  # what is in the buffers goes
+        if self.lattice is not None:
+            self.lattice.lay(deformed)
+            if self._graph is not None and self._graph.fits():
+                self._write_values()
+                if self._graph.run():
+                    self._take_map(self._graph.has_gaps)
+                    return self
+        self._weights = None  # the last pose's go before this one's come
         held = 0 if self.lattice is None else self.lattice.buffers.bytes
         require_memory(self.memory_bytes(deformed), self.device, self._too_large(), held=held)
         if self.lattice is None:
             self.lattice = CageLattice(deformed, self.resolution, origin=self.origin, device=self.device)
             self._solver = self._new_solver()
         else:
-            self.lattice.fill(deformed, "deformed cage")
+            self.lattice.constants.send()
+            self.lattice.measure()
             self._solver.prepare()
         if self.store == "weights":
             self._weights = LatticeWeights(self._solver)
         self._map_positions()
+        if self._graph is not None:
+            self._graph.release()
+        elif self._weights is None and PoseGraph.is_supported(self.device):
+            self._graph = PoseGraph(self.lattice, self._solver, self.rest.size)
         return self
 
     def rebind(self, rest) -> PositionMap:
@@ -131,7 +147,10 @@ class PositionMap:
     @property
     def thin_nodes(self) -> int:
         self._posed_lattice()
-        return self._solver.count_thin_nodes()
+        solver = self._solver
+        if self.coordinates != "harmonic":
+            solver.gaps.launch(solver.nodes.sections)
+        return solver.gaps.total()
 
     def memory_bytes(self, deformed=None) -> int:
         """Bytes on the device that a pose takes (default: the rest pose), worked out from shapes before allocation."""
@@ -164,31 +183,40 @@ class PositionMap:
             return HarmonicSolver(self.lattice, tolerance=self.tolerance)
         return MeanValueSolver(self.lattice) if self.coordinates == "mean_value" else GreenSolver(self.lattice)
 
-    def _map_positions(self) -> None:
-        """Fill the positions: remainder of the map, plus its affine part."""
+    def _write_values(self) -> None:
+        """The remainder of the map, and its affine part, to the lattice's constants; still to be sent."""
         lattice, deformed, rest = self.lattice, self.lattice.cage, self.rest
         matrix, offset = fit_affine(deformed, rest)
-        remainder = (rest.vertices - (deformed.vertices @ matrix.T + offset)) / rest.size
-        vertex_values = wp.array(remainder.astype(np.float32), dtype=wp.vec3, device=self.device)
-        face_values = None
+        host = lattice.constants.host
+        host["vertex_values"][:] = (rest.vertices - (deformed.vertices @ matrix.T + offset)) / rest.size
+        host["affine"][:3] = matrix.T * lattice.spacing
+        host["affine"][3] = matrix @ lattice.lower + offset - self.origin
         if self.coordinates == "green":
-            face_values = wp.array(self._face_values(matrix), dtype=wp.vec3, device=self.device)
-        solver = self._solver if self._weights is None else self._weights
-        solver.solve(vertex_values, face_values)
+            host["face_values"][:] = self._face_values(matrix)
 
-        values = self._solver.values
-        at_lower = matrix @ lattice.lower + offset - self.origin
-        launch(
-            add_affine,
-            lattice.node_count,
-            [self._solver.nodes.levels, rest.size, wp.mat33(*(matrix * lattice.spacing).flatten()), wp.vec3(*at_lower)],
-            [values],
-            device=self.device,
-        )
+    def _map_positions(self) -> None:
+        """Fill the positions: remainder of the map, plus its affine part."""
+        lattice = self.lattice
+        self._write_values()
+        lattice.constants.send()
+        arrays = lattice.constants.arrays
+        solver = self._solver if self._weights is None else self._weights
+        solver.solve(arrays["vertex_values"], arrays["face_values"])
+        inputs = [self._solver.nodes.levels, self.rest.size, arrays["affine"]]
+        launch(add_affine, lattice.node_count, inputs, [self._solver.values], device=self.device)
+        self._take_map(self.coordinates == "harmonic" and int(self._solver.gaps.count.numpy()[0]) > 0)
+
+    def _take_map(self, has_gaps: bool) -> None:
+        lattice = self.lattice
         data = self._data = CageMap()
         data.lower, data.spacing, data.inverse_spacing = lattice.local_lower, lattice.spacing, 1.0 / lattice.spacing
-        data.positions = values.reshape(lattice.shape)
+        data.positions = lattice.buffers.get("values", lattice.node_count, wp.vec3).reshape(lattice.shape)
         data.distance = lattice.distance
+        if has_gaps:
+            arrays = lattice.constants.arrays
+            data.side_index, data.sides = build_sides(
+                self._solver, self._solver.gaps, arrays["vertex_values"], self.rest.size, arrays["affine"]
+            )
 
     def _face_values(self, matrix: np.ndarray) -> np.ndarray:
         """(f, 3) float32: stretched target normals less the affine part's, for psi in node units.
@@ -207,12 +235,17 @@ def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
 
     Vertices that no face uses do not count.
     """
-    used = np.unique(source.faces)
-    a, b = source.vertices[used], target.vertices[used]
-    centre, size = a.mean(axis=0), source.size
-    solution, *_ = np.linalg.lstsq((a - centre) / size, b - b.mean(axis=0), rcond=1e-9)
-    matrix = solution.T / size
-    return matrix, b.mean(axis=0) - matrix @ centre
+    unused = source.topology.unused_vertices
+    a, b = (np.delete(cage.vertices, unused, axis=0) if len(unused) else cage.vertices for cage in (source, target))
+    centre, middle = a.mean(axis=0), b.mean(axis=0)
+    a, b = a - centre, b - middle
+    spread = a.T @ a
+    if np.linalg.det(spread) > 1e-18 * np.trace(spread) ** 3:
+        matrix = np.linalg.solve(spread, a.T @ b).T
+    else:  # next to flat: directions that the vertices say nothing of stay out
+        size = source.size
+        matrix = np.linalg.lstsq(a / size, b, rcond=1e-9)[0].T / size
+    return matrix, middle - matrix @ centre
 
 
 def _face_crosses(cage) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from .camera import Camera
-from .kernels.rays import PinholeCamera
+from .kernels.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
 
 #: Masks a frame may carry; a frame of a plain field has none of them.
 MASK_NAMES = ("reveal", "fold", "outside")
@@ -103,3 +103,8 @@ def camera_struct(camera: Camera, origin) -> PinholeCamera:
     struct.width = camera.width
     struct.height = camera.height
     return struct
+
+
+def tile_threads(camera: Camera) -> int:
+    """Threads that walk a camera's picture in whole tiles (kernels.rays.tile_pixel)."""
+    return -(-camera.width // TILE_WIDTH) * -(-camera.height // TILE_HEIGHT) * TILE_SIZE

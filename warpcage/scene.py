@@ -21,6 +21,9 @@ class Scene:
     cameras: n cameras of that image size, in the scene's own world units.
     background: (3,) float32, the colour behind everything.
     names: n image names, for reports.
+    bounds: (2, 3) float64, a box that holds the object where the data say so (bbox, points, unit sphere), or None.
+    to_source: (4, 4) float64, takes the scene's coordinates to those that its data were made from (DTU's millimetres,
+    a reconstruction before nerfstudio's applied_transform), or None where they are the same or not known.
 
     Raises ValueError where the parts do not fit together or images hold values that are not finite.
     """
@@ -30,6 +33,8 @@ class Scene:
     cameras: list[Camera]
     background: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(3, np.float32))
     names: list[str] = dataclasses.field(default_factory=list)
+    bounds: np.ndarray | None = None
+    to_source: np.ndarray | None = None
 
     def __post_init__(self):
         images = np.asarray(self.images, dtype=np.float32)
@@ -54,6 +59,15 @@ class Scene:
             alphas = np.asarray(alphas, dtype=np.float32)
             if alphas.shape != images.shape[:3]:
                 raise ValueError(f"scene alphas must be {images.shape[:3]}, got {alphas.shape}")
+        for name, shape in (("bounds", (2, 3)), ("to_source", (4, 4))):
+            given = getattr(self, name)
+            if given is not None:
+                given = np.array(given, dtype=np.float64)
+                if given.shape != shape or not np.isfinite(given).all():
+                    raise ValueError(f"scene {name} must be finite {shape}, got shape {given.shape}")
+                object.__setattr__(self, name, given)
+        if self.bounds is not None and not (self.bounds[1] > self.bounds[0]).all():
+            raise ValueError(f"scene bounds must have their lower corner first, got {self.bounds.tolist()}")
         object.__setattr__(self, "images", images)
         object.__setattr__(self, "alphas", alphas)
         object.__setattr__(self, "names", names)
@@ -61,6 +75,26 @@ class Scene:
 
     def __len__(self) -> int:
         return len(self.images)
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) unit vector, up in the world as the cameras were held.
+
+        It is square to the sideward axes of all cameras, as level ones have it; where that says too little, or another
+        thing, the mean of their upward axes, and z without one.
+        """
+        mean = -np.mean([camera.rotation[:, 1] for camera in self.cameras], axis=0)
+        length = np.linalg.norm(mean)
+        if length < 1e-3:
+            return np.array([0.0, 0.0, 1.0])
+        mean /= length
+        sideward = np.stack([camera.rotation[:, 0] for camera in self.cameras])
+        variances, axes = np.linalg.eigh(sideward.T @ sideward / len(sideward))  # ascending
+        across = axes[:, 0] * np.sign(axes[:, 0] @ mean)
+        nearest = np.round(across)  # a world axis, up to the digits of the file
+        across = nearest if np.linalg.norm(across - nearest) < 2e-3 else across
+        level = variances[1] > 0.02 and variances[0] < 0.2 * variances[1]
+        return across if level and across @ mean > 0.7 else mean
 
 
 def parse_background(background) -> np.ndarray:
@@ -76,14 +110,17 @@ def parse_background(background) -> np.ndarray:
 
 
 def load_scene(path, *, split: str = "train", downscale: int = 1, format: str | None = None,
-               background="white") -> Scene:
+               background="white", masks: bool = True) -> Scene:
     """Read one split of a scene from disk.
 
     path: folder of the scene.
-    split: "train", "val", "test", as the format has them.
+    split: as the format has them ("train", "val", "test"); where it has none, every eighth picture is "test", the
+        others are "train", and "all" is both.
     downscale: whole factor by which width and height shrink, by area averaging of premultiplied colour.
-    format: "blender" (NeRF-synthetic); None detects it.
+    format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp), "colmap";
+        None detects it, the first of these that fits.
     background: colour name or three numbers, put behind transparent pixels.
+    masks: mask files become alphas, and what they hide the background; False leaves the pictures whole.
 
     Raises FileNotFoundError for a missing folder, split or image, ValueError for contents that cannot be used.
     """
@@ -95,13 +132,25 @@ def load_scene(path, *, split: str = "train", downscale: int = 1, format: str | 
     if int(downscale) != downscale or downscale < 1:
         raise ValueError(f"downscale must be a whole number of at least 1, got {downscale}")
     if format is None:
-        format = next((name for name, reader in READERS.items() if reader.is_scene(folder)), None)
-        if format is None:
-            looked = "; ".join(f"{name}: {reader.MARK}" for name, reader in READERS.items())
-            raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked})")
+        format = detect_format(folder)
     if format not in READERS:
         raise ValueError(f"scene format {format!r} is not known: {', '.join(READERS)}")
-    return READERS[format].read(folder, split=split, downscale=int(downscale), background=parse_background(background))
+    return READERS[format].read(folder, split=split, downscale=int(downscale),
+                                background=parse_background(background), masks=masks)
+
+
+def detect_format(path) -> str:
+    """The name of the format of a scene folder. Raises ValueError that says what was looked for and what is there."""
+    from .scenes import READERS
+
+    folder = pathlib.Path(path)
+    for name, reader in READERS.items():
+        if reader.is_scene(folder):
+            return name
+    looked = "; ".join(f"{name}: {reader.MARK}" for name, reader in READERS.items())
+    seen = sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir())
+    there = ", ".join(seen[:8]) + (f" and {len(seen) - 8} more" if len(seen) > 8 else "")
+    raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked}); it holds {there or 'nothing'}")
 
 
 def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:

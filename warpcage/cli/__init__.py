@@ -1,4 +1,4 @@
-"""The command line: `warpcage fit | mesh | cage | pose | render | animate | evaluate | info`, one module a command.
+"""The command line: `warpcage fit | mesh | cage | check | pose | render | animate | ...`, one module a command.
 
 A command module holds NAME, HELP (one line), EXAMPLE (shown by --help), add_arguments(parser) and run(args). Nothing
 heavy is imported before a command runs, so that --help and wrong arguments answer at once.
@@ -10,9 +10,9 @@ import argparse
 import os
 import sys
 
-from . import animate, cage, evaluate, fit, info, mesh, pose, render
+from . import animate, bake, cage, check, evaluate, fit, info, mesh, pose, render
 
-COMMANDS = (fit, mesh, cage, pose, render, animate, evaluate, info)
+COMMANDS = (fit, mesh, cage, check, pose, render, animate, bake, evaluate, info)
 
 EXAMPLE = """\
 example, from pictures to a bent object:
@@ -25,13 +25,14 @@ example, from pictures to a bent object:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; the exit status: 0 done, 2 bad input (one line on stderr says what), 130 interrupted."""
+    """Run one command; the exit status: 0 done, 1 examined and unusable, 2 bad input (one line on stderr says what),
+    130 interrupted."""
     try:
         arguments = build_parser().parse_args(argv)
         if arguments.command is None:
             build_parser().print_help()
             return 2
-        arguments.run(arguments)
+        status = arguments.run(arguments)
         sys.stdout.flush()
     except KeyboardInterrupt:
         print("warpcage: interrupted", file=sys.stderr)
@@ -42,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"warpcage: error: {_one_line(error)}", file=sys.stderr)
         return 2
-    return 0
+    return status or 0
 
 
 def build_parser() -> argparse.ArgumentParser:

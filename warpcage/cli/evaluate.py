@@ -5,10 +5,10 @@ import json
 from . import options
 
 NAME = "evaluate"
-HELP = "compare renders of a field with a scene's pictures (PSNR)"
+HELP = "compare renders of a field with a scene's pictures (PSNR, SSIM)"
 EXAMPLE = """\
   warpcage evaluate lego.npz data/lego
-  warpcage evaluate lego.npz data/lego --split test --downscale 2 --json psnr.json
+  warpcage evaluate lego.npz data/lego --split test --downscale 2 --json psnr.json --worst worst.png
 """
 
 
@@ -17,34 +17,45 @@ def add_arguments(parser):
     parser.add_argument("scene", help="folder with pictures and cameras")
     parser.add_argument("--split", default="test", help="which pictures (default: %(default)s)")
     parser.add_argument("--format", metavar="NAME", help="scene format (default: found out)")
+    options.add_masks(parser)
     parser.add_argument("--downscale", type=options.positive_int, default=1, metavar="N",
                         help="shrink the pictures by averaging N x N pixels (default: %(default)s)")
     options.add_background(parser, "the field's own")
     parser.add_argument("--json", metavar="FILE", help="write the figures too")
+    parser.add_argument("--worst", metavar="FILE", help="PNG of the worst view: picture, render, and where it errs")
     options.add_device(parser)
     options.add_quiet(parser)
 
 
 def run(args):
     report = None if args.json is None else options.check_output(args.json, (".json",), "report")
+    worst = None if args.worst is None else options.check_output(args.worst, (".png",), "picture")
     options.require_folder(args.scene)
     field = options.read_field(args)
-    from ..evaluation import evaluate, mean_psnr
+    from ..evaluation import error_image, evaluate, mean_psnr
     from ..files import atomic_path
     from ..scene import load_scene
 
     background = field.background if args.background is None else args.background
     scene = load_scene(args.scene, split=args.split, downscale=args.downscale, format=args.format,
-                       background=background)
-    rows = evaluate(field, scene, progress=not args.quiet)
+                       background=background, masks=args.masks)
+    rows = evaluate(field, scene, similarity=min(scene.images.shape[1:3]) >= 11, progress=not args.quiet)
     mean = mean_psnr(rows)
     width = max(len("view"), *(len(row["view"]) for row in rows))
-    print(f"{'view':{width}}  PSNR dB")
-    for row in rows:
-        print(f"{row['view']:{width}}  {row['psnr']:7.2f}")
-    print(f"{'mean':{width}}  {mean:7.2f}")
+    similarities = [row["ssim"] for row in rows if "ssim" in row]
+    mean_ssim = sum(similarities) / len(similarities) if similarities else None
+    print(f"{'view':{width}}  PSNR dB" + ("    SSIM" if similarities else ""))
+    for row in [*rows, {"view": "mean", "psnr": mean, "ssim": mean_ssim}]:
+        print(f"{row['view']:{width}}  {row['psnr']:7.2f}" + (f"  {row['ssim']:6.4f}" if similarities else ""))
+    if worst is not None:
+        from ..images import side_by_side, write_png
+
+        index = min(range(len(rows)), key=lambda i: rows[i]["psnr"])
+        image = scene.images[index]
+        rgb = field.render(scene.cameras[index], background=scene.background).rgb
+        write_png(worst, side_by_side([image, rgb, error_image(rgb, image)]))
     if report is not None:
         content = {"field": args.field, "scene": args.scene, "split": args.split, "downscale": args.downscale,
-                   "mean_psnr": mean, "views": rows}
+                   "mean_psnr": mean, "mean_ssim": mean_ssim, "views": rows}
         with atomic_path(report) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -7,6 +7,7 @@ HELP = "fit a radiance field to the pictures of a scene"
 EXAMPLE = """\
   warpcage fit data/lego --downscale 2 -o lego.npz
   warpcage fit data/lego -o lego.npz --device cuda:0 --resolution 384 --background black
+  warpcage fit data/lego -o lego.npz --quality high --checkpoint progress.npz
 """
 
 
@@ -15,9 +16,16 @@ def add_arguments(parser):
     parser.add_argument("-o", "--output", required=True, metavar="FIELD", help="field file to write (.npz)")
     parser.add_argument("--split", default="train", help="which pictures (default: %(default)s)")
     parser.add_argument("--format", metavar="NAME", help="scene format (default: found out)")
+    options.add_masks(parser)
     parser.add_argument("--downscale", type=options.positive_int, default=1, metavar="N",
                         help="shrink the pictures by averaging N x N pixels (default: %(default)s)")
     options.add_background(parser, "white")
+    parser.add_argument("--quality", choices=("fast", "standard", "high"), default="standard",
+                        help="time against detail (default: %(default)s)")
+    parser.add_argument("--checkpoint", metavar="FILE",
+                        help="keep the progress in this file (.npz), and go on from it where it is there")
+    parser.add_argument("--checkpoint-seconds", type=options.positive_float, default=60.0, metavar="N",
+                        help="how often (default: %(default)s)")
     parser.add_argument("--resolution", type=options.positive_int, metavar="N",
                         help="voxels along the longest side (default: after the size of a pixel at the object)")
     parser.add_argument("--epochs", type=options.positive_float, metavar="N", help="passes over the pixels that matter")
@@ -30,17 +38,19 @@ def add_arguments(parser):
 
 def run(args):
     output = options.check_output(args.output, (".npz",), "field file")
+    checkpoint = None if args.checkpoint is None else options.check_output(args.checkpoint, (".npz",), "checkpoint")
     options.require_folder(args.scene)
     device = options.chosen_device(args)
     from ..optimize import fit
     from ..scene import load_scene
 
     scene = load_scene(args.scene, split=args.split, downscale=args.downscale, format=args.format,
-                       background=args.background or "white")
+                       background=args.background or "white", masks=args.masks)
     given = {name: getattr(args, name) for name in ("resolution", "epochs") if getattr(args, name) is not None}
     if args.bounds is not None:
         given["bounds"] = [args.bounds[:3], args.bounds[3:]]
-    field = fit(scene, device=device, seed=args.seed, progress=not args.quiet, **given)
+    field = fit(scene, quality=args.quality, device=device, seed=args.seed, progress=not args.quiet,
+                checkpoint=checkpoint, checkpoint_seconds=args.checkpoint_seconds, **given)
     field.save(output)
     size = "x".join(str(n) for n in field.resolution)
     print(f"wrote {output}: {field.voxel_count} voxels of {size}, {output.stat().st_size / 1e6:.1f} MB")

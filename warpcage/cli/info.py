@@ -6,34 +6,48 @@ import platform
 from . import options
 
 NAME = "info"
-HELP = "describe a field, a cage or a scene; without a file: versions and devices"
+HELP = "describe a field, a cage, poses or a scene; without a file: versions and devices"
 EXAMPLE = """\
   warpcage info
   warpcage info lego.npz
   warpcage info cage.obj
-  warpcage info data/lego
+  warpcage info data/lego --split test --sheet lego.png
 """
+
+#: Most pictures on a contact sheet, and their longest side there.
+SHEET_PICTURES, SHEET_SIDE = 100, 160
 
 
 def add_arguments(parser):
-    parser.add_argument("field", metavar="file", nargs="?", help="field (.npz), cage (.obj .ply .off) or scene folder")
+    parser.add_argument("field", metavar="file", nargs="?",
+                        help=f"field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), poses (.json) or scene folder")
     parser.add_argument("--split", default="train", help="split of a scene (default: %(default)s)")
+    parser.add_argument("--format", metavar="NAME", help="scene format (default: found out)")
+    parser.add_argument("--sheet", metavar="PICTURE",
+                        help=f"write a contact sheet of a scene's pictures, {SHEET_PICTURES} at most (.png)")
     options.add_device(parser)
 
 
 def run(args):
-    if args.field is None:
+    sheet = None if args.sheet is None else options.check_output(args.sheet, (".png",), "contact sheet")
+    path = None if args.field is None else pathlib.Path(args.field)
+    if sheet is not None and not (path is not None and path.is_dir()):
+        raise ValueError(f"--sheet shows the pictures of a scene folder, got {args.field!r}")
+    if path is None:
         rows = _machine()
-    elif (path := pathlib.Path(args.field)).is_dir():
-        rows = _scene(path, args)
+    elif path.is_dir():
+        rows = _scene(path, args, sheet)
+    elif not path.exists():
+        raise FileNotFoundError(f"file {args.field!r} is not there")
     elif path.suffix.lower() == ".npz":
         rows = _field(path, args)
     elif path.suffix.lower() in options.CAGE_ENDINGS:
         rows = _cage(path)
-    elif not path.exists():
-        raise FileNotFoundError(f"file {args.field!r} is not there")
+    elif path.suffix.lower() == ".json":
+        rows = _poses(path)
     else:
-        raise ValueError(f"{args.field!r} is no field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}) or scene folder")
+        raise ValueError(f"{args.field!r} is no field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), pose file "
+                         "(.json) or scene folder")
     width = max(len(name) for name, _ in rows)
     for name, value in rows:
         print(f"{name:{width}}  {value}")
@@ -60,13 +74,14 @@ def _device_line(device) -> str:
 
 def _field(path, args):
     field = options.read_field(args)
-    low, high = field.bounds
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
+    density = field.grid.density.numpy()
+    weights = None if field.weights is None else field.weights.numpy()
     return [("kind", "field"), ("resolution", "x".join(str(n) for n in field.resolution)),
-            ("voxels", f"{field.voxel_count} ({100 * share:.1f} % of the box)"),
-            ("bounds", f"{low.round(4).tolist()} to {high.round(4).tolist()}"),
-            ("voxel size", field.voxel_size.round(6).tolist()), ("background", field.background.round(3).tolist()),
-            ("file", f"{path.stat().st_size / 1e6:.1f} MB")]
+            ("voxels", f"{field.voxel_count} ({100 * share:.1f} % of the box)"), ("bounds", _box(*field.bounds)),
+            ("voxel size", field.voxel_size.round(6).tolist()), ("density", _range(density, "a world unit")),
+            ("weights", "not recorded" if weights is None else _range(weights, "largest of a training ray")),
+            ("background", field.background.round(3).tolist()), ("file", _file_size(path))]
 
 
 def _cage(path):
@@ -74,27 +89,78 @@ def _cage(path):
     from ..cage import Cage
 
     cage = Cage.load(path)
-    low, high = cage.bounds
     try:
         cage.require_usable("the cage")
         state = "yes"
     except ValueError as error:
         state = f"no: {error}"
     return [("kind", "cage"), ("vertices", len(cage.vertices)), ("faces", len(cage.faces)), ("edges", len(cage.edges)),
-            ("bounds", f"{low.round(4).tolist()} to {high.round(4).tolist()}"), ("size", f"{cage.size:.4g}"),
-            ("volume", f"{cage.volume:.4g}"), ("usable", state)]
+            ("bounds", _box(*cage.bounds)), ("size", f"{cage.size:.4g}"), ("volume", f"{cage.volume:.4g}"),
+            ("usable", state), ("file", _file_size(path))]
 
 
-def _scene(path, args):
+def _poses(path):
+    options.quiet_warp()
     import numpy as np
 
-    from ..scene import load_scene
+    from ..pose_file import PoseFile
 
-    scene = load_scene(path, split=args.split)
+    poses = PoseFile.load(path)
+    rest = poses.rest
+    rows = [("kind", "poses"), ("keyframes", len(poses)), ("cage vertices", len(rest.vertices)),
+            ("cage faces", len(rest.faces)), ("cage bounds", _box(*rest.bounds)), ("file", _file_size(path))]
+    for name in poses.names:
+        moved = np.linalg.norm(poses[name].vertices - rest.vertices, axis=1)
+        rows.append((f"pose {name!r}", f"{int((moved > 0).sum())} vertices moved by up to {moved.max():.4g}"))
+    return rows
+
+
+def _scene(path, args, sheet):
+    import numpy as np
+
+    from ..scene import detect_format, load_scene
+
+    form = args.format or detect_format(path)
+    scene = load_scene(path, split=args.split, format=form)
     camera = scene.cameras[0]
     centres = np.stack([each.centre for each in scene.cameras])
-    low, high = centres.min(axis=0), centres.max(axis=0)
-    return [("kind", "scene"), ("split", args.split), ("pictures", f"{len(scene)} of {camera.width}x{camera.height}"),
+    focal = np.array([[each.fx, each.fy] for each in scene.cameras])
+    rows = [("kind", "scene"), ("format", form), ("split", args.split),
+            ("pictures", f"{len(scene)} of {camera.width}x{camera.height}"), ("colours", _range(scene.images, "of 1")),
             ("opacity", "no" if scene.alphas is None else f"yes, {100 * float(scene.alphas.mean()):.1f} % covered"),
-            ("focal length", f"{camera.fx:.2f} pixels"),
-            ("cameras in", f"{low.round(3).tolist()} to {high.round(3).tolist()}")]
+            ("focal length", _range(focal, "pixels")), ("cameras in", _box(centres.min(axis=0), centres.max(axis=0))),
+            ("up", scene.up.round(3).tolist()),
+            ("bounds", "not given" if scene.bounds is None else _box(*scene.bounds)),
+            ("memory", f"{(scene.images.nbytes + (0 if scene.alphas is None else scene.alphas.nbytes)) / 1e6:.0f} MB")]
+    if sheet is not None:
+        rows.append(("sheet", _write_sheet(scene, sheet)))
+    return rows
+
+
+def _write_sheet(scene, path) -> str:
+    import numpy as np
+
+    from ..images import contact_sheet, write_png
+    from ..scene import shrink
+
+    chosen = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), SHEET_PICTURES)).round().astype(int))
+    factor = max(1, -(-max(scene.images.shape[1:3]) // SHEET_SIDE))
+    write_png(path, contact_sheet([shrink(scene.images[index], factor) for index in chosen]))
+    return f"{path}, {len(chosen)} of {len(scene)} pictures"
+
+
+def _box(low, high) -> str:
+    return f"{low.round(4).tolist()} to {high.round(4).tolist()}"
+
+
+def _range(values, unit: str) -> str:
+    """The smallest and the largest of an array, with what they are."""
+    if values.size == 0:
+        return "none"
+    low, high = float(values.min()), float(values.max())
+    return f"{low:.4g} {unit}" if low == high else f"{low:.4g} to {high:.4g} {unit}"
+
+
+def _file_size(path) -> str:
+    size = path.stat().st_size
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import pathlib
+import sys
 
-CAGE_ENDINGS = (".obj", ".ply", ".off")
+CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
 COORDINATES = ("harmonic", "mean_value", "green")
 DENSITIES = ("opacity", "paper")
 
@@ -24,6 +25,12 @@ def add_device(parser) -> None:
                         help='Warp device, "cpu" or "cuda:0" (default: CUDA where there is one)')
 
 
+def add_cage_up(parser) -> None:
+    parser.add_argument("--cage-up", choices=("y", "z"),
+                        help="axis that points up in cage files (default: y for glTF, z for the others; Blender's OBJ "
+                             "export has y unless told otherwise)")
+
+
 def add_quiet(parser) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
@@ -34,10 +41,19 @@ def add_background(parser, default_text: str) -> None:
                              f"(default: {default_text})")
 
 
-def add_deformation(parser) -> None:
+def add_masks(parser) -> None:
+    parser.add_argument("--no-masks", dest="masks", action="store_false",
+                        help="leave a scene's mask files alone: pictures are taken whole, background and all")
+
+
+def add_deformation(parser, *, keyframes: bool = False) -> None:
     group = parser.add_argument_group("deformation (leave --cage and --posed out to show the field as it is)")
     group.add_argument("--cage", metavar="REST", help="cage around the undeformed object (.obj, .ply, .off)")
-    group.add_argument("--posed", metavar="POSED", help="the same cage, vertices moved")
+    posed = 'the same cage, vertices moved: a file or a preset such as bend:40:x:z, twist:60 or scale:0.8'
+    if keyframes:
+        posed += "; several are keyframes one after another"
+    group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes else None, help=posed)
+    add_cage_up(group)
     group.add_argument("--coordinates", choices=COORDINATES, default="harmonic", help="kind (default: %(default)s)")
     group.add_argument("--resolution", type=lattice_resolution, default=128, metavar="N",
                        help='lattice cells along the longest side of the cage, or "precise" to evaluate the '
@@ -53,8 +69,8 @@ def add_view(parser) -> None:
                        help="camera of a scene's picture, e.g. data/lego:test:3 (split: train)")
     group.add_argument("--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where the camera is")
     group.add_argument("--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at")
-    group.add_argument("--up", type=float, nargs=3, metavar=("X", "Y", "Z"), default=(0.0, 0.0, 1.0),
-                       help="direction that is up in the picture (default: 0 0 1)")
+    group.add_argument("--up", type=float, nargs=3, metavar=("X", "Y", "Z"),
+                       help="direction that is up in the picture (default: as the field's cameras were held)")
     group.add_argument("--fov", type=field_of_view, default=40.0, metavar="DEGREES",
                        help="horizontal field of view (default: %(default)s)")
     group.add_argument("--size", type=positive_int, nargs="+", metavar="PIXELS",
@@ -162,7 +178,10 @@ def read_field(args):
     device = chosen_device(args)
     from ..field import VoxelField
 
-    return VoxelField.load(args.field, device=device)
+    field = VoxelField.load(args.field, device=device)
+    if getattr(args, "up", field) is None:  # a command with a view
+        args.up = tuple(field.up)
+    return field
 
 
 def visible_points(field, rest=None, posed=None):
@@ -175,19 +194,39 @@ def visible_points(field, rest=None, posed=None):
     return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
 
 
-def read_cages(args):
-    """Rest and posed cage of add_deformation, or (None, None); refused unless they fit together."""
-    from ..cage import Cage, require_same_faces
+def read_rest(args):
+    """The cage of --cage, or None where the field is shown as it is."""
+    from ..cage import Cage
 
     if (args.cage is None) != (args.posed is None):
         raise ValueError("--cage and --posed go together: the cage at rest and the same cage posed")
     if args.cage is None:
-        return None, None
-    rest, posed = Cage.load(args.cage), Cage.load(args.posed)
+        return None
+    rest = Cage.load(args.cage)
     rest.require_usable(f"cage {args.cage!r}")
-    require_same_faces(rest, posed)
-    posed.require_usable(f"cage {args.posed!r}")
-    return rest, posed
+    return rest
+
+
+def read_cages(args):
+    """Rest and posed cage of add_deformation, or (None, None); a posed cage in another order is matched, which a
+    line on stderr says, or refused where it does not fit."""
+    from .keyframes import read_pose
+
+    rest = read_rest(args)
+    return (None, None) if rest is None else (rest, read_pose(rest, args.posed))
+
+
+def matched(rest, posed, name: str):
+    """`posed` with the vertices and faces of `rest` in their order, saying so where they came in another."""
+    import numpy as np
+
+    try:
+        found = rest.match(posed)
+    except ValueError as error:
+        raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
+    if not np.array_equal(posed.faces, rest.faces) or len(posed.vertices) != len(rest.vertices):
+        print(f"warpcage: cage {name!r} comes in another order than its rest cage: matched", file=sys.stderr)
+    return found
 
 
 def make_deformer(field, rest, args):
@@ -245,17 +284,22 @@ def fitted(camera, width: int, height: int):
     return camera.resized(width, height)
 
 
-def scene_camera(text: str):
-    """The camera that SCENE:[SPLIT:]INDEX names."""
+def scene_cameras(text: str) -> list:
+    """The cameras that SCENE[:SPLIT] names, in the order of the pictures."""
     from ..scene import load_scene
 
+    path, split = text, "train"
+    if not pathlib.Path(path).exists() and ":" in path:
+        path, _, split = path.rpartition(":")
+    return load_scene(path, split=split).cameras
+
+
+def scene_camera(text: str):
+    """The camera that SCENE:[SPLIT:]INDEX names."""
     path, separator, index = text.rpartition(":")
     if not separator or not index.isdigit():
         raise ValueError(f"--camera must be SCENE:INDEX or SCENE:SPLIT:INDEX, got {text!r}")
-    split = "train"
-    if not pathlib.Path(path).exists() and ":" in path:
-        path, _, split = path.rpartition(":")
-    cameras = load_scene(path, split=split).cameras
+    cameras = scene_cameras(path)
     if int(index) >= len(cameras):
-        raise ValueError(f"split {split!r} of {path!r} has pictures 0 to {len(cameras) - 1}, got {index}")
+        raise ValueError(f"{path!r} has pictures 0 to {len(cameras) - 1}, got {index}")
     return cameras[int(index)]

@@ -1,6 +1,6 @@
-"""`warpcage render`: one picture of a field, deformed or not."""
+"""`warpcage render`: a picture of a field, deformed or not, or many of them."""
 
-from . import options
+from . import flight, options, outputs
 
 NAME = "render"
 HELP = "render one view of a field, as it is or deformed by a cage"
@@ -8,14 +8,22 @@ EXAMPLE = """\
   warpcage render lego.npz -o lego.png
   warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --size 800
   warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --overlay \\
-      --disparity bent_disparity.png --camera data/lego:test:3
+      --disparity bent_disparity.png --masks bent_masks.png --camera data/lego:test:3
+  warpcage render lego.npz --cage cage.obj --posed twist:60 -o twisted.png
+  warpcage render lego.npz -o views/ --cameras interpolate --scene data/lego:test --frames 60
 """
 
 
 def add_arguments(parser):
     parser.add_argument("field", help="field file (.npz)")
     parser.add_argument("-o", "--output", required=True, metavar="PICTURE", help="picture to write (.png)")
+    flight.add_arguments(parser)
     parser.add_argument("--disparity", metavar="PICTURE", help="write the disparity in colour too (.png)")
+    parser.add_argument("--depth", metavar="PICTURE", help="write the depth in grey too, near is white (.png)")
+    parser.add_argument("--alpha", metavar="PICTURE", help="write the opacity too (.png)")
+    parser.add_argument("--masks", metavar="PICTURE",
+                        help="write where the map folds over (red), what it uncovers (blue) and what it sends out of "
+                             "the rest cage (yellow) too (.png), and warn of their shares")
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the picture")
     options.add_background(parser, "the field's own")
     options.add_deformation(parser)
@@ -24,32 +32,37 @@ def add_arguments(parser):
 
 
 def run(args):
-    output = options.check_output(args.output, (".png",), "picture")
-    disparity = None if args.disparity is None else options.check_output(args.disparity, (".png",), "picture")
     if args.overlay and args.cage is None:
         raise ValueError("--overlay draws a cage: it needs --cage and --posed")
+    if args.cameras is not None:
+        return flight.run(args, background_option(args))
+    if args.scene is not None or args.frames is not None:
+        raise ValueError("--scene and --frames belong to --cameras")
+    output = options.check_output(args.output, (".png",), "picture")
+    extra = {
+        kind: options.check_output(getattr(args, kind), (".png",), "picture")
+        for kind in ("disparity", "depth", "alpha", "masks")
+        if getattr(args, kind) is not None
+    }
+    if args.masks is not None and args.cage is None:
+        raise ValueError("--masks needs a deformation: --cage and --posed")
     rest, posed = options.read_cages(args)
     field = options.read_field(args)
-    from ..images import colour_disparity, write_png
+    from ..images import write_png
 
     camera = options.chosen_camera(args, options.visible_points(field, rest, posed))
     renderer = field if rest is None else options.make_deformer(field, rest, args)
     if posed is not None:
         renderer.pose(posed)
     frame = renderer.render(camera, **background_option(args))
-    write_png(output, with_overlay(frame, camera, posed) if args.overlay else frame.rgb)
-    if disparity is not None:
-        write_png(disparity, colour_disparity(frame.disparity, alpha=frame.alpha))
-    print(f"wrote {output}{'' if disparity is None else f' and {disparity}'}: {frame.width}x{frame.height}, "
-          f"{100 * float(frame.alpha.mean()):.1f} % covered")
+    write_png(output, outputs.picture(frame, "rgb", camera, posed if args.overlay else None))
+    for kind, path in extra.items():
+        write_png(path, outputs.picture(frame, kind))
+    names = " and ".join(map(str, [output, *extra.values()]))
+    print(f"wrote {names}: {frame.width}x{frame.height}, {100 * float(frame.alpha.mean()):.1f} % covered")
+    if args.masks is not None:
+        outputs.warn_of_masks(outputs.mask_shares(frame))
 
 
 def background_option(args) -> dict:
     return {} if args.background is None else {"background": args.background}
-
-
-def with_overlay(frame, camera, cage):
-    """The frame's picture with the cage drawn over it, (h, w, 3)."""
-    from ..overlay import draw_cage
-
-    return draw_cage(frame.rgb, camera, cage)

@@ -1,0 +1,111 @@
+"""Baked fields against the scenes they were resampled from."""
+
+import numpy as np
+import pytest
+from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, rotation, shiny_field, view
+
+from warpcage.bake import bake
+from warpcage.cage import Cage
+from warpcage.cage_edits import CageEdit
+from warpcage.deformer import Deformer
+from warpcage.field import VoxelField
+
+
+def voxel_centres(field):
+    """World positions (n, 3) of voxels that hold values, without those at the border, where a sample may lie beside."""
+    nodes = np.argwhere(field.grid.links.numpy()[1:-1, 1:-1, 1:-1] >= 0) + 1
+    return field.bounds[0] + (nodes + 0.5) * field.voxel_size
+
+
+def unit_directions(count, seed=0):
+    directions = np.random.default_rng(seed).normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_voxels_hold_what_a_turned_scene_shows(kind, device):
+    """Colours at the voxels themselves, where no interpolation of the new field takes part: SH turn exactly."""
+    turn, offset = rotation(40, 65), np.array([0.1, -0.05, 0.15])
+    source = shiny_field(device)
+    pose = BOX.with_vertices(BOX.vertices @ turn.T + offset)
+    baked = bake(Deformer(source, BOX, coordinates=kind, resolution=32).pose(pose))
+    points = voxel_centres(baked)
+    directions = unit_directions(len(points))
+    rgb, density = baked.sample(points, directions)
+    back = (points - offset) @ turn
+    inside = (np.abs(back) < np.array([0.74, 0.54, 0.39])).all(axis=1)
+    assert inside.sum() > 4000
+    expected_rgb, expected_density = source.sample(back, directions @ turn)
+    np.testing.assert_allclose(rgb[inside], expected_rgb[inside], atol=5e-3)
+    np.testing.assert_allclose(density[inside], expected_density[inside], atol=0.02)
+    unturned, _ = source.sample(back, directions)
+    assert np.abs(rgb[inside] - unturned[inside]).mean() > 0.1  # the scene is shiny enough to tell
+
+
+@pytest.mark.parametrize("density", ["opacity", "paper"])
+def test_density_follows_the_deformer(density, device):
+    """A ball of twice the size keeps its opacity, so half its density, or its density."""
+    source = make_field(lambda x: ellipsoid(x, radii=(0.35, 0.35, 0.35), sigma=4.0), plain([0.2, 0.5, 0.7]),
+                        device=device)
+    cage = Cage.box([-0.6] * 3, [0.6] * 3)
+    deformer = Deformer(source, cage, coordinates="mean_value", resolution=32, density=density)
+    baked = bake(deformer.pose(cage.scale(2.0, centre=(0, 0, 0))))
+    middle = np.zeros((1, 3))
+    expected = 4.0 * (0.5 if density == "opacity" else 1.0)
+    assert baked.sample(middle, [[0, 0, 1.0]])[1][0] == pytest.approx(expected, rel=1e-3)
+    assert psnr(baked.render(view()).rgb, deformer.render(view()).rgb) > 40
+
+
+@pytest.mark.parametrize("format", ["warpcage", "svox2"])
+def test_a_bent_scene_baked_and_saved_looks_like_the_live_one(format, device, tmp_path):
+    source, camera = shiny_field(device), view()
+    live = Deformer(source, BOX, resolution=48).pose(BOX.bend(60, axis="x", towards="z"))
+    baked = bake(live)
+    frame = live.render(camera)
+    assert psnr(baked.render(camera).rgb, frame.rgb) > 32
+    assert psnr(source.render(camera).rgb, frame.rgb) < 25
+    finer = bake(live, resolution=int(1.5 * max(baked.resolution)), bounds=baked.bounds)
+    assert psnr(finer.render(camera).rgb, frame.rgb) > psnr(baked.render(camera).rgb, frame.rgb) + 2
+    path = tmp_path / "bent.npz"
+    baked.save(path, format=format)
+    read = VoxelField.load(path, device=device)
+    assert psnr(read.render(camera).rgb, baked.render(camera).rgb) > 50
+
+
+def test_edits_and_what_is_not_deformed_are_baked_too(device):
+    def balls(*centres):
+        return make_field(lambda x: sum(ellipsoid(x, c, (0.2, 0.2, 0.2)) for c in centres), plain([0.8, 0.3, 0.1]),
+                          device=device)
+
+    left, right = (Cage.box([x - 0.34, -0.34, -0.34], [x + 0.34, 0.34, 0.34]) for x in (-0.6, 0.6))
+    edits = [CageEdit(left, keep_source=True), CageEdit(right, remove=True)]
+    deformer = Deformer(balls((-0.6, 0, 0), (0.6, 0, 0), (0, 0.6, 0)), edits, resolution=24)
+    baked = bake(deformer.pose([left.translate([0, 0, 0.6]), None]))
+    expected = balls((-0.6, 0, 0), (0, 0.6, 0), (-0.6, 0, 0.6)).render(view())
+    assert psnr(baked.render(view()).rgb, expected.rgb) > 35
+    assert baked.bounds[1][0] < 0.35 and baked.bounds[1][2] > 0.8  # as large as what there is
+
+
+def test_a_deformer_without_lattice_is_baked_from_one(device):
+    pose = BOX.twist(30, axis="x")
+    source = shiny_field(device, resolution=24)
+    precise, lattice = (
+        bake(Deformer(source, BOX, coordinates="mean_value", resolution=resolution).pose(pose))
+        for resolution in (None, 128)
+    )
+    np.testing.assert_array_equal(precise.grid.density.numpy(), lattice.grid.density.numpy())
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"resolution": 1}, "resolution must be"),
+    ({"resolution": 20.5}, "resolution must be"),
+    ({"bounds": [[0, 0, 0], [1, 1, 0]]}, "bounds must be"),
+    ({"bounds": [[0, 0, 0], [1, 1, np.nan]]}, "bounds must be"),
+    ({"bounds": [[5, 5, 5], [6, 6, 6]]}, "nothing to bake"),
+])
+def test_bad_input_is_refused(options, message):
+    deformer = Deformer(shiny_field(None, resolution=8), BOX, resolution=8)
+    with pytest.raises(ValueError, match=message):
+        bake(deformer, **options)
+    with pytest.raises(ValueError, match="needs a Deformer"):
+        bake(deformer.field)

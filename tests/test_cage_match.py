@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+import trimesh
+
+from warpcage.cage import Cage, require_same_faces
+
+
+def cages():
+    torus = trimesh.creation.torus(1.0, 0.3, 12, 8)
+    ball, box = Cage.icosphere([0, 0, 0], 1.0, 2), Cage.box([0, 0, 0], [1, 2, 3], segments=(2, 2, 4))
+    two = np.concatenate([ball.vertices, ball.vertices + [3, 0, 0]])
+    return {
+        "box": box,
+        "ball": ball,
+        "torus": Cage(torus.vertices, torus.faces),
+        "two balls": Cage(two, np.concatenate([ball.faces, ball.faces + len(ball.vertices)])),
+        "cylinder": Cage.cylinder([0, 0, 0], 0.5, 3.0, sides=9, rings=5),
+        "open": Cage(box.vertices, box.faces[3:]),
+    }
+
+
+def shuffled(cage, seed=0):
+    """The same mesh with vertices, faces and first corners in another order, and the new place of each vertex."""
+    rng = np.random.default_rng(seed)
+    new = rng.permutation(len(cage.vertices))
+    vertices = np.empty_like(cage.vertices)
+    vertices[new] = cage.vertices
+    faces = new[cage.faces][rng.permutation(len(cage.faces))]
+    turn = (rng.integers(0, 3, len(faces))[:, None] + np.arange(3)) % 3
+    return Cage(vertices, np.take_along_axis(faces, turn, axis=1))
+
+
+@pytest.mark.parametrize("shape", list(cages()))
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_permuted_pose_comes_back_to_the_bit(shape, seed):
+    rest = cages()[shape]
+    posed = rest.bend(35).twist(10)
+    back = rest.match(shuffled(posed, seed))
+    assert np.array_equal(back.vertices, posed.vertices) and back.faces is rest.faces
+
+
+def test_the_same_faces_are_taken_as_they_are_even_after_half_a_turn():
+    rest = cages()["cylinder"]
+    turned = rest.rotate(180)
+    assert np.array_equal(rest.match(turned).vertices, turned.vertices)
+    assert np.array_equal(rest.match(Cage(turned.vertices, turned.faces[::-1])).vertices, turned.vertices)
+
+
+def test_unused_vertices_stay_and_split_vertices_are_joined():
+    box = Cage.box([0, 0, 0], [1, 2, 3])
+    rest = Cage(np.concatenate([box.vertices, [[9.0, 9, 9]]]), box.faces)
+    posed = box.bend(20)
+    soup = Cage(posed.vertices[posed.faces.reshape(-1)], np.arange(posed.faces.size).reshape(-1, 3))
+    back = rest.match(soup)
+    assert np.array_equal(back.vertices[:8], posed.vertices) and back.vertices[8].tolist() == [9, 9, 9]
+
+
+def test_other_diagonals_of_the_same_quads_are_the_same_cage():
+    rest = Cage.box([0, 0, 0], [1, 1, 1])
+    a, b = rest.faces[0], rest.faces[1]  # two triangles of one side: (0 1 2), (0 2 3)
+    assert a[0] == b[0] and a[2] == b[1]
+    faces = rest.faces.copy()
+    faces[0], faces[1] = (a[0], a[1], b[2]), (a[1], a[2], b[2])
+    posed = rest.bend(30)
+    assert np.array_equal(rest.match(Cage(posed.vertices, faces)).vertices, posed.vertices)
+
+
+def test_a_tie_is_refused():
+    rest = Cage.box([-1, -1, -1], [1, 1, 1])
+    point = Cage(np.zeros((8, 3)) + [5.0, 0, 0], shuffled(rest).faces)
+    with pytest.raises(ValueError, match="several ways"):
+        rest.match(point)
+
+
+def different():
+    rest = cages()["ball"]
+    faces = rest.faces.copy()
+    # turn the edge between two faces
+    a, b, c = faces[0]
+    other = next(k for k in range(1, len(faces)) if {int(a), int(b)} <= set(faces[k].tolist()))
+    d = (set(faces[other].tolist()) - {int(a), int(b)}).pop()
+    faces[0], faces[other] = (c, a, d), (d, b, c)
+    one_more = Cage(np.concatenate([rest.vertices, [[0, 0, 9]]]), np.concatenate([rest.faces, [[0, 1, 162]]]))
+    return {
+        "163 vertices, the cage 162": one_more,
+        "319 faces, the cage 320": Cage(rest.vertices, rest.faces[1:]),
+        "turned inside out": Cage(rest.vertices, rest.faces[:, ::-1]),
+        "it is another mesh": shuffled(Cage(rest.vertices, faces)),
+    }
+
+
+@pytest.mark.parametrize("message", list(different()))
+def test_what_differs_is_said_in_one_line(message):
+    rest = cages()["ball"]
+    for call, name in ((rest.match, "the pose "), (lambda pose: require_same_faces(rest, pose), "the deformed cage ")):
+        with pytest.raises(ValueError) as error:
+            call(different()[message])
+        assert message in str(error.value) and str(error.value).startswith(name) and "\n" not in str(error.value)
+
+
+def test_a_turned_edge_away_from_any_quad_is_named():
+    rest = cages()["ball"]
+    strange = rest.faces.copy()
+    strange[[0, 5]] = strange[[5, 0]]
+    strange[0] = np.roll(strange[0], 1)
+    require_same = Cage(rest.vertices, strange)
+    with pytest.raises(ValueError, match="in another order, from face 0"):
+        require_same_faces(rest, require_same)
+    assert rest.match(require_same).faces is rest.faces
+
+
+def test_large_regular_cages_are_matched():
+    torus = trimesh.creation.torus(1.0, 0.3, 40, 20)
+    rest = Cage(torus.vertices, torus.faces)
+    posed = rest.taper(0.5, axis="x")
+    assert np.array_equal(rest.match(shuffled(posed)).vertices, posed.vertices)

@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+
+from warpcage.cage import Cage
+
+
+def soup(cage):
+    """Every face with corners of its own, as exporters write flat shading."""
+    return Cage(cage.vertices[cage.faces.reshape(-1)], np.arange(cage.faces.size).reshape(-1, 3))
+
+
+def broken():
+    box, ball = Cage.box([0, 0, 0], [1, 2, 3], segments=2), Cage.icosphere([0, 0, 0], 1.0)
+    some = ball.faces.copy()
+    some[[3, 4, 40]] = some[[3, 4, 40], ::-1]
+    around = np.flatnonzero((ball.faces == 5).any(axis=1))
+    two = np.concatenate([ball.vertices, ball.vertices + 5])
+    return {
+        "merged": soup(box),
+        "flipped 3 faces": Cage(ball.vertices, some),
+        "looked inward": Cage(ball.vertices, ball.faces[:, ::-1]),
+        "of 1 parts": Cage(two, np.concatenate([ball.faces, ball.faces[:, ::-1] + len(ball.vertices)])),
+        "closed a hole of 3 edges": Cage(ball.vertices, ball.faces[1:]),
+        f"closed a hole of {len(around)} edges": Cage(ball.vertices, np.delete(ball.faces, around, axis=0)),
+        "name a vertex twice": Cage(ball.vertices, np.concatenate([ball.faces, [[1, 1, 2]]])),
+        "on the vertices of another": Cage(ball.vertices, np.concatenate([ball.faces, ball.faces[:2]])),
+    }
+
+
+@pytest.mark.parametrize("what", list(broken()))
+def test_what_can_be_mended_is_and_said(what):
+    cage = broken()[what]
+    with pytest.raises(ValueError):
+        cage.require_usable()
+    mended, notes = cage.repair()
+    mended.require_usable()
+    assert len(notes) == 1 and what in notes[0] and "\n" not in notes[0]
+    assert np.array_equal(mended.vertices, cage.vertices)  # so poses of the broken file still match
+    assert mended.check().intersecting_faces == ()
+    whole = 6.0 if what == "merged" else Cage.icosphere([0, 0, 0], 1.0).volume * (2 if "parts" in what else 1)
+    assert mended.volume == pytest.approx(whole, rel=0.1)
+
+
+def test_a_hole_beside_flipped_faces_and_repeated_vertices():
+    ball = Cage.icosphere([0, 0, 0], 1.0)
+    faces = ball.faces[2:].copy()
+    faces[10:30] = faces[10:30, ::-1]
+    mended, notes = soup(Cage(ball.vertices, faces[:, ::-1])).repair()
+    mended.require_usable()
+    assert len(notes) >= 3 and mended.volume == pytest.approx(ball.volume, rel=0.1)
+
+
+def test_nothing_is_done_to_a_good_cage_and_its_cavity():
+    outer, inner = Cage.icosphere([0, 0, 0], 2.0), Cage.icosphere([0, 0, 0], 1.0)
+    hollow = Cage(np.concatenate([outer.vertices, inner.vertices]),
+                  np.concatenate([outer.faces, inner.faces[:, ::-1] + len(outer.vertices)]))
+    assert hollow.repair() == (hollow, ())
+    turned = Cage(hollow.vertices, hollow.faces[:, ::-1])
+    assert turned.repair()[0].volume == pytest.approx(hollow.volume)
+
+
+def test_what_is_not_safe_is_left():
+    tube = Cage.cylinder([0, 0, 0], 1.0, 2.0, sides=16)
+    open_tube = Cage(tube.vertices, tube.faces[~(tube.faces == 32).any(axis=1)])
+    assert open_tube.repair() == (open_tube, ())
+    mended, notes = open_tube.repair(largest_hole=16)
+    mended.require_usable()
+    assert len(notes) == 1
+    strip = np.array([[np.cos(a) * (1 + s * np.cos(a / 2)), np.sin(a) * (1 + s * np.cos(a / 2)), s * np.sin(a / 2)]
+                      for a in np.linspace(0, 2 * np.pi, 12, endpoint=False) for s in (-0.3, 0.3)])
+    faces = [f for k in range(0, 22, 2) for f in ((k, k + 2, k + 1), (k + 1, k + 2, k + 3))]
+    moebius = Cage(strip, [*faces, (22, 1, 23), (23, 1, 0)])
+    assert moebius.repair(largest_hole=3) == (moebius, ())
+    with pytest.raises(ValueError, match="largest_hole"):
+        tube.repair(largest_hole=2)
+    with pytest.raises(ValueError, match="no face left"):
+        Cage(tube.vertices, [[0, 0, 1]]).repair()

@@ -1,0 +1,138 @@
+"""`warpcage info` of everything there is, and pictures from a scene's cameras."""
+
+import numpy as np
+import pytest
+from scene_writers import brick_pictures, write_colmap, write_dtu, write_nsvf, write_transforms
+
+from warpcage import load_scene
+from warpcage.cage import Cage
+from warpcage.cli import main
+from warpcage.field import VoxelField
+from warpcage.images import read_image
+from warpcage.pose_file import PoseFile
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("info")
+    pictures = brick_pictures(10)
+    write_nsvf(folder / "nsvf", pictures, "0" * 8 + "22")
+    write_dtu(folder / "dtu", pictures)
+    write_transforms(folder / "transforms", pictures)
+    write_colmap(folder / "colmap", pictures, binary=True)
+    x, y, z = np.meshgrid(*[(np.arange(16) + 0.5) / 8 - 1] * 3, indexing="ij")
+    density = np.where(x**2 + y**2 + z**2 < 0.5, 40.0, 0.0)
+    sh = np.zeros((16, 16, 16, 9, 3))
+    sh[..., 0, :] = np.where(z[..., None] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])
+    VoxelField.from_dense(density, sh, [[-1, -1, -1], [1, 1, 1]]).save(folder / "ball.npz")
+    Cage.box((-0.9, -0.9, -0.9), (0.9, 0.9, 0.9), segments=2).save(folder / "cage.ply")
+    return folder
+
+
+def info(capsys, *words):
+    assert main(["info", *map(str, words)]) == 0
+    return {line.split("  ")[0]: line.split("  ", 1)[1].strip() for line in capsys.readouterr().out.splitlines()}
+
+
+@pytest.mark.parametrize("name", ["nsvf", "dtu", "transforms", "colmap"])
+def test_info_of_scenes(files, capsys, name):
+    rows = info(capsys, files / name)
+    assert (rows["kind"], rows["format"]) == ("scene", name)
+    assert rows["pictures"] == "8 of 24x20" and rows["split"] == "train"
+    assert rows["focal length"] == "29.5 to 31 pixels"
+    assert rows["opacity"].startswith("yes, ") and rows["colours"].endswith("to 1 of 1")
+    assert rows["bounds"] == {"nsvf": "[-1.5, -1.5, -1.5] to [1.5, 1.5, 1.5]",
+                              "dtu": "[-1.0, -1.0, -1.0] to [1.0, 1.0, 1.0]"}.get(name, "not given")
+    assert info(capsys, files / name, "--split", "test")["pictures"] == "2 of 24x20"
+
+
+def test_info_of_files(files, capsys):
+    rows = info(capsys, files / "ball.npz")
+    assert rows["kind"] == "field" and rows["resolution"] == "16x16x16"
+    assert rows["density"] == "0 to 40 a world unit" and rows["file"].endswith("kB")
+    rows = info(capsys, files / "cage.ply")
+    assert rows["kind"] == "cage" and rows["vertices"] == "26" and rows["usable"] == "yes"
+
+
+def test_info_of_poses(files, capsys, tmp_path):
+    rest = Cage.load(files / "cage.ply")
+    PoseFile(rest, {"up": rest.translate([0, 0, 0.5]), "still": rest}).save(tmp_path / "poses.json")
+    rows = info(capsys, tmp_path / "poses.json")
+    assert rows["kind"] == "poses" and rows["keyframes"] == "2" and rows["cage vertices"] == "26"
+    assert rows["pose 'up'"] == "26 vertices moved by up to 0.5"
+    assert rows["pose 'still'"] == "0 vertices moved by up to 0"
+    (tmp_path / "other.json").write_text("[]")
+    assert main(["info", str(tmp_path / "other.json")]) == 2
+    assert "other.json" in capsys.readouterr().err
+
+
+def test_contact_sheet(files, capsys, tmp_path):
+    rows = info(capsys, files / "dtu", "--sheet", tmp_path / "sheet.png")
+    assert rows["sheet"] == f"{tmp_path / 'sheet.png'}, 8 of 8 pictures"
+    sheet, images = read_image(tmp_path / "sheet.png"), load_scene(files / "dtu").images
+    assert sheet.shape == (3 * 20 + 2 * 4, 3 * 24 + 2 * 4, 3)
+    np.testing.assert_allclose(sheet[:20, :24], images[0], atol=0.003)
+    np.testing.assert_allclose(sheet[24:44, 28:52], images[4], atol=0.003)
+    for words in (["ball.npz"], []):
+        assert main(["info", *[str(files / word) for word in words], "--sheet", str(tmp_path / "other.png")]) == 2
+        assert "--sheet shows the pictures of a scene folder" in capsys.readouterr().err
+    assert not (tmp_path / "other.png").exists()
+
+
+def test_masks_can_be_left_alone(files, tmp_path, capsys):
+    words = ["--resolution", "16", "--epochs", "0.5", "--quiet"]
+    for name, more in (("cut", []), ("whole", ["--no-masks", "--background", "black"])):
+        assert main(["fit", str(files / "dtu"), "-o", str(tmp_path / f"{name}.npz"), *words, *more]) == 0
+    cut, whole = (VoxelField.load(tmp_path / f"{name}.npz") for name in ("cut", "whole"))
+    np.testing.assert_allclose(whole.bounds, [[-1] * 3, [1] * 3])  # the unit sphere, nothing says more
+    assert np.abs(cut.bounds - whole.bounds).max() > 0.01  # the silhouettes
+    scores = []
+    for more in ([], ["--no-masks"]):
+        assert main(["evaluate", str(tmp_path / "whole.npz"), str(files / "dtu"), "--quiet", *more]) == 0
+        scores.append(capsys.readouterr().out.splitlines()[-1])
+    assert scores[0] != scores[1]
+
+
+def render(files, *words):
+    return main(["render", str(files / "ball.npz"), *map(str, words)])
+
+
+def test_cameras_are_interpolated(files, tmp_path, capsys):
+    scene = f"{files / 'dtu'}:test"
+    assert render(files, "-o", tmp_path / "way", "--cameras", "interpolate", "--scene", scene, "--frames", 5) == 0
+    assert "5 pictures of 24x20" in capsys.readouterr().out
+    assert render(files, "-o", tmp_path / "given", "--cameras", "given", "--scene", scene) == 0
+    way = [read_image(path) for path in sorted((tmp_path / "way").iterdir())]
+    given = [read_image(path) for path in sorted((tmp_path / "given").iterdir())]
+    assert len(way) == 5 and len(given) == 2
+    np.testing.assert_allclose(way[0], given[0], atol=0.005)  # the way begins and ends at given cameras
+    np.testing.assert_allclose(way[-1], given[-1], atol=0.005)
+    assert np.abs(way[2] - given[0]).mean() > 0.01
+
+
+def test_film_of_a_pose_through_the_cameras(files, tmp_path):
+    words = ["--cage", files / "cage.ply", "--posed", files / "cage.ply", "--coordinates", "mean_value", "--resolution",
+             16, "--overlay"]
+    film = tmp_path / "way.gif"
+    assert render(files, "-o", film, "--cameras", "interpolate", "--scene", f"{files / 'colmap'}:test", *words) == 0
+    import imageio.v3 as iio
+
+    assert iio.imread(film).shape[:3] == (9, 20, 24)
+
+
+@pytest.mark.parametrize("words, expected", [
+    (["-o", "new", "--cameras", "interpolate"], "--cameras needs --scene"),
+    (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--camera", "@dtu:0"], "--camera exclude"),
+    (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--depth", "new.png"], "--depth exclude"),
+    (["-o", "new", "--cameras", "given", "--scene", "@dtu", "--frames", "3"], "--frames belongs"),
+    (["-o", "new.png", "--cameras", "given", "--scene", "@dtu"], "must end in .mp4 or .gif"),
+    (["-o", "@dtu", "--cameras", "given", "--scene", "@dtu"], "is there"),
+    (["-o", "new", "--cameras", "given", "--scene", "@nowhere"], "nowhere"),
+    (["-o", "new", "--cameras", "given", "--scene", "@dtu:validation"], "validation"),
+    (["-o", "new.png", "--scene", "@dtu"], "belong to --cameras"),
+])
+def test_wrong_cameras(files, tmp_path, monkeypatch, capsys, words, expected):
+    monkeypatch.chdir(tmp_path)
+    assert render(files, *[word.replace("@", f"{files}/") for word in words]) == 2
+    assert expected in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,203 @@
+"""Mean value and green weights at 10,000 inside points of four cages; slots between two arms of a cage; bad input."""
+
+import functools
+
+import numpy as np
+import oracles
+import pytest
+import trimesh
+import warp as wp
+
+from warpcage import memory
+from warpcage.cage import Cage
+from warpcage.coordinates import green_coordinates, harmonic_coordinates, mean_value_coordinates
+from warpcage.devices import launch
+from warpcage.kernels.cage_map import sample_map
+from warpcage.position_map import PositionMap
+from warpcage.synthetic import brick_model
+
+NAMES = ("icosphere", "box", "concave", "bricks")
+COUNT = 10_000
+
+
+@functools.cache
+def cage_and_points(name):
+    """A cage of float32 vertices and 10,000 float32 points inside it, local units (size 1, about the origin)."""
+    if name == "bricks":
+        pytest.importorskip("pymeshlab")
+        found = Cage.from_mesh(trimesh.Trimesh(*brick_model()[:2], process=False), vertex_count=110)
+        vertices = oracles.single((found.vertices - found.bounds.mean(axis=0)) / found.size)
+        cage = Cage(vertices, found.faces)
+        assert len(vertices) >= 100
+    else:
+        cage = Cage(*oracles.cage(name))
+    random = np.random.default_rng(1)
+    points = np.zeros((0, 3))
+    while len(points) < COUNT:
+        tried = oracles.single(random.uniform(*cage.bounds, (2 * COUNT, 3)))
+        inside = [oracles.winding_numbers(part, cage.vertices, cage.faces) > 0.5 for part in np.split(tried, 10)]
+        points = np.concatenate([points, tried[np.concatenate(inside)]])
+    return cage, points[:COUNT]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_mean_value_weights(name, device):
+    cage, points = cage_and_points(name)
+    expected = oracles.mean_value_weights(points, cage.vertices, cage.faces)
+    weights = mean_value_coordinates(points, cage, device=device)
+    assert np.abs(weights - expected).max() < 1e-4
+    assert np.abs(weights.sum(axis=1) - 1).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_green_weights(name, device):
+    cage, points = cage_and_points(name)
+    expected = oracles.green_weights_in_closed_form(points, cage.vertices, cage.faces)
+    found = green_coordinates(points, cage, device=device)
+    for ours, theirs in zip(found, expected, strict=True):
+        assert np.abs(ours - theirs).max() < 1e-4
+    assert np.abs(found[0].sum(axis=1) - 1).max() < 1e-5
+
+
+def test_the_closed_form_of_green_weights_is_that_of_the_paper():
+    cage, points = cage_and_points("bricks")
+    ours = oracles.green_weights_in_closed_form(points[:500], cage.vertices, cage.faces)
+    theirs = oracles.green_weights(points[:500], cage.vertices, cage.faces)
+    for a, b in zip(ours, theirs, strict=True):
+        assert np.quantile(np.abs(a - b), 0.999) < 1e-6
+
+
+# -- Thin gaps
+
+
+def arms(slot):
+    """A prism 1 x 0.9 x 0.4 with a slot of this width between two arms: vertices, faces."""
+    half = slot / 2
+    outline = np.array([[-0.5, -0.45], [0.5, -0.45], [0.5, 0.45], [half, 0.45], [half, -0.1], [-half, -0.1],
+                        [-half, 0.45], [-0.5, 0.45]])  # fmt: skip
+    top = np.array([[0, 1, 5], [1, 4, 5], [1, 2, 4], [2, 3, 4], [0, 5, 7], [5, 6, 7]])
+    sides = [face for i in range(8) for j in [(i + 1) % 8] for face in ([i, j, j + 8], [i, j + 8, i + 8])]
+    vertices = np.concatenate([np.column_stack([outline, np.full(8, height)]) for height in (-0.2, 0.2)])
+    return vertices, np.concatenate([top[:, ::-1], top + 8, sides])
+
+
+def look_up(position_map, points):
+    local = wp.array((points - position_map.origin).astype(np.float32), dtype=wp.vec3, device=position_map.device)
+    positions = wp.empty(len(points), dtype=wp.vec3, device=position_map.device)
+    distance = wp.empty(len(points), dtype=float, device=position_map.device)
+    launch(
+        sample_map, len(points), [position_map.data, local], [positions, distance], device=position_map.device
+    )
+    return positions.numpy() + position_map.origin
+
+
+@pytest.mark.parametrize("degrees", [0, 17])
+@pytest.mark.parametrize(("cells", "bound"), [(4, 1e-3), (2, 5e-3), (1, 2e-2)])
+def test_slot_between_two_arms_that_a_pose_opens(cells, bound, degrees, device):
+    """Points next to the slot, against the map on a lattice where it is three times as many cells wide."""
+    resolution = 64
+    vertices, faces = arms(cells / resolution)
+    turn = trimesh.transformations.rotation_matrix(np.radians(degrees), (0.3, 0.2, 1))[:3, :3]
+    narrow = Cage(vertices @ turn.T, faces)
+    moved = vertices.copy()
+    tips = vertices[:, 1] > 0.3
+    moved[tips, 0] += np.where(vertices[tips, 0] > 0, 0.05, -0.05)
+    wide = Cage(moved @ turn.T, faces)
+
+    random = np.random.default_rng(0)
+    side = np.where(random.random(3000) < 0.5, 1, -1)
+    away = cells / resolution / 2 + random.uniform(1e-4, 3 / resolution, 3000)
+    points = np.column_stack([side * away, random.uniform(-0.15, 0.449, 3000), random.uniform(-0.199, 0.199, 3000)])
+    points = points @ turn.T
+    fine = PositionMap(wide, resolution=3 * resolution, device=device).pose(narrow)
+    position_map = PositionMap(wide, resolution=resolution, device=device).pose(narrow)
+    error = np.abs(look_up(position_map, points) - look_up(fine, points))
+    assert error.max() < bound
+    if cells == 1:
+        assert position_map.thin_nodes > 100
+        # what one value an outside node would give
+        position_map.data.side_index = wp.empty(0, dtype=int, device=device)
+        assert np.abs(look_up(position_map, points) - look_up(fine, points)).max() > bound
+
+
+def test_sides_of_a_slot_are_exact_for_affine_poses(device):
+    vertices, faces = arms(1 / 32)
+    narrow = Cage(vertices, faces)
+    matrix = np.array([[0.9, -0.5, 0.1], [0.4, 1.2, 0.3], [-0.2, 0.1, 0.8]])
+    for store in ("map", "weights"):
+        position_map = PositionMap(narrow, resolution=32, store=store, device=device).pose(
+            narrow.with_vertices(vertices @ matrix.T)
+        )
+        points = oracles.inside_points(vertices, faces, 500)
+        assert np.abs(look_up(position_map, points @ matrix.T) - points).max() < 5e-6
+
+
+def test_weights_and_map_agree_at_a_slot(device):
+    vertices, faces = arms(1 / 24)
+    narrow = Cage(vertices, faces)
+    wide = narrow.with_vertices(arms(0.2)[0])
+    points = oracles.inside_points(vertices, faces, 500)
+    maps = [PositionMap(wide, resolution=24, store=store, device=device).pose(narrow) for store in ("map", "weights")]
+    assert maps[0].data.side_index.size > 0
+    assert np.abs(look_up(maps[0], points) - look_up(maps[1], points)).max() < 1e-4
+
+
+# -- Bad input
+
+
+@pytest.mark.parametrize("resolution", [7, 0, -1, 5000, 10**9, 64.0, "64", None])
+def test_resolutions_out_of_range_are_refused(resolution):
+    cage, points = cage_and_points("box")
+    with pytest.raises(ValueError, match="resolution must be"):
+        harmonic_coordinates(points[:3], cage, resolution)
+
+
+def broken_cages():
+    cage = Cage.box((0, 0, 0), (1, 1, 1))
+    twice = cage.vertices.copy()
+    twice[1] = twice[0]
+    flat = cage.vertices * [1, 1, 0]
+    return {
+        "open": Cage(cage.vertices, cage.faces[1:]),
+        "inward": Cage(cage.vertices, cage.faces[:, ::-1]),
+        "place of another": cage.with_vertices(twice),
+        "place of another|degenerate": cage.with_vertices(flat),
+    }
+
+
+@pytest.mark.parametrize("problem", ["open", "inward", "place of another", "place of another|degenerate"])
+def test_cages_that_cannot_be_used_are_refused_in_one_line(problem):
+    cage = broken_cages()[problem]
+    calls = [lambda kind=kind: kind([[0.5, 0.5, 0.5]], cage)
+             for kind in (mean_value_coordinates, green_coordinates, harmonic_coordinates)]  # fmt: skip
+    calls.append(lambda: PositionMap(cage))
+    for call in calls:
+        with pytest.raises(ValueError, match=problem) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+
+
+def test_vertices_that_are_not_finite_are_refused():
+    cage = Cage.box((0, 0, 0), (1, 1, 1))
+    vertices = cage.vertices.copy()
+    vertices[3, 1] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        cage.with_vertices(vertices)
+    with pytest.raises(ValueError, match="finite"):
+        Cage(vertices, cage.faces)
+
+
+def test_no_points_are_no_error(device):
+    cage, _ = cage_and_points("box")
+    assert mean_value_coordinates(np.zeros((0, 3)), cage, device=device).shape == (0, 8)
+    assert green_coordinates(np.zeros((0, 3)), cage, device=device)[1].shape == (0, 12)
+    assert harmonic_coordinates(np.zeros((0, 3)), cage, 16, device=device).shape == (0, 8)
+
+
+def test_weights_too_large_for_the_device_are_refused(monkeypatch, device):
+    cage, points = cage_and_points("box")
+    monkeypatch.setattr(memory, "free_bytes", lambda device: 1 << 10)
+    harmonic = lambda points, cage, device: harmonic_coordinates(points, cage, 16, device)  # noqa: E731
+    for call in (mean_value_coordinates, green_coordinates, harmonic):
+        with pytest.raises(ValueError, match=r"weights of 10000 points.*GiB.*: take fewer points at a time"):
+            call(points, cage, device=device)

@@ -1,0 +1,130 @@
+"""The march for one edit against the general one, and the two ways to store a map."""
+
+import numpy as np
+import pytest
+from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, shiny_field, view
+
+from warpcage.cage import Cage
+from warpcage.cage_edits import CageEdit
+from warpcage.camera import Camera
+from warpcage.deformer import Deformer
+from warpcage.kernels.deformed_render import render_edits
+from warpcage.kernels.deformed_single import render_edit
+
+
+def both(deformer, camera, **options):
+    """The frames of the kernel for one edit and of the one for any number."""
+    edits = deformer._edits
+    single = deformer.render(camera, **options)
+    assert edits.render_kernel is render_edit
+    kept, edits.render_kernel, edits.scene = edits.scene, render_edits, edits.array
+    general = deformer.render(camera, **options)
+    edits.render_kernel, edits.scene = render_edit, kept
+    return single, general
+
+
+SLAB = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
+CASES = {
+    "bend": (BOX, BOX.bend(70, axis="x", towards="z"), {}),
+    "twist that folds": (BOX, BOX.twist(230, axis="x"), {}),
+    "squeeze": (BOX, BOX.scale([0.2, 1.3, 1.0]).translate([0.2, 0, 0.1]), {}),
+    "away": (BOX, BOX.rotate(30).translate([0.4, 0.5, 0.2]), {}),
+    "part of it, kept": (SLAB, SLAB.rotate(25, axis="x").translate([0.5, 0, 0.2]), {"keep_source": True}),
+    "part of it, removed": (SLAB, None, {"remove": True}),
+    "beside the field": (BOX.translate([4, 0, 0]), BOX.translate([4, 2, 0]), {}),
+}
+
+
+@pytest.mark.parametrize("density", ["opacity", "paper"])
+@pytest.mark.parametrize("case", CASES)
+def test_the_march_for_one_edit_sees_what_the_general_one_sees(case, density, device):
+    rest, pose, options = CASES[case]
+    deformer = Deformer(shiny_field(device), CageEdit(rest, **options), resolution=40, density=density).pose(pose)
+    single, general = both(deformer, view())
+    # sub-samples take differences of their own length in the one, of a whole step in the other
+    assert psnr(single.rgb, general.rgb) > (45 if case in ("squeeze", "twist that folds") else 80)
+    for name in ("alpha", "reveal", "fold"):
+        np.testing.assert_allclose(getattr(single, name), getattr(general, name), atol=0.06)
+        assert np.abs(getattr(single, name) - getattr(general, name)).mean() < 1e-3
+    assert np.abs(single.outside - general.outside).mean() < 0.05
+    seen = general.alpha > 0.5
+    assert seen.any() and np.abs(single.depth[seen] - general.depth[seen]).mean() < 2e-3
+
+
+def test_sizes_that_are_no_multiple_of_a_tile(device):
+    field = shiny_field(device)
+    deformer = Deformer(field, BOX, resolution=24)
+    for width, height in ((1, 1), (9, 5), (31, 2)):
+        camera = Camera.look_at([2.5, 1.2, 1.0], (0, 0, 0), width=width, height=height, fov_degrees=30)
+        for frame in both(deformer, camera):
+            assert psnr(frame.rgb, field.render(camera).rgb) > 50
+
+
+def test_samples_sent_out_are_counted_the_same(device):
+    field = make_field(lambda x: np.full(x.shape[:3], 2.0), plain([0.5, 0.5, 0.5]), device=device)
+    deformer = Deformer(field, BOX, coordinates="green", resolution=40).pose(BOX.stretch(1.6, axis="z"))
+    single, general = both(deformer, view())
+    assert general.outside.max() > 3
+    assert np.abs(single.outside - general.outside).mean() < 0.02 * general.outside.mean()
+
+
+def slotted(width):
+    """A prism with a slot of this width between two arms."""
+    half = width / 2
+    outline = np.array([[-0.8, -0.5], [0.8, -0.5], [0.8, 0.6], [half, 0.6], [half, -0.1], [-half, -0.1], [-half, 0.6],
+                        [-0.8, 0.6]])  # fmt: skip
+    top = np.array([[0, 1, 5], [1, 4, 5], [1, 2, 4], [2, 3, 4], [0, 5, 7], [5, 6, 7]])
+    sides = [face for i in range(8) for j in [(i + 1) % 8] for face in ([i, j, j + 8], [i, j + 8, i + 8])]
+    vertices = np.concatenate([np.column_stack([outline, np.full(8, height)]) for height in (-0.4, 0.4)])
+    return Cage(vertices, np.concatenate([top[:, ::-1], top + 8, sides]))
+
+
+@pytest.mark.parametrize("kind", ["harmonic", "mean_value"])
+def test_a_slot_that_a_pose_closes_to_less_than_a_cell(kind, device):
+    """What lies on both sides of a slot comes from both sides of a wide one: nothing is drawn over the slot."""
+    field = make_field(lambda x: np.where(np.abs(x[..., 0]) < 0.2, 0.0, 30.0) * (np.abs(x).max(axis=-1) < 0.9),
+                       plain([0.2, 0.6, 0.3]), device=device)
+    deformer = Deformer(field, slotted(0.5), coordinates=kind, resolution=32).pose(slotted(0.03))
+    camera = Camera.look_at([0.1, 0.6, 3.0], (0, 0.1, 0), up=(0, 1, 0), width=64, height=64, fov_degrees=40)
+    single, general = both(deformer, camera)
+    assert deformer._edits.scene.has_sides == 1 or kind != "harmonic"
+    assert psnr(single.rgb, general.rgb) > 45
+    assert general.alpha.max() > 0.9
+
+
+# -- Weights instead of the map
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_stored_weights_render_the_same_picture(kind, device):
+    field, camera = shiny_field(device), view()
+    pose = BOX.bend(50, axis="x", towards="z")
+    frames = [
+        Deformer(field, BOX, coordinates=kind, resolution=32, store=store).pose(pose).render(camera)
+        for store in ("map", "weights")
+    ]
+    assert psnr(frames[0].rgb, frames[1].rgb) > 60
+    assert psnr(frames[0].rgb, field.render(camera).rgb) < 30
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"store": "both"}, "store 'both' is not known"),
+    ({"store": "weights", "coordinates": "green", "resolution": None}, "give a resolution"),
+])
+def test_stores_that_cannot_be_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        Deformer(shiny_field(None, resolution=8), BOX, **options)
+
+
+# -- Several edits on the fast path's lattices still go the general way
+
+
+def test_two_edits_render_as_two(device):
+    def density(x):
+        return ellipsoid(x, (-0.5, 0, 0), (0.2, 0.2, 0.2)) + ellipsoid(x, (0.5, 0, 0), (0.2, 0.2, 0.2))
+
+    field = make_field(density, plain([0.8, 0.3, 0.1]), device=device)
+    left, right = (Cage.box([x - 0.3, -0.3, -0.3], [x + 0.3, 0.3, 0.3]) for x in (-0.5, 0.5))
+    deformer = Deformer(field, [left, right], resolution=24)
+    assert deformer._edits.render_kernel is render_edits
+    assert psnr(deformer.render(view()).rgb, field.render(view()).rgb) > 50

@@ -1,0 +1,139 @@
+"""A scene of another size, or far from the origin, gives the same result: nothing is measured in the world's units."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scene_writers import brick_pictures, write_colmap, write_nsvf
+
+from warpcage import Camera, Deformer, Scene, VoxelField, fit, load_scene
+from warpcage.bounds import object_bounds, view_box
+from warpcage.cage import Cage
+from warpcage.camera import turntable
+from warpcage.devices import resolve_device
+
+FAR = np.array([1e4, -2e4, 3e4])
+WORLDS = {"1024 times": (1024.0, 0 * FAR), "1000 times": (1000.0, 0 * FAR), "a thousandth": (1e-3, 0 * FAR),
+          "far": (1.0, FAR), "1000 times and far": (1000.0, 1000.0 * FAR)}
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    return brick_pictures(16, width=28, height=28)
+
+
+def placed(cameras, scale, shift):
+    moved = []
+    for camera in cameras:
+        pose = camera.camera_to_world.copy()
+        pose[:3, 3] = pose[:3, 3] * scale + shift
+        moved.append(dataclasses.replace(camera, camera_to_world=pose))
+    return moved
+
+
+def make_scene(pictures, scale, shift, alpha):
+    images, alphas = pictures.over((1.0, 1.0, 1.0))
+    return Scene(images, alphas if alpha else None, placed(pictures.cameras, scale, shift))
+
+
+@pytest.fixture(scope="module")
+def fitted(pictures):
+    """The field of the scene where it is, with and without alphas."""
+    return {alpha: fit(make_scene(pictures, 1.0, 0 * FAR, alpha), resolution=24, epochs=2, progress=False)
+            for alpha in (True, False)}
+
+
+@pytest.mark.parametrize("alpha", [True, False])
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_fit_is_the_same_anywhere(pictures, fitted, world, alpha):
+    scale, shift = WORLDS[world]
+    scene = make_scene(pictures, scale, shift, alpha)
+    field, expected = fit(scene, resolution=24, epochs=2, progress=False), fitted[alpha]
+    np.testing.assert_allclose((field.bounds - shift) / scale, expected.bounds, atol=1e-9)
+    assert field.resolution == expected.resolution
+    for camera, here in list(zip(scene.cameras, pictures.cameras, strict=True))[::5]:
+        frame, plain = field.render(camera), expected.render(here)
+        # other factors round otherwise, and so do the sums of a GPU from run to run; optimising magnifies that
+        tolerance = 1e-6 if world == "1024 times" and field.device.is_cpu else 3e-3
+        assert np.abs(frame.rgb - plain.rgb).mean() < tolerance
+        assert np.abs(frame.alpha - plain.alpha).mean() < tolerance
+        seen = plain.alpha > 0.5
+        assert np.median(np.abs(frame.depth[seen] / scale / plain.depth[seen] - 1)) < 1e-3
+    assert 0.02 < seen.mean() < 0.98
+
+
+@pytest.mark.parametrize("world", ["1000 times", "far"])
+def test_an_edit_is_the_same_anywhere(pictures, fitted, world):
+    scale, shift = WORLDS[world]
+    field = fit(make_scene(pictures, scale, shift, True), resolution=24, epochs=2, progress=False)
+    rest = Cage.box(*fitted[True].bounds, segments=2)
+    posed = rest.bend(30, axis="x", towards="z")
+    frames = []
+    for each, k, offset in ((fitted[True], 1.0, 0 * FAR), (field, scale, shift)):
+        deformer = Deformer(each, Cage(rest.vertices * k + offset, rest.faces), coordinates="mean_value", resolution=24)
+        deformer.pose(Cage(posed.vertices * k + offset, posed.faces))
+        frames.append(deformer.render(placed(pictures.cameras[:1], k, offset)[0]).rgb)
+    assert np.abs(frames[1] - frames[0]).mean() < 2e-3
+    assert np.abs(frames[0] - fitted[True].render(pictures.cameras[0]).rgb).mean() > 0.01  # it is an edit
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("layout", ["around", "parallel"])
+def test_bounds_follow_the_cameras(pictures, world, layout):
+    scale, shift = WORLDS[world]
+    cameras = pictures.cameras
+    if layout == "parallel":
+        cameras = [Camera(40, 40, 14, 14, 28, 28, np.block([[np.eye(3), np.array([[x], [y], [0.0]])], [0, 0, 0, 1.0]]))
+                   for x in (0.0, 0.5, 1.0) for y in (0.0, 0.3)]
+    images = np.zeros((len(cameras), 28, 28, 3))
+    box, moved = (view_box(Scene(images, None, placed(cameras, *place))) for place in ((1.0, 0 * FAR), (scale, shift)))
+    np.testing.assert_allclose((moved - shift) / scale, box, atol=1e-8)
+    if layout == "parallel":
+        assert box[0, 2] > 0.0  # ahead
+
+
+def test_bounds_of_the_data_come_first(tmp_path, pictures):
+    write_nsvf(tmp_path / "nsvf", pictures, "0" * 16, bbox=(-1.5, -1.5, -1.4, 1.5, 1.5, 1.5))
+    scene = load_scene(tmp_path / "nsvf")
+    device = resolve_device(None)
+    opaque = dataclasses.replace(scene, alphas=None)
+    np.testing.assert_array_equal(object_bounds(opaque, device), [[-1.5, -1.5, -1.4], [1.5, 1.5, 1.5]])
+    hull = object_bounds(scene, device)  # shrunk to the silhouettes
+    assert (hull[1] - hull[0] < 2.9).all()
+
+    ball = np.random.default_rng(0).normal(size=(300, 3))
+    ball = ball / np.linalg.norm(ball, axis=1, keepdims=True)
+    write_colmap(tmp_path / "colmap", pictures, binary=True, points=ball)
+    low, high = load_scene(tmp_path / "colmap").bounds
+    assert (low < -0.95).all() and (low > -1.25).all() and (high > 0.95).all() and (high < 1.25).all()
+
+
+def test_up_is_how_the_cameras_were_held(pictures):
+    scene = make_scene(pictures, 1000.0, FAR, False)
+    held = np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0])  # as spiral_cameras does
+    np.testing.assert_allclose(scene.up, held, atol=1e-6)
+    turn = Camera.look_at([0, 0, 0], [1, 1, 1]).camera_to_world
+    turned = Scene(np.zeros((16, 28, 28, 3)), None, [camera.moved(turn) for camera in pictures.cameras])
+    np.testing.assert_allclose(turned.up, turn[:3, :3] @ held, atol=1e-6)
+    alone = Scene(np.zeros((1, 28, 28, 3)), None, pictures.cameras[:1])
+    np.testing.assert_allclose(alone.up, -pictures.cameras[0].rotation[:, 1], atol=1e-9)
+    level = Scene(np.zeros((8, 28, 28, 3)), None, turntable([1, 2, 3], 4.0, 20.0, 8, width=28, height=28))
+    np.testing.assert_array_equal(level.up, [0, 0, 1])
+
+
+def test_a_field_keeps_what_is_up(pictures, fitted, tmp_path, monkeypatch):
+    np.testing.assert_allclose(fitted[True].up, np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0]), atol=1e-6)
+    fitted[True].save(tmp_path / "field.npz")
+    np.testing.assert_array_equal(VoxelField.load(tmp_path / "field.npz").up, fitted[True].up)
+    from warpcage import cli
+
+    seen = []
+    monkeypatch.setattr(VoxelField, "render", lambda self, camera, **_: seen.append(camera) or exit_early())
+    for words, up in (([], fitted[True].up), (["--up", "0", "1", "0"], np.array([0.0, 1.0, 0.0]))):
+        assert cli.main(["render", str(tmp_path / "field.npz"), "-o", str(tmp_path / "new.png"), *words]) == 2
+        camera = seen.pop()
+        assert abs(camera.rotation[:, 0] @ up) < 1e-6 and -camera.rotation[:, 1] @ up > 0.5
+
+
+def exit_early():
+    raise ValueError("the camera is all that is asked for")

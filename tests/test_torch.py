@@ -1,0 +1,64 @@
+"""Another renderer's arrays: torch through DLPack. torch is no dependency; without it these tests are skipped."""
+
+import numpy as np
+import pytest
+import warp as wp
+from deformed_scenes import BOX, KINDS, rotation, shiny_field
+
+from warpcage.arrays import as_points
+from warpcage.deformer import Deformer
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+
+
+def tensors(device, count=400):
+    if device != "cpu" and not torch.cuda.is_available():
+        pytest.skip("this torch has no CUDA")
+    random = np.random.default_rng(0)
+    points = torch.from_numpy(random.uniform(-1.2, 1.2, (count, 3)).astype(np.float32)).to(device)
+    directions = torch.from_numpy(random.normal(size=(count, 3)).astype(np.float32)).to(device)
+    return points, torch.nn.functional.normalize(directions, dim=1)
+
+
+def test_tensors_are_read_where_they_lie(device):
+    points, _ = tensors(device)
+    array, keep = as_points(points)
+    assert keep and array.ptr == points.data_ptr() and str(array.device) == device
+    array, _ = as_points(points.requires_grad_(True))
+    assert array.ptr == points.data_ptr()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_to_canonical_takes_tensors_and_its_results_become_tensors(kind, device):
+    points, directions = tensors(device)
+    pose = BOX.bend(50, axis="x", towards="z")
+    deformer = Deformer(shiny_field(device), BOX, coordinates=kind, resolution=32).pose(pose)
+    expected = deformer.to_canonical(points.cpu().numpy(), directions.cpu().numpy())
+    arrays = deformer.to_canonical(points, directions)
+    assert all(isinstance(array, wp.array) for array in arrays)
+    for array, reference in zip(arrays, expected, strict=True):
+        tensor = torch.from_dlpack(array)
+        assert tensor.device.type == points.device.type and tensor.data_ptr() == array.ptr
+        np.testing.assert_allclose(tensor.cpu().numpy(), reference, atol=2e-6)
+    assert (expected[2] == 2).sum() > 30
+
+
+def test_a_torch_renderer_sees_the_turned_field(device):
+    """Density along rays by a formula in torch, through a turned cage: as the formula, asked along turned rays."""
+    turn = rotation(35, 20)
+    deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=32)
+    deformer.pose(BOX.with_vertices(BOX.vertices @ turn.T))
+
+    def density(x):
+        return torch.clamp(0.35 - (x * torch.tensor([1.0, 1.5, 2.0], device=x.device)).norm(dim=1), min=0.0)
+
+    points, directions = tensors(device, 4000)
+    points = 0.6 * points
+    mapped, along, region = map(torch.from_dlpack, deformer.to_canonical(points, directions))
+    seen = torch.where(region == 1, 0.0, density(mapped))
+    matrix = torch.tensor(turn, dtype=torch.float32, device=points.device)
+    torch.testing.assert_close(seen, density(points @ matrix), atol=1e-5, rtol=0)
+    inside = region == 2
+    assert inside.sum() > 200 and (seen > 0.01).sum() > 50
+    error = (along - directions @ matrix)[inside].norm(dim=1)
+    assert error.mean() < 1e-3

@@ -1,0 +1,100 @@
+"""Poses as words: cage files, or presets such as bend:40:x:z."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+
+from . import options
+
+#: Preset -> what it takes, the amount that changes nothing, and how many names of axes it may have.
+PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0, 1), "stretch": (1.0, 1),
+           "scale": (1.0, 0), "rotate": (0.0, 1), "translate": (0.0, 0)}  # fmt: skip
+
+PRESET_HELP = ("rest, bend:DEGREES[:AXIS[:TOWARDS]], twist:DEGREES[:AXIS], taper:FACTOR[:AXIS], "
+               "stretch:FACTOR[:AXIS], scale:FACTOR, rotate:DEGREES[:AXIS] or translate:X:Y:Z")
+
+
+class Preset:
+    """A pose by its name: `family` (its kind and axes) and `amount`, a tuple of numbers."""
+
+    def __init__(self, text: str):
+        kind, *words = text.split(":")
+        neutral, axis_count = PRESETS[kind]
+        number_count = {"rest": 0, "translate": 3}.get(kind, 1)
+        try:
+            amount = [float(word) for word in words[:number_count]]
+        except ValueError:
+            amount = []
+        axes = words[number_count:]
+        good = len(amount) == number_count and all(abs(number) < float("inf") for number in amount)
+        good = good and len(axes) <= axis_count and all(re.fullmatch("-?[xyz]", axis) for axis in axes)
+        good = good and not any(axis.startswith("-") for axis in axes[:1])
+        if not good:
+            raise ValueError(f"pose {text!r} is no preset: {PRESET_HELP}")
+        self.kind, self.amount = kind, tuple(amount)
+        self.family = (kind, *axes)
+        self.neutral = neutral
+
+    def at(self, rest, amount):
+        """`rest` posed by another amount of the same."""
+        kind, *axes = self.family
+        named = dict(zip(("axis", "towards"), axes, strict=False))
+        if kind == "rest":
+            return rest
+        if kind == "bend" and named.get("axis") == "x" and "towards" not in named:
+            named["towards"] = "z"
+        return getattr(rest, kind)(tuple(amount) if kind == "translate" else float(amount[0]), **named)
+
+
+def is_preset(text: str) -> bool:
+    return text.split(":")[0] in PRESETS and not pathlib.Path(text).exists()
+
+
+def read_pose(rest, text: str):
+    """The posed cage that a word of --posed names."""
+    from ..cage import Cage
+
+    if is_preset(text):
+        preset = Preset(text)
+        posed = preset.at(rest, preset.amount)
+    else:
+        posed = options.matched(rest, Cage.load(text), text)
+    posed.require_usable(f"cage {text!r}")
+    return posed
+
+
+class Keyframes:
+    """Rest and the poses after it; `at` says how the cage stands between two of them.
+
+    Where all poses are one preset by several amounts it is the amount that changes, so that a bend stays an arc;
+    otherwise each vertex goes its own way from pose to pose.
+    """
+
+    def __init__(self, rest, texts: list[str], interpolation: str):
+        self.rest, self.interpolation = rest, interpolation
+        self.cages = [rest] + [read_pose(rest, text) for text in texts]
+        self.preset, self.amounts = None, []
+        presets = [Preset(text) if is_preset(text) else None for text in texts]
+        families = {preset.family for preset in presets if preset and preset.kind != "rest"}
+        if all(presets) and len(families) == 1:
+            self.preset = next(preset for preset in presets if preset.kind != "rest")
+            still = (self.preset.neutral,) * len(self.preset.amount)
+            self.amounts = [still] + [still if preset.kind == "rest" else preset.amount for preset in presets]
+
+    def at(self, place: float):
+        """The cage at a place, 0 rest, 1 the first pose, and so on."""
+        from ..animation import keyframe_weights, pose_along
+
+        if self.preset is None:
+            return pose_along(self.cages, place, self.interpolation)
+        weights = keyframe_weights(place, len(self.amounts), self.interpolation)
+        columns = zip(*self.amounts, strict=True)
+        return self.preset.at(self.rest, [float(weights @ list(column)) for column in columns])
+
+    @property
+    def vertices(self):
+        """(n, 3) of all cages, so that a camera can hold them all."""
+        import numpy as np
+
+        return np.concatenate([cage.vertices for cage in self.cages])

@@ -1,0 +1,106 @@
+"""PoseGraph: all that a pose of a PositionMap does on a GPU, as one CUDA graph that later poses replay."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from .devices import launch
+from .harmonic_solver import roomier
+from .kernels.map_extension import add_affine, gather_status
+
+
+class PoseGraph:
+    """The launches of a pose, captured with somewhat more room than the pose at hand needs.
+
+    lattice, solver: of a PositionMap that has just been posed. Upload, lattice, lists, multigrid cycles until the
+    tolerance is met and download of the outcome are one graph, so that a pose costs the host one launch and one wait.
+
+    Attribute: has_gaps, whether the solver flagged nodes at narrow gaps.
+    """
+
+    @staticmethod
+    def is_supported(device) -> bool:
+        """Whether the device can decide in a graph how often a part of it runs (CUDA 12.4)."""
+        return device.is_cuda and wp.is_conditional_graph_supported()
+
+    def __init__(self, lattice, solver, scale: float):
+        self.lattice, self.solver, self.scale, self.device = lattice, solver, scale, lattice.device
+        # overflow of lines and lists, cycles, residual, nodes at gaps, then the length of each section
+        words = 5 + solver.nodes.section_count
+        self._status = wp.zeros(words, dtype=float, device=self.device)
+        self._host_status = wp.zeros(words, dtype=float, device="cpu", pinned=self.device.is_cuda)
+        self.has_gaps = False
+        self._graph = None
+        self._lattice_sizes: dict = {}
+        self._node_sizes: dict = {}
+        self._sections = np.zeros(solver.nodes.section_count, dtype=np.int64)
+
+    def fits(self) -> bool:
+        """Whether the pose that the lattice was laid over has room; a first one that has is captured."""
+        lattice, nodes = self.lattice, self.solver.nodes
+        if self._graph is None:
+            # no less than before, or poses that take turns would each be too long for the other's graph
+            for held, sizes in ((self._lattice_sizes, lattice.sizes), (self._node_sizes, nodes.sizes)):
+                held.update({name: max(held.get(name, 0), size + size // 16) for name, size in sizes.items()})
+            self._sections = np.maximum(self._sections, roomier(nodes.sections))
+            self._capture()
+        return (
+            self._generation == lattice.buffers.generation
+            and all(size <= self._lattice_sizes[name] for name, size in lattice.sizes.items())
+            and all(size <= self._node_sizes[name] for name, size in nodes.sizes.items())
+        )
+
+    def release(self) -> None:
+        """Capture anew at the next pose: buffers have moved, or a pose had no room."""
+        self._graph = None
+
+    def run(self) -> bool:
+        """Replay for the pose that the lattice's constants hold; False where a list was longer than foreseen."""
+        self._graph()
+        status = self._host_status.numpy()
+        if status[0] != 0.0 or status[1] != 0.0:
+            return False
+        self.solver.take_status(status[2:4])
+        self.solver.nodes.take_sections(status[5:].astype(np.int64))
+        self.lattice.take_distance()
+        self.has_gaps = status[4] > 0.0
+        return True
+
+    def _capture(self) -> None:
+        lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
+        solver.load_modules()
+        wp.load_module(gather_status.module, device=self.device)
+        nodes.set_limits(self._sections)
+        self._launch()  # once outside, so that all buffers and modules are there
+        self._generation = lattice.buffers.generation
+        self._graph = self._launch
+        if self.device.is_cuda:
+            with wp.ScopedCapture(device=self.device) as capture:
+                self._launch()
+            graph, stream = capture.graph, self.device.stream
+
+            def replay():
+                wp.capture_launch(graph)
+                wp.synchronize_stream(stream)
+
+            self._graph = replay
+
+    def _launch(self) -> None:
+        lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
+        arrays = lattice.constants.arrays
+        lattice.constants.send()
+        lattice.overflow.zero_()
+        nodes.overflow.zero_()
+        lattice.launch_crossings(self._lattice_sizes)
+        lattice.launch_distances(self._lattice_sizes)
+        nodes.launch_classes(self._node_sizes)
+        nodes.launch_lists(self._node_sizes, int(self._sections.sum()))
+        solver.launch_rows(self._node_sizes, self._sections)
+        solver.launch_solution(self._node_sizes, self._sections, arrays["vertex_values"], arrays["face_values"])
+        values = lattice.buffers.get("values", self._node_sizes["nodes"], wp.vec3)
+        inputs = [nodes.levels, self.scale, arrays["affine"]]
+        launch(add_affine, self._lattice_sizes["nodes"], inputs, [values], device=self.device)
+        inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.levels]
+        launch(gather_status, 1, inputs, [self._status], device=self.device)
+        wp.copy(self._host_status, self._status)
