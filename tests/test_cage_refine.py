@@ -91,7 +91,8 @@ def test_move_with_falloff():
 
 def keyframes():
     rest = Cage.box([0, 0, 0], [1, 1, 4], segments=(1, 1, 4))
-    return PoseFile(rest, {"bent": rest.bend(40), "twisted": shuffled(rest.twist(30)), "long": rest.stretch(2).vertices})
+    poses = {"bent": rest.bend(40), "twisted": shuffled(rest.twist(30)), "long": rest.stretch(2).vertices}
+    return PoseFile(rest, poses)
 
 
 def test_keyframes_blend():
