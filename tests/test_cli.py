@@ -94,6 +94,11 @@ BAD = {
     "cage: format": (["cage", "@text.txt", "-o", "@new.obj"], "text.txt"),
     "cage: shapes": (["cage", "@cage.obj", "-o", "@new.obj", "--box", "--sides", "5"], "--sides belongs to --cylinder"),
     "cage: two shapes": (["cage", "@cage.obj", "-o", "@new.obj", "--box", "--cylinder"], "not allowed with"),
+    "cage: method": (["cage", "@ball.npz", "-o", "@new.obj", "--method", "best"], "--method"),
+    "cage: method of a box": (["cage", "@ball.npz", "-o", "@new.obj", "--box", "--symmetry", "x"], "--symmetry is for"),
+    "cage: part of a mesh": (["cage", "@cage.obj", "-o", "@new.obj", "--parts", "1"], "--parts is for fields"),
+    "cage: seed": (["cage", "@ball.npz", "-o", "@new.obj", "--seed", "0.9", "0.9", "0.9"], "near the seed point"),
+    "cage: masks": (["cage", "@ball.npz", "-o", "@new.obj", "--masks", "@nowhere"], "nowhere"),
     "pose: no step": (["pose", "@cage.obj", "-o", "@new.obj"], "no step"),
     "pose: broken": (["pose", "@broken.obj", "-o", "@new.obj", "--bend", "3"], "broken.obj:1"),
     "pose: open": (["pose", "@open.obj", "-o", "@new.obj", "--bend", "3"], "open.obj"),
@@ -207,6 +212,18 @@ def test_wrapped_cage_holds_the_object(files, tmp_path):
     assert cage.contains(0.53 * directions / np.linalg.norm(directions, axis=1, keepdims=True), device="cpu").all()
 
 
+def test_cage_of_a_part_of_a_field(files, tmp_path, capsys):
+    words = ["--in-box", -1, -1, 0, 1, 1, 1, "--floaters", 0.1, "--method", "voxel", "--symmetry", "x",
+             "--vertices", 60]
+    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "half.glb", *words, "--device", "cpu")
+    assert "left out" in capsys.readouterr().out
+    cage = Cage.load(tmp_path / "half.glb")
+    cage.require_usable()
+    assert cage.bounds[0, 2] > -0.35 and cage.contains([[0, 0, 0.4]])[0]
+    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "box.ply", "--box", "--in-box", -1, -1, 0, 1, 1, 1)
+    assert Cage.load(tmp_path / "box.ply").bounds[0, 2] > -0.1
+
+
 def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
     rest = Cage.load(files / "cage.obj")
     out = tmp_path / "posed.off"
@@ -222,6 +239,9 @@ def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
     expected = rest.twist(30).taper(0.5).stretch(1.5).rotate(20)
     np.testing.assert_allclose(Cage.load(out).vertices, expected.vertices)
     np.testing.assert_array_equal(Cage.load(out).faces, rest.faces)
+    rest.save(tmp_path / "y.obj", up="y")
+    succeed(files, "pose", tmp_path / "y.obj", "-o", tmp_path / "y.ply", "--stretch", 2, "--cage-up", "y")
+    np.testing.assert_allclose(Cage.load(tmp_path / "y.ply", up="y").vertices, rest.stretch(2.0).vertices)
     assert "twist 30.0, taper 0.5" in capsys.readouterr().out
 
 

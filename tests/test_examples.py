@@ -5,6 +5,7 @@ import pathlib
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from warpcage.cage import Cage
@@ -27,7 +28,7 @@ def run(name, *words, cwd):
 def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("*.py")}
     assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
-                     "analytic_field.py"}  # fmt: skip
+                     "analytic_field.py", "cage_contact_sheet.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
@@ -41,6 +42,19 @@ def test_kernel_alone_uses_no_class_of_the_library():
     lines = [line for line in (EXAMPLES / "kernel_alone.py").read_text().splitlines() if "import" in line]
     assert lines[:2] == ["import numpy as np", "import warp as wp"]
     assert lines[2:] == ["from warpcage.kernels.mean_value import mean_value_position"]
+
+
+def test_cage_contact_sheet(tmp_path):
+    words = ["--scenes", "ring", "bricks", "--counts", 42, 60, "--resolution", 40, "--size", 48]
+    assert "4 cages, 4 enclose" in run("cage_contact_sheet.py", "--out", "out", *words, cwd=tmp_path)
+    reports = json.loads((tmp_path / "out" / "reports.json").read_text())
+    assert list(reports) == ["ring 42", "ring 60", "bricks 42", "bricks 60"]
+    assert reports["ring 60"]["genus"] == 1 and reports["ring 60"]["field_enclosed"] == 1.0
+    sheet = read_image(tmp_path / "out" / "cages.png")
+    assert sheet.shape[1] == 3 * 48 + 8 and sheet.shape[0] > 2 * 48
+    orange = np.abs(sheet[:48] - [1.0, 0.45, 0.0]).max(axis=-1) < 0.1
+    assert orange[:, :48].sum() == 0 and orange[:, 52:100].sum() > 50
+    assert Cage.load(tmp_path / "out" / "bricks_42.obj").check().usable
 
 
 def test_render_lego_on_the_brick_scene(tmp_path, device):

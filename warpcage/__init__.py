@@ -14,9 +14,11 @@ from .deformer import Deformer
 from .evaluation import evaluate, mean_psnr, psnr
 from .field import VoxelField
 from .optimize import FieldOptimizer, FitOptions, fit
+from .pose_file import PoseFile
 from .position_map import PositionMap
 from .render import Frame
 from .scene import Scene, load_scene
+from .selection import NodeSelection, select_nodes
 
 __version__ = "0.1.0"
 
@@ -29,6 +31,8 @@ __all__ = [
     "FieldOptimizer",
     "FitOptions",
     "Frame",
+    "NodeSelection",
+    "PoseFile",
     "PositionMap",
     "Scene",
     "VoxelField",
@@ -42,5 +46,6 @@ __all__ = [
     "mean_psnr",
     "mean_value_coordinates",
     "psnr",
+    "select_nodes",
     "turntable",
 ]

@@ -8,6 +8,8 @@ NAME = "cage"
 HELP = "put a cage around a field or a mesh"
 EXAMPLE = """\
   warpcage cage lego.npz -o cage.obj --vertices 100
+  warpcage cage room.npz -o chair.glb --seed 0.2 0 -0.5 --floaters 0.01
+  warpcage cage dtu.npz -o object.obj --masks data/dtu_scan24 --method voxel
   warpcage cage lego.obj -o box.obj --box --segments 2 2 3
   warpcage cage lego.obj -o tube.obj --cylinder --axis z --sides 12 --rings 4
 """
@@ -17,12 +19,19 @@ MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
 
 def add_arguments(parser):
     parser.add_argument("field", metavar="object", help="field (.npz) or mesh (.obj .ply .off .stl .glb)")
-    parser.add_argument("-o", "--output", required=True, metavar="CAGE", help="cage to write (.obj .ply .off)")
+    parser.add_argument("-o", "--output", required=True, metavar="CAGE",
+                        help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})")
+    options.add_cage_up(parser)
     parser.add_argument("--vertices", type=options.positive_int, metavar="N",
                         help="about this many vertices, 30 to 200, wrapped around the object (default: 100)")
     parser.add_argument("--margin", type=options.positive_float, metavar="LENGTH",
                         help="room between object and cage, world units (default: 0.03 of the object's size for a "
                              "box or a cylinder, chosen from the object otherwise)")
+    parser.add_argument("--method", choices=("auto", "shell", "voxel"),
+                        help="shell: offset, decimated, drawn close; voxel: of more even faces, as the paper's; auto: "
+                             "the tighter of both (default: auto)")
+    parser.add_argument("--symmetry", choices="xyz", help="mirror-symmetric across the middle of this axis (voxel)")
+    _add_selection(parser)
     shape = parser.add_mutually_exclusive_group()
     shape.add_argument("--box", action="store_true", help="a box along the axes")
     shape.add_argument("--cylinder", action="store_true", help="a cylinder along --axis")
@@ -35,6 +44,18 @@ def add_arguments(parser):
     options.add_device(parser)
 
 
+def _add_selection(parser):
+    group = parser.add_argument_group("object of a larger field (each leaves away from what is left)")
+    group.add_argument("--in-box", type=options.finite_float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+                       help="what lies between two corners, world units")
+    group.add_argument("--masks", metavar="SCENE", help="what the opacity of every training picture of a scene shows")
+    group.add_argument("--seed", type=options.finite_float, nargs=3, metavar=("X", "Y", "Z"),
+                       help="what connects to a point")
+    group.add_argument("--parts", type=options.positive_int, metavar="N", help="the N largest connected parts")
+    group.add_argument("--floaters", type=options.positive_float, metavar="SHARE",
+                       help="leave out connected parts of fewer voxels than this share of the largest, e.g. 0.01")
+
+
 def run(args):
     output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
     _check_combination(args)
@@ -42,14 +63,17 @@ def run(args):
     thing = options.read_field(args) if is_field else read_mesh(args.field)
     from ..cage import Cage
 
+    if any(value is not None for value in _selection(args).values()):
+        thing = _selected(thing, is_field, args)
     if args.box or args.cylinder:
-        mesh = thing.extract_mesh(components="all") if is_field else thing
+        mesh = _surface(thing) if is_field else thing
         cage = _box_around(mesh, args) if args.box else _cylinder_around(mesh, args)
     else:
         make = Cage.from_field if is_field else Cage.from_mesh
-        cage = make(thing, vertex_count=args.vertices or 100, margin=args.margin)
+        cage = make(thing, vertex_count=args.vertices or 100, margin=args.margin, method=args.method or "auto",
+                    symmetry=args.symmetry)
     cage.require_usable("the cage")
-    cage.save(output)
+    cage.save(output, up=args.cage_up)
     print(f"wrote {output}: {len(cage.vertices)} vertices, {len(cage.faces)} faces")
 
 
@@ -62,8 +86,42 @@ def _check_combination(args):
     if args.vertices is not None and (args.box or args.cylinder):
         raise ValueError("--vertices is for a cage wrapped around the object; a box takes --segments, a cylinder "
                          "--sides and --rings")
+    for name in ("method", "symmetry"):
+        if getattr(args, name) is not None and (args.box or args.cylinder):
+            raise ValueError(f"--{name} is for a cage wrapped around the object")
     if args.segments is not None and len(args.segments) not in (1, 3):
         raise ValueError(f"--segments takes one number or three, got {len(args.segments)}")
+
+
+def _selection(args) -> dict:
+    return {"box": args.in_box, "masks": args.masks, "seed": args.seed, "parts": args.parts, "floaters": args.floaters}
+
+
+def _selected(field, is_field: bool, args):
+    """The chosen nodes of a field; what was left out goes to standard output."""
+    from ..scene import load_scene
+    from ..selection import select_nodes
+
+    chosen = {name: value for name, value in _selection(args).items() if value is not None}
+    if not is_field:
+        raise ValueError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields: cut a mesh yourself")
+    if "box" in chosen:
+        chosen["box"] = [args.in_box[:3], args.in_box[3:]]
+    if "masks" in chosen:
+        scene = load_scene(args.masks)
+        if scene.alphas is None:
+            raise ValueError(f"the pictures of scene {args.masks!r} have no opacity to take as masks")
+        chosen |= {"masks": scene.alphas, "cameras": scene.cameras}
+    selection = select_nodes(field, **chosen)
+    for note in selection.notes:
+        print(note)
+    return selection
+
+
+def _surface(field):
+    from ..surface import extract_mesh
+
+    return extract_mesh(field, components="all")
 
 
 def read_mesh(path):

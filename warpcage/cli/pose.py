@@ -24,8 +24,10 @@ class _Step(argparse.Action):
 
 def add_arguments(parser):
     number = options.finite_float
-    parser.add_argument("cage", help="cage to pose (.obj .ply .off)")
-    parser.add_argument("-o", "--output", required=True, metavar="POSED", help="cage to write (.obj .ply .off)")
+    parser.add_argument("cage", help=f"cage to pose ({' '.join(options.CAGE_ENDINGS)})")
+    parser.add_argument("-o", "--output", required=True, metavar="POSED",
+                        help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})")
+    options.add_cage_up(parser)
     steps = parser.add_argument_group("steps")
     add = steps.add_argument
     add("--bend", dest="steps", action=_Step, type=number, metavar="DEGREES", help="along --axis into an arc towards "
@@ -57,12 +59,12 @@ def run(args):
     options.quiet_warp()
     from ..cage import Cage
 
-    cage = Cage.load(args.cage)
+    cage = Cage.load(args.cage, up=args.cage_up)
     cage.require_usable(f"cage {args.cage!r}")
     for name, value in args.steps:
         cage = getattr(cage, name)(*_arguments(name, value), **_options(name, args))
     cage.require_usable("the posed cage")
-    cage.save(output)
+    cage.save(output, up=args.cage_up)
     steps = ", ".join(f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in args.steps)
     print(f"wrote {output}: {steps}")
 
