@@ -100,7 +100,7 @@ def pick(v: wp.vec3, channel: int):
 
 
 # few registers: many rays in flight hide the latency of their loads
-@wp.kernel(launch_bounds=(128, 6))
+@wp.kernel(launch_bounds=(128, 8))
 def accumulate_photometric_gradient_by_warps(
     first: int,
     grid: VoxelGrid,
@@ -114,7 +114,9 @@ def accumulate_photometric_gradient_by_warps(
     stop: float,
     scale: float,
     spread: float,
+    distortion: float,
     gradients: wp.array2d(dtype=wp.float32),
+    touched: wp.array(dtype=wp.uint8),
     squared_error: wp.array(dtype=wp.float32),
 ):
     """As field_loss.accumulate_photometric_gradient, 32 items a ray, in blocks of 128.
@@ -161,8 +163,13 @@ def accumulate_photometric_gradient_by_warps(
     slope = float(0.0)  # dL/dC of this lane's channel
     later = float(0.0)  # the part of the loss's first-order change that comes from behind the current sample
     transmittance = float(1.0)
+    mass = float(0.0)  # sum of w
+    moment = float(0.0)  # sum of w t
+    distance = float(0.0)  # sum over pairs of w w |t - t| + w^2 step / 3
     march = int(0)
     while march < 2:
+        mass_before = float(0.0)
+        moment_before = float(0.0)
         transmittance = float(1.0)
         k = sample_index_after(span[0], step)
         while (float(k) + 0.5) * step < span[1] and transmittance > stop:
@@ -196,11 +203,16 @@ def accumulate_photometric_gradient_by_warps(
                     raw = channel_sum(basis * value, lane, channel) + 0.5
                     radiance = wp.max(raw, 0.0)
                     off = radiance - own_surface
+                    at = (float(k + j) + 0.5) * step - span[0]
+                    ahead = at * mass_before - moment_before
                     if march == 0:
                         colour += weight * radiance
                         apart += weight * off * off
+                        distance += weight * (2.0 * ahead + weight * step / 3.0)
                     else:
                         change = over_channels(radiance * slope + pull * off * off)
+                        after = moment - moment_before - at * (mass - mass_before)
+                        change += distortion * (2.0 * (ahead + after) + weight * step / 1.5)
                         later -= weight * change
                         grad = step * ((left - weight) * change - later)
                         if lane < COEFFICIENTS:
@@ -208,12 +220,18 @@ def accumulate_photometric_gradient_by_warps(
                         if lane < GRADIENT_ROW:
                             for c in range(8):
                                 if cell.rows[c] >= 0:
+                                    if lane == c:
+                                        touched[cell.rows[c]] = wp.uint8(1)
                                     wp.atomic_add(gradients, cell.rows[c], lane, cell.weights[c] * grad)
+                    mass_before += weight
+                    moment_before += weight * at
                 k += LANES
         if march == 0:
+            mass = mass_before
+            moment = moment_before
             error = colour + transmittance * own_behind - own_target
             slope = 2.0 * scale * error
-            later = over_channels((colour + transmittance * own_behind) * slope + pull * apart)
+            later = over_channels((colour + transmittance * own_behind) * slope + pull * apart) + 2.0 * distortion * distance
             total = over_channels(error * error)
             if lane == 0:
                 squared_error[n] = total

@@ -37,6 +37,7 @@ def accumulate_variation_gradient(
     scale_density: float,
     scale_sh: float,
     gradients: wp.array2d(dtype=wp.float32),
+    touched: wp.array(dtype=wp.uint8),
 ):
     """Adds the gradient of scale_density * TV(density / density_unit) + scale_sh * TV(sh) over a run of rows.
 
@@ -66,7 +67,11 @@ def accumulate_variation_gradient(
             else:
                 difference[axis] = (grid.density[rows[axis]] - value) / unit
     slope = scale / unit / wp.sqrt(wp.dot(difference, difference) + 1.0e-9)
+    if number == 0:
+        touched[row] = wp.uint8(1)
     wp.atomic_add(gradients, row, number, -slope * (difference[0] + difference[1] + difference[2]))
     for axis in range(3):
         if rows[axis] >= 0:
+            if number == 0:
+                touched[rows[axis]] = wp.uint8(1)
             wp.atomic_add(gradients, rows[axis], number, slope * difference[axis])

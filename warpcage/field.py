@@ -195,7 +195,7 @@ class VoxelField:
 
 
 def field_from_mask(bounds, mask: wp.array, density: float, *, background, device) -> tuple[VoxelField, wp.array]:
-    """A grey field of one density at the set nodes of a mask (nx, ny, nz) int32, and its nodes (rows,) vec3i."""
+    """A grey field of one density at the set nodes of a mask (nx, ny, nz) uint8, and its nodes (rows,) vec3i."""
     links, nodes = link_mask(mask)
     rows = nodes.shape[0]
     field = VoxelField(bounds, links, wp.full(rows, density, dtype=wp.float32, device=device),

@@ -16,7 +16,6 @@ from .kernels import field_loss, field_loss_warps, field_step, field_variation, 
 from .kernels.spherical_harmonics import vec9
 from .kernels.volume_render import record_weights
 from .scene import Scene
-from .sparse_grid import link_mask
 
 #: Training marches stop later than renders: what is behind must still learn that it is hidden.
 STOP_TRANSMITTANCE = 1e-4
@@ -51,6 +50,10 @@ class FitOptions:
     directional: float = 1.0  #: rate of the coefficients that tell directions apart, over that of the constant ones
     beta: float = 0.95  #: RMSProp's decay
     jitter: bool = False  #: move a ray's samples by up to half a step
+    distortion: float = 0.0
+    decay_power: float = 1.0
+    epsilon: float = 0.0
+    stop: float = STOP_TRANSMITTANCE
     spread: float = 0.0  #: how much the samples that make a pixel must each have its colour
     variation_density: float = 1e-5  #: total variation of density (per half extent) a voxel of the box
     variation_sh: float = 1e-3
@@ -151,7 +154,7 @@ class FieldOptimizer:
 
     def _initial_mask(self) -> wp.array:
         if self._silhouettes is None:
-            return wp.ones(self.shapes[0], dtype=wp.int32, device=self.device)
+            return wp.ones(self.shapes[0], dtype=wp.uint8, device=self.device)
         mask = self._silhouettes.carve(self.bounds, self.shapes[0])
         self._silhouettes = None  # its tables are as large as the images
         if not mask.numpy().any():
@@ -169,20 +172,26 @@ class FieldOptimizer:
     # Levels
 
     def _start_level(self, mask: wp.array, coarse: VoxelField | None, factor: int = 1) -> None:
-        """A field of the rows of a mask, filled from a coarser one where there is one. What the optimiser held goes."""
-        self.gradients = self.moments = None
+        """A field of the rows of a mask, filled from a coarser one where there is one."""
         start_density = 0.1 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
         field, self.nodes = field_from_mask(self.bounds, mask, start_density, background=self.scene.background,
                                             device=self.device)
+        if not field.voxel_count:
+            raise ValueError("nothing is left to render after pruning: the images may not fit their cameras")
         if coarse is not None:
             launch(grid_refine.resample_rows, field.voxel_count, [coarse.grid, factor, self.nodes],
                    [field.grid.density, field.grid.sh], device=self.device)
         self.field = field
 
     def _allocate_state(self) -> None:
-        shape = (self.field.voxel_count, ROW_NUMBERS)
-        self.gradients = [wp.zeros(shape, dtype=wp.float32, device=self.device) for _ in range(self.shards)]
-        self.moments = wp.zeros(shape, dtype=wp.bfloat16, device=self.device)
+        self._allocate_gradients()
+        self.moments = wp.zeros((self.field.voxel_count, ROW_NUMBERS), dtype=wp.bfloat16, device=self.device)
+
+    def _allocate_gradients(self) -> None:
+        rows = self.field.voxel_count
+        self.gradients = [wp.zeros((rows, ROW_NUMBERS), dtype=wp.float32, device=self.device)
+                          for _ in range(self.shards)]
+        self.touched = wp.zeros(rows, dtype=wp.uint8, device=self.device)
 
     def _activate_tiles(self) -> None:
         active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
@@ -225,20 +234,19 @@ class FieldOptimizer:
         """The voxels whose rendering weight reaches a threshold, and their neighbours, among those that there are."""
         stride = max(1, int(0.5 * self.field.resolution[0] ** -1 * self.scene.images.shape[2]))
         weights = self.measure_weights(stride)
-        mask = wp.zeros(self.field.resolution, dtype=wp.int32, device=self.device)
+        mask = wp.zeros(self.field.resolution, dtype=wp.uint8, device=self.device)
         launch(grid_refine.mark_weighty_nodes, self.field.voxel_count, [self.nodes, weights, threshold], [mask],
                device=self.device)
         mask = self._dilated(mask)
         launch(grid_refine.keep_linked, mask.size, [self.field.grid.links], [mask], device=self.device)
-        if not link_mask(mask)[1].shape[0]:
-            raise ValueError("nothing is left to render after pruning: the images may not fit their cameras")
         return mask
 
     def _refine(self) -> None:
         """On to the next level: prune, halve the voxels, interpolate."""
         self.level += 1
+        self.gradients = self.moments = None  # one level's state at a time: this is where memory peaks
         pruned = self._pruned_mask(self.options.prune_weight / max(self.field.resolution))
-        mask = wp.empty(self.shapes[self.level], dtype=wp.int32, device=self.device)
+        mask = wp.empty(self.shapes[self.level], dtype=wp.uint8, device=self.device)
         launch(grid_refine.refine_mask, mask.size, [2, pruned], [mask], device=self.device)
         self._start_level(mask, self.field, 2)
         self._allocate_state()
@@ -246,18 +254,22 @@ class FieldOptimizer:
 
     def restore_field(self, mask: wp.array) -> None:
         """Rows for a mask, with fresh optimiser state: what a checkpoint fills."""
+        self.gradients = self.moments = None
         self._start_level(mask, None)
         self._allocate_state()
         self._activate_tiles()
 
     def _thin_out(self) -> None:
         """Drop what no view shows, and keep the optimiser's state of the rest."""
-        before, moments = self.field, self.moments
-        self._start_level(self._pruned_mask(self.options.keep_weight), before)
-        self._allocate_state()
-        self._activate_tiles()
-        launch(field_step.gather_moments, self.moments.size, [before.grid.links, self.nodes, moments], [self.moments],
+        self.gradients = None  # cleared between steps
+        links, moments = self.field.grid.links, self.moments
+        self._start_level(self._pruned_mask(self.options.keep_weight), self.field)
+        self.moments = wp.empty((self.field.voxel_count, ROW_NUMBERS), dtype=wp.bfloat16, device=self.device)
+        launch(field_step.gather_moments, self.moments.size, [links, self.nodes, moments], [self.moments],
                device=self.device)
+        del links, moments
+        self._allocate_gradients()
+        self._activate_tiles()
 
     # Steps
 
@@ -285,7 +297,7 @@ class FieldOptimizer:
         options, field = self.options, self.field
         random_background = int(options.random_background and self.scene.alphas is not None)
         photometric = [self.rays, wp.vec3(*map(float, field.background)), random_background, int(options.jitter),
-                       (self.seed * 1_000_003 + self.step_count) % (2**31 - 1), field.step, STOP_TRANSMITTANCE,
+                       (self.seed * 1_000_003 + self.step_count) % (2**31 - 1), field.step, options.stop,
                        1.0 / (3.0 * self.batch_rays), options.spread]
         cells = float(np.prod(field.resolution))
         scale = max(field.resolution) / 256.0
@@ -296,7 +308,8 @@ class FieldOptimizer:
         coefficients = coefficient_rows(field.grid.sh)
         if not self.device.is_cpu:
             launch(field_loss_warps.accumulate_photometric_gradient_by_warps, WARP_LANES * self.batch_rays,
-                   [field.grid, coefficients, *photometric], [self.gradients[0], self.squared_error],
+                   [field.grid, coefficients, *photometric, options.distortion / (3.0 * self.batch_rays) * unit],
+                   [self.gradients[0], self.touched, self.squared_error],
                    device=self.device, block_dim=BLOCK_DIM)
         vary = options.variation_density > 0 or options.variation_sh > 0
         variation = [field.grid, coefficients, self.nodes, first_row, unit, options.variation_density * boost,
@@ -312,7 +325,7 @@ class FieldOptimizer:
             begin, end = (ROW_NUMBERS * (variation_rows * i // self.shards) for i in (index, index + 1))
             if end > begin and vary:
                 wp.launch(field_variation.accumulate_variation_gradient, dim=end - begin, inputs=[begin, *variation],
-                          outputs=[gradients], device=self.device)
+                          outputs=[gradients, self.touched], device=self.device)
 
         if self.device.is_cpu:  # before the threads, so that each is compiled once
             wp.load_module(field_loss, device=self.device)
@@ -321,7 +334,10 @@ class FieldOptimizer:
 
     def _apply_gradients(self) -> None:
         options, field = self.options, self.field
-        progress = self.step_count / max(1, self.total_steps - 1)
+        progress = (self.step_count / max(1, self.total_steps - 1)) ** options.decay_power
+        epsilon = options.epsilon / (3.0 * self.batch_rays) + 1e-12
+        if self.device.is_cpu:
+            self.touched.fill_(1)
         voxel = float(field.voxel_size.max())
         rate_density = _log_interpolate(options.rate_density, options.rate_density_end, progress) / voxel
         rate_sh = _log_interpolate(options.rate_sh, options.rate_sh_end, progress)
@@ -329,10 +345,11 @@ class FieldOptimizer:
         for other in others:
             launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
         inputs = [rate_density, rate_sh, options.directional * rate_sh, options.beta,
-                  1e-12 * voxel, 1e-12,  # a density's gradient is a length
-                  self.gradients[0], self.moments]
+                  epsilon * voxel, epsilon,  # a density's gradient is a length
+                  self.touched, self.gradients[0], self.moments]
         launch(field_step.apply_rmsprop, total.size, inputs, [field.grid.density, coefficient_rows(field.grid.sh)],
                device=self.device)
+        self.touched.zero_()
 
     def measure_psnr(self) -> float:
         """PSNR in dB of the last batch, over all pixels of the images: those that see no voxel count as right."""
@@ -345,6 +362,7 @@ class FieldOptimizer:
 
         What is left is what a cage has to enclose: faint floaters would stay behind when the object moves.
         """
+        self.gradients = self.moments = None
         mask = self._pruned_mask(self.options.keep_weight)
         self._start_level(mask, self.field)
         self.field.weights = self.measure_weights()
