@@ -17,8 +17,8 @@ from .kernels.spherical_harmonics import vec9
 from .kernels.volume_render import record_weights
 from .scene import Scene
 
-#: Training marches stop later than renders: what is behind must still learn that it is hidden.
-STOP_TRANSMITTANCE = 1e-4
+#: A training march ends where less than this share of the light is left, as a render does.
+STOP_TRANSMITTANCE = 1e-3
 
 #: Threads a ray, and a block, of the photometric gradient on CUDA.
 WARP_LANES = 32
@@ -47,21 +47,17 @@ class FitOptions:
     rate_density_end: float = 0.0125
     rate_sh: float = 3e-2
     rate_sh_end: float = 1.5e-3
-    directional: float = 1.0  #: rate of the coefficients that tell directions apart, over that of the constant ones
+    decay_power: float = 2.0  #: rates fall with this power of the share of steps done: slowly first, fast at the end
+    directional: float = 0.15  #: rate of the coefficients that tell directions apart, over that of the constant ones
     beta: float = 0.95  #: RMSProp's decay
-    jitter: bool = False  #: move a ray's samples by up to half a step
-    distortion: float = 0.0
-    decay_power: float = 1.0
-    epsilon: float = 0.0
-    stop: float = STOP_TRANSMITTANCE
-    spread: float = 0.0  #: how much the samples that make a pixel must each have its colour
-    variation_density: float = 1e-5  #: total variation of density (per half extent) a voxel of the box
-    variation_sh: float = 1e-3
+    variation_density: float = 3e-6  #: total variation of density (per half extent) a voxel of the box
+    variation_sh: float = 3e-4
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
     keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
     #: this rendering weight
     keep_at: float = 0.4  #: share of the last level's steps after which that happens first
+    supersampling: int = 1  #: rays a side of a pixel in the last level, and in renders of the field: 1 or 2
     random_background: bool = True  #: supervise opacity with random backgrounds where the images have alpha
 
 
@@ -69,7 +65,7 @@ class FitOptions:
 QUALITIES = {
     "fast": {"epochs": 4.0},
     "standard": {},
-    "high": {"epochs": 16.0, "max_resolution": 720, "variation_density": 2e-5, "variation_sh": 2e-3},
+    "high": {"epochs": 16.0, "max_resolution": 720, "supersampling": 2},
 }
 
 
@@ -144,6 +140,7 @@ class FieldOptimizer:
         rays.cameras = camera_array(scene.cameras, self.bounds.mean(axis=0), self.device)
         rays.pixels = wp.array(pixels, dtype=wp.vec4h, device=self.device)
         rays.tile_size = self.options.tile_size
+        rays.rays_per_side = 1
         self.rays = rays
         size = self.options.tile_size
         self.tile_total = count * -(-height // size) * -(-width // size)
@@ -288,6 +285,8 @@ class FieldOptimizer:
         if self.cursor + self.batch_tiles > self.active_tiles:
             self._shuffle_tiles()
         self.rays.first_tile = self.cursor
+        # coarse voxels are wider than a pixel's parts
+        self.rays.rays_per_side = self.options.supersampling if self.level + 1 == self.options.levels else 1
         self.cursor += self.batch_tiles
         self._accumulate_gradients()
         self._apply_gradients()
@@ -296,9 +295,9 @@ class FieldOptimizer:
     def _accumulate_gradients(self) -> None:
         options, field = self.options, self.field
         random_background = int(options.random_background and self.scene.alphas is not None)
-        photometric = [self.rays, wp.vec3(*map(float, field.background)), random_background, int(options.jitter),
-                       (self.seed * 1_000_003 + self.step_count) % (2**31 - 1), field.step, options.stop,
-                       1.0 / (3.0 * self.batch_rays), options.spread]
+        photometric = [self.rays, wp.vec3(*map(float, field.background)), random_background,
+                       (self.seed * 1_000_003 + self.step_count) % (2**31 - 1), field.step, STOP_TRANSMITTANCE,
+                       1.0 / (3.0 * self.batch_rays)]
         cells = float(np.prod(field.resolution))
         scale = max(field.resolution) / 256.0
         variation_rows = max(1, int(options.variation_share * field.voxel_count))
@@ -308,7 +307,7 @@ class FieldOptimizer:
         coefficients = coefficient_rows(field.grid.sh)
         if not self.device.is_cpu:
             launch(field_loss_warps.accumulate_photometric_gradient_by_warps, WARP_LANES * self.batch_rays,
-                   [field.grid, coefficients, *photometric, options.distortion / (3.0 * self.batch_rays) * unit],
+                   [field.grid, coefficients, *photometric],
                    [self.gradients[0], self.touched, self.squared_error],
                    device=self.device, block_dim=BLOCK_DIM)
         vary = options.variation_density > 0 or options.variation_sh > 0
@@ -335,7 +334,6 @@ class FieldOptimizer:
     def _apply_gradients(self) -> None:
         options, field = self.options, self.field
         progress = (self.step_count / max(1, self.total_steps - 1)) ** options.decay_power
-        epsilon = options.epsilon / (3.0 * self.batch_rays) + 1e-12
         if self.device.is_cpu:
             self.touched.fill_(1)
         voxel = float(field.voxel_size.max())
@@ -345,7 +343,7 @@ class FieldOptimizer:
         for other in others:
             launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
         inputs = [rate_density, rate_sh, options.directional * rate_sh, options.beta,
-                  epsilon * voxel, epsilon,  # a density's gradient is a length
+                  1e-12 * voxel, 1e-12,  # a density's gradient is a length
                   self.touched, self.gradients[0], self.moments]
         launch(field_step.apply_rmsprop, total.size, inputs, [field.grid.density, coefficient_rows(field.grid.sh)],
                device=self.device)
@@ -367,6 +365,7 @@ class FieldOptimizer:
         self._start_level(mask, self.field)
         self.field.weights = self.measure_weights()
         self.field.up = self.scene.up
+        self.field.supersampling = self.options.supersampling
         return self.field
 
 
@@ -442,10 +441,12 @@ def _checked_options(options: dict) -> FitOptions:
     checked = FitOptions(**{**QUALITIES[quality], **options})
     if checked.resolution is not None and not 8 <= checked.resolution <= 2048:
         raise ValueError(f"resolution must lie between 8 and 2048 voxels, got {checked.resolution}")
+    if checked.supersampling not in (1, 2):
+        raise ValueError(f"supersampling must be 1 or 2 rays a side of a pixel, got {checked.supersampling}")
     if not 1 <= checked.levels <= 6:
         raise ValueError(f"levels must lie between 1 and 6, got {checked.levels}")
     for name in ("epochs", "tile_size", "rate_density", "rate_density_end", "rate_sh", "rate_sh_end", "footprint",
-                 "level_growth", "directional"):
+                 "level_growth", "directional", "decay_power"):
         if not getattr(checked, name) > 0:
             raise ValueError(f"{name} must be positive, got {getattr(checked, name)}")
     return checked
