@@ -81,28 +81,38 @@ def accumulate_photometric_gradient(
     step: float,
     stop: float,
     scale: float,
+    own_background: wp.array(dtype=wp.vec3),
     grad_density: wp.array(dtype=wp.float32),
     grad_sh: wp.array2d(dtype=vec9),
     squared_error: wp.array(dtype=wp.float32),
+    grad_background: wp.array(dtype=wp.vec3),
 ):
     """Adds scale * d(sum over channels of (C - C*)^2) for each pixel of a batch; squared_error: (pixels,) that sum.
 
     random_background: a colour drawn for each pixel goes behind both the image's alpha and the render, so that opacity
-    is supervised too; 0 takes `background` for all. Gradient rows are shared: on the CPU each thread needs its own.
+    is supervised too; 0 takes `background` for all. own_background: (pixels,) a colour of each pixel's own instead,
+    whose gradient goes to grad_background (pixels,); both are empty where there is none. Gradient rows are shared: on
+    the CPU each thread needs its own.
     """
     n = first + wp.tid()
     squared_error[n] = 0.0
+    has_background = own_background.shape[0] > 0
+    if has_background:
+        grad_background[n] = wp.vec3()
     pixel = batch_pixel(rays, n)
     if pixel[1] >= rays.pixels.shape[1] or pixel[2] >= rays.pixels.shape[2]:
         return
     camera = rays.cameras[pixel[0]]
     behind = background_behind(background, random_background, seed, n)
+    if has_background:
+        behind = own_background[n]
     rgba = rays.pixels[pixel[0], pixel[1], pixel[2]]
     target = wp.vec3(float(rgba[0]), float(rgba[1]), float(rgba[2])) + (1.0 - float(rgba[3])) * behind
     g0 = grid_position(grid, camera.centre)
 
     subray_count = rays.rays_per_side * rays.rays_per_side
     colours = mat43()
+    left = float(0.0)  # transmittance, summed over the sub-rays
     grad_colour = wp.vec3()
     march = int(0)
     while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
@@ -148,10 +158,13 @@ def accumulate_photometric_gradient(
                 k += 1
         if march < subray_count:
             colours[subray] = colour + transmittance * behind
+            left += transmittance
         if march == subray_count - 1:
             error = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count) - target
             squared_error[n] = wp.dot(error, error)
             grad_colour = 2.0 * scale / float(subray_count) * error
+            if has_background:
+                grad_background[n] = left * grad_colour
         march += 1
 
 

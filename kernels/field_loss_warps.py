@@ -111,9 +111,11 @@ def accumulate_photometric_gradient_by_warps(
     step: float,
     stop: float,
     scale: float,
+    own_background: wp.array(dtype=wp.vec3),
     gradients: wp.array2d(dtype=wp.float32),
     touched: wp.array(dtype=wp.uint8),
     squared_error: wp.array(dtype=wp.float32),
+    grad_background: wp.array(dtype=wp.vec3),
 ):
     """As field_loss.accumulate_photometric_gradient, 32 items a pixel, in blocks of at most 128.
 
@@ -123,14 +125,19 @@ def accumulate_photometric_gradient_by_warps(
     item = first + wp.tid()
     n = item // LANES
     lane = item % LANES
+    has_background = own_background.shape[0] > 0
     pixel = batch_pixel(rays, n)
     if pixel[1] >= rays.pixels.shape[1] or pixel[2] >= rays.pixels.shape[2]:
         if lane == 0:
             squared_error[n] = 0.0
+            if has_background:
+                grad_background[n] = wp.vec3()
         return
     channel = wp.min(lane // 9, 3)
     camera = rays.cameras[pixel[0]]
     behind = pick(background_behind(background, random_background, seed, n), channel)
+    if has_background:
+        behind = pick(own_background[n], channel)
     rgba = rays.pixels[pixel[0], pixel[1], pixel[2]]
     seen = wp.vec3(float(rgba[0]), float(rgba[1]), float(rgba[2]))
     target = pick(seen, channel) + (1.0 - float(rgba[3])) * behind
@@ -139,6 +146,7 @@ def accumulate_photometric_gradient_by_warps(
     # of this lane's channel
     subray_count = rays.rays_per_side * rays.rays_per_side
     colours = wp.vec4()
+    left_over = float(0.0)  # transmittance, summed over the sub-rays
     grad_colour = float(0.0)
     march = int(0)
     while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
@@ -203,10 +211,16 @@ def accumulate_photometric_gradient_by_warps(
                 k += LANES
         if march < subray_count:
             colours[subray] = colour + transmittance * behind
+            left_over += transmittance
         if march == subray_count - 1:
             error = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count) - target
             grad_colour = 2.0 * scale / float(subray_count) * error
             total = over_channels(error * error)
+            red = from_lane(grad_colour, 0)
+            green = from_lane(grad_colour, 9)
+            blue = from_lane(grad_colour, 18)
             if lane == 0:
                 squared_error[n] = total
+                if has_background:
+                    grad_background[n] = left_over * wp.vec3(red, green, blue)
         march += 1

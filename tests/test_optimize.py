@@ -30,21 +30,21 @@ def training_rays(cameras, images, alphas, field, device, side=1):
 
 
 def photometric_gradient(field, rays, count, *, background=(1.0, 1.0, 1.0), random_background=0, seed=0, stop=0.0,
-                         scale=1.0, by_warps=False):
-    """Gradient rows (rows, 28) and squared errors (count,) of a batch."""
+                         scale=1.0, by_warps=False, own_background=None, grad_background=None):
+    """Gradient rows (rows, 28) and squared errors (count,) of a batch. own_background, grad_background: Warp arrays."""
     device = field.device
     gradients = wp.zeros((field.voxel_count, 28), dtype=wp.float32, device=device)
     touched = wp.zeros(field.voxel_count, dtype=wp.uint8, device=device)
     error = wp.zeros(count, dtype=wp.float32, device=device)
-    inputs = [rays, wp.vec3(*background), random_background, seed, field.step, stop, scale]
+    inputs = [rays, wp.vec3(*background), random_background, seed, field.step, stop, scale, own_background]
     if by_warps:
         wp.launch(field_loss_warps.accumulate_photometric_gradient_by_warps, dim=32 * count, device=device,
                   block_dim=128, inputs=[0, field.grid, coefficient_rows(field.grid.sh), *inputs],
-                  outputs=[gradients, touched, error])
+                  outputs=[gradients, touched, error, grad_background])
         assert touched.numpy()[gradients.numpy().any(axis=1)].all()
     else:
         wp.launch(field_loss.accumulate_photometric_gradient, dim=count, device=device,
-                  inputs=[0, field.grid, *inputs], outputs=[*gradient_parts(gradients), error])
+                  inputs=[0, field.grid, *inputs], outputs=[*gradient_parts(gradients), error, grad_background])
     return gradients.numpy(), error.numpy()
 
 

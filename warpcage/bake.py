@@ -67,7 +67,7 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds=None) -> Voxe
     launch(bake_nodes, nodes.size, inputs, [density, sh], device=device)
     corner = lower - 0.5 * side
     return VoxelField([corner, corner + side * np.array(mask.shape)], links, density, sh, background=field.background,
-                      up=field.up, device=device)
+                      background_model=field.background_model, up=field.up, device=device)
 
 
 def _lattice_edits(deformer: Deformer) -> LatticeEdits:

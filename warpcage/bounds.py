@@ -7,7 +7,7 @@ import warp as wp
 
 from .devices import launch
 from .kernels.rays import PinholeCamera
-from .kernels.visual_hull import carve_visual_hull, sum_columns, sum_rows
+from .kernels.visual_hull import carve_visual_hull, keep_seen_voxels, sum_columns, sum_rows
 from .render import camera_struct
 from .scene import Scene
 
@@ -64,13 +64,8 @@ class Silhouettes:
 
     def carve(self, bounds, resolution) -> wp.array:
         """(nx, ny, nz) uint8 mask of the voxels that no image shows as transparent, at `resolution` over `bounds`."""
-        bounds = np.asarray(bounds, np.float64)
-        center = bounds.mean(axis=0)
-        voxel_size = (bounds[1] - bounds[0]) / resolution
-        lower = bounds[0] - center + 0.5 * voxel_size
         mask = wp.empty(tuple(int(n) for n in resolution), dtype=wp.uint8, device=self.device)
-        inputs = [wp.vec3(*lower), wp.vec3(*voxel_size), camera_array(self.cameras, center, self.device), self.sums,
-                  self.bounded]
+        inputs = [*_node_places(bounds, resolution, self.cameras, self.device), self.sums, self.bounded]
         launch(carve_visual_hull, mask.size, inputs, [mask], device=self.device)
         return mask
 
@@ -84,6 +79,21 @@ class Silhouettes:
             voxel = (box[1] - box[0]) / shape
             box = np.stack([box[0] + (occupied.min(axis=0) - 1) * voxel, box[0] + (occupied.max(axis=0) + 2) * voxel])
         return box
+
+
+def keep_seen(bounds, cameras, least: int, mask: wp.array) -> None:
+    """Clear the voxels of a mask (nx, ny, nz) uint8 over `bounds` that fewer than `least` cameras see."""
+    inputs = [*_node_places(bounds, mask.shape, cameras, mask.device), least]
+    launch(keep_seen_voxels, mask.size, inputs, [mask], device=mask.device)
+
+
+def _node_places(bounds, resolution, cameras, device) -> list:
+    """Position of the first voxel's centre, voxel size and cameras, relative to the middle of `bounds`."""
+    bounds = np.asarray(bounds, np.float64)
+    voxel_size = (bounds[1] - bounds[0]) / resolution
+    center = bounds.mean(axis=0)
+    return [wp.vec3(*(bounds[0] - center + 0.5 * voxel_size)), wp.vec3(*voxel_size),
+            camera_array(cameras, center, device)]
 
 
 def object_bounds(scene: Scene, device) -> np.ndarray:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 import pathlib
+import warnings
 
 import numpy as np
 
 from . import compact
 from .archives import read_npz, require_numbers
+from .background import LayeredBackground
+from .background_files import background_contents, read_background
 from .field import BASIS_COUNT, VoxelField
 from .files import atomic_path
 from .memory import free_host_bytes
 
-FORMAT_VERSION = 1
+#: Files with background layers are of version 2, those without stay readable by older releases.
+FORMAT_VERSION = 2
 SVOX2_KEYS = ("radius", "center", "links", "density_data", "sh_data", "basis_type")
 SVOX2_BASIS_SH = 1
 
@@ -25,8 +29,9 @@ def save_field(field: VoxelField, path, *, format: str = "warpcage") -> None:
     """Write a field to `path` (.npz), atomically.
 
     "warpcage": packed occupancy bits, density float32, SH float16, bounds float64, background, rendering weights
-    float16, format version. "compact": the same quantised and deflated, a third of the size (see warpcage.compact).
-    "svox2": the keys of Plenoxels' SparseGrid.save (half-precision SH).
+    float16, background layers as RGBA bytes, format version. "compact": the same quantised and deflated, a third of
+    the size (see warpcage.compact).
+    "svox2": the keys of Plenoxels' SparseGrid.save (half-precision SH), which leaves background layers out and warns.
     Raises ValueError for another format, or a path that does not end in .npz.
     """
     if not str(path).endswith(".npz"):
@@ -67,7 +72,10 @@ def load_field(path, *, scene_scale: float = 1.0, device=None) -> VoxelField:
     for name, values in (("density", density), ("sh", sh), ("weights", options.get("weights", density))):
         if not np.isfinite(values).all():
             raise ValueError(f"{path}: {name} holds values that are not finite")
+    behind = read_background(contents, path, scene_scale)
     try:
+        if behind is not None:
+            options["background_model"] = LayeredBackground(**behind, device=device)
         return VoxelField(bounds / scene_scale, links, density * np.float32(scene_scale), sh, device=device, **options)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
@@ -79,7 +87,7 @@ def _own_contents(field: VoxelField) -> dict:
     order = links[occupied]  # the file's rows are in memory order
     contents = {
         "format": np.array("warpcage"),
-        "version": np.array(FORMAT_VERSION),
+        "version": np.array(1 if field.background_model is None else FORMAT_VERSION),
         "bounds": field.bounds,
         "background": field.background,
         "up": field.up,
@@ -91,6 +99,8 @@ def _own_contents(field: VoxelField) -> dict:
     }
     if field.weights is not None:
         contents["weights"] = _as_half(field.weights.numpy()[order])
+    if field.background_model is not None:
+        contents |= background_contents(field.background_model)
     return contents
 
 
@@ -134,6 +144,8 @@ def _read_own(contents: dict, path) -> tuple:
 
 
 def _svox2_contents(field: VoxelField) -> dict:
+    if field.background_model is not None:
+        warnings.warn("a svox2 file holds the field without its background layers", stacklevel=4)
     half = 0.5 * (field.bounds[1] - field.bounds[0])
     sh = field.grid.sh.numpy()  # (rows, rgb, basis), as svox2 has it
     return {

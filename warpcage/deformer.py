@@ -13,7 +13,6 @@ from .field import STOP_TRANSMITTANCE, VoxelField
 from .kernels.deformed_march import MarchOptions
 from .kernels.deformed_render import Picture
 from .render import Frame, camera_struct, tile_threads
-from .scene import parse_background
 from .supersampling import average_frame, checked_supersampling, finer_camera
 
 COORDINATES = ("harmonic", "mean_value", "green")
@@ -143,16 +142,17 @@ class Deformer:
                supersampling: int | None = None) -> Frame:
         """The view of a camera of the deformed scene, with the masks reveal, fold and outside.
 
-        background: colour name or (3,); None takes the field's. step: march step in world units; None takes the
-        field's. supersampling: rays a side of a pixel; None takes the field's. Raises ValueError for a background that
-        is not known, a step that is not positive, or supersampling out of range.
+        background: colour name or (3,); None takes the field's own, whose background model stays where it is however
+        the cages move, and shows where they clear. step: march step in world units; None takes the field's.
+        supersampling: rays a side of a pixel; None takes the field's. Raises ValueError for a background that is not
+        known, a step that is not positive, or supersampling out of range.
         """
         self._require_pose()
         side = checked_supersampling(self.field.supersampling if supersampling is None else supersampling)
         if side > 1:
             parts = self.render(finer_camera(camera, side), background=background, step=step, supersampling=1)
             return average_frame(parts, side)
-        background = self.field.background if background is None else parse_background(background)
+        colour, model = self.field.chosen_background(background)
         options = MarchOptions()
         options.step = self._checked_step(step)
         options.stop = STOP_TRANSMITTANCE
@@ -165,9 +165,11 @@ class Deformer:
         for name in names:
             setattr(picture, name, wp.empty(count, dtype=wp.float32, device=self.device))
         camera_data = camera_struct(camera, self.field.center)
-        inputs = [self.field.grid, self._edits.scene, camera_data, wp.vec3(*map(float, background)), options, picture]
+        inputs = [self.field.grid, self._edits.scene, camera_data, wp.vec3(*map(float, colour)), options, picture]
         # small blocks: rays of one end at very different times
         launch(self._edits.render_kernel, tile_threads(camera), inputs, device=self.device, block_dim=64)
+        if model is not None:
+            model.add_behind(camera, picture.rgb, picture.alpha)
         return Frame(camera.width, camera.height, picture.rgb, **{name: getattr(picture, name) for name in names})
 
     def _checked_step(self, step: float | None) -> float:

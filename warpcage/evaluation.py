@@ -31,21 +31,47 @@ def error_image(image, reference) -> np.ndarray:
     return (1 - error) * grey + error * np.array([0.85, 0.0, 0.0], np.float32)
 
 
+def masked_psnr(image, reference, mask) -> float:
+    """PSNR in dB over the pixels where a mask (h, w) is above 1/2. Raises ValueError where there are none."""
+    inside = np.asarray(mask) > 0.5
+    if not inside.any():
+        raise ValueError("the mask is empty: there is nothing to compare")
+    return psnr(np.asarray(image)[inside], np.asarray(reference)[inside])
+
+
 def evaluate(renderer, scene, *, similarity: bool = False, progress: bool = False) -> list[dict]:
     """Render every view of a scene and compare.
 
     renderer: anything with .render(camera, background=...) -> Frame, a VoxelField or a Deformer.
     Returns one {"view": name, "psnr": dB} a view, with "ssim" where `similarity` is set, at the scene's image size, not
-    quantised.
+    quantised; with "masked_psnr", over the pixels of the object alone, where the scene has opacity.
+
+    A renderer with background layers is compared with whole pictures, where the scene has them (its pictures carry no
+    opacity, or were split at their masks); otherwise both stand on the scene's background colour.
     """
     from tqdm import tqdm
 
     rows = []
-    views = zip(scene.names, scene.cameras, scene.images, strict=True)
-    for name, camera, image in tqdm(views, total=len(scene), desc="evaluate", disable=not progress):
-        rgb = renderer.render(camera, background=scene.background).rgb
-        rows.append({"view": name, "psnr": psnr(rgb, image)} | ({"ssim": ssim(rgb, image)} if similarity else {}))
+    background, images = comparison(renderer, scene)
+    alphas = [None] * len(scene) if scene.alphas is None else scene.alphas
+    views = zip(scene.names, scene.cameras, images, alphas, strict=True)
+    for name, camera, image, alpha in tqdm(views, total=len(scene), desc="evaluate", disable=not progress):
+        rgb = renderer.render(camera, background=background).rgb
+        row = {"view": name, "psnr": psnr(rgb, image)} | ({"ssim": ssim(rgb, image)} if similarity else {})
+        if alpha is not None and (alpha > 0.5).any():
+            row["masked_psnr"] = masked_psnr(rgb, image, alpha)
+        rows.append(row)
     return rows
+
+
+def comparison(renderer, scene):
+    """What `evaluate` renders on, a colour or None for the renderer's own layers, and the pictures (n, h, w, 3) that it
+    compares with."""
+    field = getattr(renderer, "field", renderer)
+    has_surroundings = scene.alphas is None or scene.surroundings is not None
+    if getattr(field, "background_model", None) is not None and has_surroundings:
+        return None, scene.whole
+    return scene.background, scene.images
 
 
 def mean_psnr(rows: list[dict]) -> float:

@@ -35,6 +35,7 @@ class VoxelField:
     density: (rows,) float32 per world unit, before the ReLU.
     sh: (rows, 9, 3) float32, coefficients of each basis function in rgb (or a Warp array (rows, 3) of vec9).
     background: colour behind everything, a name or (3,).
+    background_model: LayeredBackground or None, what lies around the box instead of that colour.
     weights: (rows,) float32 or None, the largest rendering weight that a training ray gave each voxel.
     up: (3,) what is up in the world, for views of it; of any length but zero.
     supersampling: rays a side of a pixel in renders: 2 for fields that were fitted with four rays a pixel.
@@ -43,14 +44,15 @@ class VoxelField:
     Raises ValueError for shapes that do not fit together or values that are not finite.
 
     References: Fridovich-Keil and Yu et al. 2022, section 3. Limitations: one SH degree (lower ones are padded with
-    zeros), no background model besides one colour.
+    zeros).
     """
 
-    def __init__(self, bounds, links, density, sh, *, background="white", weights=None,
+    def __init__(self, bounds, links, density, sh, *, background="white", background_model=None, weights=None,
                  up=(0.0, 0.0, 1.0), supersampling=1, device=None):
         self.device = resolve_device(device if device is not None or not isinstance(links, wp.array) else links.device)
         self.bounds = _checked_bounds(bounds)
         self.background = parse_background(background)
+        self.background_model = None if background_model is None else background_model.to(self.device)
         self.up = _checked_up(up)
         self.supersampling = checked_supersampling(supersampling)
         if len(links.shape) != 3 or min(links.shape) < 2:
@@ -136,11 +138,12 @@ class VoxelField:
     def render(self, camera, *, background=None, step: float | None = None, supersampling: int | None = None):
         """The view of a camera as a Frame.
 
-        background: colour name or (3,); None takes the field's. step: march step in world units; None takes `.step`.
-        supersampling: rays a side of a pixel; None takes the field's.
+        background: colour name or (3,) to put behind the field; None takes the field's own, its background model where
+        it has one. step: march step in world units; None takes `.step`. supersampling: rays a side of a pixel; None
+        takes the field's. Opacity, depth and disparity are those of the field itself, whatever is behind it.
         Raises ValueError for a step that is not positive, or supersampling out of range.
         """
-        background = self.background if background is None else parse_background(background)
+        colour, model = self.chosen_background(background)
         step = self.step if step is None else float(step)
         if not step > 0:
             raise ValueError(f"the march step must be positive, got {step}")
@@ -152,11 +155,21 @@ class VoxelField:
         rgb = wp.empty(count, dtype=wp.vec3, device=self.device)
         alpha = wp.empty(count, dtype=wp.float32, device=self.device)
         depth = wp.empty(count, dtype=wp.float32, device=self.device)
-        behind = wp.vec3(*map(float, background))
-        inputs = [self.grid, camera_struct(camera, self.center), behind, step, STOP_TRANSMITTANCE]
+        inputs = [self.grid, camera_struct(camera, self.center), wp.vec3(*map(float, colour)), step, STOP_TRANSMITTANCE]
         launch(render_image, tile_threads(camera), inputs, [rgb, alpha, depth], device=self.device,
                block_dim=RENDER_BLOCK_DIM)
+        if model is not None:
+            model.add_behind(camera, rgb, alpha)
         return Frame(camera.width, camera.height, rgb, alpha, depth)
+
+    def chosen_background(self, background=None):
+        """What goes behind a view: (3,) the colour to render it on, and the LayeredBackground that is then added, or
+        None. background: colour name or (3,), or None for the field's own."""
+        if background is not None:
+            return parse_background(background), None
+        if self.background_model is None:
+            return self.background, None
+        return np.zeros(3, np.float32), self.background_model
 
     def extract_mesh(self, *, threshold: float | None = None, components: str = "largest"):
         """The surface as a trimesh.Trimesh in world units; see warpcage.surface.extract_mesh."""
@@ -198,7 +211,8 @@ class VoxelField:
             return self
         grid = self.grid
         return VoxelField(self.bounds, grid.links, grid.density, grid.sh, background=self.background,
-                          weights=self.weights, up=self.up, supersampling=self.supersampling, device=device)
+                          background_model=self.background_model, weights=self.weights, up=self.up,
+                          supersampling=self.supersampling, device=device)
 
 
 def field_from_mask(bounds, mask: wp.array, density: float, *, background, device) -> tuple[VoxelField, wp.array]:

@@ -44,6 +44,8 @@ def save_progress(optimizer, path) -> None:
         "tiles": optimizer.rays.tiles.numpy(),
         "moments": moment_bits(optimizer.moments).numpy(),
     }
+    if optimizer.background is not None:
+        contents |= optimizer.background.state()
     with atomic_path(path) as temporary:
         np.savez(temporary, **contents)
 
@@ -97,6 +99,8 @@ def _restore(optimizer, contents: dict, path) -> None:
         (moment_bits(optimizer.moments), moments, wp.uint16),
     ):
         target.assign(wp.array(values, dtype=dtype, device=optimizer.device))
+    if optimizer.background is not None:
+        optimizer.background.restore(contents, level, path)
     optimizer.step_count, optimizer.level = int(state["step_count"]), level
     optimizer.level_steps = level_steps
     optimizer.total_steps = sum(level_steps)

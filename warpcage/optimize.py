@@ -9,7 +9,8 @@ import time
 import numpy as np
 import warp as wp
 
-from .bounds import Silhouettes, camera_array, scene_box
+from .background_fit import BackgroundOptimizer, chosen_background
+from .bounds import Silhouettes, camera_array, keep_seen, scene_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
 from .field import VoxelField, field_from_mask
 from .kernels import field_loss, field_loss_warps, field_step, field_variation, grid_refine
@@ -26,6 +27,9 @@ BLOCK_DIM = 128
 
 #: Numbers of a gradient's row: 27 coefficients, red first, then the density.
 ROW_NUMBERS = 28
+
+#: Pictures that were taken are fewer and less exact than rendered ones: so much more total variation suits them.
+CAPTURED_VARIATION = 30.0
 
 #: A CPU thread's own gradients are worth their memory up to this many.
 MAX_SHARDS = 8
@@ -52,13 +56,24 @@ class FitOptions:
     beta: float = 0.95  #: RMSProp's decay
     variation_density: float = 3e-6  #: total variation of density (per half extent) a voxel of the box
     variation_sh: float = 3e-4
+    variation: float | None = None  #: factor on both; None is CAPTURED_VARIATION with layers behind the field
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
     keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
     #: this rendering weight
     keep_at: float = 0.4  #: share of the last level's steps after which that happens first
     supersampling: int = 1  #: rays a side of a pixel in the last level, and in renders of the field: 1 or 2
-    random_background: bool = True  #: supervise opacity with random backgrounds where the images have alpha
+    view_share: float = 0.1  #: voxels that fewer of the cameras see than this share of them are left empty
+    background: str = "auto"  #: behind the field: "random" colours that supervise opacity where the images have alpha,
+    #: "layers" (see LayeredBackground) for whole or split pictures, the scene's "constant" colour, or what suits
+    background_layers: int = 16
+    background_side: int | None = None  #: cells along a layer's edge; None follows the images' pixels
+    max_background_side: int = 512
+    background_detail: float = 0.25  #: cells a pixel, where background_side is None
+    rate_background: float = 0.2  #: learning rates of the layers' colours and optical depths
+    rate_background_end: float = 0.01
+    variation_background: float = 0.03  #: total variation of the layers' colours
+    variation_background_depth: float = 0.03
 
 
 #: What `quality` stands for, over the defaults.
@@ -93,6 +108,11 @@ class FieldOptimizer:
         self.step_count = 0
         self.level = 0
         self.shards = min(CPU_THREADS, MAX_SHARDS) if self.device.is_cpu else 1
+        random_background, layers = chosen_background(scene, self.options.background)
+        self.random_background = int(random_background)
+        self.variation = self.options.variation
+        if self.variation is None:
+            self.variation = CAPTURED_VARIATION if layers else 1.0
 
         self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
@@ -101,6 +121,8 @@ class FieldOptimizer:
                 bounds = self._silhouettes.bound(bounds)
         self._choose_grid(np.asarray(bounds, np.float64))
         self._upload_images()
+        self.background = None if not layers else BackgroundOptimizer(
+            scene, self.bounds, self.options, self.batch_rays, self.shards, self.device)
         self._start_level(self._initial_mask(), None)
         self._allocate_state()
         self._activate_tiles()
@@ -150,10 +172,16 @@ class FieldOptimizer:
         self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
 
     def _initial_mask(self) -> wp.array:
-        if self._silhouettes is None:
-            return wp.ones(self.shapes[0], dtype=wp.uint8, device=self.device)
-        mask = self._silhouettes.carve(self.bounds, self.shapes[0])
-        self._silhouettes = None  # its tables are as large as the images
+        carved = self._silhouettes is not None
+        if carved:
+            mask = self._silhouettes.carve(self.bounds, self.shapes[0])
+            self._silhouettes = None  # its tables are as large as the images
+        else:
+            mask = wp.ones(self.shapes[0], dtype=wp.uint8, device=self.device)
+        least = max(1, math.ceil(self.options.view_share * len(self.scene)))
+        keep_seen(self.bounds, self.scene.cameras, least, mask)
+        if not carved:
+            return mask
         if not mask.numpy().any():
             raise ValueError("no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas")
         return self._dilated(mask)
@@ -191,6 +219,10 @@ class FieldOptimizer:
         self.touched = wp.zeros(rows, dtype=wp.uint8, device=self.device)
 
     def _activate_tiles(self) -> None:
+        if self.background is not None:  # every pixel shows something
+            self.tile_ids, self.active_tiles = np.arange(self.tile_total, dtype=np.int32), self.tile_total
+            self._shuffle_tiles()
+            return
         active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
         inputs = [self.field.grid, self.rays.cameras, self.rays.tile_size, 2.0 * self.field.step]
         launch(field_loss.mark_active_tiles, self.tile_total, inputs, [active], device=self.device)
@@ -245,6 +277,8 @@ class FieldOptimizer:
         pruned = self._pruned_mask(self.options.prune_weight / max(self.field.resolution))
         mask = wp.empty(self.shapes[self.level], dtype=wp.uint8, device=self.device)
         launch(grid_refine.refine_mask, mask.size, [2, pruned], [mask], device=self.device)
+        if self.background is not None:
+            self.background.start_level(self.level)
         self._start_level(mask, self.field, 2)
         self._allocate_state()
         self._activate_tiles()
@@ -294,21 +328,24 @@ class FieldOptimizer:
 
     def _accumulate_gradients(self) -> None:
         options, field = self.options, self.field
-        random_background = int(options.random_background and self.scene.alphas is not None)
-        photometric = [self.rays, wp.vec3(*map(float, field.background)), random_background,
+        behind, grad_behind = None, None
+        if self.background is not None:
+            self.background.prepare(self.rays)
+            behind, grad_behind = self.background.behind, self.background.grad_behind
+        photometric = [self.rays, wp.vec3(*map(float, field.background)), self.random_background,
                        (self.seed * 1_000_003 + self.step_count) % (2**31 - 1), field.step, STOP_TRANSMITTANCE,
-                       1.0 / (3.0 * self.batch_rays)]
+                       1.0 / (3.0 * self.batch_rays), behind]
         cells = float(np.prod(field.resolution))
         scale = max(field.resolution) / 256.0
         variation_rows = max(1, int(options.variation_share * field.voxel_count))
-        boost = field.voxel_count / variation_rows / cells * scale
+        boost = self.variation * field.voxel_count / variation_rows / cells * scale
         first_row = int(self.random.integers(field.voxel_count))
         unit = 1.0 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
         coefficients = coefficient_rows(field.grid.sh)
         if not self.device.is_cpu:
             launch(field_loss_warps.accumulate_photometric_gradient_by_warps, WARP_LANES * self.batch_rays,
                    [field.grid, coefficients, *photometric],
-                   [self.gradients[0], self.touched, self.squared_error],
+                   [self.gradients[0], self.touched, self.squared_error, grad_behind],
                    device=self.device, block_dim=BLOCK_DIM)
         vary = options.variation_density > 0 or options.variation_sh > 0
         variation = [field.grid, coefficients, self.nodes, first_row, unit, options.variation_density * boost,
@@ -320,7 +357,7 @@ class FieldOptimizer:
             if self.device.is_cpu:
                 wp.launch(field_loss.accumulate_photometric_gradient, dim=end - begin,
                           inputs=[begin, field.grid, *photometric],
-                          outputs=[*gradient_parts(gradients), self.squared_error], device=self.device)
+                          outputs=[*gradient_parts(gradients), self.squared_error, grad_behind], device=self.device)
             begin, end = (ROW_NUMBERS * (variation_rows * i // self.shards) for i in (index, index + 1))
             if end > begin and vary:
                 wp.launch(field_variation.accumulate_variation_gradient, dim=end - begin, inputs=[begin, *variation],
@@ -330,10 +367,14 @@ class FieldOptimizer:
             wp.load_module(field_loss, device=self.device)
             wp.load_module(field_variation, device=self.device)
         run_parallel([lambda i=i: shard(i) for i in range(self.shards)], self.shards)
+        if self.background is not None:
+            self.background.accumulate(self.rays, self.random)
 
     def _apply_gradients(self) -> None:
         options, field = self.options, self.field
         progress = (self.step_count / max(1, self.total_steps - 1)) ** options.decay_power
+        if self.background is not None:
+            self.background.apply(progress)
         if self.device.is_cpu:
             self.touched.fill_(1)
         voxel = float(field.voxel_size.max())
@@ -366,6 +407,8 @@ class FieldOptimizer:
         self.field.weights = self.measure_weights()
         self.field.up = self.scene.up
         self.field.supersampling = self.options.supersampling
+        if self.background is not None:
+            self.field.background_model = self.background.result()
         return self.field
 
 

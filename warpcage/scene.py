@@ -22,6 +22,8 @@ class Scene:
     background: (3,) float32, the colour behind everything.
     names: n image names, for reports.
     bounds: (2, 3) float64, a box that holds the object where the data say so (bbox, points, unit sphere), or None.
+    surroundings: (n, h, w, 3) float32 or None, what lies around the object in pictures that masks split: their colour
+    times 1 - alpha.
     to_source: (4, 4) float64, takes the scene's coordinates to those that its data were made from (DTU's millimetres,
     a reconstruction before nerfstudio's applied_transform), or None where they are the same or not known.
 
@@ -35,6 +37,7 @@ class Scene:
     names: list[str] = dataclasses.field(default_factory=list)
     bounds: np.ndarray | None = None
     to_source: np.ndarray | None = None
+    surroundings: np.ndarray | None = None
 
     def __post_init__(self):
         images = np.asarray(self.images, dtype=np.float32)
@@ -59,6 +62,11 @@ class Scene:
             alphas = np.asarray(alphas, dtype=np.float32)
             if alphas.shape != images.shape[:3]:
                 raise ValueError(f"scene alphas must be {images.shape[:3]}, got {alphas.shape}")
+        surroundings = self.surroundings
+        if surroundings is not None:
+            surroundings = np.asarray(surroundings, dtype=np.float32)
+            if alphas is None or surroundings.shape != images.shape:
+                raise ValueError(f"scene surroundings must be {images.shape} beside alphas, got {surroundings.shape}")
         for name, shape in (("bounds", (2, 3)), ("to_source", (4, 4))):
             given = getattr(self, name)
             if given is not None:
@@ -70,11 +78,20 @@ class Scene:
             raise ValueError(f"scene bounds must have their lower corner first, got {self.bounds.tolist()}")
         object.__setattr__(self, "images", images)
         object.__setattr__(self, "alphas", alphas)
+        object.__setattr__(self, "surroundings", surroundings)
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "background", parse_background(self.background))
 
     def __len__(self) -> int:
         return len(self.images)
+
+    @property
+    def whole(self) -> np.ndarray:
+        """(n, h, w, 3) float32 the pictures with what the masks split off, as they were taken; `images` where nothing
+        was."""
+        if self.surroundings is None:
+            return self.images
+        return self.images - (1.0 - self.alphas[..., None]) * self.background + self.surroundings
 
     @property
     def up(self) -> np.ndarray:
@@ -100,6 +117,9 @@ class Scene:
 def parse_background(background) -> np.ndarray:
     """(3,) float32 of a colour name or three numbers in [0, 1]. Raises ValueError for anything else."""
     if isinstance(background, str):
+        if background == "random":
+            raise ValueError("random backgrounds are drawn anew for every ray of a fit, where pictures have opacity: "
+                             "load with a colour and fit with background='random'")
         if background not in BACKGROUNDS:
             raise ValueError(f"background {background!r} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]")
         background = BACKGROUNDS[background]
@@ -110,7 +130,7 @@ def parse_background(background) -> np.ndarray:
 
 
 def load_scene(path, *, split: str = "train", downscale: int = 1, format: str | None = None,
-               background="white", masks: bool = True) -> Scene:
+               background="white", masks: bool | str = True) -> Scene:
     """Read one split of a scene from disk.
 
     path: folder of the scene.
@@ -120,7 +140,8 @@ def load_scene(path, *, split: str = "train", downscale: int = 1, format: str | 
     format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp), "colmap";
         None detects it, the first of these that fits.
     background: colour name or three numbers, put behind transparent pixels.
-    masks: mask files become alphas, and what they hide the background; False leaves the pictures whole.
+    masks: mask files become alphas, and what they hide the background; "split" keeps what they hide as the scene's
+        surroundings, which `fit` puts into layers behind the object; False leaves the pictures whole.
 
     Raises FileNotFoundError for a missing folder, split or image, ValueError for contents that cannot be used.
     """
@@ -133,6 +154,8 @@ def load_scene(path, *, split: str = "train", downscale: int = 1, format: str | 
         raise ValueError(f"downscale must be a whole number of at least 1, got {downscale}")
     if format is None:
         format = detect_format(folder)
+    if masks not in (True, False, "split"):
+        raise ValueError(f"masks must be True, False or 'split', got {masks!r}")
     if format not in READERS:
         raise ValueError(f"scene format {format!r} is not known: {', '.join(READERS)}")
     return READERS[format].read(folder, split=split, downscale=int(downscale),

@@ -32,7 +32,7 @@ def run(args):
     worst = None if args.worst is None else options.check_output(args.worst, (".png",), "picture")
     options.require_folder(args.scene)
     field = options.read_field(args)
-    from ..evaluation import error_image, evaluate, mean_psnr
+    from ..evaluation import comparison, error_image, evaluate, mean_psnr
     from ..files import atomic_path
     from ..scene import load_scene
 
@@ -44,18 +44,21 @@ def run(args):
     width = max(len("view"), *(len(row["view"]) for row in rows))
     similarities = [row["ssim"] for row in rows if "ssim" in row]
     mean_ssim = sum(similarities) / len(similarities) if similarities else None
-    print(f"{'view':{width}}  PSNR dB" + ("    SSIM" if similarities else ""))
-    for row in [*rows, {"view": "mean", "psnr": mean, "ssim": mean_ssim}]:
-        print(f"{row['view']:{width}}  {row['psnr']:7.2f}" + (f"  {row['ssim']:6.4f}" if similarities else ""))
+    masked = [row["masked_psnr"] for row in rows if "masked_psnr" in row]
+    mean_masked = sum(masked) / len(masked) if masked else None
+    print(f"{'view':{width}}  PSNR dB" + ("    SSIM" if similarities else "") + ("  in mask dB" if masked else ""))
+    for row in [*rows, {"view": "mean", "psnr": mean, "ssim": mean_ssim, "masked_psnr": mean_masked}]:
+        print(f"{row['view']:{width}}  {row['psnr']:7.2f}" + (f"  {row['ssim']:6.4f}" if similarities else "")
+              + (f"  {row['masked_psnr']:10.2f}" if row.get("masked_psnr") is not None else ""))
     if worst is not None:
         from ..images import side_by_side, write_png
 
         index = min(range(len(rows)), key=lambda i: rows[i]["psnr"])
-        image = scene.images[index]
-        rgb = field.render(scene.cameras[index], background=scene.background).rgb
+        behind, images = comparison(field, scene)
+        image, rgb = images[index], field.render(scene.cameras[index], background=behind).rgb
         write_png(worst, side_by_side([image, rgb, error_image(rgb, image)]))
     if report is not None:
         content = {"field": args.field, "scene": args.scene, "split": args.split, "downscale": args.downscale,
-                   "mean_psnr": mean, "mean_ssim": mean_ssim, "views": rows}
+                   "mean_psnr": mean, "mean_ssim": mean_ssim, "mean_masked_psnr": mean_masked, "views": rows}
         with atomic_path(report) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -8,6 +8,7 @@ EXAMPLE = """\
   warpcage fit data/lego --downscale 2 -o lego.npz
   warpcage fit data/lego -o lego.npz --device cuda:0 --resolution 384 --background black
   warpcage fit data/lego -o lego.npz --quality high --checkpoint progress.npz
+  warpcage fit data/dtu/scan24 -o house.npz --split-masks
 """
 
 
@@ -19,7 +20,8 @@ def add_arguments(parser):
     options.add_masks(parser)
     parser.add_argument("--downscale", type=options.positive_int, default=1, metavar="N",
                         help="shrink the pictures by averaging N x N pixels (default: %(default)s)")
-    options.add_background(parser, "white")
+    options.add_background(parser, "white", "; or what stands behind the pictures in the fit: random colours "
+                           "where they have opacity, layers around the field, constant, or auto (default)")
     parser.add_argument("--quality", choices=("fast", "standard", "high"), default="standard",
                         help="time against detail (default: %(default)s)")
     parser.add_argument("--checkpoint", metavar="FILE",
@@ -29,6 +31,8 @@ def add_arguments(parser):
     parser.add_argument("--resolution", type=options.positive_int, metavar="N",
                         help="voxels along the longest side (default: after the size of a pixel at the object)")
     parser.add_argument("--epochs", type=options.positive_float, metavar="N", help="passes over the pixels that matter")
+    parser.add_argument("--variation", type=options.positive_float, metavar="FACTOR",
+                        help="on the total variation: more is smoother (default: 1, or 10 with layers behind)")
     parser.add_argument("--bounds", type=options.finite_float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
                         help="box around the object, world units (default: found from the pictures)")
     parser.add_argument("--seed", type=int, default=0, help="of the order of the pixels (default: %(default)s)")
@@ -44,13 +48,17 @@ def run(args):
     from ..optimize import fit
     from ..scene import load_scene
 
+    kind = args.background if args.background in ("auto", "layers", "random", "constant") else "auto"
+    colour = args.background if kind != args.background else None
     scene = load_scene(args.scene, split=args.split, downscale=args.downscale, format=args.format,
-                       background=args.background or "white", masks=args.masks)
-    given = {name: getattr(args, name) for name in ("resolution", "epochs") if getattr(args, name) is not None}
+                       background=colour or "white", masks=args.masks)
+    given = {name: getattr(args, name) for name in ("resolution", "epochs", "variation")
+             if getattr(args, name) is not None}
     if args.bounds is not None:
         given["bounds"] = [args.bounds[:3], args.bounds[3:]]
-    field = fit(scene, quality=args.quality, device=device, seed=args.seed, progress=not args.quiet,
+    field = fit(scene, quality=args.quality, device=device, seed=args.seed, progress=not args.quiet, background=kind,
                 checkpoint=checkpoint, checkpoint_seconds=args.checkpoint_seconds, **given)
     field.save(output)
     size = "x".join(str(n) for n in field.resolution)
-    print(f"wrote {output}: {field.voxel_count} voxels of {size}, {output.stat().st_size / 1e6:.1f} MB")
+    behind = "" if field.background_model is None else f" before {field.background_model.layer_count} layers"
+    print(f"wrote {output}: {field.voxel_count} voxels of {size}{behind}, {output.stat().st_size / 1e6:.1f} MB")

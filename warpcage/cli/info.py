@@ -81,7 +81,15 @@ def _field(path, args):
             ("voxels", f"{field.voxel_count} ({100 * share:.1f} % of the box)"), ("bounds", _box(*field.bounds)),
             ("voxel size", field.voxel_size.round(6).tolist()), ("density", _range(density, "a world unit")),
             ("weights", "not recorded" if weights is None else _range(weights, "largest of a training ray")),
-            ("background", field.background.round(3).tolist()), ("file", _file_size(path))]
+            ("background", field.background.round(3).tolist()), ("layers behind", _layers(field.background_model)),
+            ("file", _file_size(path))]
+
+
+def _layers(background) -> str:
+    if background is None:
+        return "none"
+    return (f"{background.layer_count} of 6x{background.side}x{background.side} cells, from "
+            f"{background.half:.4g} to infinity around {background.center.round(4).tolist()}")
 
 
 def _cage(path):

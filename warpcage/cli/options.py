@@ -35,15 +35,18 @@ def add_quiet(parser) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
-def add_background(parser, default_text: str) -> None:
+def add_background(parser, default_text: str, more: str = "") -> None:
     parser.add_argument("--background", type=colour, metavar="COLOUR",
                         help="white, black, grey or three numbers in [0, 1] such as 0.2,0.3,0.4 "
-                             f"(default: {default_text})")
+                             f"(default: {default_text}){more}")
 
 
 def add_masks(parser) -> None:
-    parser.add_argument("--no-masks", dest="masks", action="store_false",
-                        help="leave a scene's mask files alone: pictures are taken whole, background and all")
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--no-masks", dest="masks", action="store_false", default=True,
+                       help="leave a scene's mask files alone: pictures are taken whole, background and all")
+    group.add_argument("--split-masks", dest="masks", action="store_const", const="split",
+                       help="split the pictures at the masks: the object, and its surroundings as layers behind it")
 
 
 def add_deformation(parser, *, keyframes: bool = False) -> None:

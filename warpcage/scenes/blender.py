@@ -24,7 +24,7 @@ def is_scene(folder: pathlib.Path) -> bool:
     return "camera_angle_x" in content and "fl_x" not in content
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool) -> Scene:
+def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
     """Read a split; camera axes are turned from Blender's (+y up, -z forward) to OpenCV's."""
     path = split_file(folder, split)
     transforms = read_json(path)

@@ -39,7 +39,7 @@ def _model_folder(folder: pathlib.Path) -> pathlib.Path | None:
     return None
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool) -> Scene:
+def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
     """Read a split: every eighth image, by name, is `test`, the others are `train`. masks/<name>.png, as COLMAP itself
     takes it, or masks/<name> becomes the alpha; the bulk of the points the bounds."""
     model_folder = _model_folder(folder)
@@ -54,7 +54,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
     return make_scene(views, downscale=downscale, background=background, masks=masks, points=model.points)
 
 
-def _view(folder: pathlib.Path, model: Model, image: ModelImage, masks: bool) -> View:
+def _view(folder: pathlib.Path, model: Model, image: ModelImage, masks: bool | str) -> View:
     where = f"{model.images_path}: image {image.name!r}"
     file = inside(folder / "images", image.name, where)
     camera = model.cameras.get(image.camera)

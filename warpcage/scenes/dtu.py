@@ -27,7 +27,7 @@ def is_scene(folder: pathlib.Path) -> bool:
     return (folder / "image").is_dir() and any((folder / name).is_file() for name in FILES)
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool) -> Scene:
+def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
     """Read a split: every eighth view is `test`, the others are `train`. Masks become alphas."""
     path = next((folder / name for name in FILES if (folder / name).is_file()), folder / FILES[0])
     cameras = read_npz(path, "camera file")

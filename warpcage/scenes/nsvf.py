@@ -22,7 +22,7 @@ def is_scene(folder: pathlib.Path) -> bool:
     return (folder / "rgb").is_dir() and (folder / "pose").is_dir() and (folder / "intrinsics.txt").is_file()
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool) -> Scene:
+def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
     """Read a split; bbox.txt, where there is one, becomes the scene's bounds."""
     intrinsics = _read_intrinsics(folder / "intrinsics.txt")
     pictures = pictures_in(folder / "rgb")

@@ -32,7 +32,7 @@ def is_scene(folder: pathlib.Path) -> bool:
     return bool(files) and "fl_x" in read_json(files[0])
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool) -> Scene:
+def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
     """Read a split: a file of its own, or a list of file names in transforms.json, or else every eighth frame, by
     file name, is `test` and the others are `train`. mask_path becomes the alpha, ply_file_path the bounds."""
     single = folder / "transforms.json"

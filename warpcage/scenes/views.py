@@ -38,27 +38,33 @@ class View:
     mask: pathlib.Path | None = None
 
 
-def make_scene(views: list[View], *, downscale: int, background: np.ndarray, masks: bool = True, bounds=None,
+def make_scene(views: list[View], *, downscale: int, background: np.ndarray, masks: bool | str = True, bounds=None,
                points=None, to_source=None) -> Scene:
     """Read the pictures of views, undo their distortion, shrink them and put them on the background.
 
-    masks: False leaves mask files alone. bounds, to_source: as Scene has them. points: (n, 3) of a reconstruction, or
+    masks: as in load_scene. bounds, to_source: as Scene has them. points: (n, 3) of a reconstruction, or
     None; the bulk of those that the cameras look at becomes the bounds where none are given.
     Raises FileNotFoundError for pictures that are not there; ValueError for pictures listed twice, of several sizes,
     of another size than their camera's, broken, or too many for the memory.
     """
     _refuse_doubles(views)
+    if masks == "split" and any(view.mask is None for view in views):
+        raise ValueError(f"{views[0].where}: masks='split' needs a mask file for every picture")
     if not masks:
         views = [dataclasses.replace(view, mask=None) for view in views]
     size = _common_size(views)
     intrinsics = [_intrinsics(view, size) for view in views]
     pinholes = [_pinhole(view, given, size) for view, given in zip(views, intrinsics, strict=True)]
     cameras = [_camera(view, pinhole, size) for view, pinhole in zip(views, pinholes, strict=True)]
-    _require_memory(len(views), size, downscale)
+    _require_memory(len(views), size, downscale, channels=8 if masks != "split" else 14)
 
     def load(index: int) -> np.ndarray:
         view = views[index]
         rgba = _premultiplied(view)
+        if masks == "split":
+            whole = _premultiplied(dataclasses.replace(view, mask=None))
+            around = whole[..., :3] + (1.0 - whole[..., 3:]) * background - rgba[..., :3]
+            rgba = np.concatenate([rgba, around], axis=-1)
         if any(view.distortion):
             rgba = undistort(rgba, intrinsics[index], pinholes[index], view.distortion)
         return shrink(rgba, downscale).astype(np.float32)
@@ -71,7 +77,9 @@ def make_scene(views: list[View], *, downscale: int, background: np.ndarray, mas
     images = rgba[..., :3] + (1.0 - alphas[..., None]) * background
     if (alphas == 1.0).all():  # opaque images say nothing about the object's outline
         alphas = None
-    scene = Scene(images, alphas, cameras, background, _names(views), bounds=bounds, to_source=to_source)
+    surroundings = rgba[..., 4:] if masks == "split" and alphas is not None else None
+    scene = Scene(images, alphas, cameras, background, _names(views), bounds=bounds, to_source=to_source,
+                  surroundings=surroundings)
     return scene if points is None or bounds is not None else _with_bounds(scene, points)
 
 
@@ -125,10 +133,10 @@ def _camera(view: View, intrinsics, size) -> Camera:
         raise ValueError(f"{view.where}: {error}") from error
 
 
-def _require_memory(count: int, size, downscale: int) -> None:
+def _require_memory(count: int, size, downscale: int, channels: int) -> None:
     """Refuse pictures that the machine cannot hold, before the first is read."""
     width, height = (max(1, round(side / downscale)) for side in size)
-    needed = count * width * height * (4 + 3 + 1) * 4  # rgba, and what becomes of it
+    needed = count * width * height * channels * 4  # what is read, and what becomes of it
     free = free_host_bytes()
     if needed > free:
         raise ValueError(f"{count} pictures of {width}x{height} need {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB "
