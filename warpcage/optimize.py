@@ -11,7 +11,7 @@ import warp as wp
 
 from .bounds import Silhouettes, camera_array, scene_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
-from .field import VoxelField, field_from_mask
+from .field import VoxelField, checked_bounds, field_from_mask
 from .kernels import field_loss, field_step, grid_refine
 from .kernels.spherical_harmonics import vec9
 from .kernels.volume_render import record_weights
@@ -62,6 +62,24 @@ QUALITIES = {
     "high": {"epochs": 16.0, "max_resolution": 720, "variation_density": 2e-5, "variation_sh": 2e-3},
 }
 
+#: name -> smallest, largest, kind, whether None will do
+OPTION_RANGES = {
+    "resolution": (8, 2048, int, True),
+    "max_resolution": (8, 2048, int, False),
+    "levels": (1, 6, int, False),
+    "batch_rays": (1, 2**24, int, True),
+    "tile_size": (1, 64, int, False),
+    "variation_density": (0.0, 1e3, float, False),
+    "variation_sh": (0.0, 1e3, float, False),
+    "variation_share": (1e-6, 1.0, float, False),
+    "prune_weight": (0.0, 1e3, float, False),
+    "keep_weight": (0.0, 1.0, float, False),
+    "keep_at": (0.0, 1.0, float, False),
+    "beta": (0.0, 1.0 - 1e-6, float, False),
+    **{name: (1e-9, 1e9, float, False) for name in ("footprint", "level_growth", "epochs", "rate_density",
+                                                    "rate_density_end", "rate_sh", "rate_sh_end")},
+}
+
 
 class FieldOptimizer:
     """Plenoxels' optimisation of a VoxelField, step by step: coarse to fine, RMSProp, total variation, pruning by
@@ -79,7 +97,7 @@ class FieldOptimizer:
         self.scene = scene
         self.options = _checked_options(options)
         self.device = resolve_device(device)
-        self.seed = int(seed)
+        self.seed = _checked_seed(seed)
         self.given = {"seed": self.seed, "bounds": None if bounds is None else np.asarray(bounds, np.float64).tolist(),
                       **dataclasses.asdict(self.options)}
         self.random = np.random.default_rng(self.seed)
@@ -93,7 +111,7 @@ class FieldOptimizer:
             bounds = scene_box(scene)
             if self._silhouettes is not None:
                 bounds = self._silhouettes.bound(bounds)
-        self._choose_grid(np.asarray(bounds, np.float64))
+        self._choose_grid(checked_bounds(bounds))
         self._upload_images()
         self._start_level(self._initial_mask(), None)
         self._allocate_state()
@@ -229,7 +247,8 @@ class FieldOptimizer:
         mask = self._dilated(mask)
         launch(grid_refine.keep_linked, mask.size, [self.field.grid.links], [mask], device=self.device)
         if not link_mask(mask)[1].shape[0]:
-            raise ValueError("nothing is left to render after pruning: the images may not fit their cameras")
+            raise ValueError("nothing is left to render after pruning: all images may show the background alone, or "
+                             "not fit their cameras")
         return mask
 
     def _refine(self) -> None:
@@ -392,6 +411,12 @@ def _log_interpolate(start: float, end: float, progress: float) -> float:
     return math.exp((1.0 - progress) * math.log(start) + progress * math.log(end))
 
 
+def _checked_seed(seed) -> int:
+    if not (isinstance(seed, (int, np.integer)) and seed >= 0):
+        raise ValueError(f"the seed must be a whole number of at least 0, got {seed!r}")
+    return int(seed)
+
+
 def _checked_options(options: dict) -> FitOptions:
     options = dict(options)
     names = {field.name for field in dataclasses.fields(FitOptions)} | {"quality"}
@@ -402,12 +427,12 @@ def _checked_options(options: dict) -> FitOptions:
     if quality not in QUALITIES:
         raise ValueError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
     checked = FitOptions(**{**QUALITIES[quality], **options})
-    if checked.resolution is not None and not 8 <= checked.resolution <= 2048:
-        raise ValueError(f"resolution must lie between 8 and 2048 voxels, got {checked.resolution}")
-    if not 1 <= checked.levels <= 6:
-        raise ValueError(f"levels must lie between 1 and 6, got {checked.levels}")
-    for name in ("epochs", "tile_size", "rate_density", "rate_density_end", "rate_sh", "rate_sh_end", "footprint",
-                 "level_growth"):
-        if not getattr(checked, name) > 0:
-            raise ValueError(f"{name} must be positive, got {getattr(checked, name)}")
+    for name, (low, high, kind, optional) in OPTION_RANGES.items():
+        value = getattr(checked, name)
+        if value is None and optional:
+            continue
+        wanted = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
+        if not isinstance(value, wanted) or isinstance(value, bool) or not low <= value <= high:
+            what = "a whole number" if kind is int else "a number"
+            raise ValueError(f"{name} must be {what} from {low:g} to {high:g}, got {value!r}")
     return checked
