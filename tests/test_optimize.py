@@ -13,9 +13,8 @@ import warpcage
 from warpcage.bounds import camera_array, object_bounds
 from warpcage.devices import resolve_device
 from warpcage.evaluation import error_image, evaluate, mean_psnr, psnr, ssim
-from warpcage.kernels import field_loss, field_step
-from warpcage.kernels.spherical_harmonics import vec9
-from warpcage.optimize import FieldOptimizer
+from warpcage.kernels import field_loss, field_loss_warps, field_step, field_variation
+from warpcage.optimize import FieldOptimizer, coefficient_rows, gradient_parts
 
 
 def training_rays(cameras, images, alphas, field, device):
@@ -29,7 +28,25 @@ def training_rays(cameras, images, alphas, field, device):
     return rays
 
 
-def test_photometric_gradient_matches_finite_differences(device):
+def photometric_gradient(field, rays, count, *, background=(1.0, 1.0, 1.0), random_background=0, jitter=0, seed=0,
+                         stop=0.0, scale=1.0, spread=0.0, by_warps=False):
+    """Gradient rows (rows, 28) and squared errors (count,) of a batch."""
+    device = field.device
+    gradients = wp.zeros((field.voxel_count, 28), dtype=wp.float32, device=device)
+    error = wp.zeros(count, dtype=wp.float32, device=device)
+    inputs = [rays, wp.vec3(*background), random_background, jitter, seed, field.step, stop, scale, spread]
+    if by_warps:
+        wp.launch(field_loss_warps.accumulate_photometric_gradient_by_warps, dim=32 * count, device=device,
+                  block_dim=128, inputs=[0, field.grid, coefficient_rows(field.grid.sh), *inputs],
+                  outputs=[gradients, error])
+    else:
+        wp.launch(field_loss.accumulate_photometric_gradient, dim=count, device=device,
+                  inputs=[0, field.grid, *inputs], outputs=[*gradient_parts(gradients), error])
+    return gradients.numpy(), error.numpy()
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.7])
+def test_photometric_gradient_matches_finite_differences(device, spread):
     field, density, sh = oracle.random_field(device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3),
                                              density_scale=1.0)
     cameras = [warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=38, width=8, height=6)
@@ -38,48 +55,63 @@ def test_photometric_gradient_matches_finite_differences(device):
     images, alphas = random.random((2, 6, 8, 3)), np.ones((2, 6, 8))
     images = images.astype(np.float16).astype(np.float64)
     rays = training_rays(cameras, images, alphas, field, device)
-    rows = field.voxel_count
-    grad_density = wp.zeros(rows, dtype=wp.float32, device=device)
-    grad_sh = wp.zeros((rows, 3), dtype=vec9, device=device)
-    error = wp.zeros(96, dtype=wp.float32, device=device)
     background = (0.3, 0.6, 0.1)
     scale = 1 / (3 * 96)
-    wp.launch(field_loss.accumulate_photometric_gradient, dim=96, device=device, block_dim=64,
-              inputs=[0, field.grid, rays, wp.vec3(*background), 0, 0, field.step, 0.0, scale],
-              outputs=[grad_density, grad_sh, error])
+    gradients, error = photometric_gradient(field, rays, 96, background=background, scale=scale, spread=spread)
 
-    def loss(density, sh):
+    def loss(density, sh, spread=spread):
         total = 0.0
         for camera, image in zip(cameras, images, strict=True):
             origins, directions = camera.rays()
             for row, column in np.ndindex(6, 8):
-                rgb, _, _ = oracle.render_ray(field, density, sh, origins[row, column], directions[row, column],
-                                              field.step, background, length=6.0)
+                colour, weight, left = oracle.ray_samples(field, density, sh, origins[row, column],
+                                                          directions[row, column], field.step, length=6.0)
+                rgb = weight @ colour + left * np.array(background)
                 total += ((rgb - image[row, column]) ** 2).sum()
+                total += spread * weight @ ((colour - image[row, column]) ** 2).sum(axis=1)
         return total * scale
 
-    assert abs(error.numpy().sum() * scale - loss(density, sh)) < 1e-5
+    assert abs(error.sum() * scale - loss(density, sh, 0.0)) < 1e-5
     links = field.grid.links.numpy()
     nodes = random.permutation(np.argwhere(links >= 0))[:6]
-    largest = np.abs(grad_density.numpy()).max()
-    for node in map(tuple, nodes):
-        difference = []
-        for sign in (1, -1):
-            changed = density.copy()
-            changed[node] += sign * 1e-4
-            difference.append(loss(changed, sh))
-        expected = (difference[0] - difference[1]) / 2e-4
-        assert abs(grad_density.numpy()[links[node]] - expected) < 1e-3 * largest + 1e-3 * abs(expected)
-    largest = np.abs(grad_sh.numpy()).max()
-    for node in map(tuple, nodes[:3]):
-        b, channel = random.integers(9), random.integers(3)
-        difference = []
-        for sign in (1, -1):
-            changed = sh.copy()
-            changed[(*node, b, channel)] += sign * 1e-4
-            difference.append(loss(density, changed))
-        expected = (difference[0] - difference[1]) / 2e-4
-        assert abs(grad_sh.numpy()[links[node], channel, b] - expected) < 1e-3 * largest + 1e-3 * abs(expected)
+    for values, choices in ((density, [()] * 6), (sh, [(random.integers(9), random.integers(3)) for _ in range(3)])):
+        for node, choice in zip(map(tuple, nodes), choices, strict=False):
+            number = 27 if choice == () else 9 * choice[1] + choice[0]
+            difference = []
+            for sign in (1, -1):
+                changed = values.copy()
+                changed[(*node, *choice)] += sign * 1e-4
+                difference.append(loss(changed, sh) if values is density else loss(density, changed))
+            expected = (difference[0] - difference[1]) / 2e-4
+            largest = np.abs(gradients[:, 27] if choice == () else gradients[:, :27]).max()
+            assert abs(gradients[links[node], number] - expected) < 1e-3 * largest + 1e-3 * abs(expected)
+
+
+def test_gradient_by_warps_is_the_same(device):
+    if device == "cpu":
+        pytest.skip("warp shuffles: CUDA only")
+    field, _, _ = oracle.random_field(device, resolution=(40, 36, 44), keep=0.6, density_scale=1.5)
+    cameras = [warpcage.Camera.look_at(eye, [0, 0, 0.3], fov_degrees=60, width=7, height=5)
+               for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2], [0.1, 0.2, 0.3])]
+    random = np.random.default_rng(0)
+    rays = training_rays(cameras, random.random((3, 5, 7, 3)), random.random((3, 5, 7)), field, device)
+    how = {"random_background": 1, "jitter": 1, "seed": 5, "stop": 1e-4, "spread": 0.3}
+    expected, expected_error = photometric_gradient(field, rays, 144, **how)
+    found, found_error = photometric_gradient(field, rays, 144, by_warps=True, **how)
+    np.testing.assert_allclose(found_error, expected_error, atol=2e-4)
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max(axis=0))
+
+
+def test_jitter_moves_the_samples(device):
+    field, _, _ = oracle.random_field(device)
+    camera = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=8, height=6)
+    rays = training_rays([camera], np.full((1, 6, 8, 3), 0.5), np.ones((1, 6, 8)), field, device)
+    still = photometric_gradient(field, rays, 48, seed=1)[1]
+    np.testing.assert_array_equal(photometric_gradient(field, rays, 48, seed=2)[1], still)
+    moved = [photometric_gradient(field, rays, 48, jitter=1, seed=seed)[1] for seed in range(1, 200)]
+    assert np.std(moved, axis=0).mean() > 0
+    # by chance on both sides of where they lie without
+    assert 0.1 < np.mean(np.array(moved)[:, still > 0] > still[still > 0]) < 0.9
 
 
 def test_random_backgrounds_reward_the_right_alpha(device):
@@ -90,12 +122,8 @@ def test_random_backgrounds_reward_the_right_alpha(device):
     seen = frame.rgb + (1 - frame.alpha[..., None])  # composited on white
     for alphas, right in ((frame.alpha, True), (0.5 * frame.alpha, False)):
         rays = training_rays(cameras, seen[None] if right else (seen - 1 + 1)[None], alphas[None], field, device)
-        error = wp.zeros(48, dtype=wp.float32, device=device)
-        wp.launch(field_loss.accumulate_photometric_gradient, dim=48, device=device, block_dim=64,
-                  inputs=[0, field.grid, rays, wp.vec3(1.0, 1.0, 1.0), 1, 7, field.step, 1e-3, 1.0],
-                  outputs=[wp.zeros(field.voxel_count, dtype=wp.float32, device=device),
-                           wp.zeros((field.voxel_count, 3), dtype=vec9, device=device), error])
-        assert (error.numpy().mean() < 1e-5) == right
+        error = photometric_gradient(field, rays, 48, random_background=1, seed=7, stop=1e-3)[1]
+        assert (error.mean() < 1e-5) == right
 
 
 def test_variation_gradient_matches_finite_differences(device):
@@ -103,12 +131,12 @@ def test_variation_gradient_matches_finite_differences(device):
     links = field.grid.links.numpy()
     nodes = np.argwhere(links >= 0).astype(np.int32)
     rows = field.voxel_count
-    grad_density = wp.zeros(rows, dtype=wp.float32, device=device)
-    grad_sh = wp.zeros((rows, 3), dtype=vec9, device=device)
+    gradients = wp.zeros((rows, 28), dtype=wp.float32, device=device)
     unit, scale_density, scale_sh = 0.7, 0.3, 0.2
-    wp.launch(field_loss.accumulate_variation_gradient, dim=3 * rows, device=device,
-              inputs=[0, field.grid, wp.array(nodes, dtype=wp.vec3i, device=device), 3, unit, scale_density, scale_sh],
-              outputs=[grad_density, grad_sh])
+    wp.launch(field_variation.accumulate_variation_gradient, dim=28 * rows, device=device,
+              inputs=[0, field.grid, coefficient_rows(field.grid.sh), wp.array(nodes, dtype=wp.vec3i, device=device), 3,
+                      unit, scale_density, scale_sh], outputs=[gradients])
+    gradients = gradients.numpy()
 
     def variation(values):  # values (nx, ny, nz, c): differences to nodes without a row count as zero
         total = 0.0
@@ -125,8 +153,8 @@ def test_variation_gradient_matches_finite_differences(device):
     for row in (0, rows // 2, rows - 1):
         node = tuple(nodes[row])
         for values, gradient, scale, index in (
-            (density[..., None] / unit, grad_density.numpy()[row], scale_density / unit, 0),
-            (sh.reshape(*links.shape, 27), grad_sh.numpy()[row].T.reshape(27)[14], scale_sh, 14),
+            (density[..., None] / unit, gradients[row, 27], scale_density / unit, 0),
+            (sh.reshape(*links.shape, 27), gradients[row, 9 * (14 % 3) + 14 // 3], scale_sh, 14),
         ):
             difference = []
             for sign in (1, -1):
@@ -138,19 +166,24 @@ def test_variation_gradient_matches_finite_differences(device):
 
 def test_rmsprop_step_matches_numpy(device):
     random = np.random.default_rng(0)
-    values, moments = random.normal(size=300), np.zeros(300)
-    held_values, held_moments = (wp.array(v.astype(np.float32), device=device) for v in (values, moments))
+    values, moments = random.normal(size=(12, 28)), np.zeros((12, 28))
+    density = wp.array(values[:, 27].astype(np.float32), device=device)
+    coefficients = wp.array(values[:, :27].astype(np.float32), device=device)
+    held_moments = wp.zeros((12, 28), dtype=wp.bfloat16, device=device)
+    rates = np.full(28, 0.2)
+    rates[0:27:9], rates[27] = 0.5, 0.7
     for _ in range(3):
-        g = np.where(random.random(300) < 0.3, 0.0, random.normal(size=300))
+        g = np.where(random.random((12, 28)) < 0.3, 0.0, random.normal(size=(12, 28)))
         gradients = wp.array(g.astype(np.float32), device=device)
-        wp.launch(field_step.apply_rmsprop, dim=300, device=device,
-                  inputs=[0, 0.5, 0.9, 1e-12, gradients, held_moments], outputs=[held_values])
+        wp.launch(field_step.apply_rmsprop, dim=12 * 28, device=device,
+                  inputs=[0, 0.7, 0.5, 0.2, 0.9, 1e-12, 1e-12, gradients, held_moments],
+                  outputs=[density, coefficients])
         assert not gradients.numpy().any()
         v = np.where(moments == 0, g * g, 0.9 * moments + 0.1 * g * g)
         moments = np.where(g != 0, v, moments)
-        values -= np.where(g != 0, 0.5 * g / (np.sqrt(np.where(v > 0, v, 1)) + 1e-12), 0)
-    np.testing.assert_allclose(held_values.numpy(), values, atol=1e-5)
-    np.testing.assert_allclose(held_moments.numpy(), moments, atol=1e-5)
+        values -= np.where(g != 0, rates * g / (np.sqrt(np.where(v > 0, v, 1)) + 1e-12), 0)
+    np.testing.assert_allclose(coefficients.numpy(), values[:, :27], atol=1e-2)
+    np.testing.assert_allclose(density.numpy(), values[:, 27], atol=1e-2)
 
 
 def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=True, device=None):

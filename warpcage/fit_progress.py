@@ -14,7 +14,7 @@ from .archives import read_npz, require_numbers
 from .files import atomic_path
 from .kernels.spherical_harmonics import vec9
 
-VERSION = 1
+VERSION = 2
 
 
 def require_writable(path) -> pathlib.Path:
@@ -26,10 +26,7 @@ def require_writable(path) -> pathlib.Path:
 
 
 def save_progress(optimizer, path) -> None:
-    """Write what a FieldOptimizer has reached, atomically: voxels, values, second moments, order of the pixels.
-
-    Second moments are kept as the float16 logarithm, good to 2 %: they only scale steps.
-    """
+    """Write what a FieldOptimizer has reached, atomically: voxels, values, second moments, order of the pixels."""
     grid = optimizer.field.grid
     occupied = grid.links.numpy() >= 0
     contents = {
@@ -45,8 +42,7 @@ def save_progress(optimizer, path) -> None:
         "density": grid.density.numpy(),
         "sh": grid.sh.numpy(),
         "tiles": optimizer.rays.tiles.numpy(),
-        "moment_density": _log_half(optimizer.moments[0].numpy()),
-        "moment_sh": _log_half(optimizer.moments[1].numpy()),
+        "moments": moment_bits(optimizer.moments).numpy(),
     }
     with atomic_path(path) as temporary:
         np.savez(temporary, **contents)
@@ -83,10 +79,10 @@ def _restore(optimizer, contents: dict, path) -> None:
     packed = require_numbers(contents, "occupancy", (-(-math.prod(shape) // 8),), path)
     occupied = np.unpackbits(packed, count=math.prod(shape)).reshape(shape)
     rows = int(occupied.sum())
-    density, moment_density = (require_numbers(contents, name, (rows,), path) for name in ("density", "moment_density"))
-    sh, moment_sh = (require_numbers(contents, name, (rows, 3, 9), path) for name in ("sh", "moment_sh"))
-    moments = [_exp_half(moment_density), _exp_half(moment_sh)]
-    if not all(np.isfinite(values).all() for values in (density, sh, *moments)):
+    density = require_numbers(contents, "density", (rows,), path)
+    sh = require_numbers(contents, "sh", (rows, 3, 9), path)
+    moments = require_numbers(contents, "moments", (rows, 28), path).astype(np.uint16)
+    if not all(np.isfinite(values).all() for values in (density, sh)) or (moments & 0x7F80 == 0x7F80).any():
         raise ValueError("values that are not finite")
     tiles = require_numbers(contents, "tiles", (None,), path)
 
@@ -98,8 +94,7 @@ def _restore(optimizer, contents: dict, path) -> None:
     for target, values, dtype in (
         (optimizer.field.grid.density, density, wp.float32),
         (optimizer.field.grid.sh, sh, vec9),
-        (optimizer.moments[0], moments[0], wp.float32),
-        (optimizer.moments[1], moments[1], vec9),
+        (moment_bits(optimizer.moments), moments, wp.uint16),
     ):
         target.assign(wp.array(values, dtype=dtype, device=optimizer.device))
     optimizer.step_count, optimizer.level = int(state["step_count"]), level
@@ -122,10 +117,6 @@ def fingerprint(optimizer) -> str:
     return digest.hexdigest()
 
 
-def _log_half(moments: np.ndarray) -> np.ndarray:
-    with np.errstate(divide="ignore"):
-        return np.log2(moments).astype(np.float16)
-
-
-def _exp_half(logarithms: np.ndarray) -> np.ndarray:
-    return np.exp2(logarithms.astype(np.float32))
+def moment_bits(moments: wp.array) -> wp.array:
+    """bfloat16 numbers as their bits, without a copy: NumPy has no such type."""
+    return wp.array(ptr=moments.ptr, dtype=wp.uint16, shape=moments.shape, device=moments.device, copy=False)

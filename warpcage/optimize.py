@@ -12,7 +12,7 @@ import warp as wp
 from .bounds import Silhouettes, camera_array, scene_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
 from .field import VoxelField, checked_bounds, field_from_mask
-from .kernels import field_loss, field_step, grid_refine
+from .kernels import field_loss, field_loss_warps, field_step, field_variation, grid_refine
 from .kernels.spherical_harmonics import vec9
 from .kernels.volume_render import record_weights
 from .scene import Scene
@@ -21,8 +21,12 @@ from .sparse_grid import link_mask
 #: Training marches stop later than renders: what is behind must still learn that it is hidden.
 STOP_TRANSMITTANCE = 1e-4
 
-#: Threads a block of the kernels that hold many registers: small blocks spread more evenly over the processors.
-BLOCK_DIM = 64
+#: Threads a ray, and a block, of the photometric gradient on CUDA.
+WARP_LANES = 32
+BLOCK_DIM = 128
+
+#: Numbers of a gradient's row: 27 coefficients, red first, then the density.
+ROW_NUMBERS = 28
 
 #: A CPU thread's own gradients are worth their memory up to this many.
 MAX_SHARDS = 8
@@ -44,7 +48,10 @@ class FitOptions:
     rate_density_end: float = 0.0125
     rate_sh: float = 3e-2
     rate_sh_end: float = 1.5e-3
+    directional: float = 1.0  #: rate of the coefficients that tell directions apart, over that of the constant ones
     beta: float = 0.95  #: RMSProp's decay
+    jitter: bool = False  #: move a ray's samples by up to half a step
+    spread: float = 0.0  #: how much the samples that make a pixel must each have its colour
     variation_density: float = 1e-5  #: total variation of density (per half extent) a voxel of the box
     variation_sh: float = 1e-3
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
@@ -77,7 +84,8 @@ OPTION_RANGES = {
     "keep_at": (0.0, 1.0, float, False),
     "beta": (0.0, 1.0 - 1e-6, float, False),
     **{name: (1e-9, 1e9, float, False) for name in ("footprint", "level_growth", "epochs", "rate_density",
-                                                    "rate_density_end", "rate_sh", "rate_sh_end")},
+                                                    "rate_density_end", "rate_sh", "rate_sh_end",
+                                                    "directional")},
 }
 
 
@@ -191,14 +199,9 @@ class FieldOptimizer:
         self.field = field
 
     def _allocate_state(self) -> None:
-        rows = self.field.voxel_count
-
-        def zeros():
-            return (wp.zeros(rows, dtype=wp.float32, device=self.device),
-                    wp.zeros((rows, 3), dtype=vec9, device=self.device))
-
-        self.gradients = [zeros() for _ in range(self.shards)]
-        self.moments = zeros()
+        shape = (self.field.voxel_count, ROW_NUMBERS)
+        self.gradients = [wp.zeros(shape, dtype=wp.float32, device=self.device) for _ in range(self.shards)]
+        self.moments = wp.zeros(shape, dtype=wp.bfloat16, device=self.device)
 
     def _activate_tiles(self) -> None:
         active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
@@ -273,9 +276,7 @@ class FieldOptimizer:
         self._start_level(self._pruned_mask(self.options.keep_weight), before)
         self._allocate_state()
         self._activate_tiles()
-        grid = before.grid
-        grid.density, grid.sh = moments
-        launch(grid_refine.resample_rows, self.field.voxel_count, [grid, 1, self.nodes], list(self.moments),
+        launch(field_step.gather_moments, self.moments.size, [before.grid.links, self.nodes, moments], [self.moments],
                device=self.device)
 
     # Steps
@@ -303,44 +304,55 @@ class FieldOptimizer:
     def _accumulate_gradients(self) -> None:
         options, field = self.options, self.field
         random_background = int(options.random_background and self.scene.alphas is not None)
-        photometric = [field.grid, self.rays, wp.vec3(*map(float, field.background)), random_background,
+        photometric = [self.rays, wp.vec3(*map(float, field.background)), random_background, int(options.jitter),
                        (self.seed * 1_000_003 + self.step_count) % (2**31 - 1), field.step, STOP_TRANSMITTANCE,
-                       1.0 / (3.0 * self.batch_rays)]
+                       1.0 / (3.0 * self.batch_rays), options.spread]
         cells = float(np.prod(field.resolution))
         scale = max(field.resolution) / 256.0
         variation_rows = max(1, int(options.variation_share * field.voxel_count))
         boost = field.voxel_count / variation_rows / cells * scale
         first_row = int(self.random.integers(field.voxel_count))
         unit = 1.0 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
-        variation = [field.grid, self.nodes, first_row, unit, options.variation_density * boost,
+        coefficients = coefficient_rows(field.grid.sh)
+        if not self.device.is_cpu:
+            launch(field_loss_warps.accumulate_photometric_gradient_by_warps, WARP_LANES * self.batch_rays,
+                   [field.grid, coefficients, *photometric], [self.gradients[0], self.squared_error],
+                   device=self.device, block_dim=BLOCK_DIM)
+        vary = options.variation_density > 0 or options.variation_sh > 0
+        variation = [field.grid, coefficients, self.nodes, first_row, unit, options.variation_density * boost,
                      options.variation_sh * boost]
 
         def shard(index: int) -> None:
-            grad_density, grad_sh = self.gradients[index]
+            gradients = self.gradients[index]
             begin, end = (self.batch_rays * i // self.shards for i in (index, index + 1))
-            wp.launch(field_loss.accumulate_photometric_gradient, dim=end - begin, inputs=[begin, *photometric],
-                      outputs=[grad_density, grad_sh, self.squared_error], device=self.device, block_dim=BLOCK_DIM)
-            begin, end = (3 * (variation_rows * i // self.shards) for i in (index, index + 1))
-            if end > begin and (options.variation_density > 0 or options.variation_sh > 0):
-                wp.launch(field_loss.accumulate_variation_gradient, dim=end - begin, inputs=[begin, *variation],
-                          outputs=[grad_density, grad_sh], device=self.device, block_dim=BLOCK_DIM)
+            if self.device.is_cpu:
+                wp.launch(field_loss.accumulate_photometric_gradient, dim=end - begin,
+                          inputs=[begin, field.grid, *photometric],
+                          outputs=[*gradient_parts(gradients), self.squared_error], device=self.device)
+            begin, end = (ROW_NUMBERS * (variation_rows * i // self.shards) for i in (index, index + 1))
+            if end > begin and vary:
+                wp.launch(field_variation.accumulate_variation_gradient, dim=end - begin, inputs=[begin, *variation],
+                          outputs=[gradients], device=self.device)
 
-        wp.load_module(field_loss, device=self.device)
+        if self.device.is_cpu:  # before the threads, so that each is compiled once
+            wp.load_module(field_loss, device=self.device)
+            wp.load_module(field_variation, device=self.device)
         run_parallel([lambda i=i: shard(i) for i in range(self.shards)], self.shards)
 
     def _apply_gradients(self) -> None:
         options, field = self.options, self.field
         progress = self.step_count / max(1, self.total_steps - 1)
         voxel = float(field.voxel_size.max())
-        rates = (_log_interpolate(options.rate_density, options.rate_density_end, progress) / voxel,
-                 _log_interpolate(options.rate_sh, options.rate_sh_end, progress))
-        epsilons = (1e-12 * voxel, 1e-12)  # a density's gradient is a length
-        for index, values in enumerate((field.grid.density, field.grid.sh)):
-            total, *others = (_flat(gradients[index]) for gradients in self.gradients)
-            for other in others:
-                launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
-            inputs = [rates[index], options.beta, epsilons[index], total, _flat(self.moments[index])]
-            launch(field_step.apply_rmsprop, total.size, inputs, [_flat(values)], device=self.device)
+        rate_density = _log_interpolate(options.rate_density, options.rate_density_end, progress) / voxel
+        rate_sh = _log_interpolate(options.rate_sh, options.rate_sh_end, progress)
+        total, *others = (gradients.flatten() for gradients in self.gradients)
+        for other in others:
+            launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
+        inputs = [rate_density, rate_sh, options.directional * rate_sh, options.beta,
+                  1e-12 * voxel, 1e-12,  # a density's gradient is a length
+                  self.gradients[0], self.moments]
+        launch(field_step.apply_rmsprop, total.size, inputs, [field.grid.density, coefficient_rows(field.grid.sh)],
+               device=self.device)
 
     def measure_psnr(self) -> float:
         """PSNR in dB of the last batch, over all pixels of the images: those that see no voxel count as right."""
@@ -401,10 +413,19 @@ def fit(scene: Scene, *, quality: str = "standard", device=None, seed: int = 0, 
     return field
 
 
-def _flat(array: wp.array) -> wp.array:
-    """The numbers of an array of vectors, one after another, without a copy."""
-    count = array.size * (9 if array.dtype == vec9 else 1)
-    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=count, device=array.device, copy=False)
+def coefficient_rows(sh: wp.array) -> wp.array:
+    """Coefficients (rows, 3) of vec9 as numbers (rows, 27), without a copy."""
+    return wp.array(ptr=sh.ptr, dtype=wp.float32, shape=(sh.shape[0], 27), device=sh.device, copy=False)
+
+
+def gradient_parts(gradients: wp.array) -> tuple[wp.array, wp.array]:
+    """The densities (rows,) and the coefficients (rows, 3) of vec9 of gradients (rows, 28), without a copy."""
+    rows, stride = gradients.shape[0], gradients.strides[0]
+    density = wp.array(ptr=gradients.ptr + 27 * 4, dtype=wp.float32, shape=rows, strides=(stride,),
+                       device=gradients.device, copy=False)
+    sh = wp.array(ptr=gradients.ptr, dtype=vec9, shape=(rows, 3), strides=(stride, 36), device=gradients.device,
+                  copy=False)
+    return density, sh
 
 
 def _log_interpolate(start: float, end: float, progress: float) -> float:
