@@ -1,7 +1,8 @@
 """Shrink what depends on the view: decoupled decay of the SH coefficients of degree 1 and up.
 
-k_lm <- factor k_lm for l >= 1 (Loshchilov and Hutter 2019, weight decay apart from the gradient step). A surface that few
-views saw takes a colour of its own for each of them otherwise. Siblings: spherical_harmonics.
+k_lm <- factor k_lm for l >= 1 (Loshchilov and Hutter 2019, weight decay apart from the gradient step). A surface that
+few views saw takes a colour of its own for each of them otherwise.
+Siblings: spherical_harmonics.
 """
 
 import warp as wp

@@ -174,3 +174,11 @@ def test_cameras_inside_what_they_see(bounds):
     field = fit(scene, bounds=bounds, **{**QUICK, "epochs": 40})
     assert mean_psnr(evaluate(field, scene)) > 20
     assert np.isfinite(field.render(cameras[0]).rgb).all()
+
+
+@pytest.mark.parametrize("alpha", [True, False])
+def test_images_of_one_pixel(alpha):
+    """Each step is a pass over them all, and the default has steps enough."""
+    scene = seen(around(8, size=1), alpha=alpha)
+    field = fit(scene, resolution=16, progress=False)
+    assert mean_psnr(evaluate(field, scene)) > 20

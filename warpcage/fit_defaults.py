@@ -7,6 +7,9 @@ import numpy as np
 #: Pixels a voxel at which FitOptions' regularisers hold as they stand: 87 views of 800x800 on 512 voxels a side.
 PLENTY = 160.0
 
+#: How the variations' weights follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
+DENSITY_POWER, SH_POWER = 4.0 / 3.0, 2.0 / 3.0
+
 #: Regularisers grow at most by this much: what no view tells, no smoothing finds.
 MOST_SCARCE = 32.0
 

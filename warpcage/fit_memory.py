@@ -17,6 +17,9 @@ FREE_SHARE = 0.9
 #: A level is refined in steps of this factor of its resolution; below the smallest it is not worth its time.
 FACTOR_STEP, SMALLEST_FACTOR = 1.0 / 16.0, 1.125
 
+#: Voxels along the longest side under which a first level says nothing.
+SMALLEST_LEVEL = 8
+
 #: Where the factor is no whole number, a voxel may become a few more than its cube, or less.
 ROUNDING = 1.05
 
@@ -103,6 +106,19 @@ class FitMemory:
         return cls(totals["fixed"], totals["node"] / nodes, field_totals["node"] / nodes, totals["row"] / rows,
                    field_totals["row"] / rows, optimizer.shards)
 
+    def first_shapes(self, shapes, rows: int, limit: int) -> tuple[list, bool]:
+        """The levels' shapes, made coarser where the first, of `rows`, would not fit into `limit` bytes, and whether
+        it does. Raises ValueError where nothing worth the name would."""
+        needed = self.level_bytes(rows, shapes[0])
+        if needed <= limit:
+            return list(shapes), True
+        factor = 0.9 * max((limit - self.fixed) / (needed - self.fixed), 0.0) ** (1 / 3)
+        coarser = [scaled_shape(shape, factor) for shape in shapes]
+        if max(coarser[0]) < SMALLEST_LEVEL:
+            raise ValueError(f"a fit within {_text(limit)} (max_memory) is not possible: the images take "
+                             f"{_text(self.fixed)}, the coarsest level {_text(needed - self.fixed)}")
+        return coarser, False
+
     def level_bytes(self, rows: int, shape) -> int:
         """At most what a level takes while it is optimised and pruned."""
         nodes = math.prod(shape)
@@ -147,8 +163,12 @@ def require_image_memory(size: int, limit: int) -> None:
     """Raise ValueError where the images alone do not fit, with the factor by which to shrink them."""
     if size > limit:
         factor = math.ceil(math.sqrt(size / (0.5 * limit)))
-        raise ValueError(f"the images take {size / 1e9:.3g} GB of device memory, the fit may take {limit / 1e9:.3g} GB: "
-                         f"load them with downscale={factor} or give max_memory")
+        raise ValueError(f"the images take {_text(size)} of device memory and the fit may take {_text(limit)} "
+                         f"(max_memory): load them with downscale={factor}, or fewer of them")
+
+
+def _text(size: float) -> str:
+    return f"{size / 1e9:.2f} GB" if size >= 1e8 else f"{size / 1e6:.2f} MB"
 
 
 def _growth(array: wp.array, rows: int, shape) -> str:

@@ -12,8 +12,11 @@ import warp as wp
 from .bounds import Silhouettes, camera_array, scene_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
 from .field import VoxelField, checked_bounds, field_from_mask
+from .fit_defaults import DENSITY_POWER, SH_POWER, pixel_size, scarcity
+from .fit_memory import FitMemory, array_bytes, device_arrays, memory_limit, memory_size, require_image_memory
 from .kernels import field_loss, field_loss_warps, field_step, field_variation, grid_refine
 from .kernels.spherical_harmonics import vec9
+from .kernels.view_dependence import shrink_view_dependence
 from .kernels.volume_render import record_weights
 from .scene import Scene
 from .sparse_grid import link_mask
@@ -27,6 +30,9 @@ BLOCK_DIM = 128
 
 #: Numbers of a gradient's row: 27 coefficients, red first, then the density.
 ROW_NUMBERS = 28
+
+#: Steps from one pass over the SH coefficients that shrinks them to the next.
+SHRINK_EVERY = 4
 
 #: A CPU thread's own gradients are worth their memory up to this many.
 MAX_SHARDS = 8
@@ -42,6 +48,7 @@ class FitOptions:
     levels: int = 3  #: the resolution doubles from level to level
     level_growth: float = 2.2  #: each level gets this many times the rays of the one before
     epochs: float = 8.0  #: passes over the pixels that see the object
+    least_steps: int = 600  #: steps that a fit takes even so, where `epochs` is not given: few pixels are soon through
     batch_rays: int | None = None  #: None follows the number of pixels
     tile_size: int = 2  #: a batch is made of square tiles of this many pixels, neighbours share voxels
     rate_density: float = 0.25  #: first learning rate, in optical depth a voxel of the level
@@ -52,13 +59,18 @@ class FitOptions:
     beta: float = 0.95  #: RMSProp's decay
     jitter: bool = False  #: move a ray's samples by up to half a step
     spread: float = 0.0  #: how much the samples that make a pixel must each have its colour
+    scarcity: float | None = None  #: factor of the variations and the shrinkage; None follows how few pixels see a
+    #: voxel (see fit_defaults)
     variation_density: float = 1e-5  #: total variation of density (per half extent) a voxel of the box
     variation_sh: float = 1e-3
+    shrink_sh: float = 0.06  #: decay of SH of degree 1 and up, relative to a step of rate_sh, where views are scarce
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
     keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
     #: this rendering weight
     keep_at: float = 0.4  #: share of the last level's steps after which that happens first
+    max_memory: int | str | None = None  #: bytes, or "4GB", that the fit may take on its device, images included; None
+    #: is most of what is free. Where it is short the last levels are refined less far
     random_background: bool = True  #: supervise opacity with random backgrounds where the images have alpha
 
 
@@ -66,7 +78,7 @@ class FitOptions:
 QUALITIES = {
     "fast": {"epochs": 4.0},
     "standard": {},
-    "high": {"epochs": 16.0, "max_resolution": 720, "variation_density": 2e-5, "variation_sh": 2e-3},
+    "high": {"epochs": 16.0, "max_resolution": 720},
 }
 
 #: name -> smallest, largest, kind, whether None will do
@@ -74,10 +86,13 @@ OPTION_RANGES = {
     "resolution": (8, 2048, int, True),
     "max_resolution": (8, 2048, int, False),
     "levels": (1, 6, int, False),
+    "least_steps": (0, 2**24, int, False),
     "batch_rays": (1, 2**24, int, True),
     "tile_size": (1, 64, int, False),
+    "scarcity": (0.0, 1e6, float, True),
     "variation_density": (0.0, 1e3, float, False),
     "variation_sh": (0.0, 1e3, float, False),
+    "shrink_sh": (0.0, 1e3, float, False),
     "variation_share": (1e-6, 1.0, float, False),
     "prune_weight": (0.0, 1e3, float, False),
     "keep_weight": (0.0, 1.0, float, False),
@@ -113,6 +128,7 @@ class FieldOptimizer:
         self.step_count = 0
         self.level = 0
         self.shards = min(CPU_THREADS, MAX_SHARDS) if self.device.is_cpu else 1
+        self.memory_limit = memory_limit(self.options.max_memory, self.device)
 
         self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
@@ -121,7 +137,7 @@ class FieldOptimizer:
                 bounds = self._silhouettes.bound(bounds)
         self._choose_grid(checked_bounds(bounds))
         self._upload_images()
-        self._start_level(self._initial_mask(), None)
+        self._start_level(self._first_mask(), None)
         self._allocate_state()
         self._activate_tiles()
         self._plan()
@@ -135,12 +151,13 @@ class FieldOptimizer:
         longest = float(extent.max())
         resolution = options.resolution
         if resolution is None:
-            centre = box.mean(axis=0)
-            pixel = np.median([np.linalg.norm(c.centre - centre) / c.fx for c in self.scene.cameras])
+            pixel = pixel_size(self.scene.cameras, box.mean(axis=0))
             resolution = int(np.clip(math.ceil(longest / (options.footprint * pixel)), 32, options.max_resolution))
         unit = 2 ** (options.levels - 1)
         voxel = longest / resolution
         shape = np.maximum(1, np.ceil(extent / voxel / unit - 1e-6).astype(int)) * unit
+        scarce = options.scarcity
+        self.scarcity = scarcity(self.scene.cameras, box.mean(axis=0), voxel) if scarce is None else scarce
         half = 0.5 * shape * voxel
         self.bounds = np.stack([box.mean(axis=0) - half, box.mean(axis=0) + half])
         self.shapes = [tuple(int(n) for n in shape // 2 ** (options.levels - 1 - i)) for i in range(options.levels)]
@@ -158,6 +175,7 @@ class FieldOptimizer:
         run_parallel([lambda parts=parts: pack(*parts) for parts in zip(pixels, scene.images, alphas, strict=True)])
         rays = field_loss.TrainingRays()
         rays.cameras = camera_array(scene.cameras, self.bounds.mean(axis=0), self.device)
+        require_image_memory(pixels.nbytes + array_bytes(device_arrays(self)), self.memory_limit)
         rays.pixels = wp.array(pixels, dtype=wp.vec4h, device=self.device)
         rays.tile_size = self.options.tile_size
         self.rays = rays
@@ -165,36 +183,47 @@ class FieldOptimizer:
         self.tile_total = count * -(-height // size) * -(-width // size)
         batch = self.options.batch_rays or int(np.clip(count * height * width // 128, 4096, 65536))
         self.batch_tiles = max(1, batch // size**2)
-        self.batch_rays = self.batch_tiles * size**2
-        self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
 
-    def _initial_mask(self) -> wp.array:
-        if self._silhouettes is None:
-            return wp.ones(self.shapes[0], dtype=wp.int32, device=self.device)
-        mask = self._silhouettes.carve(self.bounds, self.shapes[0])
-        self._silhouettes = None  # its tables are as large as the images
-        if not mask.numpy().any():
-            raise ValueError("no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas")
-        return self._dilated(mask)
+    def _first_mask(self) -> wp.array:
+        """Voxels of the first level, which is made coarser where its memory would not do."""
+        silhouettes, self._silhouettes = self._silhouettes, None  # its tables are as large as the images
+        self._start_level(wp.ones((2, 2, 2), dtype=wp.int32, device=self.device), None)
+        self._allocate_state()
+        memory = FitMemory.of(self)  # what a node and a row take
+        while True:
+            if silhouettes is None:
+                mask = wp.ones(self.shapes[0], dtype=wp.int32, device=self.device)
+            else:
+                mask = silhouettes.carve(self.bounds, self.shapes[0])
+                if not mask.numpy().any():
+                    raise ValueError("no voxel of the bounds lies inside all silhouettes: check bounds, cameras and "
+                                     "alphas")
+                mask = self._dilated(mask)
+            self.shapes, fits = memory.first_shapes(self.shapes, int(mask.numpy().sum()), self.memory_limit)
+            if fits:
+                return mask
 
     def _plan(self) -> None:
         options = self.options
+        self.batch_tiles = min(self.batch_tiles, self.active_tiles)
+        self.batch_rays = self.batch_tiles * options.tile_size**2
+        self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
         shares = options.level_growth ** np.arange(options.levels)
         shares = shares / shares.sum()
-        steps = options.epochs * self.active_tiles / self.batch_tiles
+        steps = max(options.epochs * self.active_tiles / self.batch_tiles, options.least_steps)
         self.level_steps = [max(1, round(float(share) * steps)) for share in shares]
         self.total_steps = sum(self.level_steps)
 
     # Levels
 
-    def _start_level(self, mask: wp.array, coarse: VoxelField | None, factor: int = 1) -> None:
+    def _start_level(self, mask: wp.array, coarse: VoxelField | None) -> None:
         """A field of the rows of a mask, filled from a coarser one where there is one. What the optimiser held goes."""
         self.gradients = self.moments = None
         start_density = 0.1 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
         field, self.nodes = field_from_mask(self.bounds, mask, start_density, background=self.scene.background,
                                             device=self.device)
         if coarse is not None:
-            launch(grid_refine.resample_rows, field.voxel_count, [coarse.grid, factor, self.nodes],
+            launch(grid_refine.resample_rows, field.voxel_count, [coarse.grid, _ratio(field, coarse), self.nodes],
                    [field.grid.density, field.grid.sh], device=self.device)
         self.field = field
 
@@ -255,12 +284,19 @@ class FieldOptimizer:
         return mask
 
     def _refine(self) -> None:
-        """On to the next level: prune, halve the voxels, interpolate."""
+        """On to the next level: prune, halve the voxels, interpolate; less where the memory would not do."""
         self.level += 1
-        pruned = self._pruned_mask(self.options.prune_weight / max(self.field.resolution))
-        mask = wp.empty(self.shapes[self.level], dtype=wp.int32, device=self.device)
-        launch(grid_refine.refine_mask, mask.size, [2, pruned], [mask], device=self.device)
-        self._start_level(mask, self.field, 2)
+        coarse = self.field.resolution
+        pruned = self._pruned_mask(self.options.prune_weight / max(coarse))
+        shape = FitMemory.of(self).refinement(self.field.voxel_count, int(pruned.numpy().sum()), coarse,
+                                              self.shapes[self.level], self.memory_limit)
+        self.shapes[self.level] = coarse if shape is None else shape
+        if shape is None:
+            return
+        mask = wp.empty(shape, dtype=wp.int32, device=self.device)
+        ratio = wp.vec3(*(n / m for n, m in zip(shape, coarse, strict=True)))
+        launch(grid_refine.refine_mask, mask.size, [ratio, pruned], [mask], device=self.device)
+        self._start_level(mask, self.field)
         self._allocate_state()
         self._activate_tiles()
 
@@ -273,7 +309,12 @@ class FieldOptimizer:
     def _thin_out(self) -> None:
         """Drop what no view shows, and keep the optimiser's state of the rest."""
         before, moments = self.field, self.moments
-        self._start_level(self._pruned_mask(self.options.keep_weight), before)
+        mask = self._pruned_mask(self.options.keep_weight)
+        needed = FitMemory.of(self).thinning_bytes(before.voxel_count, int(mask.numpy().sum()), before.resolution,
+                                                   array_bytes(device_arrays(moments)) / before.voxel_count)
+        if needed > self.memory_limit:
+            return
+        self._start_level(mask, before)
         self._allocate_state()
         self._activate_tiles()
         launch(field_step.gather_moments, self.moments.size, [before.grid.links, self.nodes, moments], [self.moments],
@@ -319,8 +360,8 @@ class FieldOptimizer:
                    [field.grid, coefficients, *photometric], [self.gradients[0], self.squared_error],
                    device=self.device, block_dim=BLOCK_DIM)
         vary = options.variation_density > 0 or options.variation_sh > 0
-        variation = [field.grid, coefficients, self.nodes, first_row, unit, options.variation_density * boost,
-                     options.variation_sh * boost]
+        variation = [field.grid, coefficients, self.nodes, first_row, unit, options.variation_density * boost
+                     * self.scarcity**DENSITY_POWER, options.variation_sh * boost * self.scarcity**SH_POWER]
 
         def shard(index: int) -> None:
             gradients = self.gradients[index]
@@ -353,6 +394,9 @@ class FieldOptimizer:
                   self.gradients[0], self.moments]
         launch(field_step.apply_rmsprop, total.size, inputs, [field.grid.density, coefficient_rows(field.grid.sh)],
                device=self.device)
+        if self.scarcity > 1 and options.shrink_sh > 0 and self.step_count % SHRINK_EVERY == 0:
+            kept = max(0.0, 1.0 - rate_sh * options.shrink_sh * self.scarcity) ** SHRINK_EVERY
+            launch(shrink_view_dependence, 3 * field.voxel_count, [kept], [field.grid.sh], device=self.device)
 
     def measure_psnr(self) -> float:
         """PSNR in dB of the last batch, over all pixels of the images: those that see no voxel count as right."""
@@ -428,6 +472,11 @@ def gradient_parts(gradients: wp.array) -> tuple[wp.array, wp.array]:
     return density, sh
 
 
+def _ratio(fine: VoxelField, coarse: VoxelField) -> wp.vec3:
+    """Voxels of one field a voxel of another over the same bounds, along each axis."""
+    return wp.vec3(*(n / m for n, m in zip(fine.resolution, coarse.resolution, strict=True)))
+
+
 def _log_interpolate(start: float, end: float, progress: float) -> float:
     return math.exp((1.0 - progress) * math.log(start) + progress * math.log(end))
 
@@ -447,6 +496,10 @@ def _checked_options(options: dict) -> FitOptions:
     quality = options.pop("quality", "standard")
     if quality not in QUALITIES:
         raise ValueError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
+    if "epochs" in options:
+        options.setdefault("least_steps", 0)
+    if options.get("max_memory") is not None:
+        options["max_memory"] = memory_size(options["max_memory"])
     checked = FitOptions(**{**QUALITIES[quality], **options})
     for name, (low, high, kind, optional) in OPTION_RANGES.items():
         value = getattr(checked, name)
