@@ -34,6 +34,9 @@ ROW_NUMBERS = 28
 #: Steps from one pass over the SH coefficients that shrinks them to the next.
 SHRINK_EVERY = 4
 
+#: Rays of a batch that is made smaller for the sake of more steps, at least.
+SMALLEST_BATCH = 4096
+
 #: A CPU thread's own gradients are worth their memory up to this many.
 MAX_SHARDS = 8
 
@@ -49,7 +52,7 @@ class FitOptions:
     level_growth: float = 2.2  #: each level gets this many times the rays of the one before
     epochs: float = 8.0  #: passes over the pixels that see the object
     least_steps: int = 600  #: steps that a fit takes even so, where `epochs` is not given: few pixels are soon through
-    batch_rays: int | None = None  #: None follows the number of pixels
+    batch_rays: int | None = None  #: None follows the number of pixels, so that there are steps enough
     tile_size: int = 2  #: a batch is made of square tiles of this many pixels, neighbours share voxels
     rate_density: float = 0.25  #: first learning rate, in optical depth a voxel of the level
     rate_density_end: float = 0.0125
@@ -181,8 +184,6 @@ class FieldOptimizer:
         self.rays = rays
         size = self.options.tile_size
         self.tile_total = count * -(-height // size) * -(-width // size)
-        batch = self.options.batch_rays or int(np.clip(count * height * width // 128, 4096, 65536))
-        self.batch_tiles = max(1, batch // size**2)
 
     def _first_mask(self) -> wp.array:
         """Voxels of the first level, which is made coarser where its memory would not do."""
@@ -205,7 +206,13 @@ class FieldOptimizer:
 
     def _plan(self) -> None:
         options = self.options
-        self.batch_tiles = min(self.batch_tiles, self.active_tiles)
+        pixels = self.active_tiles * options.tile_size**2
+        batch = options.batch_rays
+        if batch is None:
+            batch = np.clip(math.prod(self.scene.images.shape[:3]) // 128, 4096, 65536)
+            if options.least_steps:
+                batch = min(batch, max(SMALLEST_BATCH, options.epochs * pixels / options.least_steps))
+        self.batch_tiles = min(max(1, int(batch) // options.tile_size**2), self.active_tiles)
         self.batch_rays = self.batch_tiles * options.tile_size**2
         self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
         shares = options.level_growth ** np.arange(options.levels)
