@@ -46,13 +46,13 @@ def mark_filled_nodes(
     grid: VoxelGrid,
     lower: wp.vec3,
     spacing: wp.vec3,
-    mask: wp.array3d(dtype=wp.int32),
+    mask: wp.array3d(dtype=wp.uint8),
 ):
     """1 at the nodes of a new grid (nx, ny, nz) at which the deformed scene has values, 0 at the others."""
     n = first + wp.tid()
     shape = wp.vec3i(mask.shape[0], mask.shape[1], mask.shape[2])
     filled = holds_values(grid, canonical_point(edits, node_point(n, shape, lower, spacing)))
-    mask[n // (shape[2] * shape[1]), (n // shape[2]) % shape[1], n % shape[2]] = wp.where(filled, 1, 0)
+    mask[n // (shape[2] * shape[1]), (n // shape[2]) % shape[1], n % shape[2]] = wp.uint8(wp.where(filled, 1, 0))
 
 
 @wp.func

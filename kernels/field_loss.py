@@ -1,22 +1,25 @@
 """Gradient of the photometric loss by the density and SH coefficients of a voxel grid.
 
-Mean over rays and channels of (C - C*)^2. With g = dL/dC, w_k = T_k alpha_k and the background as the
-last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the hand-written adjoint of
-volume_render.march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop of unknown length).
+Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. With g = dL/dC, w_k = T_k alpha_k and the
+background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
+hand-written adjoint of volume_render.march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop
+of unknown length).
 Siblings: grid, rays, spherical_harmonics, volume_render.
 """
 
 import warp as wp
 
 from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
-from .rays import PinholeCamera, pixel_direction
+from .rays import PinholeCamera, image_direction, pixel_direction
 from .spherical_harmonics import sh_basis, vec9
 from .volume_render import exit_distance, grid_span, sample_index_after
 
 wp.set_module_options({"enable_backward": False})
 
-#: A pixel's own colour is its premultiplied one over its opacity, where that is at least this.
-MIN_OPACITY = wp.constant(1.0e-3)
+mat43 = wp.types.matrix(shape=(4, 3), dtype=wp.float32)
+
+#: Sub-rays of a pixel, at most.
+MAX_SUBRAYS = wp.constant(4)
 
 
 @wp.struct
@@ -28,6 +31,7 @@ class TrainingRays:
     tiles: wp.array(dtype=wp.int32)  # shuffled flat tile indices: (view * tile rows + tile row) * tile columns + column
     tile_size: int
     first_tile: int  # where this batch begins in `tiles`
+    rays_per_side: int  # 1: through the middle of a pixel, 2: four rays, each somewhere in its quarter
 
 
 @wp.func
@@ -44,6 +48,28 @@ def batch_pixel(rays: TrainingRays, n: int):
     return wp.vec3i(view, row, column)
 
 
+@wp.func
+def subray_direction(rays: TrainingRays, camera: PinholeCamera, pixel: wp.vec3i, subray: int, seed: int, n: int):
+    """Direction of a sub-ray of the n-th pixel of a batch: in the middle, or anywhere in its share of the pixel."""
+    side = rays.rays_per_side
+    right = float(0.5)
+    down = float(0.5)
+    if side > 1:
+        random = wp.rand_init(seed, MAX_SUBRAYS * n + subray)
+        right = (float(subray % side) + wp.randf(random)) / float(side)
+        down = (float(subray // side) + wp.randf(random)) / float(side)
+    return image_direction(camera, float(pixel[2]) + right, float(pixel[1]) + down)
+
+
+@wp.func
+def background_behind(background: wp.vec3, random_background: int, seed: int, n: int):
+    """The given background, or a colour drawn for each pixel."""
+    if random_background == 1:
+        random = wp.rand_init(seed + 1, n)
+        return wp.vec3(wp.randf(random), wp.randf(random), wp.randf(random))
+    return background
+
+
 @wp.kernel
 def accumulate_photometric_gradient(
     first: int,
@@ -51,23 +77,18 @@ def accumulate_photometric_gradient(
     rays: TrainingRays,
     background: wp.vec3,
     random_background: int,
-    jitter: int,
     seed: int,
     step: float,
     stop: float,
     scale: float,
-    spread: float,
     grad_density: wp.array(dtype=wp.float32),
     grad_sh: wp.array2d(dtype=vec9),
     squared_error: wp.array(dtype=wp.float32),
 ):
-    """Adds scale * d(|C - C*|^2 + spread * alpha* sum_k w_k |c_k - C*_surface|^2) for each ray of a batch.
+    """Adds scale * d(sum over channels of (C - C*)^2) for each pixel of a batch; squared_error: (pixels,) that sum.
 
-    squared_error: (rays,) |C - C*|^2. random_background: a colour drawn for each ray goes behind both the image's alpha
-    and the render, so that opacity is supervised too; 0 takes `background` for all. jitter: 1 moves a ray's samples
-    by up to half a step, so that a field cannot fit where they fall. spread: how much the samples that make a pixel
-    must each have its colour (the per-point colour loss of Sun et al., DVGO, CVPR 2022, here with its gradient by the
-    weights). Gradient rows are shared: on the CPU each thread needs its own.
+    random_background: a colour drawn for each pixel goes behind both the image's alpha and the render, so that opacity
+    is supervised too; 0 takes `background` for all. Gradient rows are shared: on the CPU each thread needs its own.
     """
     n = first + wp.tid()
     squared_error[n] = 0.0
@@ -75,32 +96,24 @@ def accumulate_photometric_gradient(
     if pixel[1] >= rays.pixels.shape[1] or pixel[2] >= rays.pixels.shape[2]:
         return
     camera = rays.cameras[pixel[0]]
-    origin = camera.centre
-    direction = pixel_direction(camera, pixel[2], pixel[1])
-    behind = background
-    random = wp.rand_init(seed, n)
-    if random_background == 1:
-        behind = wp.vec3(wp.randf(random), wp.randf(random), wp.randf(random))
-    if jitter == 1:
-        origin += (wp.randf(random) - 0.5) * step * direction
+    behind = background_behind(background, random_background, seed, n)
     rgba = rays.pixels[pixel[0], pixel[1], pixel[2]]
-    pixel_colour = wp.vec3(float(rgba[0]), float(rgba[1]), float(rgba[2]))
-    opacity = float(rgba[3])
-    target = pixel_colour + (1.0 - opacity) * behind
-    surface = pixel_colour / wp.max(opacity, MIN_OPACITY)
-    pull = spread * scale * opacity
+    target = wp.vec3(float(rgba[0]), float(rgba[1]), float(rgba[2])) + (1.0 - float(rgba[3])) * behind
+    g0 = grid_position(grid, camera.centre)
 
-    basis = sh_basis(direction)
-    g0 = grid_position(grid, origin)
-    dg = wp.cw_mul(direction, grid.inverse_voxel_size)
-    span = grid_span(grid, origin, direction)
-
-    colour = wp.vec3()
-    apart = float(0.0)  # sum of w |c - surface|^2
+    subray_count = rays.rays_per_side * rays.rays_per_side
+    colours = mat43()
     grad_colour = wp.vec3()
-    later = float(0.0)  # the part of the loss's first-order change that comes from behind the current sample
     march = int(0)
-    while march < 2:  # forward, then adjoint
+    while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
+        subray = march % subray_count
+        direction = subray_direction(rays, camera, pixel, subray, seed, n)
+        basis = sh_basis(direction)
+        dg = wp.cw_mul(direction, grid.inverse_voxel_size)
+        span = grid_span(grid, camera.centre, direction)
+        # the part of C . dL/dC that comes from behind the current sample
+        later = wp.dot(colours[subray], grad_colour)
+        colour = wp.vec3()
         transmittance = float(1.0)
         k = sample_index_after(span[0], step)
         while (float(k) + 0.5) * step < span[1] and transmittance > stop:
@@ -117,30 +130,28 @@ def accumulate_photometric_gradient(
                     transmittance *= wp.exp(-sigma * step)
                     raw = cell_colour(grid, cell, basis)
                     radiance = wp.max(raw, wp.vec3(0.0, 0.0, 0.0))
-                    off = radiance - surface
-                    if march == 0:
+                    if march < subray_count:
                         colour += weight * radiance
-                        apart += weight * wp.dot(off, off)
                     else:
-                        change = wp.dot(radiance, grad_colour) + pull * wp.dot(off, off)
+                        change = wp.dot(radiance, grad_colour)
                         later -= weight * change
                         grad_sigma = step * (transmittance * change - later)
                         for c in range(8):
                             if cell.rows[c] >= 0:
                                 wp.atomic_add(grad_density, cell.rows[c], cell.weights[c] * grad_sigma)
-                        grad_radiance = weight * (grad_colour + 2.0 * pull * off)
                         for channel in range(3):
                             if raw[channel] > 0.0:  # the clamp max(0, .) passes no gradient
-                                grad_cell = grad_radiance[channel] * basis
+                                grad_cell = weight * grad_colour[channel] * basis
                                 for c in range(8):
                                     if cell.rows[c] >= 0:
                                         wp.atomic_add(grad_sh, cell.rows[c], channel, cell.weights[c] * grad_cell)
                 k += 1
-        if march == 0:
-            error = colour + transmittance * behind - target
+        if march < subray_count:
+            colours[subray] = colour + transmittance * behind
+        if march == subray_count - 1:
+            error = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count) - target
             squared_error[n] = wp.dot(error, error)
-            grad_colour = 2.0 * scale * error
-            later = wp.dot(colour + transmittance * behind, grad_colour) + pull * apart
+            grad_colour = 2.0 * scale / float(subray_count) * error
         march += 1
 
 

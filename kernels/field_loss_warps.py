@@ -9,9 +9,8 @@ Siblings: field_loss, grid, rays, spherical_harmonics, volume_render. Uses warp 
 
 import warp as wp
 
-from .field_loss import MIN_OPACITY, TrainingRays, batch_pixel
+from .field_loss import TrainingRays, background_behind, batch_pixel, subray_direction
 from .grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position
-from .rays import pixel_direction
 from .spherical_harmonics import sh_basis
 from .volume_render import exit_distance, grid_span, sample_index_after
 
@@ -100,7 +99,7 @@ def pick(v: wp.vec3, channel: int):
 
 
 # few registers: many rays in flight hide the latency of their loads
-@wp.kernel(launch_bounds=(128, 6))
+@wp.kernel(launch_bounds=(128, 8))
 def accumulate_photometric_gradient_by_warps(
     first: int,
     grid: VoxelGrid,
@@ -108,18 +107,18 @@ def accumulate_photometric_gradient_by_warps(
     rays: TrainingRays,
     background: wp.vec3,
     random_background: int,
-    jitter: int,
     seed: int,
     step: float,
     stop: float,
     scale: float,
-    spread: float,
     gradients: wp.array2d(dtype=wp.float32),
+    touched: wp.array(dtype=wp.uint8),
     squared_error: wp.array(dtype=wp.float32),
 ):
-    """As field_loss.accumulate_photometric_gradient, 32 items a ray, in blocks of 128.
+    """As field_loss.accumulate_photometric_gradient, 32 items a pixel, in blocks of at most 128.
 
-    coefficients: (rows, 27), grid.sh as numbers. gradients: (rows, 28), coefficients, then density.
+    coefficients: (rows, 27), grid.sh as numbers. gradients: (rows, 28), coefficients, then density. touched: (rows,)
+    set to 1 where there is a gradient.
     """
     item = first + wp.tid()
     n = item // LANES
@@ -131,38 +130,30 @@ def accumulate_photometric_gradient_by_warps(
         return
     channel = wp.min(lane // 9, 3)
     camera = rays.cameras[pixel[0]]
-    direction = pixel_direction(camera, pixel[2], pixel[1])
-    random = wp.rand_init(seed, n)
-    behind = background
-    if random_background == 1:
-        behind = wp.vec3(wp.randf(random), wp.randf(random), wp.randf(random))
-    origin = camera.centre
-    if jitter == 1:
-        origin += (wp.randf(random) - 0.5) * step * direction
+    behind = pick(background_behind(background, random_background, seed, n), channel)
     rgba = rays.pixels[pixel[0], pixel[1], pixel[2]]
     seen = wp.vec3(float(rgba[0]), float(rgba[1]), float(rgba[2]))
-    opacity = float(rgba[3])
-    own_behind = pick(behind, channel)
-    own_target = pick(seen, channel) + (1.0 - opacity) * own_behind
-    own_surface = pick(seen, channel) / wp.max(opacity, MIN_OPACITY)
-    pull = spread * scale * opacity
+    target = pick(seen, channel) + (1.0 - float(rgba[3])) * behind
+    g0 = grid_position(grid, camera.centre)
 
-    basis = float(0.0)
-    all_basis = sh_basis(direction)
-    for b in range(9):
-        if lane - 9 * channel == b and lane < COEFFICIENTS:
-            basis = all_basis[b]
-    g0 = grid_position(grid, origin)
-    dg = wp.cw_mul(direction, grid.inverse_voxel_size)
-    span = grid_span(grid, origin, direction)
-
-    colour = float(0.0)  # of this lane's channel
-    apart = float(0.0)  # sum of w |c - surface colour|^2 of this lane's channel
-    slope = float(0.0)  # dL/dC of this lane's channel
-    later = float(0.0)  # the part of the loss's first-order change that comes from behind the current sample
-    transmittance = float(1.0)
+    # of this lane's channel
+    subray_count = rays.rays_per_side * rays.rays_per_side
+    colours = wp.vec4()
+    grad_colour = float(0.0)
     march = int(0)
-    while march < 2:
+    while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
+        subray = march % subray_count
+        direction = subray_direction(rays, camera, pixel, subray, seed, n)
+        all_basis = sh_basis(direction)
+        basis = float(0.0)
+        for b in range(9):
+            if lane < COEFFICIENTS and lane - 9 * channel == b:
+                basis = all_basis[b]
+        dg = wp.cw_mul(direction, grid.inverse_voxel_size)
+        span = grid_span(grid, camera.centre, direction)
+        # the part of C . dL/dC that comes from behind the current sample
+        later = over_channels(colours[subray] * grad_colour)
+        colour = float(0.0)
         transmittance = float(1.0)
         k = sample_index_after(span[0], step)
         while (float(k) + 0.5) * step < span[1] and transmittance > stop:
@@ -181,7 +172,7 @@ def accumulate_photometric_gradient_by_warps(
                 before = transmittance * wp.exp(-sum_before(depth, lane))
                 alpha = 1.0 - wp.exp(-depth)
                 matter = ballot(wp.where(depth > 0.0 and before > stop, 1, 0))
-                transmittance = from_lane(before * (1.0 - alpha), 31)
+                transmittance = from_lane(before * (1.0 - alpha), LANES - 1)
                 while matter != 0:
                     j = lowest_bit(matter)
                     matter = without_lowest_bit(matter)
@@ -195,25 +186,26 @@ def accumulate_photometric_gradient_by_warps(
                                 value += cell.weights[c] * coefficients[cell.rows[c], lane]
                     raw = channel_sum(basis * value, lane, channel) + 0.5
                     radiance = wp.max(raw, 0.0)
-                    off = radiance - own_surface
-                    if march == 0:
+                    if march < subray_count:
                         colour += weight * radiance
-                        apart += weight * off * off
                     else:
-                        change = over_channels(radiance * slope + pull * off * off)
+                        change = over_channels(radiance * grad_colour)
                         later -= weight * change
-                        grad = step * ((left - weight) * change - later)
+                        gradient = step * ((left - weight) * change - later)
                         if lane < COEFFICIENTS:
-                            grad = wp.where(raw > 0.0, weight * (slope + 2.0 * pull * off) * basis, 0.0)
+                            gradient = wp.where(raw > 0.0, weight * grad_colour * basis, 0.0)
                         if lane < GRADIENT_ROW:
                             for c in range(8):
                                 if cell.rows[c] >= 0:
-                                    wp.atomic_add(gradients, cell.rows[c], lane, cell.weights[c] * grad)
+                                    if lane == c:
+                                        touched[cell.rows[c]] = wp.uint8(1)
+                                    wp.atomic_add(gradients, cell.rows[c], lane, cell.weights[c] * gradient)
                 k += LANES
-        if march == 0:
-            error = colour + transmittance * own_behind - own_target
-            slope = 2.0 * scale * error
-            later = over_channels((colour + transmittance * own_behind) * slope + pull * apart)
+        if march < subray_count:
+            colours[subray] = colour + transmittance * behind
+        if march == subray_count - 1:
+            error = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count) - target
+            grad_colour = 2.0 * scale / float(subray_count) * error
             total = over_channels(error * error)
             if lane == 0:
                 squared_error[n] = total

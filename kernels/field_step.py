@@ -24,6 +24,7 @@ def apply_rmsprop(
     beta: float,
     epsilon_density: float,
     epsilon_sh: float,
+    touched: wp.array(dtype=wp.uint8),
     gradients: wp.array2d(dtype=wp.float32),
     moments: wp.array2d(dtype=wp.bfloat16),
     density: wp.array(dtype=wp.float32),
@@ -38,6 +39,8 @@ def apply_rmsprop(
     n = first + wp.tid()
     row = n // GRADIENT_ROW
     number = n % GRADIENT_ROW
+    if touched[row] == wp.uint8(0):
+        return
     gradient = gradients[row, number]
     if gradient != 0.0:
         v = float(moments[row, number])

@@ -37,12 +37,14 @@ def accumulate_variation_gradient(
     scale_density: float,
     scale_sh: float,
     gradients: wp.array2d(dtype=wp.float32),
+    touched: wp.array(dtype=wp.uint8),
 ):
     """Adds the gradient of scale_density * TV(density / density_unit) + scale_sh * TV(sh) over a run of rows.
 
     GRADIENT_ROW items a row, one a number, so that neighbouring threads read neighbouring numbers. coefficients:
-    (rows, 27), grid.sh as numbers. nodes: (rows,) grid indices of each row. gradients: (rows, 28). A difference to a
-    node without a row counts as zero. Rows are shared with neighbours: on the CPU each thread needs gradients of its own.
+    (rows, 27), grid.sh as numbers. nodes: (rows,) grid indices of each row. gradients: (rows, 28). touched: (rows,) set
+    to 1 where there is a gradient. A difference to a node without a row counts as zero. Rows are shared with
+    neighbours: on the CPU each thread needs gradients of its own.
     """
     n = first + wp.tid()
     number = n % GRADIENT_ROW
@@ -66,7 +68,11 @@ def accumulate_variation_gradient(
             else:
                 difference[axis] = (grid.density[rows[axis]] - value) / unit
     slope = scale / unit / wp.sqrt(wp.dot(difference, difference) + 1.0e-9)
+    if number == 0:
+        touched[row] = wp.uint8(1)
     wp.atomic_add(gradients, row, number, -slope * (difference[0] + difference[1] + difference[2]))
     for axis in range(3):
         if rows[axis] >= 0:
+            if number == 0:
+                touched[rows[axis]] = wp.uint8(1)
             wp.atomic_add(gradients, rows[axis], number, slope * difference[axis])

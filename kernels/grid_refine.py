@@ -12,18 +12,18 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def dilate_mask(first: int, source: wp.array3d(dtype=wp.int32), mask: wp.array3d(dtype=wp.int32)):
+def dilate_mask(first: int, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
     """1 where any of a node's 27 neighbours is set."""
     n = first + wp.tid()
     k = n % mask.shape[2]
     j = (n // mask.shape[2]) % mask.shape[1]
     i = n // (mask.shape[2] * mask.shape[1])
-    value = int(0)
+    value = wp.uint8(0)
     for a in range(wp.max(i - 1, 0), wp.min(i + 2, mask.shape[0])):
         for b in range(wp.max(j - 1, 0), wp.min(j + 2, mask.shape[1])):
             for c in range(wp.max(k - 1, 0), wp.min(k + 2, mask.shape[2])):
-                if source[a, b, c] != 0:
-                    value = int(1)
+                if source[a, b, c] != wp.uint8(0):
+                    value = wp.uint8(1)
     mask[i, j, k] = value
 
 
@@ -33,27 +33,27 @@ def mark_weighty_nodes(
     nodes: wp.array(dtype=wp.vec3i),
     weights: wp.array(dtype=wp.float32),
     threshold: float,
-    mask: wp.array3d(dtype=wp.int32),
+    mask: wp.array3d(dtype=wp.uint8),
 ):
     """1 at the nodes of rows whose recorded weight reaches a threshold; the rest of `mask` is left."""
     row = first + wp.tid()
     if weights[row] >= threshold:
-        mask[nodes[row][0], nodes[row][1], nodes[row][2]] = 1
+        mask[nodes[row][0], nodes[row][1], nodes[row][2]] = wp.uint8(1)
 
 
 @wp.kernel
-def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(dtype=wp.int32)):
+def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(dtype=wp.uint8)):
     """Clear `mask` where there is no row: dilation may not bring back what was pruned before."""
     n = first + wp.tid()
     k = n % mask.shape[2]
     j = (n // mask.shape[2]) % mask.shape[1]
     i = n // (mask.shape[2] * mask.shape[1])
     if links[i, j, k] < 0:
-        mask[i, j, k] = 0
+        mask[i, j, k] = wp.uint8(0)
 
 
 @wp.kernel
-def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.int32), mask: wp.array3d(dtype=wp.int32)):
+def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
     """What the voxel says in which a finer one has its centre. ratio: finer voxels a voxel, along each axis."""
     n = first + wp.tid()
     k = n % mask.shape[2]
@@ -66,23 +66,40 @@ def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.int32), 
 
 
 @wp.kernel
+def count_lines(first: int, mask: wp.array3d(dtype=wp.uint8), counts: wp.array(dtype=wp.int32)):
+    """Set nodes of each line (i, j) along the last axis. counts: (nx * ny,)."""
+    n = first + wp.tid()
+    i = n // mask.shape[1]
+    j = n % mask.shape[1]
+    count = int(0)
+    for k in range(mask.shape[2]):
+        if mask[i, j, k] != wp.uint8(0):
+            count += 1
+    counts[n] = count
+
+
+@wp.kernel
 def link_nodes(
     first: int,
-    mask: wp.array3d(dtype=wp.int32),
+    mask: wp.array3d(dtype=wp.uint8),
     running_count: wp.array(dtype=wp.int32),
     links: wp.array3d(dtype=wp.int32),
     nodes: wp.array(dtype=wp.vec3i),
 ):
-    """Number the set nodes in memory order. running_count: inclusive scan of the flat mask."""
+    """Number the set nodes in memory order, one item a line. running_count: inclusive scan of the lines' counts."""
     n = first + wp.tid()
-    k = n % mask.shape[2]
-    j = (n // mask.shape[2]) % mask.shape[1]
-    i = n // (mask.shape[2] * mask.shape[1])
-    row = int(-1)
-    if mask[i, j, k] != 0:
-        row = running_count[n] - 1
-        nodes[row] = wp.vec3i(i, j, k)
-    links[i, j, k] = row
+    i = n // mask.shape[1]
+    j = n % mask.shape[1]
+    row = int(0)
+    if n > 0:
+        row = running_count[n - 1]
+    for k in range(mask.shape[2]):
+        if mask[i, j, k] != wp.uint8(0):
+            links[i, j, k] = row
+            nodes[row] = wp.vec3i(i, j, k)
+            row += 1
+        else:
+            links[i, j, k] = -1
 
 
 @wp.kernel

@@ -26,11 +26,17 @@ class PinholeCamera:
 
 
 @wp.func
+def image_direction(camera: PinholeCamera, x: float, y: float):
+    """Unit direction through a point of the image, pixels from its upper left corner."""
+    right = (x - camera.principal_point[0]) / camera.focal[0]
+    down = (y - camera.principal_point[1]) / camera.focal[1]
+    return wp.normalize(camera.rotation * wp.vec3(right, down, 1.0))
+
+
+@wp.func
 def pixel_direction(camera: PinholeCamera, column: int, row: int):
     """Unit direction through the centre of a pixel."""
-    x = (float(column) + 0.5 - camera.principal_point[0]) / camera.focal[0]
-    y = (float(row) + 0.5 - camera.principal_point[1]) / camera.focal[1]
-    return wp.normalize(camera.rotation * wp.vec3(x, y, 1.0))
+    return image_direction(camera, float(column) + 0.5, float(row) + 0.5)
 
 
 @wp.func

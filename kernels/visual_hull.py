@@ -45,7 +45,7 @@ def carve_visual_hull(
     cameras: wp.array(dtype=PinholeCamera),
     opaque_sums: wp.array3d(dtype=wp.int32),
     bounded: wp.array(dtype=wp.int32),
-    mask: wp.array3d(dtype=wp.int32),
+    mask: wp.array3d(dtype=wp.uint8),
 ):
     """1 where no image shows a node's voxel as transparent (Laurentini 1994, conservative in the voxel's extent).
 
@@ -87,4 +87,4 @@ def carve_visual_hull(
             if opaque == 0 and (centred or bounded[view] == 1):
                 kept = int(0)
                 break
-    mask[i, j, k] = wp.where(views > 0, kept, 0)
+    mask[i, j, k] = wp.uint8(wp.where(views > 0, kept, 0))

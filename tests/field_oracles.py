@@ -62,20 +62,14 @@ def sample(field, density, sh, points, directions):
     return np.maximum(colour, 0), np.maximum(interpolate(density, g), 0)
 
 
-def ray_samples(field, density, sh, origin, direction, step, length=20.0):
-    """Colours (n, 3) and weights (n,) of the samples t_k = (k + 1/2) step up to `length`, and what is left behind."""
+def render_ray(field, density, sh, origin, direction, step, background, length=20.0):
+    """(rgb, alpha, depth) of one ray by brute force: every sample t_k = (k + 1/2) step up to `length`."""
     t = (np.arange(int(length / step)) + 0.5) * step
     points = origin + t[:, None] * direction
     colour, sigma = sample(field, density, sh, points, np.broadcast_to(direction, points.shape))
     alpha = 1 - np.exp(-sigma * step)
     transmittance = np.concatenate([[1], np.cumprod(1 - alpha)])
-    return colour, transmittance[:-1] * alpha, transmittance[-1]
-
-
-def render_ray(field, density, sh, origin, direction, step, background, length=20.0):
-    """(rgb, alpha, depth) of one ray by brute force."""
-    colour, weight, left = ray_samples(field, density, sh, origin, direction, step, length)
-    t = (np.arange(len(weight)) + 0.5) * step
-    opacity = 1 - left
-    return weight @ colour + left * np.asarray(background), opacity, (
-        weight @ t / opacity if opacity > 1e-3 else np.inf)
+    weight = transmittance[:-1] * alpha
+    rgb = weight @ colour + transmittance[-1] * np.asarray(background)
+    opacity = 1 - transmittance[-1]
+    return rgb, opacity, weight @ t / opacity if opacity > 1e-3 else np.inf

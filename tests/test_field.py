@@ -185,3 +185,39 @@ def test_bad_constructions():
         field.sample([[np.nan, 0, 0]], [[0, 0, 1]])
     with pytest.raises(ValueError, match="step"):
         field.render(warpcage.Camera.look_at([3, 0, 0], [0, 0, 0]), step=0.0)
+
+
+@pytest.mark.parametrize("side", [2, 3])
+def test_supersampling_is_the_area_average(device, side):
+    field, _, _ = oracle.random_field(device)
+    camera = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0.3], fov_degrees=60, width=13, height=9)
+    fine = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0.3], fov_degrees=60, width=13 * side, height=9 * side)
+    parts, whole = field.render(fine), field.render(camera, supersampling=side)
+    for name in ("rgb", "alpha"):
+        values = getattr(parts, name)
+        expected = values.reshape(9, side, 13, side, *values.shape[2:]).mean(axis=(1, 3))
+        np.testing.assert_allclose(getattr(whole, name), expected, atol=1e-6)
+    depth, alpha = (v.reshape(9, side, 13, side).transpose(0, 2, 1, 3).reshape(9, 13, -1) for v in
+                    (parts.depth, parts.alpha))
+    weight = np.where(np.isfinite(depth), alpha, 0).astype(np.float64)
+    seen = weight.sum(axis=-1) > 0
+    expected = (weight * np.where(weight > 0, depth, 0)).sum(axis=-1)[seen] / weight.sum(axis=-1)[seen]
+    np.testing.assert_allclose(whole.depth[seen], expected, rtol=1e-5)
+    assert np.isinf(whole.depth[~seen]).all() and seen.any() and not seen.all()
+
+
+def test_a_field_keeps_its_supersampling(device, tmp_path):
+    field, _, _ = oracle.random_field(device)
+    camera = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0.3], fov_degrees=60, width=13, height=9)
+    field.supersampling = 2
+    for format in ("warpcage", "compact"):
+        field.save(tmp_path / "f.npz", format=format)
+        assert warpcage.VoxelField.load(tmp_path / "f.npz", device=device).supersampling == 2
+    np.testing.assert_array_equal(field.render(camera).rgb, field.render(camera, supersampling=2).rgb)
+    assert np.abs(field.render(camera).rgb - field.render(camera, supersampling=1).rgb).max() > 0.01
+    cage = warpcage.Cage.box(field.bounds[0] - 1, field.bounds[1] + 1)
+    deformed = warpcage.Deformer(field, cage, resolution=16).render(camera)  # at rest
+    assert warpcage.psnr(deformed.rgb, field.render(camera).rgb) > 45
+    for wrong in (0, 9, 1.5, True):
+        with pytest.raises(ValueError, match="supersampling"):
+            field.render(camera, supersampling=wrong)

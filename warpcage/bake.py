@@ -50,12 +50,12 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds=None) -> Voxe
 
     spacing = wp.vec3(side, side, side)
     lower = searched[0] + 0.5 * side  # of the first voxel's centre
-    mask = wp.empty(tuple(int(n) for n in shape), dtype=wp.int32, device=device)
+    mask = wp.empty(tuple(int(n) for n in shape), dtype=wp.uint8, device=device)
     inputs = [edits.array, field.grid, wp.vec3(*(lower - field.center)), spacing]
     launch(mark_filled_nodes, mask.size, inputs, [mask], device=device)
     filled = mask.numpy()
     begin, end = _filled_range(filled)
-    mask = wp.array(np.ascontiguousarray(filled[tuple(map(slice, begin, end))]), dtype=wp.int32, device=device)
+    mask = wp.array(np.ascontiguousarray(filled[tuple(map(slice, begin, end))]), dtype=wp.uint8, device=device)
     lower = lower + begin * side
 
     links, nodes = link_mask(mask)

@@ -64,12 +64,12 @@ class Silhouettes:
         self.bounded = wp.array(showing & ~touching, dtype=wp.int32, device=device)
 
     def carve(self, bounds, resolution) -> wp.array:
-        """(nx, ny, nz) int32 mask of the voxels that no image shows as transparent, at `resolution` over `bounds`."""
+        """(nx, ny, nz) uint8 mask of the voxels that no image shows as transparent, at `resolution` over `bounds`."""
         bounds = np.asarray(bounds, np.float64)
         center = bounds.mean(axis=0)
         voxel_size = (bounds[1] - bounds[0]) / resolution
         lower = bounds[0] - center + 0.5 * voxel_size
-        mask = wp.empty(tuple(int(n) for n in resolution), dtype=wp.int32, device=self.device)
+        mask = wp.empty(tuple(int(n) for n in resolution), dtype=wp.uint8, device=self.device)
         inputs = [wp.vec3(*lower), wp.vec3(*voxel_size), camera_array(self.cameras, center, self.device), self.sums,
                   self.bounded]
         launch(carve_visual_hull, mask.size, inputs, [mask], device=self.device)

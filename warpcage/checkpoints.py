@@ -83,6 +83,7 @@ def _own_contents(field: VoxelField) -> dict:
         "bounds": field.bounds,
         "background": field.background,
         "up": field.up,
+        "supersampling": np.array(field.supersampling),
         "resolution": np.array(field.resolution, np.int32),
         "occupancy": np.packbits(occupied.ravel()),
         "density": field.grid.density.numpy()[order],
@@ -124,6 +125,8 @@ def _read_own(contents: dict, path) -> tuple:
     links = np.full(shape, -1, np.int32)
     links[occupied] = np.arange(rows, dtype=np.int32)
     options = {name: require_numbers(contents, name, (3,), path) for name in ("background", "up") if name in contents}
+    if "supersampling" in contents:
+        options["supersampling"] = int(require_numbers(contents, "supersampling", (), path))
     if "weights" in contents:
         options["weights"] = require_numbers(contents, "weights", (rows,), path).astype(np.float32)
     sh = contents["sh"].astype(np.float32).transpose(0, 2, 1)

@@ -14,6 +14,7 @@ from .kernels.deformed_march import MarchOptions
 from .kernels.deformed_render import Picture
 from .render import Frame, camera_struct, tile_threads
 from .scene import parse_background
+from .supersampling import average_frame, checked_supersampling, finer_camera
 
 COORDINATES = ("harmonic", "mean_value", "green")
 DENSITIES = ("opacity", "paper")
@@ -138,13 +139,19 @@ class Deformer:
             outputs[0][still] = np.asarray(points, dtype).reshape(-1, 3)[still]
         return tuple(outputs) if return_outside else tuple(outputs[:3])
 
-    def render(self, camera, *, background=None, step: float | None = None) -> Frame:
+    def render(self, camera, *, background=None, step: float | None = None,
+               supersampling: int | None = None) -> Frame:
         """The view of a camera of the deformed scene, with the masks reveal, fold and outside.
 
         background: colour name or (3,); None takes the field's. step: march step in world units; None takes the
-        field's. Raises ValueError for a background that is not known or a step that is not positive.
+        field's. supersampling: rays a side of a pixel; None takes the field's. Raises ValueError for a background that
+        is not known, a step that is not positive, or supersampling out of range.
         """
         self._require_pose()
+        side = checked_supersampling(self.field.supersampling if supersampling is None else supersampling)
+        if side > 1:
+            parts = self.render(finer_camera(camera, side), background=background, step=step, supersampling=1)
+            return average_frame(parts, side)
         background = self.field.background if background is None else parse_background(background)
         options = MarchOptions()
         options.step = self._checked_step(step)

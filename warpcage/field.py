@@ -10,8 +10,10 @@ from .devices import launch, resolve_device
 from .kernels.grid import VoxelGrid, sample_field
 from .kernels.spherical_harmonics import vec9
 from .kernels.volume_render import render_image
+from .render import Frame, camera_struct, tile_threads
 from .scene import parse_background
 from .sparse_grid import link_mask, measure_skip
+from .supersampling import average_frame, checked_supersampling, finer_camera
 
 #: A march ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-3
@@ -35,6 +37,7 @@ class VoxelField:
     background: colour behind everything, a name or (3,).
     weights: (rows,) float32 or None, the largest rendering weight that a training ray gave each voxel.
     up: (3,) what is up in the world, for views of it; of any length but zero.
+    supersampling: rays a side of a pixel in renders: 2 for fields that were fitted with four rays a pixel.
     device: Warp device; None is CUDA where there is one.
 
     Raises ValueError for shapes that do not fit together or values that are not finite.
@@ -44,11 +47,12 @@ class VoxelField:
     """
 
     def __init__(self, bounds, links, density, sh, *, background="white", weights=None,
-                 up=(0.0, 0.0, 1.0), device=None):
+                 up=(0.0, 0.0, 1.0), supersampling=1, device=None):
         self.device = resolve_device(device if device is not None or not isinstance(links, wp.array) else links.device)
         self.bounds = checked_bounds(bounds)
         self.background = parse_background(background)
         self.up = _checked_up(up)
+        self.supersampling = checked_supersampling(supersampling)
         if len(links.shape) != 3 or min(links.shape) < 2:
             raise ValueError(f"links must be (nx, ny, nz) of at least 2 voxels a side, got {tuple(links.shape)}")
         self.resolution = tuple(int(n) for n in links.shape)
@@ -129,18 +133,21 @@ class VoxelField:
         launch(sample_field, x.shape[0], [self.grid, wp.vec3(*origin), x, d], [rgb, density], device=self.device)
         return (rgb, density) if keep else (rgb.numpy(), density.numpy())
 
-    def render(self, camera, *, background=None, step: float | None = None):
+    def render(self, camera, *, background=None, step: float | None = None, supersampling: int | None = None):
         """The view of a camera as a Frame.
 
         background: colour name or (3,); None takes the field's. step: march step in world units; None takes `.step`.
-        Raises ValueError for a step that is not positive.
+        supersampling: rays a side of a pixel; None takes the field's.
+        Raises ValueError for a step that is not positive, or supersampling out of range.
         """
-        from .render import Frame, camera_struct, tile_threads
-
         background = self.background if background is None else parse_background(background)
         step = self.step if step is None else float(step)
         if not step > 0:
             raise ValueError(f"the march step must be positive, got {step}")
+        side = checked_supersampling(self.supersampling if supersampling is None else supersampling)
+        if side > 1:
+            parts = self.render(finer_camera(camera, side), background=background, step=step, supersampling=1)
+            return average_frame(parts, side)
         count = camera.width * camera.height
         rgb = wp.empty(count, dtype=wp.vec3, device=self.device)
         alpha = wp.empty(count, dtype=wp.float32, device=self.device)
@@ -191,11 +198,11 @@ class VoxelField:
             return self
         grid = self.grid
         return VoxelField(self.bounds, grid.links, grid.density, grid.sh, background=self.background,
-                          weights=self.weights, up=self.up, device=device)
+                          weights=self.weights, up=self.up, supersampling=self.supersampling, device=device)
 
 
 def field_from_mask(bounds, mask: wp.array, density: float, *, background, device) -> tuple[VoxelField, wp.array]:
-    """A grey field of one density at the set nodes of a mask (nx, ny, nz) int32, and its nodes (rows,) vec3i."""
+    """A grey field of one density at the set nodes of a mask (nx, ny, nz) uint8, and its nodes (rows,) vec3i."""
     links, nodes = link_mask(mask)
     rows = nodes.shape[0]
     field = VoxelField(bounds, links, wp.full(rows, density, dtype=wp.float32, device=device),

@@ -23,8 +23,8 @@ SMALLEST_LEVEL = 8
 #: Where the factor is no whole number, a voxel may become a few more than its cube, or less.
 ROUNDING = 1.05
 
-#: Bytes of one number where a pass over the nodes keeps a mask or a running count, and over the rows a weight.
-_WORK = 4
+#: Bytes of a node in a mask, and of a row's weight while a level is pruned.
+_MASK, _WEIGHT = 1, 4
 
 _UNITS = {"": 1, "b": 1, **{f"{prefix}{ending}": base**power
                             for ending, base in (("b", 1000), ("ib", 1024))
@@ -122,20 +122,20 @@ class FitMemory:
     def level_bytes(self, rows: int, shape) -> int:
         """At most what a level takes while it is optimised and pruned."""
         nodes = math.prod(shape)
-        pruning = 2 * _WORK * nodes + _WORK * self.shards * rows
+        pruning = 2 * _MASK * nodes + _WEIGHT * self.shards * rows
         return math.ceil(self.fixed + self.node * nodes + self.row * rows + pruning)
 
     def change_bytes(self, rows: int, shape, new_rows: int, new_shape) -> int:
         """At most what is held while a finer field takes another's place: both, and the masks between them."""
         nodes, new_nodes = math.prod(shape), math.prod(new_shape)
-        old = self.field_row * rows + (self.field_node + _WORK) * nodes
-        new = self.field_row * new_rows + (self.field_node + 2 * _WORK) * new_nodes
+        old = self.field_row * rows + (self.field_node + _MASK) * nodes
+        new = self.field_row * new_rows + (self.field_node + 2 * _MASK) * new_nodes
         return math.ceil(self.fixed + old + new)
 
     def thinning_bytes(self, rows: int, new_rows: int, shape, moment_row: float) -> int:
         """At most what is held while rows go and the optimiser's moments, of `moment_row` bytes each, stay."""
-        both = (self.field_row + moment_row) * rows + self.row * new_rows
-        return math.ceil(self.fixed + both + (2 * self.field_node + self.node + 2 * _WORK) * math.prod(shape))
+        both = (self.field_row + moment_row) * (rows + new_rows)
+        return math.ceil(self.fixed + both + (2 * self.node + 2 * _MASK) * math.prod(shape))
 
     def refinement(self, rows: int, pruned: int, shape, new_shape, limit: int):
         """(nx, ny, nz), at most `new_shape`, to which a level of `rows` at `shape`, of which `pruned` stay, can be

@@ -91,7 +91,7 @@ def _restore(optimizer, contents: dict, path) -> None:
         raise ValueError("values that are not finite")
     tiles = require_numbers(contents, "tiles", (None,), path)
 
-    optimizer.restore_field(wp.array(occupied.astype(np.int32), device=optimizer.device))
+    optimizer.restore_field(wp.array(occupied.astype(np.uint8), device=optimizer.device))
     if len(tiles) != optimizer.active_tiles or tiles.min() < 0 or tiles.max() >= optimizer.tile_total:
         raise ValueError(f"{len(tiles)} tiles of pixels, {optimizer.active_tiles} expected")
     if not 0 <= cursor <= len(tiles):

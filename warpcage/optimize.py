@@ -19,10 +19,10 @@ from .kernels.spherical_harmonics import vec9
 from .kernels.view_dependence import shrink_view_dependence
 from .kernels.volume_render import record_weights
 from .scene import Scene
-from .sparse_grid import link_mask
+from .sparse_grid import mask_count
 
-#: Training marches stop later than renders: what is behind must still learn that it is hidden.
-STOP_TRANSMITTANCE = 1e-4
+#: A training march ends where less than this share of the light is left, as a render does.
+STOP_TRANSMITTANCE = 1e-3
 
 #: Threads a ray, and a block, of the photometric gradient on CUDA.
 WARP_LANES = 32
@@ -58,20 +58,20 @@ class FitOptions:
     rate_density_end: float = 0.0125
     rate_sh: float = 3e-2
     rate_sh_end: float = 1.5e-3
-    directional: float = 1.0  #: rate of the coefficients that tell directions apart, over that of the constant ones
+    decay_power: float = 2.0  #: rates fall with this power of the share of steps done: slowly first, fast at the end
+    directional: float = 0.15  #: rate of the coefficients that tell directions apart, over that of the constant ones
     beta: float = 0.95  #: RMSProp's decay
-    jitter: bool = False  #: move a ray's samples by up to half a step
-    spread: float = 0.0  #: how much the samples that make a pixel must each have its colour
     scarcity: float | None = None  #: factor of the variations and the shrinkage; None follows how few pixels see a
     #: voxel (see fit_defaults)
-    variation_density: float = 1e-5  #: total variation of density (per half extent) a voxel of the box
-    variation_sh: float = 1e-3
+    variation_density: float = 3e-6  #: total variation of density (per half extent) a voxel of the box
+    variation_sh: float = 3e-4
     shrink_sh: float = 0.06  #: decay of SH of degree 1 and up, relative to a step of rate_sh, where views are scarce
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
     keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
     #: this rendering weight
     keep_at: float = 0.4  #: share of the last level's steps after which that happens first
+    supersampling: int = 1  #: rays a side of a pixel in the last level, and in renders of the field: 1 or 2
     max_memory: int | str | None = None  #: bytes, or "4GB", that the fit may take on its device, images included; None
     #: is most of what is free. Where it is short the last levels are refined less far
     random_background: bool = True  #: supervise opacity with random backgrounds where the images have alpha
@@ -81,7 +81,7 @@ class FitOptions:
 QUALITIES = {
     "fast": {"epochs": 4.0},
     "standard": {},
-    "high": {"epochs": 16.0, "max_resolution": 720},
+    "high": {"epochs": 16.0, "max_resolution": 720, "supersampling": 2},
 }
 
 #: name -> smallest, largest, kind, whether None will do
@@ -100,10 +100,11 @@ OPTION_RANGES = {
     "prune_weight": (0.0, 1e3, float, False),
     "keep_weight": (0.0, 1.0, float, False),
     "keep_at": (0.0, 1.0, float, False),
+    "supersampling": (1, 2, int, False),
     "beta": (0.0, 1.0 - 1e-6, float, False),
     **{name: (1e-9, 1e9, float, False) for name in ("footprint", "level_growth", "epochs", "rate_density",
                                                     "rate_density_end", "rate_sh", "rate_sh_end",
-                                                    "directional")},
+                                                    "directional", "decay_power")},
 }
 
 
@@ -181,6 +182,7 @@ class FieldOptimizer:
         require_image_memory(pixels.nbytes + array_bytes(device_arrays(self)), self.memory_limit)
         rays.pixels = wp.array(pixels, dtype=wp.vec4h, device=self.device)
         rays.tile_size = self.options.tile_size
+        rays.rays_per_side = 1
         self.rays = rays
         size = self.options.tile_size
         self.tile_total = count * -(-height // size) * -(-width // size)
@@ -188,19 +190,19 @@ class FieldOptimizer:
     def _first_mask(self) -> wp.array:
         """Voxels of the first level, which is made coarser where its memory would not do."""
         silhouettes, self._silhouettes = self._silhouettes, None  # its tables are as large as the images
-        self._start_level(wp.ones((2, 2, 2), dtype=wp.int32, device=self.device), None)
+        self._start_level(wp.ones((2, 2, 2), dtype=wp.uint8, device=self.device), None)
         self._allocate_state()
         memory = FitMemory.of(self)  # what a node and a row take
         while True:
             if silhouettes is None:
-                mask = wp.ones(self.shapes[0], dtype=wp.int32, device=self.device)
+                mask = wp.ones(self.shapes[0], dtype=wp.uint8, device=self.device)
             else:
                 mask = silhouettes.carve(self.bounds, self.shapes[0])
                 if not mask.numpy().any():
                     raise ValueError("no voxel of the bounds lies inside all silhouettes: check bounds, cameras and "
                                      "alphas")
                 mask = self._dilated(mask)
-            self.shapes, fits = memory.first_shapes(self.shapes, int(mask.numpy().sum()), self.memory_limit)
+            self.shapes, fits = memory.first_shapes(self.shapes, mask_count(mask), self.memory_limit)
             if fits:
                 return mask
 
@@ -224,20 +226,27 @@ class FieldOptimizer:
     # Levels
 
     def _start_level(self, mask: wp.array, coarse: VoxelField | None) -> None:
-        """A field of the rows of a mask, filled from a coarser one where there is one. What the optimiser held goes."""
-        self.gradients = self.moments = None
+        """A field of the rows of a mask, filled from a coarser one where there is one."""
         start_density = 0.1 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
         field, self.nodes = field_from_mask(self.bounds, mask, start_density, background=self.scene.background,
                                             device=self.device)
+        if not field.voxel_count:
+            raise ValueError("nothing is left to render after pruning: all images may show the background alone, or "
+                             "not fit their cameras")
         if coarse is not None:
             launch(grid_refine.resample_rows, field.voxel_count, [coarse.grid, _ratio(field, coarse), self.nodes],
                    [field.grid.density, field.grid.sh], device=self.device)
         self.field = field
 
     def _allocate_state(self) -> None:
-        shape = (self.field.voxel_count, ROW_NUMBERS)
-        self.gradients = [wp.zeros(shape, dtype=wp.float32, device=self.device) for _ in range(self.shards)]
-        self.moments = wp.zeros(shape, dtype=wp.bfloat16, device=self.device)
+        self._allocate_gradients()
+        self.moments = wp.zeros((self.field.voxel_count, ROW_NUMBERS), dtype=wp.bfloat16, device=self.device)
+
+    def _allocate_gradients(self) -> None:
+        rows = self.field.voxel_count
+        self.gradients = [wp.zeros((rows, ROW_NUMBERS), dtype=wp.float32, device=self.device)
+                          for _ in range(self.shards)]
+        self.touched = wp.zeros(rows, dtype=wp.uint8, device=self.device)
 
     def _activate_tiles(self) -> None:
         active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
@@ -280,52 +289,55 @@ class FieldOptimizer:
         """The voxels whose rendering weight reaches a threshold, and their neighbours, among those that there are."""
         stride = max(1, int(0.5 * self.field.resolution[0] ** -1 * self.scene.images.shape[2]))
         weights = self.measure_weights(stride)
-        mask = wp.zeros(self.field.resolution, dtype=wp.int32, device=self.device)
+        mask = wp.zeros(self.field.resolution, dtype=wp.uint8, device=self.device)
         launch(grid_refine.mark_weighty_nodes, self.field.voxel_count, [self.nodes, weights, threshold], [mask],
                device=self.device)
         mask = self._dilated(mask)
         launch(grid_refine.keep_linked, mask.size, [self.field.grid.links], [mask], device=self.device)
-        if not link_mask(mask)[1].shape[0]:
-            raise ValueError("nothing is left to render after pruning: all images may show the background alone, or "
-                             "not fit their cameras")
         return mask
 
     def _refine(self) -> None:
         """On to the next level: prune, halve the voxels, interpolate; less where the memory would not do."""
         self.level += 1
-        coarse = self.field.resolution
+        coarse, memory = self.field.resolution, FitMemory.of(self)
+        self.gradients = self.moments = None  # one level's state at a time: this is where memory peaks
         pruned = self._pruned_mask(self.options.prune_weight / max(coarse))
-        shape = FitMemory.of(self).refinement(self.field.voxel_count, int(pruned.numpy().sum()), coarse,
-                                              self.shapes[self.level], self.memory_limit)
+        shape = memory.refinement(self.field.voxel_count, mask_count(pruned), coarse,
+                                  self.shapes[self.level], self.memory_limit)
         self.shapes[self.level] = coarse if shape is None else shape
-        if shape is None:
-            return
-        mask = wp.empty(shape, dtype=wp.int32, device=self.device)
-        ratio = wp.vec3(*(n / m for n, m in zip(shape, coarse, strict=True)))
-        launch(grid_refine.refine_mask, mask.size, [ratio, pruned], [mask], device=self.device)
-        self._start_level(mask, self.field)
+        if shape is not None:
+            mask = wp.empty(shape, dtype=wp.uint8, device=self.device)
+            ratio = wp.vec3(*(n / m for n, m in zip(shape, coarse, strict=True)))
+            launch(grid_refine.refine_mask, mask.size, [ratio, pruned], [mask], device=self.device)
+            self._start_level(mask, self.field)
         self._allocate_state()
         self._activate_tiles()
 
     def restore_field(self, mask: wp.array) -> None:
         """Rows for a mask, with fresh optimiser state: what a checkpoint fills."""
+        self.gradients = self.moments = None
         self._start_level(mask, None)
         self._allocate_state()
         self._activate_tiles()
 
     def _thin_out(self) -> None:
         """Drop what no view shows, and keep the optimiser's state of the rest."""
-        before, moments = self.field, self.moments
+        memory = FitMemory.of(self)
+        self.gradients = None  # cleared between steps
         mask = self._pruned_mask(self.options.keep_weight)
-        needed = FitMemory.of(self).thinning_bytes(before.voxel_count, int(mask.numpy().sum()), before.resolution,
-                                                   array_bytes(device_arrays(moments)) / before.voxel_count)
+        needed = memory.thinning_bytes(self.field.voxel_count, mask_count(mask),
+                                       self.field.resolution, self.moments.capacity / self.field.voxel_count)
         if needed > self.memory_limit:
+            self._allocate_gradients()
             return
-        self._start_level(mask, before)
-        self._allocate_state()
-        self._activate_tiles()
-        launch(field_step.gather_moments, self.moments.size, [before.grid.links, self.nodes, moments], [self.moments],
+        links, moments = self.field.grid.links, self.moments
+        self._start_level(mask, self.field)
+        self.moments = wp.empty((self.field.voxel_count, ROW_NUMBERS), dtype=wp.bfloat16, device=self.device)
+        launch(field_step.gather_moments, self.moments.size, [links, self.nodes, moments], [self.moments],
                device=self.device)
+        del links, moments
+        self._allocate_gradients()
+        self._activate_tiles()
 
     # Steps
 
@@ -344,6 +356,8 @@ class FieldOptimizer:
         if self.cursor + self.batch_tiles > self.active_tiles:
             self._shuffle_tiles()
         self.rays.first_tile = self.cursor
+        # coarse voxels are wider than a pixel's parts
+        self.rays.rays_per_side = self.options.supersampling if self.level + 1 == self.options.levels else 1
         self.cursor += self.batch_tiles
         self._accumulate_gradients()
         self._apply_gradients()
@@ -352,9 +366,9 @@ class FieldOptimizer:
     def _accumulate_gradients(self) -> None:
         options, field = self.options, self.field
         random_background = int(options.random_background and self.scene.alphas is not None)
-        photometric = [self.rays, wp.vec3(*map(float, field.background)), random_background, int(options.jitter),
+        photometric = [self.rays, wp.vec3(*map(float, field.background)), random_background,
                        (self.seed * 1_000_003 + self.step_count) % (2**31 - 1), field.step, STOP_TRANSMITTANCE,
-                       1.0 / (3.0 * self.batch_rays), options.spread]
+                       1.0 / (3.0 * self.batch_rays)]
         cells = float(np.prod(field.resolution))
         scale = max(field.resolution) / 256.0
         variation_rows = max(1, int(options.variation_share * field.voxel_count))
@@ -364,7 +378,8 @@ class FieldOptimizer:
         coefficients = coefficient_rows(field.grid.sh)
         if not self.device.is_cpu:
             launch(field_loss_warps.accumulate_photometric_gradient_by_warps, WARP_LANES * self.batch_rays,
-                   [field.grid, coefficients, *photometric], [self.gradients[0], self.squared_error],
+                   [field.grid, coefficients, *photometric],
+                   [self.gradients[0], self.touched, self.squared_error],
                    device=self.device, block_dim=BLOCK_DIM)
         vary = options.variation_density > 0 or options.variation_sh > 0
         variation = [field.grid, coefficients, self.nodes, first_row, unit, options.variation_density * boost
@@ -380,7 +395,7 @@ class FieldOptimizer:
             begin, end = (ROW_NUMBERS * (variation_rows * i // self.shards) for i in (index, index + 1))
             if end > begin and vary:
                 wp.launch(field_variation.accumulate_variation_gradient, dim=end - begin, inputs=[begin, *variation],
-                          outputs=[gradients], device=self.device)
+                          outputs=[gradients, self.touched], device=self.device)
 
         if self.device.is_cpu:  # before the threads, so that each is compiled once
             wp.load_module(field_loss, device=self.device)
@@ -389,7 +404,9 @@ class FieldOptimizer:
 
     def _apply_gradients(self) -> None:
         options, field = self.options, self.field
-        progress = self.step_count / max(1, self.total_steps - 1)
+        progress = (self.step_count / max(1, self.total_steps - 1)) ** options.decay_power
+        if self.device.is_cpu:
+            self.touched.fill_(1)
         voxel = float(field.voxel_size.max())
         rate_density = _log_interpolate(options.rate_density, options.rate_density_end, progress) / voxel
         rate_sh = _log_interpolate(options.rate_sh, options.rate_sh_end, progress)
@@ -398,9 +415,10 @@ class FieldOptimizer:
             launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
         inputs = [rate_density, rate_sh, options.directional * rate_sh, options.beta,
                   1e-12 * voxel, 1e-12,  # a density's gradient is a length
-                  self.gradients[0], self.moments]
+                  self.touched, self.gradients[0], self.moments]
         launch(field_step.apply_rmsprop, total.size, inputs, [field.grid.density, coefficient_rows(field.grid.sh)],
                device=self.device)
+        self.touched.zero_()
         if self.scarcity > 1 and options.shrink_sh > 0 and self.step_count % SHRINK_EVERY == 0:
             kept = max(0.0, 1.0 - rate_sh * options.shrink_sh * self.scarcity) ** SHRINK_EVERY
             launch(shrink_view_dependence, 3 * field.voxel_count, [kept], [field.grid.sh], device=self.device)
@@ -416,10 +434,12 @@ class FieldOptimizer:
 
         What is left is what a cage has to enclose: faint floaters would stay behind when the object moves.
         """
+        self.gradients = self.moments = None
         mask = self._pruned_mask(self.options.keep_weight)
         self._start_level(mask, self.field)
         self.field.weights = self.measure_weights()
         self.field.up = self.scene.up
+        self.field.supersampling = self.options.supersampling
         return self.field
 
 

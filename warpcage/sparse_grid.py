@@ -9,19 +9,28 @@ from .kernels import grid_refine, grid_skip
 
 
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
-    """Number the nodes of a mask (nx, ny, nz) int32.
+    """Number the nodes of a mask (nx, ny, nz) uint8.
 
     Returns links (nx, ny, nz) int32 (row or -1) and nodes (rows,) vec3i, rows in memory order.
     """
     device = mask.device
-    flat = mask.flatten()
-    running = wp.empty_like(flat)
-    wp.utils.array_scan(flat, running, inclusive=True)
-    row_count = int(running[-1:].numpy()[0])
+    counts = _line_counts(mask)
+    wp.utils.array_scan(counts, counts, inclusive=True)
+    nodes = wp.empty(int(counts[-1:].numpy()[0]), dtype=wp.vec3i, device=device)
     links = wp.empty(mask.shape, dtype=wp.int32, device=device)
-    nodes = wp.empty(row_count, dtype=wp.vec3i, device=device)
-    launch(grid_refine.link_nodes, mask.size, [mask, running], [links, nodes], device=device)
+    launch(grid_refine.link_nodes, counts.size, [mask, counts], [links, nodes], device=device)
     return links, nodes
+
+
+def mask_count(mask: wp.array) -> int:
+    """Set nodes of a mask (nx, ny, nz) uint8."""
+    return int(_line_counts(mask).numpy().sum(dtype="int64"))
+
+
+def _line_counts(mask: wp.array) -> wp.array:
+    counts = wp.empty(mask.shape[0] * mask.shape[1], dtype=wp.int32, device=mask.device)
+    launch(grid_refine.count_lines, counts.size, [mask], [counts], device=mask.device)
+    return counts
 
 
 def measure_skip(links: wp.array) -> wp.array:
