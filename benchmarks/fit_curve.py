@@ -1,22 +1,67 @@
-"""PSNR on held-out views against seconds of fitting.
+"""PSNR on held-out views against seconds of fitting, and what the fit does a second.
 
     python benchmarks/fit_curve.py --data ../shared/data/lego_800 --device cuda:0 --json curve.json
     python benchmarks/fit_curve.py --data ../shared/data/lego_800 --downscale 8 --option footprint=0.7 epochs=16
 
-Clock: from the images in host memory to the finished field, kernels compiled beforehand, evaluations left out.
+Clock: from the images in host memory to the finished field, kernels compiled beforehand, evaluations and counts left
+out. Samples are counted in passes of their own, at each point of the curve and at both ends of a level, over the
+training rays that see the object, and summed over the steps in between: `marched` in cells that hold values, `matter`
+those of them with density. A step takes them once for the colour and once more for the gradient; they count once.
 """
 
 import argparse
 import ast
 import json
+import platform
 import time
 
 import numpy as np
 import warp as wp
 
 import warpcage
+from warpcage.devices import launch
 from warpcage.evaluation import evaluate, mean_psnr
-from warpcage.optimize import FieldOptimizer
+from warpcage.fit_memory import array_bytes, device_arrays
+from warpcage.kernels.sample_count import count_samples
+from warpcage.optimize import STOP_TRANSMITTANCE, FieldOptimizer
+
+
+def samples_per_ray(optimizer, *, wanted_rays: int = 1 << 20) -> np.ndarray:
+    """(2,) samples marched, and those with density, of a mean ray of a batch."""
+    camera = optimizer.scene.cameras[0]
+    total = len(optimizer.scene) * camera.width * camera.height
+    stride = max(1, int((total / wanted_rays) ** 0.5))
+    count = len(optimizer.scene) * -(-camera.width // stride) * -(-camera.height // stride)
+    counts = [wp.empty(count, dtype=wp.int32, device=optimizer.device) for _ in range(2)]
+    field = optimizer.field
+    launch(count_samples, count, [field.grid, optimizer.rays.cameras, stride, field.step, STOP_TRANSMITTANCE], counts,
+           device=optimizer.device)
+    active = optimizer.active_tiles / optimizer.tile_total  # the others, which batches leave out, march nothing
+    return np.array([each.numpy().mean(dtype=np.float64) for each in counts]) / active
+
+
+class Clock:
+    """Seconds since it was made, less the pauses; the device has caught up whenever it is read."""
+
+    def __init__(self, device):
+        self.device, self.seconds = device, 0.0
+        self.go_on()
+
+    def pause(self) -> float:
+        wp.synchronize_device(self.device)
+        self.seconds += time.perf_counter() - self.begin
+        return self.seconds
+
+    def go_on(self) -> None:
+        self.begin = time.perf_counter()
+
+
+def curve_point(optimizer, test, seconds: float, samples) -> dict:
+    return {
+        "seconds": round(seconds, 3), "steps": optimizer.step_count, "resolution": max(optimizer.field.resolution),
+        "voxels": optimizer.field.voxel_count, "psnr": round(mean_psnr(evaluate(optimizer.field, test)), 3),
+        "marched_per_ray": round(float(samples[0]), 2), "matter_per_ray": round(float(samples[1]), 2),
+    }
 
 
 def measure(scene, test, device, points: int, options: dict) -> dict:
@@ -26,25 +71,34 @@ def measure(scene, test, device, points: int, options: dict) -> dict:
     warm_up.finish()
     del warm_up
 
-    curve, spent, begin = [], 0.0, time.perf_counter()
+    clock = Clock(device)
     optimizer = FieldOptimizer(scene, device=device, **options)
-    wp.synchronize_device(device)
-    setup = time.perf_counter() - begin
-    marks = np.linspace(0, optimizer.total_steps, points + 1)[1:].astype(int)
-    for mark in marks:
-        while optimizer.step_count < mark:
-            optimizer.step()
-        wp.synchronize_device(device)
-        spent += time.perf_counter() - begin
-        curve.append({
-            "seconds": round(spent, 3), "steps": optimizer.step_count, "resolution": max(optimizer.field.resolution),
-            "voxels": optimizer.field.voxel_count, "psnr": round(mean_psnr(evaluate(optimizer.field, test)), 3),
-        })
-        print(curve[-1], flush=True)
-        begin = time.perf_counter()
+    setup = clock.pause()
+    image_bytes, held, curve = optimizer.rays.pixels.capacity, 0, []
+    marks = set(np.linspace(0, optimizer.total_steps, points + 1)[1:].astype(int).tolist())
+    samples, counted_at = np.zeros(2), 0
+    here = samples_per_ray(optimizer)
+    clock.go_on()
+    while optimizer.step_count < optimizer.total_steps:
+        level = optimizer.level
+        optimizer.step()
+        count = optimizer.step_count
+        if optimizer.level != level:  # the level's first step is done
+            clock.pause()
+            here = samples_per_ray(optimizer)
+            clock.go_on()
+        if count in marks or optimizer.level_done:
+            seconds = clock.pause()
+            before, here = here, samples_per_ray(optimizer)
+            samples += 0.5 * (before + here) * (count - counted_at) * optimizer.batch_rays
+            counted_at = count
+            held = max(held, array_bytes(device_arrays(optimizer)))
+            if count in marks:
+                curve.append(curve_point(optimizer, test, seconds, here))
+                print(curve[-1], flush=True)
+            clock.go_on()
     field = optimizer.finish()
-    wp.synchronize_device(device)
-    spent += time.perf_counter() - begin
+    spent = clock.pause()
     rows = evaluate(field, test)
     camera = test.cameras[0]
     times = []
@@ -53,12 +107,14 @@ def measure(scene, test, device, points: int, options: dict) -> dict:
         field.render(camera)
         wp.synchronize_device(device)
         times.append(time.perf_counter() - begin)
-    peak = wp.get_mempool_used_mem_high(device) if wp.get_device(device).is_cuda else 0
+    peak = wp.get_mempool_used_mem_high(device) if wp.get_device(device).is_cuda else held
     return {
         "options": options, "seconds": round(spent, 3), "setup_seconds": round(setup, 3), "psnr": mean_psnr(rows),
         "voxels": field.voxel_count, "resolution": field.resolution, "batch_rays": optimizer.batch_rays,
         "rays_per_second": round(optimizer.total_steps * optimizer.batch_rays / spent),
-        "render_milliseconds": round(1e3 * float(np.median(times)), 3), "peak_device_bytes": peak, "curve": curve,
+        "samples_marched_per_second": round(samples[0] / spent), "samples_matter_per_second": round(samples[1] / spent),
+        "render_milliseconds": round(1e3 * float(np.median(times)), 3), "peak_device_bytes": peak,
+        "image_bytes": image_bytes, "curve": curve,
     }
 
 
@@ -71,7 +127,7 @@ def main() -> None:
     parser.add_argument("--option", nargs="*", action="append", help="FitOptions as name=value; repeat for more runs")
     parser.add_argument("--json", help="file for the results")
     args = parser.parse_args()
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     device = warpcage.devices.resolve_device(args.device)
     scene = warpcage.load_scene(args.data, downscale=args.downscale)
     test = warpcage.load_scene(args.data, split="test", downscale=args.downscale)
@@ -82,8 +138,9 @@ def main() -> None:
         results.append(measure(scene, test, device, args.points, options))
         print({name: value for name, value in results[-1].items() if name != "curve"}, flush=True)
         if args.json:
+            content = {"device": device.name or platform.processor(), "warp": wp.__version__, "runs": results}
             with open(args.json, "w", encoding="utf-8") as file:
-                json.dump({"device": device.name, "warp": wp.__version__, "runs": results}, file, indent=1)
+                json.dump(content, file, indent=1)
 
 
 if __name__ == "__main__":

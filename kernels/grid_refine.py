@@ -53,13 +53,16 @@ def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(
 
 
 @wp.kernel
-def refine_mask(first: int, factor: int, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
-    """Each voxel into factor^3 (factor 1 copies)."""
+def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
+    """What the voxel says in which a finer one has its centre. ratio: finer voxels a voxel, along each axis."""
     n = first + wp.tid()
     k = n % mask.shape[2]
     j = (n // mask.shape[2]) % mask.shape[1]
     i = n // (mask.shape[2] * mask.shape[1])
-    mask[i, j, k] = source[i // factor, j // factor, k // factor]
+    a = wp.min(int((float(i) + 0.5) / ratio[0]), source.shape[0] - 1)
+    b = wp.min(int((float(j) + 0.5) / ratio[1]), source.shape[1] - 1)
+    c = wp.min(int((float(k) + 0.5) / ratio[2]), source.shape[2] - 1)
+    mask[i, j, k] = source[a, b, c]
 
 
 @wp.kernel
@@ -103,16 +106,19 @@ def link_nodes(
 def resample_rows(
     first: int,
     coarse: VoxelGrid,
-    factor: int,
+    ratio: wp.vec3,
     nodes: wp.array(dtype=wp.vec3i),
     density: wp.array(dtype=wp.float32),
     sh: wp.array2d(dtype=vec9),
 ):
-    """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (weights renormalised)."""
+    """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (weights renormalised).
+
+    ratio: fine voxels a coarse one, along each axis.
+    """
     row = first + wp.tid()
     node = nodes[row]
-    g = (wp.vec3(float(node[0]), float(node[1]), float(node[2])) + wp.vec3(0.5, 0.5, 0.5)) / float(factor)
-    g -= wp.vec3(0.5, 0.5, 0.5)
+    g = wp.vec3(float(node[0]), float(node[1]), float(node[2])) + wp.vec3(0.5, 0.5, 0.5)
+    g = wp.cw_div(g, ratio) - wp.vec3(0.5, 0.5, 0.5)
     total = float(0.0)
     value = float(0.0)
     red = vec9()

@@ -85,6 +85,8 @@ BAD = {
     "fit: downscale": (["fit", "@scene", "-o", "@new.npz", "--downscale", "0"], "at least 1"),
     "fit: device": (["fit", "@scene", "-o", "@new.npz", "--device", "cuda:99"], "cuda:99"),
     "fit: background": (["fit", "@scene", "-o", "@new.npz", "--background", "mauve"], "mauve"),
+    "fit: memory": (["fit", "@scene", "-o", "@new.npz", "--max-memory", "4 apples"], "4 apples"),
+    "fit: memory too short": (["fit", "@scene", "-o", "@new.npz", "--max-memory", "20kB"], "max_memory"),
     "fit: under a file": (["fit", "@scene", "-o", "@text.txt/new.npz"], "no folder"),
     "mesh: missing": (["mesh", "@nowhere.npz", "-o", "@new.obj"], "nowhere.npz"),
     "mesh: no field": (["mesh", "@broken.npz", "-o", "@new.obj"], "broken.npz"),

@@ -60,7 +60,8 @@ class Silhouettes:
         launch(sum_rows, count * height, [held], [self.sums], device=device)
         launch(sum_columns, count * (width + 1), [], [self.sums], device=device)
         touching = opaque[:, [0, -1]].any(axis=(1, 2)) | opaque[:, :, [0, -1]].any(axis=(1, 2))
-        self.bounded = wp.array(~touching, dtype=wp.int32, device=device)
+        showing = opaque.any(axis=(1, 2))  # a view of nothing only says where the object is not
+        self.bounded = wp.array(showing & ~touching, dtype=wp.int32, device=device)
 
     def carve(self, bounds, resolution) -> wp.array:
         """(nx, ny, nz) uint8 mask of the voxels that no image shows as transparent, at `resolution` over `bounds`."""
@@ -103,8 +104,22 @@ def object_bounds(scene: Scene, device) -> np.ndarray:
 
 
 def scene_box(scene: Scene) -> np.ndarray:
-    """(2, 3) the bounds that the scene's files give, or else view_box."""
-    return view_box(scene) if getattr(scene, "bounds", None) is None else scene.bounds
+    """(2, 3) the bounds that the scene's files give, or else view_box.
+
+    Raises ValueError where there are none and the cameras do not look at anything in common: most of them away from the
+    centre of that box, or all from one place into several directions.
+    """
+    if getattr(scene, "bounds", None) is not None:
+        return scene.bounds
+    box = view_box(scene)
+    away = sum((box.mean(axis=0) - camera.centre) @ camera.rotation[:, 2] <= 0 for camera in scene.cameras)
+    if 2 * away > len(scene):
+        raise ValueError(f"{away} of {len(scene)} cameras look away from what the views have in common: check the "
+                         "cameras' axes, or give the bounds of what should be fitted")
+    if not (box[1] > box[0]).all():
+        raise ValueError("the cameras do not tell the size of what they look at: check focal lengths and positions, or "
+                         "give the bounds of what should be fitted")
+    return box
 
 
 def camera_array(cameras, origin, device) -> wp.array:

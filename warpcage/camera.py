@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import numbers
 
 import numpy as np
 
@@ -33,10 +34,16 @@ class Camera:
         rotation = pose[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
             raise ValueError("camera_to_world must hold a rotation (orthonormal, determinant 1)")
+        if not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-3):
+            raise ValueError(f"camera_to_world must end in the row 0 0 0 1, got {pose[3].tolist()}")
         if int(self.width) < 1 or int(self.height) < 1:
             raise ValueError(f"a camera needs an image of at least 1x1 pixel, got {self.width}x{self.height}")
-        if not (np.isfinite([self.fx, self.fy, self.cx, self.cy]).all() and self.fx > 0 and self.fy > 0):
-            raise ValueError(f"focal lengths must be positive and finite, got fx={self.fx}, fy={self.fy}")
+        for name in ("fx", "fy", "cx", "cy"):
+            value = getattr(self, name)
+            if not (isinstance(value, numbers.Real) and np.isfinite(value)):
+                raise ValueError(f"{name} of a camera must be a finite number, got {value!r}")
+        if not (self.fx > 0 and self.fy > 0):
+            raise ValueError(f"focal lengths must be positive, got fx={self.fx}, fy={self.fy}")
         pose = pose.copy()
         pose.setflags(write=False)
         object.__setattr__(self, "camera_to_world", pose)

@@ -50,7 +50,7 @@ class VoxelField:
     def __init__(self, bounds, links, density, sh, *, background="white", background_model=None, weights=None,
                  up=(0.0, 0.0, 1.0), supersampling=1, device=None):
         self.device = resolve_device(device if device is not None or not isinstance(links, wp.array) else links.device)
-        self.bounds = _checked_bounds(bounds)
+        self.bounds = checked_bounds(bounds)
         self.background = parse_background(background)
         self.background_model = None if background_model is None else background_model.to(self.device)
         self.up = _checked_up(up)
@@ -224,7 +224,8 @@ def field_from_mask(bounds, mask: wp.array, density: float, *, background, devic
     return field, nodes
 
 
-def _checked_bounds(bounds) -> np.ndarray:
+def checked_bounds(bounds) -> np.ndarray:
+    """(2, 3) float64, read-only. Raises ValueError where they are not two finite corners, the lower one first."""
     bounds = np.array(bounds, dtype=np.float64)
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
         raise ValueError(f"bounds must be (2, 3), finite, lower below upper, got {bounds.tolist()}")

@@ -35,6 +35,7 @@ def save_progress(optimizer, path) -> None:
         "fingerprint": np.array(fingerprint(optimizer)),
         "state": np.array(json.dumps({
             "step_count": optimizer.step_count, "level": optimizer.level, "level_steps": optimizer.level_steps,
+            "shapes": optimizer.shapes,
             "cursor": optimizer.cursor, "random": optimizer.random.bit_generator.state,
         })),
         "resolution": np.array(optimizer.field.resolution, np.int32),
@@ -76,8 +77,12 @@ def _restore(optimizer, contents: dict, path) -> None:
     if not 0 <= level < len(optimizer.shapes) or len(level_steps) != len(optimizer.level_steps):
         raise ValueError(f"level {level} of {len(level_steps)} steps")
     shape = tuple(int(n) for n in require_numbers(contents, "resolution", (3,), path))
-    if shape != optimizer.shapes[level]:
-        raise ValueError(f"resolution {shape} at level {level}, {optimizer.shapes[level]} expected")
+    shapes = [tuple(int(n) for n in held) for held in state["shapes"]]  # coarser than planned where memory was short
+    planned = optimizer.shapes
+    fitting = len(shapes) == len(planned) and all(2 <= n <= m for held, whole in zip(shapes, planned, strict=True)
+                                                  for n, m in zip(held, whole, strict=True))
+    if not fitting or shape != shapes[level]:
+        raise ValueError(f"resolution {shape} at level {level} of {shapes}, {planned} planned")
     packed = require_numbers(contents, "occupancy", (-(-math.prod(shape) // 8),), path)
     occupied = np.unpackbits(packed, count=math.prod(shape)).reshape(shape)
     rows = int(occupied.sum())
@@ -102,7 +107,7 @@ def _restore(optimizer, contents: dict, path) -> None:
     if optimizer.background is not None:
         optimizer.background.restore(contents, level, path)
     optimizer.step_count, optimizer.level = int(state["step_count"]), level
-    optimizer.level_steps = level_steps
+    optimizer.level_steps, optimizer.shapes = level_steps, shapes
     optimizer.total_steps = sum(level_steps)
     optimizer.random.bit_generator.state = state["random"]
     optimizer.rays.tiles = wp.array(tiles, dtype=wp.int32, device=optimizer.device)

@@ -12,11 +12,15 @@ import warp as wp
 from .background_fit import BackgroundOptimizer, chosen_background
 from .bounds import Silhouettes, camera_array, keep_seen, scene_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
-from .field import VoxelField, field_from_mask
+from .field import VoxelField, checked_bounds, field_from_mask
+from .fit_defaults import DENSITY_POWER, SH_POWER, pixel_size, scarcity
+from .fit_memory import FitMemory, array_bytes, device_arrays, memory_limit, memory_size, require_image_memory
 from .kernels import field_loss, field_loss_warps, field_step, field_variation, grid_refine
 from .kernels.spherical_harmonics import vec9
+from .kernels.view_dependence import shrink_view_dependence
 from .kernels.volume_render import record_weights
 from .scene import Scene
+from .sparse_grid import mask_count
 
 #: A training march ends where less than this share of the light is left, as a render does.
 STOP_TRANSMITTANCE = 1e-3
@@ -30,6 +34,11 @@ ROW_NUMBERS = 28
 
 #: Pictures that were taken are fewer and less exact than rendered ones: so much more total variation suits them.
 CAPTURED_VARIATION = 30.0
+#: Steps from one pass over the SH coefficients that shrinks them to the next.
+SHRINK_EVERY = 4
+
+#: Rays of a batch that is made smaller for the sake of more steps, at least.
+SMALLEST_BATCH = 4096
 
 #: A CPU thread's own gradients are worth their memory up to this many.
 MAX_SHARDS = 8
@@ -45,7 +54,8 @@ class FitOptions:
     levels: int = 3  #: the resolution doubles from level to level
     level_growth: float = 2.2  #: each level gets this many times the rays of the one before
     epochs: float = 8.0  #: passes over the pixels that see the object
-    batch_rays: int | None = None  #: None follows the number of pixels
+    least_steps: int = 600  #: steps that a fit takes even so, where `epochs` is not given: few pixels are soon through
+    batch_rays: int | None = None  #: None follows the number of pixels, so that there are steps enough
     tile_size: int = 2  #: a batch is made of square tiles of this many pixels, neighbours share voxels
     rate_density: float = 0.25  #: first learning rate, in optical depth a voxel of the level
     rate_density_end: float = 0.0125
@@ -54,9 +64,13 @@ class FitOptions:
     decay_power: float = 2.0  #: rates fall with this power of the share of steps done: slowly first, fast at the end
     directional: float = 0.15  #: rate of the coefficients that tell directions apart, over that of the constant ones
     beta: float = 0.95  #: RMSProp's decay
+    scarcity: float | None = None  #: factor of the variations and the shrinkage; None follows how few pixels see a
+    #: voxel (see fit_defaults)
     variation_density: float = 3e-6  #: total variation of density (per half extent) a voxel of the box
     variation_sh: float = 3e-4
-    variation: float | None = None  #: factor on both; None is CAPTURED_VARIATION with layers behind the field
+    variation: float | None = None  #: factor on both; None is what the number of pixels that see a voxel asks for, and
+    #: CAPTURED_VARIATION at least with layers behind the field
+    shrink_sh: float = 0.06  #: decay of SH of degree 1 and up, relative to a step of rate_sh, where views are scarce
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
     keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
@@ -74,6 +88,8 @@ class FitOptions:
     rate_background_end: float = 0.01
     variation_background: float = 0.03  #: total variation of the layers' colours
     variation_background_depth: float = 0.03
+    max_memory: int | str | None = None  #: bytes, or "4GB", that the fit may take on its device, images included; None
+    #: is most of what is free. Where it is short the last levels are refined less far
 
 
 #: What `quality` stands for, over the defaults.
@@ -81,6 +97,30 @@ QUALITIES = {
     "fast": {"epochs": 4.0},
     "standard": {},
     "high": {"epochs": 16.0, "max_resolution": 720, "supersampling": 2},
+}
+
+#: name -> smallest, largest, kind, whether None will do
+OPTION_RANGES = {
+    "resolution": (8, 2048, int, True),
+    "max_resolution": (8, 2048, int, False),
+    "levels": (1, 6, int, False),
+    "least_steps": (0, 2**24, int, False),
+    "batch_rays": (1, 2**24, int, True),
+    "tile_size": (1, 64, int, False),
+    "scarcity": (0.0, 1e6, float, True),
+    "variation": (0.0, 1e6, float, True),
+    "variation_density": (0.0, 1e3, float, False),
+    "variation_sh": (0.0, 1e3, float, False),
+    "shrink_sh": (0.0, 1e3, float, False),
+    "variation_share": (1e-6, 1.0, float, False),
+    "prune_weight": (0.0, 1e3, float, False),
+    "keep_weight": (0.0, 1.0, float, False),
+    "keep_at": (0.0, 1.0, float, False),
+    "supersampling": (1, 2, int, False),
+    "beta": (0.0, 1.0 - 1e-6, float, False),
+    **{name: (1e-9, 1e9, float, False) for name in ("footprint", "level_growth", "epochs", "rate_density",
+                                                    "rate_density_end", "rate_sh", "rate_sh_end",
+                                                    "directional", "decay_power")},
 }
 
 
@@ -100,7 +140,7 @@ class FieldOptimizer:
         self.scene = scene
         self.options = _checked_options(options)
         self.device = resolve_device(device)
-        self.seed = int(seed)
+        self.seed = _checked_seed(seed)
         self.given = {"seed": self.seed, "bounds": None if bounds is None else np.asarray(bounds, np.float64).tolist(),
                       **dataclasses.asdict(self.options)}
         self.random = np.random.default_rng(self.seed)
@@ -108,25 +148,22 @@ class FieldOptimizer:
         self.step_count = 0
         self.level = 0
         self.shards = min(CPU_THREADS, MAX_SHARDS) if self.device.is_cpu else 1
-        random_background, layers = chosen_background(scene, self.options.background)
-        self.random_background = int(random_background)
-        self.variation = self.options.variation
-        if self.variation is None:
-            self.variation = CAPTURED_VARIATION if layers else 1.0
+        self.random_background, self.layered = chosen_background(scene, self.options.background)
+        self.memory_limit = memory_limit(self.options.max_memory, self.device)
 
         self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
             bounds = scene_box(scene)
             if self._silhouettes is not None:
                 bounds = self._silhouettes.bound(bounds)
-        self._choose_grid(np.asarray(bounds, np.float64))
+        self._choose_grid(checked_bounds(bounds))
         self._upload_images()
-        self.background = None if not layers else BackgroundOptimizer(
-            scene, self.bounds, self.options, self.batch_rays, self.shards, self.device)
-        self._start_level(self._initial_mask(), None)
+        self._start_level(self._first_mask(), None)
         self._allocate_state()
         self._activate_tiles()
         self._plan()
+        self.background = None if not self.layered else BackgroundOptimizer(
+            scene, self.bounds, self.options, self.batch_rays, self.shards, self.device)
 
     # Set-up
 
@@ -137,12 +174,21 @@ class FieldOptimizer:
         longest = float(extent.max())
         resolution = options.resolution
         if resolution is None:
-            centre = box.mean(axis=0)
-            pixel = np.median([np.linalg.norm(c.centre - centre) / c.fx for c in self.scene.cameras])
+            pixel = pixel_size(self.scene.cameras, box.mean(axis=0))
             resolution = int(np.clip(math.ceil(longest / (options.footprint * pixel)), 32, options.max_resolution))
         unit = 2 ** (options.levels - 1)
         voxel = longest / resolution
         shape = np.maximum(1, np.ceil(extent / voxel / unit - 1e-6).astype(int)) * unit
+        scarce = options.scarcity
+        self.scarcity = scarcity(self.scene.cameras, box.mean(axis=0), voxel) if scarce is None else scarce
+        factors = self.scarcity**DENSITY_POWER, self.scarcity**SH_POWER
+        if options.variation is not None:
+            factors = options.variation, options.variation
+        elif self.layered:
+            factors = tuple(max(CAPTURED_VARIATION, factor) for factor in factors)
+        self.variation_density, self.variation_sh = (
+            weight * factor for weight, factor in zip((options.variation_density, options.variation_sh), factors,
+                                                      strict=True))
         half = 0.5 * shape * voxel
         self.bounds = np.stack([box.mean(axis=0) - half, box.mean(axis=0) + half])
         self.shapes = [tuple(int(n) for n in shape // 2 ** (options.levels - 1 - i)) for i in range(options.levels)]
@@ -160,51 +206,69 @@ class FieldOptimizer:
         run_parallel([lambda parts=parts: pack(*parts) for parts in zip(pixels, scene.images, alphas, strict=True)])
         rays = field_loss.TrainingRays()
         rays.cameras = camera_array(scene.cameras, self.bounds.mean(axis=0), self.device)
+        require_image_memory(pixels.nbytes + array_bytes(device_arrays(self)), self.memory_limit)
         rays.pixels = wp.array(pixels, dtype=wp.vec4h, device=self.device)
         rays.tile_size = self.options.tile_size
         rays.rays_per_side = 1
         self.rays = rays
         size = self.options.tile_size
         self.tile_total = count * -(-height // size) * -(-width // size)
-        batch = self.options.batch_rays or int(np.clip(count * height * width // 128, 4096, 65536))
-        self.batch_tiles = max(1, batch // size**2)
-        self.batch_rays = self.batch_tiles * size**2
-        self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
 
-    def _initial_mask(self) -> wp.array:
-        carved = self._silhouettes is not None
-        if carved:
-            mask = self._silhouettes.carve(self.bounds, self.shapes[0])
-            self._silhouettes = None  # its tables are as large as the images
-        else:
+    def _first_mask(self) -> wp.array:
+        """Voxels of the first level, which is made coarser where its memory would not do."""
+        silhouettes, self._silhouettes = self._silhouettes, None  # its tables are as large as the images
+        self._start_level(wp.ones((2, 2, 2), dtype=wp.uint8, device=self.device), None)
+        self._allocate_state()
+        memory = FitMemory.of(self)  # what a node and a row take
+        while True:
+            mask = self._possible_voxels(silhouettes)
+            self.shapes, fits = memory.first_shapes(self.shapes, mask_count(mask), self.memory_limit)
+            if fits:
+                return mask
+
+    def _possible_voxels(self, silhouettes) -> wp.array:
+        """Voxels of the first level that enough cameras see, inside all silhouettes where there are any."""
+        if silhouettes is None:
             mask = wp.ones(self.shapes[0], dtype=wp.uint8, device=self.device)
+        else:
+            mask = silhouettes.carve(self.bounds, self.shapes[0])
         least = max(1, math.ceil(self.options.view_share * len(self.scene)))
         keep_seen(self.bounds, self.scene.cameras, least, mask)
-        if not carved:
-            return mask
-        if not mask.numpy().any():
-            raise ValueError("no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas")
-        return self._dilated(mask)
+        if not mask_count(mask):
+            raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes"
+                             if silhouettes is None else
+                             "no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas")
+        return mask if silhouettes is None else self._dilated(mask)
 
     def _plan(self) -> None:
         options = self.options
+        pixels = self.active_tiles * options.tile_size**2
+        batch = options.batch_rays
+        if batch is None:
+            batch = np.clip(math.prod(self.scene.images.shape[:3]) // 128, 4096, 65536)
+            if options.least_steps:
+                batch = min(batch, max(SMALLEST_BATCH, options.epochs * pixels / options.least_steps))
+        self.batch_tiles = min(max(1, int(batch) // options.tile_size**2), self.active_tiles)
+        self.batch_rays = self.batch_tiles * options.tile_size**2
+        self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
         shares = options.level_growth ** np.arange(options.levels)
         shares = shares / shares.sum()
-        steps = options.epochs * self.active_tiles / self.batch_tiles
+        steps = max(options.epochs * self.active_tiles / self.batch_tiles, options.least_steps)
         self.level_steps = [max(1, round(float(share) * steps)) for share in shares]
         self.total_steps = sum(self.level_steps)
 
     # Levels
 
-    def _start_level(self, mask: wp.array, coarse: VoxelField | None, factor: int = 1) -> None:
+    def _start_level(self, mask: wp.array, coarse: VoxelField | None) -> None:
         """A field of the rows of a mask, filled from a coarser one where there is one."""
         start_density = 0.1 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
         field, self.nodes = field_from_mask(self.bounds, mask, start_density, background=self.scene.background,
                                             device=self.device)
         if not field.voxel_count:
-            raise ValueError("nothing is left to render after pruning: the images may not fit their cameras")
+            raise ValueError("nothing is left to render after pruning: all images may show the background alone, or "
+                             "not fit their cameras")
         if coarse is not None:
-            launch(grid_refine.resample_rows, field.voxel_count, [coarse.grid, factor, self.nodes],
+            launch(grid_refine.resample_rows, field.voxel_count, [coarse.grid, _ratio(field, coarse), self.nodes],
                    [field.grid.density, field.grid.sh], device=self.device)
         self.field = field
 
@@ -219,7 +283,7 @@ class FieldOptimizer:
         self.touched = wp.zeros(rows, dtype=wp.uint8, device=self.device)
 
     def _activate_tiles(self) -> None:
-        if self.background is not None:  # every pixel shows something
+        if self.layered:  # every pixel shows something
             self.tile_ids, self.active_tiles = np.arange(self.tile_total, dtype=np.int32), self.tile_total
             self._shuffle_tiles()
             return
@@ -271,15 +335,21 @@ class FieldOptimizer:
         return mask
 
     def _refine(self) -> None:
-        """On to the next level: prune, halve the voxels, interpolate."""
+        """On to the next level: prune, halve the voxels, interpolate; less where the memory would not do."""
         self.level += 1
+        coarse, memory = self.field.resolution, FitMemory.of(self)
         self.gradients = self.moments = None  # one level's state at a time: this is where memory peaks
-        pruned = self._pruned_mask(self.options.prune_weight / max(self.field.resolution))
-        mask = wp.empty(self.shapes[self.level], dtype=wp.uint8, device=self.device)
-        launch(grid_refine.refine_mask, mask.size, [2, pruned], [mask], device=self.device)
+        pruned = self._pruned_mask(self.options.prune_weight / max(coarse))
+        shape = memory.refinement(self.field.voxel_count, mask_count(pruned), coarse,
+                                  self.shapes[self.level], self.memory_limit)
+        self.shapes[self.level] = coarse if shape is None else shape
+        if shape is not None:
+            mask = wp.empty(shape, dtype=wp.uint8, device=self.device)
+            ratio = wp.vec3(*(n / m for n, m in zip(shape, coarse, strict=True)))
+            launch(grid_refine.refine_mask, mask.size, [ratio, pruned], [mask], device=self.device)
+            self._start_level(mask, self.field)
         if self.background is not None:
             self.background.start_level(self.level)
-        self._start_level(mask, self.field, 2)
         self._allocate_state()
         self._activate_tiles()
 
@@ -292,9 +362,16 @@ class FieldOptimizer:
 
     def _thin_out(self) -> None:
         """Drop what no view shows, and keep the optimiser's state of the rest."""
+        memory = FitMemory.of(self)
         self.gradients = None  # cleared between steps
+        mask = self._pruned_mask(self.options.keep_weight)
+        needed = memory.thinning_bytes(self.field.voxel_count, mask_count(mask),
+                                       self.field.resolution, self.moments.capacity / self.field.voxel_count)
+        if needed > self.memory_limit:
+            self._allocate_gradients()
+            return
         links, moments = self.field.grid.links, self.moments
-        self._start_level(self._pruned_mask(self.options.keep_weight), self.field)
+        self._start_level(mask, self.field)
         self.moments = wp.empty((self.field.voxel_count, ROW_NUMBERS), dtype=wp.bfloat16, device=self.device)
         launch(field_step.gather_moments, self.moments.size, [links, self.nodes, moments], [self.moments],
                device=self.device)
@@ -332,13 +409,13 @@ class FieldOptimizer:
         if self.background is not None:
             self.background.prepare(self.rays)
             behind, grad_behind = self.background.behind, self.background.grad_behind
-        photometric = [self.rays, wp.vec3(*map(float, field.background)), self.random_background,
+        photometric = [self.rays, wp.vec3(*map(float, field.background)), int(self.random_background),
                        (self.seed * 1_000_003 + self.step_count) % (2**31 - 1), field.step, STOP_TRANSMITTANCE,
                        1.0 / (3.0 * self.batch_rays), behind]
         cells = float(np.prod(field.resolution))
         scale = max(field.resolution) / 256.0
         variation_rows = max(1, int(options.variation_share * field.voxel_count))
-        boost = self.variation * field.voxel_count / variation_rows / cells * scale
+        boost = field.voxel_count / variation_rows / cells * scale
         first_row = int(self.random.integers(field.voxel_count))
         unit = 1.0 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
         coefficients = coefficient_rows(field.grid.sh)
@@ -347,9 +424,9 @@ class FieldOptimizer:
                    [field.grid, coefficients, *photometric],
                    [self.gradients[0], self.touched, self.squared_error, grad_behind],
                    device=self.device, block_dim=BLOCK_DIM)
-        vary = options.variation_density > 0 or options.variation_sh > 0
-        variation = [field.grid, coefficients, self.nodes, first_row, unit, options.variation_density * boost,
-                     options.variation_sh * boost]
+        vary = self.variation_density > 0 or self.variation_sh > 0
+        variation = [field.grid, coefficients, self.nodes, first_row, unit,
+                     self.variation_density * boost, self.variation_sh * boost]
 
         def shard(index: int) -> None:
             gradients = self.gradients[index]
@@ -389,6 +466,9 @@ class FieldOptimizer:
         launch(field_step.apply_rmsprop, total.size, inputs, [field.grid.density, coefficient_rows(field.grid.sh)],
                device=self.device)
         self.touched.zero_()
+        if self.scarcity > 1 and options.shrink_sh > 0 and self.step_count % SHRINK_EVERY == 0:
+            kept = max(0.0, 1.0 - rate_sh * options.shrink_sh * self.scarcity) ** SHRINK_EVERY
+            launch(shrink_view_dependence, 3 * field.voxel_count, [kept], [field.grid.sh], device=self.device)
 
     def measure_psnr(self) -> float:
         """PSNR in dB of the last batch, over all pixels of the images: those that see no voxel count as right."""
@@ -468,8 +548,19 @@ def gradient_parts(gradients: wp.array) -> tuple[wp.array, wp.array]:
     return density, sh
 
 
+def _ratio(fine: VoxelField, coarse: VoxelField) -> wp.vec3:
+    """Voxels of one field a voxel of another over the same bounds, along each axis."""
+    return wp.vec3(*(n / m for n, m in zip(fine.resolution, coarse.resolution, strict=True)))
+
+
 def _log_interpolate(start: float, end: float, progress: float) -> float:
     return math.exp((1.0 - progress) * math.log(start) + progress * math.log(end))
+
+
+def _checked_seed(seed) -> int:
+    if not (isinstance(seed, (int, np.integer)) and seed >= 0):
+        raise ValueError(f"the seed must be a whole number of at least 0, got {seed!r}")
+    return int(seed)
 
 
 def _checked_options(options: dict) -> FitOptions:
@@ -481,15 +572,17 @@ def _checked_options(options: dict) -> FitOptions:
     quality = options.pop("quality", "standard")
     if quality not in QUALITIES:
         raise ValueError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
+    if "epochs" in options:
+        options.setdefault("least_steps", 0)
+    if options.get("max_memory") is not None:
+        options["max_memory"] = memory_size(options["max_memory"])
     checked = FitOptions(**{**QUALITIES[quality], **options})
-    if checked.resolution is not None and not 8 <= checked.resolution <= 2048:
-        raise ValueError(f"resolution must lie between 8 and 2048 voxels, got {checked.resolution}")
-    if checked.supersampling not in (1, 2):
-        raise ValueError(f"supersampling must be 1 or 2 rays a side of a pixel, got {checked.supersampling}")
-    if not 1 <= checked.levels <= 6:
-        raise ValueError(f"levels must lie between 1 and 6, got {checked.levels}")
-    for name in ("epochs", "tile_size", "rate_density", "rate_density_end", "rate_sh", "rate_sh_end", "footprint",
-                 "level_growth", "directional", "decay_power"):
-        if not getattr(checked, name) > 0:
-            raise ValueError(f"{name} must be positive, got {getattr(checked, name)}")
+    for name, (low, high, kind, optional) in OPTION_RANGES.items():
+        value = getattr(checked, name)
+        if value is None and optional:
+            continue
+        wanted = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
+        if not isinstance(value, wanted) or isinstance(value, bool) or not low <= value <= high:
+            what = "a whole number" if kind is int else "a number"
+            raise ValueError(f"{name} must be {what} from {low:g} to {high:g}, got {value!r}")
     return checked

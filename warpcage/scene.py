@@ -11,6 +11,9 @@ from .camera import Camera
 
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
 
+#: Renders of a field may leave [0, 1] by this much; what is further out comes in other units.
+IMAGE_ROOM = 1.0
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
@@ -27,7 +30,8 @@ class Scene:
     to_source: (4, 4) float64, takes the scene's coordinates to those that its data were made from (DTU's millimetres,
     a reconstruction before nerfstudio's applied_transform), or None where they are the same or not known.
 
-    Raises ValueError where the parts do not fit together or images hold values that are not finite.
+    Raises ValueError where the parts do not fit together, or images or alphas hold values that are not finite or far
+    from [0, 1].
     """
 
     images: np.ndarray
@@ -40,12 +44,16 @@ class Scene:
     surroundings: np.ndarray | None = None
 
     def __post_init__(self):
+        if len(self.images) == 0:
+            raise ValueError("a scene needs at least one image")
+        sizes = [np.shape(image)[:2] for image in self.images]
+        if len(set(sizes)) > 1:
+            other = next(i for i, size in enumerate(sizes) if size != sizes[0])
+            raise ValueError(f"scene images must be of one size: image 0 is {sizes[0]}, image {other} {sizes[other]}")
         images = np.asarray(self.images, dtype=np.float32)
         if images.ndim != 4 or images.shape[-1] != 3:
             raise ValueError(f"scene images must be (n, h, w, 3), got {images.shape}")
         count, height, width = images.shape[:3]
-        if count == 0:
-            raise ValueError("a scene needs at least one image")
         if len(self.cameras) != count:
             raise ValueError(f"a scene needs one camera an image: {count} images, {len(self.cameras)} cameras")
         names = list(self.names) or [f"{i:04d}" for i in range(count)]
@@ -54,6 +62,9 @@ class Scene:
         for name, image, camera in zip(names, images, self.cameras, strict=True):
             if not np.isfinite(image).all():
                 raise ValueError(f"image {name} holds values that are not finite")
+            if image.min() < -IMAGE_ROOM or image.max() > 1 + IMAGE_ROOM:
+                raise ValueError(f"image {name} holds values from {image.min():g} to {image.max():g}: they must lie in "
+                                 "[0, 1] (8-bit pictures divided by 255)")
             if (camera.height, camera.width) != (height, width):
                 raise ValueError(f"camera of image {name} is {camera.width}x{camera.height}, "
                                  f"images are {width}x{height}")
@@ -62,6 +73,10 @@ class Scene:
             alphas = np.asarray(alphas, dtype=np.float32)
             if alphas.shape != images.shape[:3]:
                 raise ValueError(f"scene alphas must be {images.shape[:3]}, got {alphas.shape}")
+            for name, alpha in zip(names, alphas, strict=True):
+                if not (alpha.min() >= -1e-3 and alpha.max() <= 1 + 1e-3):  # false for NaN too
+                    raise ValueError(f"alpha of image {name} holds values from {alpha.min():g} to {alpha.max():g}: "
+                                     "they must lie in [0, 1]")
         surroundings = self.surroundings
         if surroundings is not None:
             surroundings = np.asarray(surroundings, dtype=np.float32)

@@ -14,13 +14,23 @@ def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
     Returns links (nx, ny, nz) int32 (row or -1) and nodes (rows,) vec3i, rows in memory order.
     """
     device = mask.device
-    counts = wp.empty(mask.shape[0] * mask.shape[1], dtype=wp.int32, device=device)
-    launch(grid_refine.count_lines, counts.size, [mask], [counts], device=device)
+    counts = _line_counts(mask)
     wp.utils.array_scan(counts, counts, inclusive=True)
     nodes = wp.empty(int(counts[-1:].numpy()[0]), dtype=wp.vec3i, device=device)
     links = wp.empty(mask.shape, dtype=wp.int32, device=device)
     launch(grid_refine.link_nodes, counts.size, [mask, counts], [links, nodes], device=device)
     return links, nodes
+
+
+def mask_count(mask: wp.array) -> int:
+    """Set nodes of a mask (nx, ny, nz) uint8."""
+    return int(_line_counts(mask).numpy().sum(dtype="int64"))
+
+
+def _line_counts(mask: wp.array) -> wp.array:
+    counts = wp.empty(mask.shape[0] * mask.shape[1], dtype=wp.int32, device=mask.device)
+    launch(grid_refine.count_lines, counts.size, [mask], [counts], device=mask.device)
+    return counts
 
 
 def measure_skip(links: wp.array) -> wp.array:

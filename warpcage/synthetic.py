@@ -205,11 +205,13 @@ def _placed(part, degrees, offset):
 # Pictures
 
 
-def render_mesh_views(vertices, faces, colours, cameras, *, samples: int = 3, device=None) -> np.ndarray:
+def render_mesh_views(vertices, faces, colours, cameras, *, samples: int = 3, highlight: float = 0.22,
+                      shininess: float = 18.0, device=None) -> np.ndarray:
     """Ray cast a mesh from each camera.
 
     vertices (v, 3) world units; faces (f, 3); colours (f, 3) in [0, 1]; cameras of one image size; samples x samples
-    rays a pixel. Returns (n, h, w, 4) float32, straight alpha (colour 0 where alpha is 0).
+    rays a pixel; highlight, shininess: strength and exponent of the specular term.
+    Returns (n, h, w, 4) float32, straight alpha (colour 0 where alpha is 0).
     Lit from above (+z). Raises ValueError for shapes that do not fit, no camera, or cameras of several sizes.
     """
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
@@ -235,6 +237,7 @@ def render_mesh_views(vertices, faces, colours, cameras, *, samples: int = 3, de
     )
     face_colours = wp.array(colours, dtype=wp.vec3, device=device)
     lighting = _lighting(size)
+    lighting.highlight, lighting.shininess = highlight, shininess
     width, height = cameras[0].width, cameras[0].height
     rgba = wp.zeros(width * height, dtype=wp.vec4, device=device)
     views = np.empty((len(cameras), height, width, 4), np.float32)
@@ -253,7 +256,6 @@ def _lighting(size: float) -> MeshLighting:
     lighting.fill_colour = wp.vec3(0.24, 0.26, 0.29)
     lighting.sky_colour = wp.vec3(0.60, 0.62, 0.66)
     lighting.ground_colour = wp.vec3(0.46, 0.43, 0.40)
-    lighting.highlight, lighting.shininess = 0.22, 18.0
     lighting.reach, lighting.offset = 0.15 * size, 1e-4 * size
     return lighting
 

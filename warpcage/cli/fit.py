@@ -7,7 +7,7 @@ HELP = "fit a radiance field to the pictures of a scene"
 EXAMPLE = """\
   warpcage fit data/lego --downscale 2 -o lego.npz
   warpcage fit data/lego -o lego.npz --device cuda:0 --resolution 384 --background black
-  warpcage fit data/lego -o lego.npz --quality high --checkpoint progress.npz
+  warpcage fit data/lego -o lego.npz --quality high --checkpoint progress.npz --max-memory 6GB
   warpcage fit data/dtu/scan24 -o house.npz --split-masks
 """
 
@@ -30,6 +30,9 @@ def add_arguments(parser):
                         help="how often (default: %(default)s)")
     parser.add_argument("--resolution", type=options.positive_int, metavar="N",
                         help="voxels along the longest side (default: after the size of a pixel at the object)")
+    parser.add_argument("--max-memory", type=options.memory, metavar="SIZE",
+                        help="device memory that the fit may take, pictures included, such as 4GB or 800MiB; where it "
+                             "is short, voxels stay larger (default: most of what is free)")
     parser.add_argument("--epochs", type=options.positive_float, metavar="N", help="passes over the pixels that matter")
     parser.add_argument("--variation", type=options.positive_float, metavar="FACTOR",
                         help="on the total variation: more is smoother (default: 1, or 10 with layers behind)")
@@ -52,8 +55,8 @@ def run(args):
     colour = args.background if kind != args.background else None
     scene = load_scene(args.scene, split=args.split, downscale=args.downscale, format=args.format,
                        background=colour or "white", masks=args.masks)
-    given = {name: getattr(args, name) for name in ("resolution", "epochs", "variation")
-             if getattr(args, name) is not None}
+    names = ("resolution", "epochs", "variation", "max_memory")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     if args.bounds is not None:
         given["bounds"] = [args.bounds[:3], args.bounds[3:]]
     field = fit(scene, quality=args.quality, device=device, seed=args.seed, progress=not args.quiet, background=kind,

@@ -100,6 +100,15 @@ def positive_float(text: str) -> float:
     return value
 
 
+def memory(text: str) -> int:
+    from ..fit_memory import memory_size
+
+    try:
+        return memory_size(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def finite_float(text: str) -> float:
     try:
         value = float(text)
