@@ -56,7 +56,8 @@ class FitOptions:
     beta: float = 0.95  #: RMSProp's decay
     variation_density: float = 3e-6  #: total variation of density (per half extent) a voxel of the box
     variation_sh: float = 3e-4
-    variation: float | None = None  #: factor on both; None is CAPTURED_VARIATION with layers behind the field
+    variation: float | None = None  #: factor on both; None is CAPTURED_VARIATION with layers behind the field or
+    #: where the scene's opacity comes from mask files, else 1
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
     keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
@@ -112,7 +113,7 @@ class FieldOptimizer:
         self.random_background = int(random_background)
         self.variation = self.options.variation
         if self.variation is None:
-            self.variation = CAPTURED_VARIATION if layers else 1.0
+            self.variation = CAPTURED_VARIATION if layers or scene.captured else 1.0
 
         self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
