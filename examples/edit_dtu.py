@@ -13,6 +13,7 @@ the cage over it, the object's disparity), views.png (held-out pictures over ren
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import pathlib
 import time
@@ -63,11 +64,13 @@ def main(argv=None) -> dict:
     inside[chosen.mask] = corners.contains(chosen.points)
     generated = warpcage.Cage.from_field(warpcage.NodeSelection(field, inside, chosen.notes), vertex_count=100)
     edits = {
-        "box": (box, posed(box, axes, lambda cage: cage.stretch(1.45, axis="z", centre=cage.bounds[0]))),
+        "box": (box, posed(box, axes, lambda cage: cage.stretch(1.35, axis="z", centre=cage.bounds[0]))),
         "generated": (generated, posed(generated, axes, lambda cage: cage.twist(-28, axis="z", limits=(0.1, 1.0))
                                        .taper(0.75, axis="z", limits=(0.1, 1.0)))),
     }
-    figures["unmoved"] = show(out, field, edits, test.cameras[args.view])
+    camera = test.cameras[args.view]
+    camera = dataclasses.replace(camera, fx=0.85 * camera.fx, fy=0.85 * camera.fy)  # room for what the edits lift
+    figures["unmoved"] = show(out, field, edits, camera)
     for name, (rest, moved) in edits.items():
         rest.save(out / f"{name}.obj")
         moved.save(out / f"{name}_posed.obj")
@@ -89,7 +92,7 @@ def parse_arguments(argv):
     parser.add_argument("--quality", default="standard", choices=("fast", "standard", "high"))
     parser.add_argument("--whole", action="store_true", help="fit whole pictures; the masks only choose what to edit")
     parser.add_argument("--field", metavar="FILE", help="edit this field instead of fitting one")
-    parser.add_argument("--view", type=int, default=3, help="held-out view to show (default: %(default)s)")
+    parser.add_argument("--view", type=int, default=4, help="held-out view to show (default: %(default)s)")
     return parser.parse_args(argv)
 
 

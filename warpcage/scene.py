@@ -27,6 +27,7 @@ class Scene:
     bounds: (2, 3) float64, a box that holds the object where the data say so (bbox, points, unit sphere), or None.
     surroundings: (n, h, w, 3) float32 or None, what lies around the object in pictures that masks split: their colour
     times 1 - alpha.
+    captured: whether the opacity comes from mask files: such pictures were taken, not rendered, and `fit` smooths more.
     to_source: (4, 4) float64, takes the scene's coordinates to those that its data were made from (DTU's millimetres,
     a reconstruction before nerfstudio's applied_transform), or None where they are the same or not known.
 
@@ -42,6 +43,7 @@ class Scene:
     bounds: np.ndarray | None = None
     to_source: np.ndarray | None = None
     surroundings: np.ndarray | None = None
+    captured: bool = False
 
     def __post_init__(self):
         if len(self.images) == 0:

@@ -35,7 +35,7 @@ def add_arguments(parser):
                              "is short, voxels stay larger (default: most of what is free)")
     parser.add_argument("--epochs", type=options.positive_float, metavar="N", help="passes over the pixels that matter")
     parser.add_argument("--variation", type=options.positive_float, metavar="FACTOR",
-                        help="on the total variation: more is smoother (default: 1, or 10 with layers behind)")
+                        help="on the total variation: more is smoother (default: 1; 30 with masks or layers)")
     parser.add_argument("--bounds", type=options.finite_float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
                         help="box around the object, world units (default: found from the pictures)")
     parser.add_argument("--seed", type=int, default=0, help="of the order of the pixels (default: %(default)s)")

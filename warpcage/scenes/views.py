@@ -79,7 +79,7 @@ def make_scene(views: list[View], *, downscale: int, background: np.ndarray, mas
         alphas = None
     surroundings = rgba[..., 4:] if masks == "split" and alphas is not None else None
     scene = Scene(images, alphas, cameras, background, _names(views), bounds=bounds, to_source=to_source,
-                  surroundings=surroundings)
+                  surroundings=surroundings, captured=any(view.mask is not None for view in views))
     return scene if points is None or bounds is not None else _with_bounds(scene, points)
 
 
