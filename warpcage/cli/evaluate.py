@@ -47,15 +47,22 @@ def run(args):
     print(f"{'view':{width}}  PSNR dB" + ("    SSIM" if similarities else ""))
     for row in [*rows, {"view": "mean", "psnr": mean, "ssim": mean_ssim}]:
         print(f"{row['view']:{width}}  {row['psnr']:7.2f}" + (f"  {row['ssim']:6.4f}" if similarities else ""))
+    index = min(range(len(rows)), key=lambda i: rows[i]["psnr"])
     if worst is not None:
         from ..images import side_by_side, write_png
 
-        index = min(range(len(rows)), key=lambda i: rows[i]["psnr"])
         image = scene.images[index]
         rgb = field.render(scene.cameras[index], background=scene.background).rgb
         write_png(worst, side_by_side([image, rgb, error_image(rgb, image)]))
+        print(f"wrote {worst}: view {rows[index]['view']}, its picture, the render, and where it errs")
     if report is not None:
         content = {"field": args.field, "scene": args.scene, "split": args.split, "downscale": args.downscale,
-                   "mean_psnr": mean, "mean_ssim": mean_ssim, "views": rows}
+                   "mean_psnr": finite(mean), "mean_ssim": mean_ssim, "worst_view": rows[index]["view"],
+                   "views": [{**row, "psnr": finite(row["psnr"])} for row in rows]}
         with atomic_path(report) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def finite(decibels: float) -> float | None:
+    """JSON knows no infinity, which is the PSNR of equal pictures."""
+    return decibels if decibels < float("inf") else None
