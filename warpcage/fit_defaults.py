@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Pixels a voxel from which on FitOptions' regularisers hold as they stand. 87 views of 800x800 show one of 720 voxels a
-#: side by about as many, one of 512 by twice as many.
-PLENTY = 80.0
+#: Pixels a voxel from which on FitOptions' regularisers hold as they stand: 87 views of 800x800, 512 voxels a side.
+PLENTY = 160.0
 
 #: How the variations' weights follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
-DENSITY_POWER, SH_POWER = 2.2, 1.2
+DENSITY_POWER, SH_POWER = 1.8, 1.0
 
 #: Directional coefficients step so much slower than the constant ones that they come about as far in a long fit as in
 #: one of this many steps; at least by this factor.
 DIRECTIONAL_STEPS, LEAST_DIRECTIONAL = 500.0, 0.15
 
 #: Regularisers grow at most by this much: what no view tells, no smoothing finds.
-MOST_SCARCE = 16.0
+MOST_SCARCE = 32.0
 
 
 def pixel_size(cameras, centre) -> float:

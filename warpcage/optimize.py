@@ -66,7 +66,7 @@ class FitOptions:
     #: voxel (see fit_defaults)
     variation_density: float = 3e-6  #: total variation of density (per half extent) a voxel of the box
     variation_sh: float = 3e-4
-    shrink_sh: float = 0.12  #: decay of SH of degree 1 and up, relative to a step of rate_sh, where views are scarce
+    shrink_sh: float = 0.06  #: decay of SH of degree 1 and up, relative to a step of rate_sh, where views are scarce
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
     keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
