@@ -181,6 +181,36 @@ def test_fit_and_evaluate(files, capsys, tmp_path):
     assert float(table[-1].split()[1]) == pytest.approx(report["mean_psnr"], abs=0.006)
 
 
+def test_evaluate_says_where_it_errs(files, capsys, tmp_path):
+    """A field rendered to a scene and one pixel painted over: that view is the worst, red where it was painted, and the
+    untouched ones are right."""
+    from warpcage.scene import load_scene
+
+    scene = load_scene(files / "scene", split="test")
+    field = VoxelField.load(files / "ball.npz", device="cpu")
+    folder = tmp_path / "scene"
+    (folder / "test").mkdir(parents=True)
+    transforms = json.loads((files / "scene" / "transforms_test.json").read_text())
+    for i, camera in enumerate(scene.cameras):
+        rgb = np.round(255 * np.clip(field.render(camera).rgb, 0, 1)).astype(np.uint8)
+        rgb[3, 4] = 0 if i == 1 else rgb[3, 4]
+        iio.imwrite(folder / "test" / f"r_{i}.png", rgb)
+    (folder / "transforms_test.json").write_text(json.dumps(transforms))
+    words = ["--worst", tmp_path / "worst.png", "--json", tmp_path / "psnr.json", "--quiet", "--device", "cpu"]
+    succeed(files, "evaluate", "@ball.npz", folder, *words)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["view", "PSNR", "dB", "SSIM"] and "view r_1" in lines[-1]
+    assert float(lines[1].split()[1]) > 50 > float(lines[2].split()[1])
+    report = json.loads((tmp_path / "psnr.json").read_text())
+    assert report["worst_view"] == "r_1" and [row["view"] for row in report["views"]] == ["r_0", "r_1"]
+    assert report["mean_ssim"] == pytest.approx(np.mean([row["ssim"] for row in report["views"]]))
+    picture = read_image(tmp_path / "worst.png")
+    assert picture.shape[:2] == (24, 3 * 24 + 2 * 4)
+    errors = picture[:, 56:80, :3]
+    np.testing.assert_allclose(errors[3, 4], [0.85, 0, 0], atol=0.01)
+    assert (np.ptp(errors, axis=-1) > 0.1).sum() == 1
+
+
 @pytest.mark.parametrize("ending", ["obj", "ply", "stl", "glb"])
 def test_mesh(files, tmp_path, ending):
     import trimesh

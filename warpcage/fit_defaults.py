@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Pixels a voxel at which FitOptions' regularisers hold as they stand: 87 views of 800x800 on 512 voxels a side.
+#: Pixels a voxel from which on FitOptions' regularisers hold as they stand: 87 views of 800x800, 512 voxels a side.
 PLENTY = 160.0
 
 #: How the variations' weights follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
-DENSITY_POWER, SH_POWER = 4.0 / 3.0, 2.0 / 3.0
+DENSITY_POWER, SH_POWER = 1.8, 1.0
+
+#: Directional coefficients step so much slower than the constant ones that they come about as far in a long fit as in
+#: one of this many steps; at least by this factor.
+DIRECTIONAL_STEPS, LEAST_DIRECTIONAL = 500.0, 0.15
 
 #: Regularisers grow at most by this much: what no view tells, no smoothing finds.
 MOST_SCARCE = 32.0
@@ -28,3 +32,11 @@ def scarcity(cameras, centre, voxel: float) -> float:
     """
     seen = len(cameras) * (voxel / pixel_size(cameras, centre)) ** 2
     return float(np.clip(PLENTY / max(seen, 1e-9), 1.0, MOST_SCARCE))
+
+
+def directional_rate(steps: int) -> float:
+    """Rate of the coefficients that tell directions apart over that of the constant ones, in a fit of `steps`.
+
+    In a long fit fast ones learn what each view has of its own; in a short one slow ones do not get anywhere.
+    """
+    return float(np.clip(DIRECTIONAL_STEPS / max(steps, 1), LEAST_DIRECTIONAL, 1.0))

@@ -13,7 +13,7 @@ from .background_fit import BackgroundOptimizer, chosen_background
 from .bounds import Silhouettes, camera_array, keep_seen, scene_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
 from .field import VoxelField, checked_bounds, field_from_mask
-from .fit_defaults import DENSITY_POWER, SH_POWER, pixel_size, scarcity
+from .fit_defaults import DENSITY_POWER, SH_POWER, directional_rate, pixel_size, scarcity
 from .fit_memory import FitMemory, array_bytes, device_arrays, memory_limit, memory_size, require_image_memory
 from .kernels import field_loss, field_loss_warps, field_step, field_variation, grid_refine
 from .kernels.spherical_harmonics import vec9
@@ -62,7 +62,8 @@ class FitOptions:
     rate_sh: float = 3e-2
     rate_sh_end: float = 1.5e-3
     decay_power: float = 2.0  #: rates fall with this power of the share of steps done: slowly first, fast at the end
-    directional: float = 0.15  #: rate of the coefficients that tell directions apart, over that of the constant ones
+    directional: float | None = None  #: rate of the coefficients that tell directions apart, over that of the constant
+    #: ones; None follows the number of steps (see fit_defaults)
     beta: float = 0.95  #: RMSProp's decay
     scarcity: float | None = None  #: factor of the variations and the shrinkage; None follows how few pixels see a
     #: voxel (see fit_defaults)
@@ -107,6 +108,7 @@ OPTION_RANGES = {
     "least_steps": (0, 2**24, int, False),
     "batch_rays": (1, 2**24, int, True),
     "tile_size": (1, 64, int, False),
+    "directional": (1e-9, 1e9, float, True),
     "scarcity": (0.0, 1e6, float, True),
     "variation": (0.0, 1e6, float, True),
     "variation_density": (0.0, 1e3, float, False),
@@ -120,7 +122,7 @@ OPTION_RANGES = {
     "beta": (0.0, 1.0 - 1e-6, float, False),
     **{name: (1e-9, 1e9, float, False) for name in ("footprint", "level_growth", "epochs", "rate_density",
                                                     "rate_density_end", "rate_sh", "rate_sh_end",
-                                                    "directional", "decay_power")},
+                                                    "decay_power")},
 }
 
 
@@ -256,6 +258,7 @@ class FieldOptimizer:
         steps = max(options.epochs * self.active_tiles / self.batch_tiles, options.least_steps)
         self.level_steps = [max(1, round(float(share) * steps)) for share in shares]
         self.total_steps = sum(self.level_steps)
+        self.directional = directional_rate(self.total_steps) if options.directional is None else options.directional
 
     # Levels
 
@@ -460,7 +463,7 @@ class FieldOptimizer:
         total, *others = (gradients.flatten() for gradients in self.gradients)
         for other in others:
             launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
-        inputs = [rate_density, rate_sh, options.directional * rate_sh, options.beta,
+        inputs = [rate_density, rate_sh, self.directional * rate_sh, options.beta,
                   1e-12 * voxel, 1e-12,  # a density's gradient is a length
                   self.touched, self.gradients[0], self.moments]
         launch(field_step.apply_rmsprop, total.size, inputs, [field.grid.density, coefficient_rows(field.grid.sh)],

@@ -50,15 +50,24 @@ def run(args):
     for row in [*rows, {"view": "mean", "psnr": mean, "ssim": mean_ssim, "masked_psnr": mean_masked}]:
         print(f"{row['view']:{width}}  {row['psnr']:7.2f}" + (f"  {row['ssim']:6.4f}" if similarities else "")
               + (f"  {row['masked_psnr']:10.2f}" if row.get("masked_psnr") is not None else ""))
+    index = min(range(len(rows)), key=lambda i: rows[i]["psnr"])
     if worst is not None:
         from ..images import side_by_side, write_png
 
-        index = min(range(len(rows)), key=lambda i: rows[i]["psnr"])
         behind, images = comparison(field, scene)
         image, rgb = images[index], field.render(scene.cameras[index], background=behind).rgb
         write_png(worst, side_by_side([image, rgb, error_image(rgb, image)]))
+        print(f"wrote {worst}: view {rows[index]['view']}, its picture, the render, and where it errs")
     if report is not None:
         content = {"field": args.field, "scene": args.scene, "split": args.split, "downscale": args.downscale,
-                   "mean_psnr": mean, "mean_ssim": mean_ssim, "mean_masked_psnr": mean_masked, "views": rows}
+                   "mean_psnr": finite(mean), "mean_ssim": mean_ssim, "mean_masked_psnr": finite(mean_masked),
+                   "worst_view": rows[index]["view"],
+                   "views": [{name: finite(value) if name.endswith("psnr") else value for name, value in row.items()}
+                             for row in rows]}
         with atomic_path(report) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def finite(decibels: float | None) -> float | None:
+    """JSON knows no infinity, which is the PSNR of equal pictures."""
+    return decibels if decibels is not None and decibels < float("inf") else None
