@@ -182,7 +182,9 @@ class FieldOptimizer:
         voxel = longest / resolution
         shape = np.maximum(1, np.ceil(extent / voxel / unit - 1e-6).astype(int)) * unit
         scarce = options.scarcity
-        self.scarcity = scarcity(self.scene.cameras, box.mean(axis=0), voxel) if scarce is None else scarce
+        if scarce is None:
+            scarce = scarcity(self.scene.cameras, box.mean(axis=0), voxel, options.supersampling)
+        self.scarcity = scarce
         factors = self.scarcity**DENSITY_POWER, self.scarcity**SH_POWER
         if options.variation is not None:
             factors = options.variation, options.variation
