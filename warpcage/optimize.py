@@ -34,11 +34,16 @@ ROW_NUMBERS = 28
 
 #: Pictures that were taken are fewer and less exact than rendered ones: so much more total variation suits them.
 CAPTURED_VARIATION = 30.0
+
 #: Steps from one pass over the SH coefficients that shrinks them to the next.
 SHRINK_EVERY = 4
 
 #: Rays of a batch that is made smaller for the sake of more steps, at least.
 SMALLEST_BATCH = 4096
+
+#: Without silhouettes, fine voxels turn to fog before the cameras unless a coarse fit has told them where matter is.
+COARSE_SIDE = 24
+MAX_LEVELS = 6
 
 #: A CPU thread's own gradients are worth their memory up to this many.
 MAX_SHARDS = 8
@@ -51,7 +56,7 @@ class FitOptions:
     resolution: int | None = None  #: voxels along the longest side at the end; None follows the images' pixel footprint
     max_resolution: int = 512
     footprint: float = 0.7  #: voxel side over a pixel's footprint at the object, where resolution is None
-    levels: int = 3  #: the resolution doubles from level to level
+    levels: int = 3  #: the resolution doubles from level to level; more where a fit has to start coarse
     level_growth: float = 2.2  #: each level gets this many times the rays of the one before
     epochs: float = 8.0  #: passes over the pixels that see the object
     least_steps: int = 600  #: steps that a fit takes even so, where `epochs` is not given: few pixels are soon through
@@ -104,7 +109,7 @@ QUALITIES = {
 OPTION_RANGES = {
     "resolution": (8, 2048, int, True),
     "max_resolution": (8, 2048, int, False),
-    "levels": (1, 6, int, False),
+    "levels": (1, MAX_LEVELS, int, False),
     "least_steps": (0, 2**24, int, False),
     "batch_rays": (1, 2**24, int, True),
     "tile_size": (1, 64, int, False),
@@ -158,7 +163,7 @@ class FieldOptimizer:
             bounds = scene_box(scene)
             if self._silhouettes is not None:
                 bounds = self._silhouettes.bound(bounds)
-        self._choose_grid(checked_bounds(bounds))
+        self._choose_grid(checked_bounds(bounds), coarse_start=self.layered and scene.alphas is None)
         self._upload_images()
         self._start_level(self._first_mask(), None)
         self._allocate_state()
@@ -169,8 +174,11 @@ class FieldOptimizer:
 
     # Set-up
 
-    def _choose_grid(self, box: np.ndarray) -> None:
-        """Cubic voxels that halve `levels - 1` times: the final shape, and bounds grown around the box to fit it."""
+    def _choose_grid(self, box: np.ndarray, coarse_start: bool) -> None:
+        """Cubic voxels that halve `levels - 1` times: the final shape, and bounds grown around the box to fit it.
+
+        coarse_start: as many more levels as the first needs to have COARSE_SIDE voxels a side at most.
+        """
         options = self.options
         extent = box[1] - box[0]
         longest = float(extent.max())
@@ -178,6 +186,9 @@ class FieldOptimizer:
         if resolution is None:
             pixel = pixel_size(self.scene.cameras, box.mean(axis=0))
             resolution = int(np.clip(math.ceil(longest / (options.footprint * pixel)), 32, options.max_resolution))
+        if coarse_start:
+            needed = 1 + math.ceil(math.log2(max(1.0, resolution / COARSE_SIDE)))
+            self.options = options = dataclasses.replace(options, levels=max(options.levels, min(needed, MAX_LEVELS)))
         unit = 2 ** (options.levels - 1)
         voxel = longest / resolution
         shape = np.maximum(1, np.ceil(extent / voxel / unit - 1e-6).astype(int)) * unit
