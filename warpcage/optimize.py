@@ -430,7 +430,7 @@ def fit(scene: Scene, *, quality: str = "standard", device=None, seed: int = 0, 
         checkpoint=None, checkpoint_seconds: float = 60.0, **options) -> VoxelField:
     """Optimise a VoxelField from a Scene.
 
-    quality: "fast", "standard" or "high" (see QUALITIES and the README for times and dB).
+    quality: "fast", "standard" or "high" (see fit_options.QUALITIES and the README for times and dB).
     device: Warp device, None is CUDA where there is one. seed: see FieldOptimizer. progress: a bar with the PSNR of the
     last batch. bounds: (2, 3) world units of the object, None finds it (visual hull where the images have alpha).
     checkpoint: file (.npz) that holds the progress, written every checkpoint_seconds, whole or not at all. Where it is
