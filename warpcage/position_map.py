@@ -8,6 +8,7 @@ import warp as wp
 from .cage import require_same_faces
 from .closed_form_solver import GreenSolver, MeanValueSolver
 from .devices import launch, resolve_device
+from .face_geometry import column_cross, column_dot, face_edges
 from .harmonic_solver import HarmonicSolver, require_tolerance
 from .kernels.cage_map import CageMap
 from .kernels.map_extension import add_affine
@@ -65,7 +66,8 @@ class PositionMap:
         if store not in STORES:
             raise ValueError(f"store must be one of {', '.join(STORES)}, got {store!r}")
         rest.require_usable("rest cage")
-        self.rest, self.coordinates, self.store = rest, coordinates, store
+        self.coordinates, self.store = coordinates, store
+        self._take_rest(rest)
         self.resolution = require_resolution(resolution)
         self.tolerance = require_tolerance(tolerance)
         self.device = resolve_device(device)
@@ -119,7 +121,7 @@ class PositionMap:
             raise ValueError('rebind needs the weights: make the PositionMap with store="weights"')
         rest.require_usable("rest cage")
         require_same_faces(rest, self._posed_lattice().cage)
-        self.rest = rest
+        self._take_rest(rest)
         self._map_positions()
         return self
 
@@ -159,13 +161,16 @@ class PositionMap:
         nx, ny, nz = shape
         nodes, lines = nx * ny * nz, nx * ny + ny * nz + nx * nz
         inside = abs(deformed.volume) / spacing**3
-        surface = _face_areas(deformed).sum() / spacing**2
+        surface = _area(deformed) / spacing**2
         total = FIXED_BYTES + NODE_BYTES * nodes + LINE_BYTES * lines + SURFACE_BYTES * surface + 5 * inside
         if self.coordinates == "harmonic":
             total += LEVELS_BYTES * nodes
         if self.store == "weights":
             total += LatticeWeights.row_bytes(self.coordinates, deformed) * (inside + 4 * surface)
         return int(total)
+
+    def _take_rest(self, rest) -> None:
+        self.rest, self._rest_edges = rest, face_edges(rest)
 
     def _posed_lattice(self) -> CageLattice:
         if self._data is None:
@@ -223,11 +228,11 @@ class PositionMap:
 
         As x = sum phi v + sum psi n, an affine map A x + b is sum phi (A v + b) + sum psi A n.
         """
-        from .coordinates import stretched_normals
+        from .coordinates import stretched_columns
 
-        deformed = self.lattice.cage
-        normals = stretched_normals(deformed, self.rest) - _face_normals(deformed) @ matrix.T
-        return (normals * (self.lattice.spacing / self.rest.size)).astype(np.float32)
+        normals, source_normals = stretched_columns(face_edges(self.lattice.cage), self._rest_edges)
+        normals -= matrix @ source_normals
+        return (normals.T * (self.lattice.spacing / self.rest.size)).astype(np.float32)
 
 
 def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
@@ -248,15 +253,6 @@ def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
     return matrix, middle - matrix @ centre
 
 
-def _face_crosses(cage) -> np.ndarray:
-    a, b, c = (cage.vertices[cage.faces[:, corner]] for corner in range(3))
-    return np.cross(b - a, c - a)
-
-
-def _face_areas(cage) -> np.ndarray:
-    return 0.5 * np.linalg.norm(_face_crosses(cage), axis=1)
-
-
-def _face_normals(cage) -> np.ndarray:
-    crosses = _face_crosses(cage)
-    return crosses / np.linalg.norm(crosses, axis=1, keepdims=True)
+def _area(cage) -> float:
+    cross = column_cross(*face_edges(cage))
+    return 0.5 * float(np.sqrt(column_dot(cross, cross)).sum())
