@@ -17,7 +17,7 @@ Siblings: node_levels, harmonic_rows.
 import warp as wp
 
 from .harmonic_rows import CutRows, barycentric, crossing_value, nearest_face
-from .node_levels import REGULAR, RING, NodeLevels, node_place
+from .node_levels import OUTSIDE, RING, NodeLevels, node_place
 
 wp.set_module_options({"enable_backward": False})
 
@@ -85,11 +85,11 @@ def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), n
     for d in range(27):
         step = ((d / 9 - 1) * shape[1] + (d / 3) % 3 - 1) * shape[2] + d % 3 - 1
         code = levels.codes[node + step]
-        if d != 13 and (code >= REGULAR or (code <= RING and code > RING - rings)):
+        if d != 13 and (code > OUTSIDE or (code <= RING and code > RING - rings)):
             result.nearby += values[node + step]
             result.nearby_count += 1.0
             code = levels.codes[node + 2 * step]
-            if code >= REGULAR or (code <= RING and code > RING - rings):
+            if code > OUTSIDE or (code <= RING and code > RING - rings):
                 result.linear += 2.0 * values[node + step] - values[node + 2 * step]
                 result.linear_count += 1.0
     return result

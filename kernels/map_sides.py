@@ -16,7 +16,7 @@ import warp as wp
 
 from .harmonic_rows import DOUBLE_CUT, CutRows, crossing_value
 from .map_extension import is_steady, node_step
-from .node_levels import REGULAR, NodeLevels, node_place
+from .node_levels import OUTSIDE, NodeLevels, node_place
 
 wp.set_module_options({"enable_backward": False})
 
@@ -78,7 +78,7 @@ def is_gap_node(levels: NodeLevels, rows: CutRows, node: int):
     doubly_cut = int(0)
     for d in range(27):
         code = levels.codes[node + ((d / 9 - 1) * shape[1] + (d / 3) % 3 - 1) * shape[2] + d % 3 - 1]
-        if code >= REGULAR:
+        if code > OUTSIDE:
             mask = mask | (1 << d)
             if code >= 0 and code < rows.links.shape[0]:
                 if (rows.links[code] & DOUBLE_CUT) != 0:
@@ -128,7 +128,7 @@ def inside_corners(levels: NodeLevels, cell: int):
     """Bits of the corners of a cell that are inside."""
     mask = int(0)
     for corner in range(8):
-        if levels.codes[corner_node(levels, cell, corner)] >= REGULAR:
+        if levels.codes[corner_node(levels, cell, corner)] > OUTSIDE:
             mask = mask | (1 << corner)
     return mask
 

@@ -5,7 +5,8 @@ the last axis fastest; node (i, j, k) of level l is first_node[l] + (i * ny + j)
 in the table of cut nodes (see harmonic_rows) where that is >= 0, else one of the constants below.
 
 The list `nodes` holds, section after section,
-    2 l + c         inside nodes of level l with (i + j + k) % 2 = c ("red" 0, "black" 1)
+    2 l + c         inside nodes of level l with (i + j + k) % 2 = c ("red" 0, "black" 1); where `interpolates` is set,
+                    those that are evaluated (0) and those that are interpolated from them (1)
     2 L + l         inside nodes of level l whose cross of six grid edges meets the cage ("cut")
     3 L + r         outside nodes of level 0: r = 0 face neighbours of an inside node, r = 1 other corners of cells with
                     an inside node, r = 2 others within a cell's diagonal of the cage: corners of cells that it may
@@ -13,18 +14,23 @@ The list `nodes` holds, section after section,
 and starts[s] is where section s begins. Within a section nodes ascend, so that neighbours in the list are near in
 memory. They are counted column by column, summed up (exclusive scan) and written: no atomics, the same lists on every
 device.
-Siblings: crossings.
+
+Maps of closed forms are smooth away from the cage: where `interpolates` is set, inside nodes with an odd coordinate
+and at least CLEARANCE cells from the cage are interpolated (see closed_form_map) rather than evaluated.
+Siblings: crossings, distance_band.
 """
 
 import warp as wp
 
 from .crossings import LineCrossings, exit_distance
+from .distance_band import CLEARANCE, node_clearance
 
 wp.set_module_options({"enable_backward": False})
 
-OUTSIDE = wp.constant(-2)
 REGULAR = wp.constant(-1)  # inside, not cut
-RING = wp.constant(-3)  # ring r has code RING - r
+INTERPOLATED = wp.constant(-2)  # the same, but interpolated from others
+OUTSIDE = wp.constant(-3)  # codes above are inside, codes below in a ring
+RING = wp.constant(-4)  # ring r has code RING - r
 RINGS = wp.constant(3)
 CELL_DIAGONAL = wp.constant(1.7321)  # cells
 
@@ -37,6 +43,7 @@ class NodeLevels:
     codes: wp.array(dtype=int)  # (nodes of all levels,)
     nodes: wp.array(dtype=int)  # the list
     starts: wp.array(dtype=int)  # (3 L + RINGS + 1,)
+    interpolates: int  # 1: of inside nodes clear of the cage only those of even coordinates are evaluated
 
 
 @wp.func
@@ -110,10 +117,11 @@ def classify_nodes(
     crossings: LineCrossings,
     distance: wp.array(dtype=float),
     scales: wp.array(dtype=float),
+    clearances: wp.array(dtype=float),
     levels: NodeLevels,
 ):
     """Codes of all nodes; cut nodes get 0 until list_columns numbers them. distance (nodes of level 0,): signed, and
-    scales[0] its units a cell."""
+    scales[0] its units a cell. clearances (blocks,): see distance_band."""
     node = first + wp.tid()
     if node >= levels.first_node[levels.shapes.shape[0]]:
         return
@@ -134,9 +142,20 @@ def classify_nodes(
                     code = 0
                 if is_cut_link(crossings, distance, p, axis, True, reach):
                     code = 0
+        elif levels.interpolates == 1 and ((p[0] | p[1] | p[2]) & 1) == 1:
+            if node_clearance(shape, clearances, p[0], p[1], p[2]) >= CLEARANCE:
+                code = INTERPOLATED
     elif level == 0 and cells < CELL_DIAGONAL:
         code = ring_code(shape, distance, p)
     levels.codes[node] = code
+
+
+@wp.func
+def inside_section(levels: NodeLevels, code: int, parity: int):
+    """Which of a level's two sections an inside node belongs to; parity: that of i + j + k."""
+    if levels.interpolates == 1:
+        return wp.where(code == INTERPOLATED, 1, 0)
+    return parity % 2
 
 
 @wp.kernel
@@ -156,9 +175,9 @@ def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
     rings = wp.vec3i(0, 0, 0)
     for k in range(shape[2]):
         code = levels.codes[begin + k]
-        if code >= REGULAR:
-            inside[(parity + k) % 2] += 1
-            if code != REGULAR:
+        if code > OUTSIDE:
+            inside[inside_section(levels, code, parity + k)] += 1
+            if code >= 0:
                 cut += 1
         elif code <= RING:
             rings[RING - code] += 1
@@ -238,11 +257,11 @@ def list_columns(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
             rings[r] = offsets[3 * columns + r * width + local]
     for k in range(shape[2]):
         code = levels.codes[begin + k]
-        if code >= REGULAR:
-            colour = (parity + k) % 2
-            levels.nodes[inside[colour]] = begin + k
-            inside[colour] += 1
-            if code != REGULAR:
+        if code > OUTSIDE:
+            section = inside_section(levels, code, parity + k)
+            levels.nodes[inside[section]] = begin + k
+            inside[section] += 1
+            if code >= 0:
                 levels.nodes[cut] = begin + k
                 levels.codes[begin + k] = cut - first_cut
                 cut += 1

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from .devices import launch
-from .kernels.closed_form_map import map_nodes_green, map_nodes_mean_value
+from .kernels.closed_form_map import interpolate_nodes, map_nodes_green, map_nodes_mean_value
 from .kernels.green import weigh_green
 from .kernels.lattice_weights import place_nodes
 from .kernels.map_extension import extend_outwards
@@ -23,7 +23,7 @@ class ClosedFormSolver:
 
     def __init__(self, lattice):
         self.lattice, self.device = lattice, lattice.device
-        self.nodes = LatticeNodes(lattice, level_count=1)
+        self.nodes = LatticeNodes(lattice, level_count=1, interpolates=True)
         self.status = wp.zeros(2, dtype=float, device=self.device)
         self.gaps = GapFlags(self)
 
@@ -44,6 +44,11 @@ class ClosedFormSolver:
         values = self.lattice.buffers.get("values", sizes["nodes"], wp.vec3)
         values.zero_()
         self.launch_map(sections, vertex_values, face_values, values)
+
+    def _launch_interpolation(self, sections: np.ndarray, values: wp.array) -> None:
+        """Launch what fills the inside nodes that were not evaluated."""
+        for axis in range(3):
+            launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values], device=self.device)
 
     def solve(self, vertex_values: wp.array, face_values=None) -> None:
         """Values at inside nodes and rings for vertex_values (v,) and, for green, face_values (f,) vec3: what psi in
@@ -77,11 +82,12 @@ class MeanValueSolver(ClosedFormSolver):
         """Launch the map at all listed nodes."""
         launch(
             map_nodes_mean_value,
-            int(sections[:2].sum() + sections[3:].sum()),
+            int(sections[0] + sections[3:].sum()),
             [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, self._size()],
             [values],
             device=self.device,
         )
+        self._launch_interpolation(sections, values)
 
     def extend(self, vertex_values: wp.array) -> None:
         """Nothing to do: the rings have values of their own."""
@@ -113,11 +119,12 @@ class GreenSolver(ClosedFormSolver):
         """Launch the map at inside nodes and what continues it."""
         launch(
             map_nodes_green,
-            int(sections[:2].sum()),
+            int(sections[0]),
             [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, face_values, self._size()],
             [values],
             device=self.device,
         )
+        self._launch_interpolation(sections, values)
         self._launch_rings(sections, vertex_values, values)
 
     def extend(self, vertex_values: wp.array) -> None:

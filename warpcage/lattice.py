@@ -160,8 +160,9 @@ class CageLattice:
         counts = self.buffers.get("block_counts", sizes["blocks"], int)
         near = self.buffers.get("block_faces", (sizes["blocks"], BLOCK_FACES), int)
         self.flat_distance = self.buffers.get("distance", sizes["nodes"], float)
+        self.clearances = self.buffers.get("clearances", sizes["blocks"], float)
         inputs = [self.crossings, self.vertices, self.faces, counts, near]
-        launch(list_block_faces, sizes["blocks"], inputs, device=self.device)
+        launch(list_block_faces, sizes["blocks"], [*inputs, self.clearances], device=self.device)
         inputs += [self.constants.arrays["scales"], self.flat_distance]
         launch(measure_band, sizes["nodes"], inputs, device=self.device)
 
