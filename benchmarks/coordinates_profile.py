@@ -53,9 +53,8 @@ def main() -> None:
             replay = median_seconds(lambda m=position_map: m._graph.run(), device)
             print(f"{kind} {resolution}: pose {1e6 * whole:.0f} us, of which replay {1e6 * replay:.0f} us, "
                   f"{position_map.cycles} cycles")
-            new_pose = poses[0].with_vertices(poses[0].vertices)
             for name, step in (
-                ("check", lambda: new_pose.with_vertices(new_pose.vertices).require_usable()),
+                ("check", lambda rest=rest: rest.with_vertices(poses[0].vertices).require_usable()),
                 ("lay", lambda m=position_map: m.lattice.lay(poses[0])),
                 ("values", lambda m=position_map: m._write_values()),
                 ("take map", lambda m=position_map: m._take_map(False)),

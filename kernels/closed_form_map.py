@@ -28,8 +28,8 @@ def map_nodes_mean_value(
     size: float,
     values: wp.array(dtype=wp.vec3),
 ):
-    """values[node] = sum_j w_j targets_j at inside nodes that are not interpolated, then at those of the rings. One item
-    a node; one level."""
+    """values[node] = sum_j w_j targets_j at inside nodes that are not interpolated, then at those of the rings. One
+    item a node; one level."""
     n = first + wp.tid()
     if n >= levels.starts[1]:
         n += levels.starts[3] - levels.starts[1]
@@ -50,8 +50,8 @@ def map_nodes_green(
     size: float,
     values: wp.array(dtype=wp.vec3),
 ):
-    """values[node] = sum_i phi_i targets_i + sum_f psi_f target_normals_f at inside nodes that are not interpolated. One
-    item a node; one level."""
+    """values[node] = sum_i phi_i targets_i + sum_f psi_f target_normals_f at inside nodes that are not interpolated.
+    One item a node; one level."""
     n = first + wp.tid()
     if n >= levels.starts[1]:
         return

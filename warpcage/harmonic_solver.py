@@ -11,10 +11,11 @@ from .devices import launch
 from .kernels.harmonic import (
     LaplaceSystem,
     begin_cycles,
-    clear_corrections,
     judge_cycle,
-    measure_residual,
+    leave_residual,
+    prolong_and_measure,
     prolong_correction,
+    relax_and_measure,
     relax_laplace,
     restrict_residual,
 )
@@ -42,8 +43,8 @@ LARGEST_SLOTS = 64
 #: Sweeps over fewer nodes than this run on one thread of a CPU: cutting them over threads takes longer than they do.
 SHORT_LAUNCH = 1 << 16
 
-#: Levels with fewer nodes of a colour than this go through one launch of one block of threads on CUDA.
-COARSE_NODES = 2600
+#: Levels with fewer nodes of a colour than this go through one launch of one block of threads on CUDA: two a thread.
+COARSE_NODES = 2 * BLOCK_THREADS
 
 
 def require_tolerance(tolerance) -> float:
@@ -159,6 +160,7 @@ class HarmonicSolver:
         inputs = [nodes.levels, self.rows, self.lattice.faces, vertex_values, system.sources]
         self._launch(set_sources, int(sections[2 * nodes.level_count]), inputs)
         self._launch(begin_cycles, 1, [self.going, self.status, self._largest])
+        self._sweep(relax_laplace, int(sections[0]), [0, 0, system])
 
     def _launch_rings(self, sections: np.ndarray, vertex_values: wp.array) -> None:
         lattice, levels, values = self.lattice, self.nodes.levels, self.system.values
@@ -188,23 +190,25 @@ class HarmonicSolver:
         wp.load_module(cycle_coarse_levels.module, device=self.device)
 
     def _cycle(self, sections: np.ndarray) -> None:
-        """Launch a V-cycle and what judges it."""
+        """Launch a V-cycle and what judges it; the half sweep that it begins with was done by the one before."""
         system, last = self.system, self.nodes.level_count - 1
         inside = sections[: 2 * last + 2].reshape(-1, 2)
         few = SHORT_LAUNCH if self.device.is_cpu else COARSE_NODES
         coarse = last
         while coarse > 1 and inside[coarse - 1].max() < few:
             coarse -= 1
-        self._sweep(clear_corrections, system.loads.size, [system])
         for level in range(coarse):
-            self._relax(level, SWEEPS, inside)
+            self._relax(level, 1, 2 * SWEEPS - 1, inside)
+            self._sweep(leave_residual, int(inside[level, 0]), [level, system])
             self._sweep(restrict_residual, int(inside[level + 1].sum()), [level + 1, system])
         self._cycle_coarse(coarse)
         for level in reversed(range(coarse)):
-            self._sweep(prolong_correction, int(inside[level, 1]), [level, system])
-            self._relax(level, SWEEPS, inside)
-        nodes = LARGEST_SLOTS if self.device.is_cpu else int(max(inside[0, 0], inside[1].sum() if last else 0))
-        self._launch(measure_residual, nodes, [nodes, system, self._largest])
+            if level:
+                self._sweep(prolong_correction, int(inside[level, 1]), [level, system])
+            else:
+                self._measure(prolong_and_measure, int(inside[0, 1]))
+            self._relax(level, 0, 2 * SWEEPS, inside)
+        self._measure(relax_and_measure, int(inside[0, 0]))
         inputs = [ERROR_PER_RESIDUAL, ERROR_PER_CORRECTION, self.tolerance, MAX_CYCLES, self._largest]
         self._launch(judge_cycle, 1, [*inputs, self.going, self.status])
 
@@ -214,10 +218,18 @@ class HarmonicSolver:
         inputs = [0, level, SWEEPS, COARSEST_SWEEPS, threads, self.system]
         wp.launch(cycle_coarse_levels, dim=threads, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
 
-    def _relax(self, level: int, sweeps: int, inside: np.ndarray) -> None:
-        for _ in range(sweeps):
-            for colour in (0, 1):
-                self._sweep(relax_laplace, int(inside[level, colour]), [level, colour, self.system])
+    def _relax(self, level: int, colour: int, half_sweeps: int, inside: np.ndarray) -> None:
+        """Launch half sweeps, the colours in turn."""
+        for half in range(half_sweeps):
+            at = (colour + half) % 2
+            self._sweep(relax_laplace, int(inside[level, at]), [level, at, self.system])
+
+    def _measure(self, kernel, count: int) -> None:
+        """Launch a kernel that raises the largest changes; on a CPU an item a slot, as slots must not be shared."""
+        items = LARGEST_SLOTS if self.device.is_cpu else count
+        threads = 1 if count < SHORT_LAUNCH else None
+        inputs = [-(-count // max(items, 1)), self.system, self._largest]
+        launch(kernel, items, inputs, device=self.device, threads=threads)
 
     def _sweep(self, kernel, count: int, inputs) -> None:
         """Launch a kernel of little work an item."""
