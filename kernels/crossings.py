@@ -39,6 +39,12 @@ def line_index(shape: wp.vec3i, axis: int, i: int, j: int, k: int):
 
 
 @wp.func
+def component(v: wp.vec3, axis: int):
+    """v[axis], from registers: an index that is not known to the compiler would send v through memory."""
+    return wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2]))
+
+
+@wp.func
 def edge_side(a: wp.vec3, b: wp.vec3, ordered: bool, axis0: int, axis1: int, p0: wp.float64, p1: wp.float64):
     """Twice the signed area of projected triangle (a, b, p), computed alike for both directions of the edge."""
     u = a
@@ -46,10 +52,10 @@ def edge_side(a: wp.vec3, b: wp.vec3, ordered: bool, axis0: int, axis1: int, p0:
     if not ordered:
         u = b
         v = a
-    u0 = wp.float64(u[axis0])
-    u1 = wp.float64(u[axis1])
-    v0 = wp.float64(v[axis0])
-    v1 = wp.float64(v[axis1])
+    u0 = wp.float64(component(u, axis0))
+    u1 = wp.float64(component(u, axis1))
+    v0 = wp.float64(component(v, axis0))
+    v1 = wp.float64(component(v, axis1))
     area = (v0 - u0) * (p1 - u1) - (v1 - u1) * (p0 - u0)
     # a line exactly through an edge counts as on its left, for both faces
     if area == wp.float64(0.0):
@@ -117,8 +123,8 @@ def cross_face(
     a = vertices[face[0]]
     b = vertices[face[1]]
     c = vertices[face[2]]
-    lowest = wp.min(wp.min(a[column_axis], b[column_axis]), c[column_axis])
-    highest = wp.max(wp.max(a[column_axis], b[column_axis]), c[column_axis])
+    lowest = wp.min(wp.min(component(a, column_axis), component(b, column_axis)), component(c, column_axis))
+    highest = wp.max(wp.max(component(a, column_axis), component(b, column_axis)), component(c, column_axis))
     p0 = wp.float64(row)
     for column in range(wp.max(begin, int(wp.ceil(lowest))), wp.min(end, int(wp.floor(highest)) + 1)):
         p1 = wp.float64(column)
@@ -131,7 +137,9 @@ def cross_face(
         if front or back:
             total = side_a + side_b + side_c
             place = (
-                side_a * wp.float64(a[axis]) + side_b * wp.float64(b[axis]) + side_c * wp.float64(c[axis])
+                side_a * wp.float64(component(a, axis))
+                + side_b * wp.float64(component(b, axis))
+                + side_c * wp.float64(component(c, axis))
             ) / total
             # (row, column, axis) is a right-handed frame for axes 0 and 2, a left-handed one for axis 1
             leaves = front != (axis == 1)
@@ -181,8 +189,8 @@ def cross_lines(
             c = vertices[face[2]]
             low = wp.min(wp.min(a, b), c)
             high = wp.max(wp.max(a, b), c)
-            over_row = low[row_axis] <= float(row) and high[row_axis] >= float(row)
-            over_run = low[column_axis] <= float(end - 1) and high[column_axis] >= float(begin)
+            over_row = component(low, row_axis) <= float(row) and component(high, row_axis) >= float(row)
+            over_run = component(low, column_axis) <= float(end - 1) and component(high, column_axis) >= float(begin)
             meets += wp.where(f + m < faces.shape[0] and over_row and over_run, 1 << m, 0)
         number = int(f)
         while meets != 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from .coordinates import BLOCK_THREADS
 from .devices import launch
 from .kernels.closed_form_map import interpolate_nodes, map_nodes_green, map_nodes_mean_value
 from .kernels.green import weigh_green
@@ -48,7 +49,11 @@ class ClosedFormSolver:
     def _launch_interpolation(self, sections: np.ndarray, values: wp.array) -> None:
         """Launch what fills the inside nodes that were not evaluated."""
         for axis in range(3):
-            launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values], device=self.device)
+            self._launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values])
+
+    def _launch(self, kernel, count: int, inputs, outputs) -> None:
+        """Launch a kernel of the closed forms, in blocks that suit the many registers it holds."""
+        launch(kernel, count, inputs, outputs, device=self.device, block_dim=BLOCK_THREADS)
 
     def solve(self, vertex_values: wp.array, face_values=None) -> None:
         """Values at inside nodes and rings for vertex_values (v,) and, for green, face_values (f,) vec3: what psi in
@@ -80,12 +85,11 @@ class MeanValueSolver(ClosedFormSolver):
 
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
         """Launch the map at all listed nodes."""
-        launch(
+        self._launch(
             map_nodes_mean_value,
             int(sections[0] + sections[3:].sum()),
             [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, self._size()],
             [values],
-            device=self.device,
         )
         self._launch_interpolation(sections, values)
 
@@ -102,12 +106,11 @@ class MeanValueSolver(ClosedFormSolver):
         lattice = self.lattice
         weights = wp.empty((count, lattice.vertices.size), dtype=float, device=self.device)
         points = self._place(begin, count)
-        launch(
+        self._launch(
             weigh_mean_value,
             count,
             [points, self._vertices, lattice.faces, self._size()],
             [weights],
-            device=self.device,
         )
         return weights, None
 
@@ -117,12 +120,11 @@ class GreenSolver(ClosedFormSolver):
 
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
         """Launch the map at inside nodes and what continues it."""
-        launch(
+        self._launch(
             map_nodes_green,
             int(sections[0]),
             [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, face_values, self._size()],
             [values],
-            device=self.device,
         )
         self._launch_interpolation(sections, values)
         self._launch_rings(sections, vertex_values, values)
@@ -151,11 +153,10 @@ class GreenSolver(ClosedFormSolver):
         lattice = self.lattice
         vertex_weights = wp.empty((count, lattice.vertices.size), dtype=float, device=self.device)
         face_weights = wp.empty((count, lattice.faces.size), dtype=float, device=self.device)
-        launch(
+        self._launch(
             weigh_green,
             count,
             [self._place(begin, count), self._vertices, lattice.faces, self._size()],
             [vertex_weights, face_weights],
-            device=self.device,
         )
         return vertex_weights, face_weights

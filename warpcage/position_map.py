@@ -89,8 +89,9 @@ class PositionMap:
         if self.lattice is not None:
             self.lattice.lay(deformed)
             if self._graph is not None and self._graph.fits():
-                self._write_values()
-                if self._graph.run():
+                self._graph.begin()
+                self._write_values()  # while the device lays the lattice
+                if self._graph.finish():
                     self._take_map(self._graph.has_gaps)
                     return self
         self._weights = None  # the last pose's go before this one's come
@@ -189,10 +190,10 @@ class PositionMap:
         return MeanValueSolver(self.lattice) if self.coordinates == "mean_value" else GreenSolver(self.lattice)
 
     def _write_values(self) -> None:
-        """The remainder of the map, and its affine part, to the lattice's constants; still to be sent."""
+        """The remainder of the map, and its affine part, to the lattice's map_constants; still to be sent."""
         lattice, deformed, rest = self.lattice, self.lattice.cage, self.rest
         matrix, offset = fit_affine(deformed, rest)
-        host = lattice.constants.host
+        host = lattice.map_constants.host
         host["vertex_values"][:] = (rest.vertices - (deformed.vertices @ matrix.T + offset)) / rest.size
         host["affine"][:3] = matrix.T * lattice.spacing
         host["affine"][3] = matrix @ lattice.lower + offset - self.origin
@@ -203,8 +204,8 @@ class PositionMap:
         """Fill the positions: remainder of the map, plus its affine part."""
         lattice = self.lattice
         self._write_values()
-        lattice.constants.send()
-        arrays = lattice.constants.arrays
+        lattice.map_constants.send()
+        arrays = lattice.map_constants.arrays
         solver = self._solver if self._weights is None else self._weights
         solver.solve(arrays["vertex_values"], arrays["face_values"])
         inputs = [self._solver.nodes.levels, self.rest.size, arrays["affine"]]
@@ -218,7 +219,7 @@ class PositionMap:
         data.positions = lattice.buffers.get("values", lattice.node_count, wp.vec3).reshape(lattice.shape)
         data.distance = lattice.distance
         if has_gaps:
-            arrays = lattice.constants.arrays
+            arrays = lattice.map_constants.arrays
             data.side_index, data.sides = build_sides(
                 self._solver, self._solver.gaps, arrays["vertex_values"], self.rest.size, arrays["affine"]
             )
