@@ -6,12 +6,13 @@ digits where the cage is; `size` is the cage's size in them.
 Both maps are harmonic or nearly so, and smooth at CLEARANCE cells from the cage and more: there they are evaluated at
 every second node along each axis, and the others take the polynomial of degree five through three nodes either side,
 axis after axis. That errs by 2e-7 of the size in poses that bend or twist, by 2e-5 in wild ones.
-Siblings: mean_value, green, node_levels.
+Siblings: mean_value, green, node_levels, harmonic_rows.
 """
 
 import warp as wp
 
 from .green import green_position
+from .harmonic_rows import CutRows
 from .mean_value import mean_value_position
 from .node_levels import RINGS, NodeLevels, centred_place, node_place
 
@@ -82,3 +83,27 @@ def interpolate_nodes(first: int, axis: int, levels: NodeLevels, values: wp.arra
             - 25.0 * (values[node - 3 * step] + values[node + 3 * step])
             + 3.0 * (values[node - 5 * step] + values[node + 5 * step])
         ) / 256.0
+
+
+@wp.kernel
+def map_crossings_green(
+    first: int,
+    levels: NodeLevels,
+    rows: CutRows,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    targets: wp.array(dtype=wp.vec3),
+    target_normals: wp.array(dtype=wp.vec3),
+    size: float,
+    boundary: wp.array2d(dtype=wp.vec3),
+):
+    """boundary (rows, 6): the map's limit from inside where links of cut nodes cross the cage. One level."""
+    item = first + wp.tid()
+    row = item / 6
+    direction = item % 6
+    if rows.faces[row, direction] >= 0:
+        x = centred_place(levels, levels.nodes[levels.starts[2] + row])
+        away = rows.fractions[row, direction]
+        axis = direction / 2
+        x[axis] = x[axis] + wp.where(direction % 2 == 1, away, -away)
+        boundary[row, direction] = green_position(x, vertices, faces, targets, target_normals, size)

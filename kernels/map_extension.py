@@ -200,6 +200,7 @@ def gather_status(
     list_overflow: wp.array(dtype=int),
     solver: wp.array(dtype=float),
     gap_count: wp.array(dtype=int),
+    narrow: wp.array(dtype=int),
     levels: NodeLevels,
     status: wp.array(dtype=float),
 ):
@@ -209,6 +210,6 @@ def gather_status(
     status[1] = float(list_overflow[0])
     status[2] = solver[0]
     status[3] = solver[1]
-    status[4] = float(gap_count[0])
+    status[4] = float(gap_count[0] + narrow[0])
     for s in range(status.shape[0] - 5):
         status[5 + s] = float(levels.starts[s + 1] - levels.starts[s])

@@ -101,8 +101,9 @@ def is_cut_link(
 
 
 @wp.func
-def is_cut_node(crossings: LineCrossings, distance: wp.array(dtype=float), p: wp.vec3i, reach: int):
-    """Whether the cage comes between inside node p (lattice numbering) and any of the six `reach` nodes on."""
+def node_cut(crossings: LineCrossings, distance: wp.array(dtype=float), p: wp.vec3i, reach: int):
+    """1 where the cage comes between inside node p (lattice numbering) and any of the six `reach` nodes on; 2 where all
+    six are inside, so that it does so twice on a link."""
     shape = crossings.shapes[0]
     outside = int(0)
     for d in range(6):  # without branches, so that all six are read at once
@@ -115,13 +116,13 @@ def is_cut_node(crossings: LineCrossings, distance: wp.array(dtype=float), p: wp
         if distance[(i * shape[1] + j) * shape[2] + k] >= 0.0 or beside:
             outside += 1
     if outside > 0:
-        return True
+        return int(1)
     for axis in range(3):
         if exit_distance(crossings, axis, False, p[0], p[1], p[2]) < float(reach):
-            return True
+            return int(2)
         if exit_distance(crossings, axis, True, p[0], p[1], p[2]) < float(reach):
-            return True
-    return False
+            return int(2)
+    return int(0)
 
 
 @wp.func
@@ -149,9 +150,11 @@ def classify_nodes(
     scales: wp.array(dtype=float),
     clearances: wp.array(dtype=float),
     levels: NodeLevels,
+    narrow: wp.array(dtype=int),
 ):
     """Codes of all nodes; cut nodes get 0 until list_columns numbers them. distance (nodes of level 0,): signed, and
-    scales[0] its units a cell. clearances (blocks,): see distance_band."""
+    scales[0] its units a cell. clearances (blocks,): see distance_band. narrow (1,) becomes 1 where the
+    cage has gaps narrower than a cell: links that leave the cage and enter it again."""
     node = first + wp.tid()
     if node >= levels.first_node[levels.shapes.shape[0]]:
         return
@@ -167,8 +170,11 @@ def classify_nodes(
         code = REGULAR
         # no link is cut where the cage is farther than its length; farther than 4 cells `distance` does not know
         if level > 2 or -cells < 0.9999 * float(reach):
-            if is_cut_node(crossings, distance, p, reach):
+            cut = node_cut(crossings, distance, p, reach)
+            if cut > 0:
                 code = 0
+            if cut == 2 and level == 0:
+                narrow[0] = 1
         elif levels.interpolates == 1 and ((p[0] | p[1] | p[2]) & 1) == 1:
             if node_clearance(shape, clearances, p[0], p[1], p[2]) >= CLEARANCE:
                 code = INTERPOLATED

@@ -7,13 +7,13 @@ import warp as wp
 
 from .coordinates import BLOCK_THREADS
 from .devices import launch
-from .kernels.closed_form_map import interpolate_nodes, map_nodes_green, map_nodes_mean_value
+from .kernels.closed_form_map import interpolate_nodes, map_crossings_green, map_nodes_green, map_nodes_mean_value
 from .kernels.green import weigh_green
 from .kernels.lattice_weights import place_nodes
 from .kernels.map_extension import extend_outwards
 from .kernels.mean_value import weigh_mean_value
 from .kernels.node_levels import RINGS
-from .map_sides import GapFlags
+from .map_sides import GapFlags, boundary_buffer, described_rows, linear_boundary
 from .node_levels import LatticeNodes
 
 
@@ -26,7 +26,7 @@ class ClosedFormSolver:
         self.lattice, self.device = lattice, lattice.device
         self.nodes = LatticeNodes(lattice, level_count=1, interpolates=True)
         self.status = wp.zeros(2, dtype=float, device=self.device)
-        self.gaps = GapFlags(self)
+        self.gaps, self.rows = GapFlags(self), None
 
     def prepare(self) -> None:
         """Set up for the pose that the lattice was filled with."""
@@ -45,6 +45,17 @@ class ClosedFormSolver:
         values = self.lattice.buffers.get("values", sizes["nodes"], wp.vec3)
         values.zero_()
         self.launch_map(sections, vertex_values, face_values, values)
+        self.find_gaps(sections)
+
+    def find_gaps(self, sections: np.ndarray) -> None:
+        """Launch the search for narrow gaps; those that hold no node are seen by `nodes.narrow` alone."""
+        self.gaps.launch(sections)
+
+    def describe_gaps(self) -> None:
+        """Describe the cut nodes, which no other step of a closed form needs, and search again with them."""
+        cut_count = int(self.nodes.counts["cut"][0])
+        self.rows = described_rows(self.lattice, self.nodes, cut_count, cut_count)
+        self.gaps.launch(self.nodes.sections, self.rows)
 
     def _launch_interpolation(self, sections: np.ndarray, values: wp.array) -> None:
         """Launch what fills the inside nodes that were not evaluated."""
@@ -93,6 +104,11 @@ class MeanValueSolver(ClosedFormSolver):
         )
         self._launch_interpolation(sections, values)
 
+    def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
+        """The map's remainder where links cross the cage; describes the cut nodes first."""
+        self.describe_gaps()
+        return linear_boundary(self, vertex_values)
+
     def extend(self, vertex_values: wp.array) -> None:
         """Nothing to do: the rings have values of their own."""
 
@@ -128,6 +144,15 @@ class GreenSolver(ClosedFormSolver):
         )
         self._launch_interpolation(sections, values)
         self._launch_rings(sections, vertex_values, values)
+
+    def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
+        """The limit of the map's remainder, from inside, where links cross the cage; describes the cut nodes first."""
+        self.describe_gaps()
+        boundary = boundary_buffer(self)
+        lattice = self.lattice
+        inputs = [self.nodes.levels, self.rows, self._vertices, lattice.faces, vertex_values, face_values, self._size()]
+        self._launch(map_crossings_green, boundary.size, inputs, [boundary])
+        return boundary
 
     def extend(self, vertex_values: wp.array) -> None:
         """Continue the values at inside nodes to the rings of outside nodes around them."""

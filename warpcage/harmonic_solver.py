@@ -20,10 +20,10 @@ from .kernels.harmonic import (
     restrict_residual,
 )
 from .kernels.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
-from .kernels.harmonic_rows import CutRows, describe_rows, set_sources
+from .kernels.harmonic_rows import set_sources
 from .kernels.map_extension import extend_outwards, extend_through_cage
 from .kernels.node_levels import RINGS
-from .map_sides import GapFlags
+from .map_sides import GapFlags, described_rows, linear_boundary
 from .node_levels import LatticeNodes
 
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)
@@ -97,7 +97,7 @@ class HarmonicSolver:
         """
         self.solve_inside(vertex_values)
         self.extend(vertex_values)
-        self.gaps.launch(self.nodes.sections)
+        self.find_gaps(self.nodes.sections)
 
     def solve_inside(self, vertex_values: wp.array) -> None:
         """The same for inside nodes only; other nodes are zero."""
@@ -124,29 +124,27 @@ class HarmonicSolver:
         """Continue the values at inside nodes to the rings of outside nodes around them (kernels/map_extension.py)."""
         self._launch_rings(self.nodes.sections, vertex_values)
 
+    def find_gaps(self, sections: np.ndarray) -> None:
+        """Launch the search for narrow gaps."""
+        self.gaps.launch(sections, self.rows)
+
+    def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
+        """The map's remainder where links cross the cage."""
+        return linear_boundary(self, vertex_values)
+
     def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
         """Launch a whole solution, for a CUDA graph: the cycles end on the device. sections: upper bounds."""
         self._launch_start(sections, vertex_values)
         wp.capture_while(self.going, lambda: self._cycle(sections))
         self._launch_rings(sections, vertex_values)
-        self.gaps.launch(sections)
+        self.find_gaps(sections)
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
         """Launch the description of the cut rows. sizes, sections: of this pose, or upper bounds."""
         lattice, nodes, buffers = self.lattice, self.nodes, self.lattice.buffers
         levels = nodes.level_count
         row_count, finest = int(sections[2 * levels : 3 * levels].sum()), int(sections[2 * levels])
-        rows = self.rows = CutRows()
-        rows.links = buffers.get("links", row_count, int)
-        rows.diagonals = buffers.get("diagonals", row_count, float)
-        rows.fractions = buffers.get("fractions", (row_count, 6), float)
-        rows.faces = buffers.get("cut_faces", (finest, 6), int)
-        rows.corners = buffers.get("cut_corners", (finest, 6), wp.vec3)
-        self._launch(
-            describe_rows,
-            row_count,
-            [lattice.crossings, lattice.flat_distance, lattice.vertices, lattice.faces, nodes.levels, rows],
-        )
+        rows = self.rows = described_rows(lattice, nodes, row_count, finest)
         system = self.system = LaplaceSystem()
         system.levels, system.rows = nodes.levels, rows
         system.sources = buffers.get("sources", finest, wp.vec3)

@@ -46,7 +46,8 @@ class CageLattice:
     Attributes: shape (3,) node counts; lower (3,) float64, world position of node (0, 0, 0); spacing, world units;
     origin (3,) float64; distance, array3d float: signed distance in world units, negative inside, exact nearer than 4
     cells and clamped to that; crossings, where lattice lines cross the cage; vertices (v,) vec3 in node units; faces;
-    constants and map_constants, what a pose sends to the device, for the lattice and for the map on it; sizes, how many nodes, lines and blocks of nodes there are.
+    constants and map_constants, what a pose sends to the device, for the lattice and for the map on it; sizes, how many
+    nodes, lines and blocks of nodes there are.
 
     Inside means a winding number above 0.5, exact at nodes. Raises ValueError for a resolution outside 8 .. 1024, an
     unusable cage, or one without extent.

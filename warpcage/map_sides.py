@@ -1,4 +1,4 @@
-"""The corner values of each side of narrow gaps of a cage, for the cells of a harmonic map that need them."""
+"""The corner values of each side of narrow gaps of a cage, for the cells of a map that need them."""
 
 from __future__ import annotations
 
@@ -6,56 +6,114 @@ import numpy as np
 import warp as wp
 
 from .devices import launch
-from .kernels.harmonic_rows import CutRows
-from .kernels.map_sides import count_cell_sides, fill_sides, find_gap_nodes, list_cell_sides, mark_gap_cells
+from .kernels.harmonic_rows import CutRows, describe_rows
+from .kernels.map_sides import (
+    count_column_sides,
+    fill_sides,
+    find_gap_nodes,
+    list_column_sides,
+    mark_gap_cells,
+    mark_narrow_cells,
+    measure_jumps,
+    set_boundary_values,
+)
+from .memory import require_memory
+
+#: Bytes of a side's table row: eight corners of four floats, its cell and its corners.
+SIDE_BYTES = 8 * 16 + 8
+
+#: A jump of the map over less than a cell that is larger than this share of the rest cage's size is reported.
+REPORTED_JUMP = 2e-2
+
+
+def described_rows(lattice, nodes, row_count: int, finest: int) -> CutRows:
+    """Launch the description of the cut nodes of all listed levels (kernels/harmonic_rows.py). row_count, finest: rows
+    of all levels and of level 0, or upper bounds."""
+    buffers = lattice.buffers
+    rows = CutRows()
+    rows.links = buffers.get("links", row_count, int)
+    rows.diagonals = buffers.get("diagonals", row_count, float)
+    rows.fractions = buffers.get("fractions", (row_count, 6), float)
+    rows.faces = buffers.get("cut_faces", (finest, 6), int)
+    rows.corners = buffers.get("cut_corners", (finest, 6), wp.vec3)
+    inputs = [lattice.crossings, lattice.flat_distance, lattice.vertices, lattice.faces, nodes.levels, rows]
+    launch(describe_rows, row_count, inputs, device=lattice.device)
+    return rows
 
 
 class GapFlags:
     """Which outside nodes next to the inside lie at gaps narrower than about two cells.
 
-    solver: whose nodes are listed, and whose `rows` are described where it has any. Attributes: flags, one int for each
-    node of rings 0 and 1; count (1,), above zero where any is set (on a CPU not how many: see `total`).
+    solver: whose nodes are listed. Attributes: flags, one int for each node of rings 0 and 1; count (1,), above zero
+    where any is set (on a CPU not how many: see `total`).
     """
 
     def __init__(self, solver):
         self.solver, self.device = solver, solver.lattice.device
         self.count = wp.zeros(1, dtype=int, device=self.device)
 
-    def launch(self, sections: np.ndarray) -> None:
-        """Launch the search. sections: nodes of each list, or upper bounds."""
+    def launch(self, sections: np.ndarray, rows: CutRows | None = None) -> None:
+        """Launch the search. sections: nodes of each list, or upper bounds; rows: without them, gaps that hold no node
+        are not seen."""
         nodes = self.solver.nodes
-        rows = getattr(self.solver, "rows", None) or CutRows()
         items = int(sections[3 * nodes.level_count : 3 * nodes.level_count + 2].sum())
         self.flags = nodes.lattice.buffers.get("gap_flags", items, int)
         self.count.zero_()
-        launch(find_gap_nodes, items, [nodes.levels, rows], [self.flags, self.count], device=self.device)
+        inputs = [nodes.levels, CutRows() if rows is None else rows]
+        launch(find_gap_nodes, items, inputs, [self.flags, self.count], device=self.device)
 
     def total(self) -> int:
         """How many nodes are flagged."""
         return int(self.flags.numpy().sum())
 
 
-def build_sides(solver, gaps: GapFlags, vertex_values: wp.array, scale: float, affine: wp.array):
-    """side_index and sides of CageMap for the map in solver.values: scale times vertex_values plus an affine part."""
-    lattice, nodes, device = solver.lattice, solver.nodes, solver.device
-    levels, rows, count = nodes.levels, solver.rows, lattice.node_count
-    side_index = lattice.buffers.get("side_index", count, int)
-    side_index.zero_()
-    launch(mark_gap_cells, gaps.flags.size, [levels, gaps.flags], [side_index], device=device, threads=1)
-    counts = wp.empty(count, dtype=int, device=device)
-    launch(count_cell_sides, count, [levels, rows, side_index], [counts], device=device)
-    offsets = wp.empty(count, dtype=int, device=device)
-    wp.utils.array_scan(counts, offsets, inclusive=False)
-    total = int(offsets[-1:].numpy()[0] + counts[-1:].numpy()[0])
-    cells, masks = (wp.empty(total, dtype=int, device=device) for _ in range(2))
-    launch(
-        list_cell_sides,
-        count,
-        [levels, rows, offsets, counts],
-        [side_index, cells, masks],
-        device=device,
-    )
-    sides = wp.empty((total, 8), dtype=wp.vec4, device=device)
-    inputs = [levels, rows, lattice.faces, vertex_values, scale, affine, solver.values, lattice.flat_distance]
-    launch(fill_sides, total, [*inputs, cells, masks], [sides], device=device)
-    return side_index, sides
+class MapSides:
+    """The tables of a map's cells at narrow gaps.
+
+    solver: after its solution, the gaps' flags set with its `rows`. boundary (rows of level 0, 6): the map's remainder
+    where links cross the cage. scale, affine: its positions are scale times the remainder plus an affine part.
+    message: of the ValueError where the device has not the memory; `{size}` becomes the figures.
+
+    Attributes: index and table, side_index and sides of CageMap; jump, the largest that the remainder makes over
+    a gap narrower than a cell.
+    """
+
+    def __init__(self, solver, boundary: wp.array, scale: float, affine: wp.array, message: str):
+        self.device, buffers = solver.device, solver.lattice.buffers
+        lattice, nodes, rows = solver.lattice, solver.nodes, solver.rows
+        levels, cut_count = nodes.levels, boundary.shape[0]
+        columns = lattice.shape[0] * lattice.shape[1]
+        self.index = buffers.get("side_index", lattice.node_count, int)
+        self.index.zero_()
+        flags = solver.gaps.flags
+        self._launch(mark_gap_cells, flags.size, [levels, flags], [self.index], threads=1)
+        self._launch(mark_narrow_cells, cut_count, [levels, rows], [self.index], threads=1)
+        counts, offsets = (buffers.get(name, columns, int) for name in ("side_counts", "side_offsets"))
+        self._launch(count_column_sides, columns, [levels, rows, self.index], [counts])
+        wp.utils.array_scan(counts, offsets, inclusive=False)
+        total = int(offsets[-1:].numpy()[0] + counts[-1:].numpy()[0])
+        require_memory(SIDE_BYTES * total, self.device, message)
+        cells, masks = (buffers.get(name, total, int) for name in ("side_cells", "side_masks"))
+        self._launch(list_column_sides, columns, [levels, rows, offsets], [self.index, cells, masks])
+        self.table = buffers.get("sides", (total, 8), wp.vec4)
+        inputs = [levels, rows, boundary, scale, affine, solver.values, lattice.flat_distance, cells, masks]
+        self._launch(fill_sides, total, inputs, [self.table])
+        jumps = buffers.get("jumps", cut_count, float)
+        self._launch(measure_jumps, cut_count, [levels, rows, boundary], [jumps])
+        self.jump = float(jumps.numpy().max()) if cut_count else 0.0
+
+    def _launch(self, kernel, count: int, inputs, outputs, threads: int | None = None) -> None:
+        launch(kernel, count, inputs, outputs, device=self.device, threads=threads)
+
+
+def boundary_buffer(solver) -> wp.array:
+    """(rows of level 0, 6) vec3, to be filled with the map's remainder where links cross the cage."""
+    return solver.lattice.buffers.get("boundary", (int(solver.nodes.counts["cut"][0]), 6), wp.vec3)
+
+
+def linear_boundary(solver, vertex_values: wp.array) -> wp.array:
+    """The same of a map that is linear on the cage's faces."""
+    boundary = boundary_buffer(solver)
+    inputs = [solver.rows, solver.lattice.faces, vertex_values]
+    launch(set_boundary_values, boundary.shape[0], inputs, [boundary], device=solver.device)
+    return boundary

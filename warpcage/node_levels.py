@@ -28,6 +28,7 @@ class LatticeNodes:
         self.section_count = 3 * self.level_count + RINGS
         self._limits = wp.zeros(self.section_count, dtype=int, device=lattice.device)
         self.overflow = wp.zeros(1, dtype=int, device=lattice.device)
+        self.narrow = wp.zeros(1, dtype=int, device=lattice.device)  # 1 where a gap is narrower than a cell
         self.fill()
 
     def fill(self) -> LatticeNodes:
@@ -81,7 +82,8 @@ class LatticeNodes:
         levels.starts = buffers.get("starts", self.section_count + 1, int)
         levels.interpolates = int(self.interpolates)
         inputs = [lattice.crossings, lattice.flat_distance, arrays["scales"], lattice.clearances, levels]
-        launch(classify_nodes, sizes["nodes"], inputs, device=device)
+        self.narrow.zero_()
+        launch(classify_nodes, sizes["nodes"], inputs, [self.narrow], device=device)
         counts = buffers.get("column_counts", sizes["entries"], int)
         self._offsets = buffers.get("column_offsets", sizes["entries"], int)
         launch(count_columns, sizes["columns"], [levels], [counts], device=device)

@@ -118,6 +118,6 @@ class PoseGraph:
         values = lattice.buffers.get("values", self._node_sizes["nodes"], wp.vec3)
         inputs = [nodes.levels, self.scale, arrays["affine"]]
         launch(add_affine, self._lattice_sizes["nodes"], inputs, [values], device=self.device)
-        inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.levels]
+        inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.narrow, nodes.levels]
         launch(gather_status, 1, inputs, [self._status], device=self.device)
         wp.copy(self._host_status, self._status)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import warp as wp
 
@@ -14,7 +16,7 @@ from .kernels.cage_map import CageMap
 from .kernels.map_extension import add_affine
 from .lattice import CageLattice, lattice_frame, require_resolution
 from .lattice_weights import LatticeWeights, harmonic_weights
-from .map_sides import build_sides
+from .map_sides import REPORTED_JUMP, MapSides
 from .memory import require_memory
 from .pose_graph import PoseGraph
 
@@ -42,8 +44,9 @@ class PositionMap:
 
     Attributes: data, the CageMap for kernels; lattice; origin (3,) float64; cycles and residual of the harmonic solver
     (0 for the closed forms); thin_nodes, how many nodes lie at gaps of the deformed cage that are narrower than about
-    two cells. There harmonic maps keep values for each side (kernels/map_sides.py) and hold down to gaps of one cell;
-    maps of closed forms, which see across gaps themselves, are rough.
+    two cells, where the map keeps values for each side (kernels/map_sides.py) and holds down to gaps of one cell;
+    gap_jump, by how much the pose opens gaps that are narrower than a cell in the deformed cage, as a share of the rest
+    cage's size. `pose` warns where that is above 2e-2.
 
     Raises ValueError for unusable cages, unknown names, a resolution or tolerance out of range, poses whose faces
     differ, and where the device has not the memory. Source: "Deforming Radiance Fields with Cages" (ECCV 2022),
@@ -77,6 +80,7 @@ class PositionMap:
         self._weights: LatticeWeights | None = None
         self._data: CageMap | None = None
         self._graph: PoseGraph | None = None
+        self.gap_jump = 0.0
 
     def pose(self, deformed) -> PositionMap:
         """Compute the map from `deformed`, a Cage with the faces of the rest cage. Buffers of the last pose are reused.
@@ -150,10 +154,7 @@ class PositionMap:
     @property
     def thin_nodes(self) -> int:
         self._posed_lattice()
-        solver = self._solver
-        if self.coordinates != "harmonic":
-            solver.gaps.launch(solver.nodes.sections)
-        return solver.gaps.total()
+        return self._solver.gaps.total() if self._has_gaps else 0
 
     def memory_bytes(self, deformed=None) -> int:
         """Bytes on the device that a pose takes (default: the rest pose), worked out from shapes before allocation."""
@@ -210,7 +211,7 @@ class PositionMap:
         solver.solve(arrays["vertex_values"], arrays["face_values"])
         inputs = [self._solver.nodes.levels, self.rest.size, arrays["affine"]]
         launch(add_affine, lattice.node_count, inputs, [self._solver.values], device=self.device)
-        self._take_map(self.coordinates == "harmonic" and int(self._solver.gaps.count.numpy()[0]) > 0)
+        self._take_map(int(self._solver.gaps.count.numpy()[0] + self._solver.nodes.narrow.numpy()[0]) > 0)
 
     def _take_map(self, has_gaps: bool) -> None:
         lattice = self.lattice
@@ -218,10 +219,25 @@ class PositionMap:
         data.lower, data.spacing, data.inverse_spacing = lattice.local_lower, lattice.spacing, 1.0 / lattice.spacing
         data.positions = lattice.buffers.get("values", lattice.node_count, wp.vec3).reshape(lattice.shape)
         data.distance = lattice.distance
+        self.gap_jump = 0.0
+        self._has_gaps = has_gaps
         if has_gaps:
-            arrays = lattice.map_constants.arrays
-            data.side_index, data.sides = build_sides(
-                self._solver, self._solver.gaps, arrays["vertex_values"], self.rest.size, arrays["affine"]
+            self._take_sides(data)
+
+    def _take_sides(self, data: CageMap) -> None:
+        """Give the map the sides of narrow gaps, and report those that its lattice smears."""
+        solver, arrays = self._solver, self.lattice.map_constants.arrays
+        boundary = solver.boundary_at_gaps(arrays["vertex_values"], arrays["face_values"])
+        remedy = f"the sides of narrow gaps of a lattice at resolution {self.resolution} need {{size}}: "
+        sides = MapSides(solver, boundary, self.rest.size, arrays["affine"], remedy + "take a lower resolution")
+        data.side_index, data.sides = sides.index, sides.table
+        self.gap_jump = sides.jump
+        if self.gap_jump > REPORTED_JUMP:
+            warnings.warn(
+                f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose opens "
+                f"by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there; take a resolution "
+                f"above {self.resolution} or open the gaps",
+                stacklevel=4,
             )
 
     def _face_values(self, matrix: np.ndarray) -> np.ndarray:
