@@ -234,9 +234,9 @@ class PositionMap:
         self.gap_jump = sides.jump
         if self.gap_jump > REPORTED_JUMP:
             warnings.warn(
-                f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose opens "
-                f"by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there; take a resolution "
-                f"above {self.resolution} or open the gaps",
+                f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose "
+                f"opens by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there, take a "
+                f"resolution above {self.resolution} or open the gaps",
                 stacklevel=4,
             )
 
