@@ -14,7 +14,7 @@ import warp as wp
 from .green import green_position
 from .harmonic_rows import CutRows
 from .mean_value import mean_value_position
-from .node_levels import RINGS, NodeLevels, centred_place, node_place
+from .node_levels import NodeLevels, centred_place, node_place
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -29,12 +29,9 @@ def map_nodes_mean_value(
     size: float,
     values: wp.array(dtype=wp.vec3),
 ):
-    """values[node] = sum_j w_j targets_j at inside nodes that are not interpolated, then at those of the rings. One
-    item a node; one level."""
+    """values[node] = sum_j w_j targets_j at inside nodes that are not interpolated. One item a node; one level."""
     n = first + wp.tid()
     if n >= levels.starts[1]:
-        n += levels.starts[3] - levels.starts[1]
-    if n >= levels.starts[3 + RINGS]:
         return
     node = levels.nodes[n]
     values[node] = mean_value_position(centred_place(levels, node), vertices, faces, targets, size)

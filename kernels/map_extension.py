@@ -210,6 +210,6 @@ def gather_status(
     status[1] = float(list_overflow[0])
     status[2] = solver[0]
     status[3] = solver[1]
-    status[4] = float(gap_count[0] + narrow[0])
+    status[4] = float(gap_count[0] + narrow[0] / 2)
     for s in range(status.shape[0] - 5):
         status[5 + s] = float(levels.starts[s + 1] - levels.starts[s])

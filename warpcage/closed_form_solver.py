@@ -13,7 +13,7 @@ from .kernels.lattice_weights import place_nodes
 from .kernels.map_extension import extend_outwards
 from .kernels.mean_value import weigh_mean_value
 from .kernels.node_levels import RINGS
-from .map_sides import GapFlags, boundary_buffer, described_rows, linear_boundary
+from .map_sides import GapFlags, boundary_buffer, described_rows, launch_rings, linear_boundary
 from .node_levels import LatticeNodes
 
 
@@ -26,11 +26,13 @@ class ClosedFormSolver:
         self.lattice, self.device = lattice, lattice.device
         self.nodes = LatticeNodes(lattice, level_count=1, interpolates=True)
         self.status = wp.zeros(2, dtype=float, device=self.device)
-        self.gaps, self.rows = GapFlags(self), None
+        self.gaps = GapFlags(self)
+        self.launch_rows(self.nodes.sizes, self.nodes.sections)
 
     def prepare(self) -> None:
         """Set up for the pose that the lattice was filled with."""
         self.nodes.fill()
+        self.launch_rows(self.nodes.sizes, self.nodes.sections)
 
     @property
     def values(self) -> wp.array:
@@ -38,24 +40,19 @@ class ClosedFormSolver:
         return self.lattice.buffers.get("values", self.lattice.node_count, wp.vec3)
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
-        """Nothing to set up."""
+        """Launch the description of the cut nodes. sizes, sections: of this pose, or upper bounds."""
+        self.rows = described_rows(self.lattice, self.nodes, int(sections[2]), int(sections[2]))
 
     def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
         """Launch what fills the values. sizes, sections: of this pose, or upper bounds."""
         values = self.lattice.buffers.get("values", sizes["nodes"], wp.vec3)
         values.zero_()
         self.launch_map(sections, vertex_values, face_values, values)
-        self.find_gaps(sections)
+        self.gaps.launch(sections, self.rows, values)
 
     def find_gaps(self, sections: np.ndarray) -> None:
-        """Launch the search for narrow gaps; those that hold no node are seen by `nodes.narrow` alone."""
-        self.gaps.launch(sections)
-
-    def describe_gaps(self) -> None:
-        """Describe the cut nodes, which no other step of a closed form needs, and search again with them."""
-        cut_count = int(self.nodes.counts["cut"][0])
-        self.rows = described_rows(self.lattice, self.nodes, cut_count, cut_count)
-        self.gaps.launch(self.nodes.sections, self.rows)
+        """Launch the search for narrow gaps."""
+        self.gaps.launch(sections, self.rows, self.values)
 
     def _launch_interpolation(self, sections: np.ndarray, values: wp.array) -> None:
         """Launch what fills the inside nodes that were not evaluated."""
@@ -77,6 +74,10 @@ class ClosedFormSolver:
     def load_modules(self) -> None:
         """Compile what a capture would need: the map has run before."""
 
+    def node_ranges(self) -> list[tuple[int, int]]:
+        """(begin, count) in the node list of what has weights: inside nodes."""
+        return [(int(self.nodes.starts[0]), int(self.nodes.starts[2] - self.nodes.starts[0]))]
+
     def _size(self) -> float:
         """Size of the cage in node units."""
         return float(self.lattice.resolution)
@@ -92,30 +93,27 @@ class ClosedFormSolver:
 
 
 class MeanValueSolver(ClosedFormSolver):
-    """Mean value maps: the formula holds outside the cage as well, so the rings take their own values."""
+    """Mean value maps. Their formula holds outside the cage as well, but bends at its edges and, in gaps, from one side
+    to the other, so that the rings continue the inside values through the cage instead, as harmonic maps do."""
 
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
-        """Launch the map at all listed nodes."""
+        """Launch the map at inside nodes and what continues it."""
         self._launch(
             map_nodes_mean_value,
-            int(sections[0] + sections[3:].sum()),
+            int(sections[0]),
             [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, self._size()],
             [values],
         )
         self._launch_interpolation(sections, values)
+        launch_rings(self, sections, vertex_values, values)
 
     def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
-        """The map's remainder where links cross the cage; describes the cut nodes first."""
-        self.describe_gaps()
+        """The map's remainder where links cross the cage."""
         return linear_boundary(self, vertex_values)
 
     def extend(self, vertex_values: wp.array) -> None:
-        """Nothing to do: the rings have values of their own."""
-
-    def node_ranges(self) -> list[tuple[int, int]]:
-        """(begin, count) in the node list of what has weights: inside nodes, then rings."""
-        starts = self.nodes.starts
-        return [(int(starts[0]), int(starts[2] - starts[0])), (int(starts[3]), int(starts[-1] - starts[3]))]
+        """Continue the values at inside nodes to the rings of outside nodes around them."""
+        launch_rings(self, self.nodes.sections, vertex_values, self.values)
 
     def weigh(self, begin: int, count: int) -> tuple[wp.array, None]:
         """Weights (count, v) of the nodes listed from `begin` on; no weights of faces."""
@@ -132,7 +130,12 @@ class MeanValueSolver(ClosedFormSolver):
 
 
 class GreenSolver(ClosedFormSolver):
-    """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly."""
+    """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly. Cut nodes are
+    described where there are gaps only."""
+
+    def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
+        """Nothing to set up."""
+        self.rows = None
 
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
         """Launch the map at inside nodes and what continues it."""
@@ -146,8 +149,8 @@ class GreenSolver(ClosedFormSolver):
         self._launch_rings(sections, vertex_values, values)
 
     def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
-        """The limit of the map's remainder, from inside, where links cross the cage; describes the cut nodes first."""
-        self.describe_gaps()
+        """The limit of the map's remainder, from inside, where links cross the cage."""
+        super().launch_rows(self.nodes.sizes, self.nodes.sections)
         boundary = boundary_buffer(self)
         lattice = self.lattice
         inputs = [self.nodes.levels, self.rows, self._vertices, lattice.faces, vertex_values, face_values, self._size()]
@@ -168,10 +171,6 @@ class GreenSolver(ClosedFormSolver):
                 [values],
                 device=self.device,
             )
-
-    def node_ranges(self) -> list[tuple[int, int]]:
-        """(begin, count) in the node list of what has weights: inside nodes."""
-        return [(int(self.nodes.starts[0]), int(self.nodes.starts[2] - self.nodes.starts[0]))]
 
     def weigh(self, begin: int, count: int) -> tuple[wp.array, wp.array]:
         """Weights (count, v) of vertices and (count, f) of faces at the nodes listed from `begin` on."""

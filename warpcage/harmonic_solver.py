@@ -21,9 +21,7 @@ from .kernels.harmonic import (
 )
 from .kernels.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
 from .kernels.harmonic_rows import set_sources
-from .kernels.map_extension import extend_outwards, extend_through_cage
-from .kernels.node_levels import RINGS
-from .map_sides import GapFlags, described_rows, linear_boundary
+from .map_sides import GapFlags, described_rows, launch_rings, linear_boundary
 from .node_levels import LatticeNodes
 
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)
@@ -122,11 +120,11 @@ class HarmonicSolver:
 
     def extend(self, vertex_values: wp.array) -> None:
         """Continue the values at inside nodes to the rings of outside nodes around them (kernels/map_extension.py)."""
-        self._launch_rings(self.nodes.sections, vertex_values)
+        launch_rings(self, self.nodes.sections, vertex_values, self.system.values)
 
     def find_gaps(self, sections: np.ndarray) -> None:
         """Launch the search for narrow gaps."""
-        self.gaps.launch(sections, self.rows)
+        self.gaps.launch(sections, self.rows, self.system.values)
 
     def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
         """The map's remainder where links cross the cage."""
@@ -136,7 +134,7 @@ class HarmonicSolver:
         """Launch a whole solution, for a CUDA graph: the cycles end on the device. sections: upper bounds."""
         self._launch_start(sections, vertex_values)
         wp.capture_while(self.going, lambda: self._cycle(sections))
-        self._launch_rings(sections, vertex_values)
+        launch_rings(self, sections, vertex_values, self.system.values)
         self.find_gaps(sections)
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
@@ -159,14 +157,6 @@ class HarmonicSolver:
         self._launch(set_sources, int(sections[2 * nodes.level_count]), inputs)
         self._launch(begin_cycles, 1, [self.going, self.status, self._largest])
         self._sweep(relax_laplace, int(sections[0]), [0, 0, system])
-
-    def _launch_rings(self, sections: np.ndarray, vertex_values: wp.array) -> None:
-        lattice, levels, values = self.lattice, self.nodes.levels, self.system.values
-        rings = sections[3 * self.nodes.level_count :]
-        self._launch(extend_through_cage, int(rings[0]), [levels, self.rows, lattice.faces, vertex_values, values])
-        for ring in range(1, RINGS):
-            inputs = [ring, lattice.vertices, lattice.faces, levels, vertex_values, values]
-            self._launch(extend_outwards, int(rings[ring]), inputs)
 
     def _cycle_runner(self, sections: np.ndarray):
         """A callable that runs one cycle: launches on the CPU, the replay of one graph on CUDA."""

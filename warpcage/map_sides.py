@@ -7,7 +7,10 @@ import warp as wp
 
 from .devices import launch
 from .kernels.harmonic_rows import CutRows, describe_rows
+from .kernels.map_extension import extend_outwards, extend_through_cage
 from .kernels.map_sides import (
+    GAP_JUMP,
+    confirm_narrow,
     count_column_sides,
     fill_sides,
     find_gap_nodes,
@@ -17,6 +20,7 @@ from .kernels.map_sides import (
     measure_jumps,
     set_boundary_values,
 )
+from .kernels.node_levels import RINGS
 from .memory import require_memory
 
 #: Bytes of a side's table row: eight corners of four floats, its cell and its corners.
@@ -42,25 +46,32 @@ def described_rows(lattice, nodes, row_count: int, finest: int) -> CutRows:
 
 
 class GapFlags:
-    """Which outside nodes next to the inside lie at gaps narrower than about two cells.
+    """Which outside nodes next to the inside lie at gaps narrower than about two cells over which the map jumps.
 
-    solver: whose nodes are listed. Attributes: flags, one int for each node of rings 0 and 1; count (1,), above zero
-    where any is set (on a CPU not how many: see `total`).
+    solver: whose nodes are listed and whose values are the remainder of a map. Attributes: flags, one int for each node
+    of rings 0 and 1; count (1,), above zero where any is set (on a CPU not how many: see `total`).
     """
 
     def __init__(self, solver):
         self.solver, self.device = solver, solver.lattice.device
         self.count = wp.zeros(1, dtype=int, device=self.device)
 
-    def launch(self, sections: np.ndarray, rows: CutRows | None = None) -> None:
-        """Launch the search. sections: nodes of each list, or upper bounds; rows: without them, gaps that hold no node
-        are not seen."""
+    def launch(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
+        """Launch the search. sections: nodes of each list, or upper bounds; rows: without them, a gap that is narrower
+        than a cell is seen by `nodes.narrow` alone; values: of which a difference above `least` makes a gap."""
         nodes = self.solver.nodes
-        items = int(sections[3 * nodes.level_count : 3 * nodes.level_count + 2].sum())
+        levels, level_count, crossings = nodes.levels, nodes.level_count, nodes.lattice.crossings
+        items = int(sections[3 * level_count : 3 * level_count + 2].sum())
         self.flags = nodes.lattice.buffers.get("gap_flags", items, int)
         self.count.zero_()
-        inputs = [nodes.levels, CutRows() if rows is None else rows]
+        inputs = [levels, CutRows() if rows is None else rows, values, float(least)]
         launch(find_gap_nodes, items, inputs, [self.flags, self.count], device=self.device)
+        cut = int(sections[2 * level_count])
+        launch(confirm_narrow, cut, [crossings, levels, values], [nodes.narrow], device=self.device)
+
+    def found(self) -> bool:
+        """Whether there are any, also such that hold no node; waits for the device."""
+        return int(self.count.numpy()[0]) > 0 or int(self.solver.nodes.narrow.numpy()[0]) == 2
 
     def total(self) -> int:
         """How many nodes are flagged."""
@@ -70,7 +81,7 @@ class GapFlags:
 class MapSides:
     """The tables of a map's cells at narrow gaps.
 
-    solver: after its solution, the gaps' flags set with its `rows`. boundary (rows of level 0, 6): the map's remainder
+    solver: after its solution, with `rows`. boundary (rows of level 0, 6): the map's remainder
     where links cross the cage. scale, affine: its positions are scale times the remainder plus an affine part.
     message: of the ValueError where the device has not the memory; `{size}` becomes the figures.
 
@@ -83,6 +94,8 @@ class MapSides:
         lattice, nodes, rows = solver.lattice, solver.nodes, solver.rows
         levels, cut_count = nodes.levels, boundary.shape[0]
         columns = lattice.shape[0] * lattice.shape[1]
+        # where there are sides at all, all gaps get theirs
+        solver.gaps.launch(nodes.sections, rows, solver.values, 0.0)
         self.index = buffers.get("side_index", lattice.node_count, int)
         self.index.zero_()
         flags = solver.gaps.flags
@@ -109,6 +122,18 @@ class MapSides:
 def boundary_buffer(solver) -> wp.array:
     """(rows of level 0, 6) vec3, to be filled with the map's remainder where links cross the cage."""
     return solver.lattice.buffers.get("boundary", (int(solver.nodes.counts["cut"][0]), 6), wp.vec3)
+
+
+def launch_rings(solver, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
+    """Launch the continuation of a map that is linear on the cage's faces from inside nodes to the rings around them
+    (kernels/map_extension.py)."""
+    lattice, nodes = solver.lattice, solver.nodes
+    rings = sections[3 * nodes.level_count :]
+    inputs = [nodes.levels, solver.rows, lattice.faces, vertex_values, values]
+    launch(extend_through_cage, int(rings[0]), inputs, device=solver.device)
+    for ring in range(1, RINGS):
+        inputs = [ring, lattice.vertices, lattice.faces, nodes.levels, vertex_values, values]
+        launch(extend_outwards, int(rings[ring]), inputs, device=solver.device)
 
 
 def linear_boundary(solver, vertex_values: wp.array) -> wp.array:

@@ -44,9 +44,9 @@ class PositionMap:
 
     Attributes: data, the CageMap for kernels; lattice; origin (3,) float64; cycles and residual of the harmonic solver
     (0 for the closed forms); thin_nodes, how many nodes lie at gaps of the deformed cage that are narrower than about
-    two cells, where the map keeps values for each side (kernels/map_sides.py) and holds down to gaps of one cell;
-    gap_jump, by how much the pose opens gaps that are narrower than a cell in the deformed cage, as a share of the rest
-    cage's size. `pose` warns where that is above 2e-2.
+    two cells and that the pose opens: there the map keeps values for each side (kernels/map_sides.py), which hold down
+    to gaps of one cell; gap_jump, by how much the pose opens gaps narrower than that, as a share of the rest cage's
+    size. `pose` warns where it is above 2e-2.
 
     Raises ValueError for unusable cages, unknown names, a resolution or tolerance out of range, poses whose faces
     differ, and where the device has not the memory. Source: "Deforming Radiance Fields with Cages" (ECCV 2022),
@@ -211,7 +211,7 @@ class PositionMap:
         solver.solve(arrays["vertex_values"], arrays["face_values"])
         inputs = [self._solver.nodes.levels, self.rest.size, arrays["affine"]]
         launch(add_affine, lattice.node_count, inputs, [self._solver.values], device=self.device)
-        self._take_map(int(self._solver.gaps.count.numpy()[0] + self._solver.nodes.narrow.numpy()[0]) > 0)
+        self._take_map(self._solver.gaps.found())
 
     def _take_map(self, has_gaps: bool) -> None:
         lattice = self.lattice
