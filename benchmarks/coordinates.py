@@ -5,19 +5,21 @@
 
 A map is what `PositionMap.pose` does, host and device: lattice, distances, coordinates on the deformed cage, and the
 extension beyond it; on CUDA one graph. Median of warm runs, alternating between two poses, each a new Cage so that its
-checks are paid for as well. Memory is what the map's buffers hold. On a CPU the ratio to one thread is printed, at the
-lowest resolution. Several vertex counts show how the cost grows.
+checks are paid for as well. Memory is what the map's buffers hold. On a CPU the ratio to one thread is printed, from
+poses that take turns with such on one thread. Several vertex counts show how the cost grows.
 """
 
 import argparse
 import json
+import statistics
+import time
 
 import numpy as np
 import warp as wp
 from timing import median_seconds
 
 import warpcage
-from warpcage.devices import CPU_THREADS
+from warpcage import devices
 
 KINDS = ("mean_value", "harmonic", "green")
 
@@ -32,6 +34,21 @@ def test_cage(vertex_count: int) -> warpcage.Cage:
 
     return warpcage.Cage.from_mesh(trimesh.Trimesh(mesh.vertices * bumps, mesh.faces, process=False),
                                    vertex_count=vertex_count)
+
+
+def interleaved_seconds(action, runs: int) -> tuple[float, float]:
+    """Median seconds of action() on all threads and on one, in turns, so that other work on the machine meets both."""
+    threads = devices.CPU_THREADS
+    times = {threads: [], 1: []}
+    action()
+    for _ in range(runs):
+        for count in times:
+            devices.CPU_THREADS = count
+            begin = time.perf_counter()
+            action()
+            times[count].append(time.perf_counter() - begin)
+    devices.CPU_THREADS = threads
+    return statistics.median(times[threads]), statistics.median(times[1])
 
 
 def main() -> None:
@@ -60,16 +77,16 @@ def main() -> None:
                     deformed = poses[turn[0] % 2]
                     position_map.pose(deformed.with_vertices(deformed.vertices))
 
-                seconds = median_seconds(pose, device, runs=args.runs)
+                ratio = {}
+                if device.is_cpu:
+                    seconds, alone = interleaved_seconds(pose, max(3, args.runs))
+                    ratio = {"times_one_thread": round(alone / seconds, 2)}
+                else:
+                    seconds = median_seconds(pose, device, runs=args.runs)
                 rows.append({"kind": kind, "resolution": resolution, "vertices": len(rest.vertices),
                              "faces": len(rest.faces), "milliseconds": round(1e3 * seconds, 3),
                              "cycles": position_map.cycles, "nodes": position_map.lattice.node_count,
-                             "megabytes": round(position_map.lattice.buffers.bytes / 1e6, 1)})
-                if device.is_cpu and resolution == min(args.resolution):
-                    threads, warpcage.devices.CPU_THREADS = warpcage.devices.CPU_THREADS, 1
-                    alone = median_seconds(pose, device, runs=max(3, args.runs // 4))
-                    warpcage.devices.CPU_THREADS = threads
-                    rows[-1]["times_one_thread"] = round(alone / seconds, 2)
+                             "megabytes": round(position_map.lattice.buffers.bytes / 1e6, 1), **ratio})
                 print(rows[-1], flush=True)
         random = np.random.default_rng(0)
         points = wp.array(random.uniform(-0.3, 0.3, (args.points, 3)), dtype=wp.vec3, device=device)
@@ -82,7 +99,7 @@ def main() -> None:
             print(rows[-1], flush=True)
     if args.json:
         with open(args.json, "w", encoding="utf-8") as file:
-            json.dump({"device": device.name, "cpu_threads": CPU_THREADS, "warp": wp.__version__, "rows": rows}, file,
+            json.dump({"device": device.name, "cpu_threads": devices.CPU_THREADS, "warp": wp.__version__, "rows": rows}, file,
                       indent=1)
 
 

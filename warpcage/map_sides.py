@@ -21,10 +21,10 @@ from .kernels.map_sides import (
     set_boundary_values,
 )
 from .kernels.node_levels import RINGS
-from .memory import require_memory
 
-#: Bytes of a side's table row: eight corners of four floats, its cell and its corners.
-SIDE_BYTES = 8 * 16 + 8
+#: Buffers of the tables, and what they take: of each node, and at most of each square cell of the cage's surface.
+SIDE_BUFFERS = ("side_index", "side_counts", "side_offsets", "side_cells", "side_masks", "sides", "jumps", "boundary")
+SIDE_NODE_BYTES, SIDE_SURFACE_BYTES, SIDE_FIXED_BYTES = 5, 700, 1 << 16
 
 #: A jump of the map over less than a cell that is larger than this share of the rest cage's size is reported.
 REPORTED_JUMP = 2e-2
@@ -78,18 +78,22 @@ class GapFlags:
         return int(self.flags.numpy().sum())
 
 
+def side_bytes(node_count: int, surface: float) -> int:
+    """The most that the tables take. surface: area of the cage, cells squared."""
+    return int(SIDE_FIXED_BYTES + SIDE_NODE_BYTES * node_count + SIDE_SURFACE_BYTES * surface)
+
+
 class MapSides:
     """The tables of a map's cells at narrow gaps.
 
     solver: after its solution, with `rows`. boundary (rows of level 0, 6): the map's remainder
     where links cross the cage. scale, affine: its positions are scale times the remainder plus an affine part.
-    message: of the ValueError where the device has not the memory; `{size}` becomes the figures.
 
     Attributes: index and table, side_index and sides of CageMap; jump, the largest that the remainder makes over
     a gap narrower than a cell.
     """
 
-    def __init__(self, solver, boundary: wp.array, scale: float, affine: wp.array, message: str):
+    def __init__(self, solver, boundary: wp.array, scale: float, affine: wp.array):
         self.device, buffers = solver.device, solver.lattice.buffers
         lattice, nodes, rows = solver.lattice, solver.nodes, solver.rows
         levels, cut_count = nodes.levels, boundary.shape[0]
@@ -105,7 +109,6 @@ class MapSides:
         self._launch(count_column_sides, columns, [levels, rows, self.index], [counts])
         wp.utils.array_scan(counts, offsets, inclusive=False)
         total = int(offsets[-1:].numpy()[0] + counts[-1:].numpy()[0])
-        require_memory(SIDE_BYTES * total, self.device, message)
         cells, masks = (buffers.get(name, total, int) for name in ("side_cells", "side_masks"))
         self._launch(list_column_sides, columns, [levels, rows, offsets], [self.index, cells, masks])
         self.table = buffers.get("sides", (total, 8), wp.vec4)

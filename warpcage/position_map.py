@@ -16,7 +16,7 @@ from .kernels.cage_map import CageMap
 from .kernels.map_extension import add_affine
 from .lattice import CageLattice, lattice_frame, require_resolution
 from .lattice_weights import LatticeWeights, harmonic_weights
-from .map_sides import REPORTED_JUMP, MapSides
+from .map_sides import REPORTED_JUMP, SIDE_BUFFERS, MapSides, side_bytes
 from .memory import require_memory
 from .pose_graph import PoseGraph
 
@@ -156,8 +156,11 @@ class PositionMap:
         self._posed_lattice()
         return self._solver.gaps.total() if self._has_gaps else 0
 
-    def memory_bytes(self, deformed=None) -> int:
-        """Bytes on the device that a pose takes (default: the rest pose), worked out from shapes before allocation."""
+    def memory_bytes(self, deformed=None, *, gaps: bool = False) -> int:
+        """Bytes on the device that a pose takes (default: the rest pose), worked out from shapes before allocation.
+
+        gaps: with the most that the tables of narrow gaps may take, where they go all over the cage.
+        """
         deformed = self.rest if deformed is None else deformed
         shape, _, spacing = lattice_frame(deformed, self.resolution, self.origin)
         nx, ny, nz = shape
@@ -167,6 +170,8 @@ class PositionMap:
         total = FIXED_BYTES + NODE_BYTES * nodes + LINE_BYTES * lines + SURFACE_BYTES * surface + 5 * inside
         if self.coordinates == "harmonic":
             total += LEVELS_BYTES * nodes
+        if gaps:
+            total += side_bytes(nodes, surface)
         if self.store == "weights":
             total += LatticeWeights.row_bytes(self.coordinates, deformed) * (inside + 4 * surface)
         return int(total)
@@ -226,10 +231,15 @@ class PositionMap:
 
     def _take_sides(self, data: CageMap) -> None:
         """Give the map the sides of narrow gaps, and report those that its lattice smears."""
-        solver, arrays = self._solver, self.lattice.map_constants.arrays
+        lattice, solver, arrays = self.lattice, self._solver, self.lattice.map_constants.arrays
+        require_memory(
+            side_bytes(lattice.node_count, _area(lattice.cage) / lattice.spacing**2),
+            self.device,
+            f"tables for sides of narrow gaps at resolution {self.resolution} need {{size}}: take a lower resolution",
+            held=lattice.buffers.bytes_of(SIDE_BUFFERS),
+        )
         boundary = solver.boundary_at_gaps(arrays["vertex_values"], arrays["face_values"])
-        remedy = f"the sides of narrow gaps of a lattice at resolution {self.resolution} need {{size}}: "
-        sides = MapSides(solver, boundary, self.rest.size, arrays["affine"], remedy + "take a lower resolution")
+        sides = MapSides(solver, boundary, self.rest.size, arrays["affine"])
         data.side_index, data.sides = sides.index, sides.table
         self.gap_jump = sides.jump
         if self.gap_jump > REPORTED_JUMP:
