@@ -99,8 +99,8 @@ def main() -> None:
             print(rows[-1], flush=True)
     if args.json:
         with open(args.json, "w", encoding="utf-8") as file:
-            json.dump({"device": device.name, "cpu_threads": devices.CPU_THREADS, "warp": wp.__version__, "rows": rows}, file,
-                      indent=1)
+            json.dump({"device": device.name, "cpu_threads": devices.CPU_THREADS, "warp": wp.__version__, "rows": rows},
+                      file, indent=1)
 
 
 if __name__ == "__main__":
