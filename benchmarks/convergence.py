@@ -78,7 +78,8 @@ def main() -> None:
             rows.append({"cage": name, "resolution": resolution, "rms": errors[-1],
                          "largest": float(np.abs(error).max()), "up_to_cage": up_to_cage, "order": order,
                          "reference_rms": float(floor)})
-            line = "  {resolution:4d}  rms {rms:.2e}  largest {largest:.2e}  up to the cage {up_to_cage:.2e}  order {order}"
+            line = "  {resolution:4d}  rms {rms:.2e}  largest {largest:.2e}  to the cage {up_to_cage:.2e}  " \
+                   "order {order}"
             print(line.format(
                 **rows[-1] | {"order": "-" if order is None else f"{order:.2f}"}), flush=True)
         seen = np.array(errors) > floor

@@ -58,11 +58,12 @@ def main() -> None:
     parser.add_argument("--vertices", type=int, nargs="*", default=[42])
     parser.add_argument("--cage", nargs="*", default=[], help="cage files instead (where pymeshlab is missing)")
     parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--points", type=int, default=4_000_000, help="for the closed forms")
+    parser.add_argument("--points", type=int, help="for the closed forms: 16 million, or 400,000 on a CPU")
     parser.add_argument("--json")
     args = parser.parse_args()
     wp.config.quiet = True
     device = warpcage.devices.resolve_device(args.device)
+    args.points = args.points or (400_000 if device.is_cpu else 16_000_000)
     cages = [warpcage.Cage.load(file) for file in args.cage] or [test_cage(count) for count in args.vertices]
     rows = []
     for rest in cages:

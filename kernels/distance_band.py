@@ -9,7 +9,7 @@ crossings) for vertices, world units for the result. Siblings: containment, cros
 import warp as wp
 
 from .containment import triangle_distance_squared
-from .crossings import CHUNK, LineCrossings, is_inside
+from .crossings import LineCrossings, is_inside
 
 wp.set_module_options({"enable_backward": False})
 
@@ -65,20 +65,18 @@ def list_block_faces(
     reach = BAND + HALF_DIAGONAL
     nearest = (CLEARANCE + HALF_DIAGONAL) * (CLEARANCE + HALF_DIAGONAL)
     count = int(0)
-    for f in range(0, faces.shape[0], CHUNK):
-        closest = float(1.0e30)
-        for m in range(CHUNK):  # without branches, so that all are read at once
-            face = faces[wp.min(f + m, faces.shape[0] - 1)]
-            closest = wp.min(closest, box_gap_squared(centre, vertices[face[0]], vertices[face[1]], vertices[face[2]]))
-        if closest <= wp.max(nearest, reach * reach):
-            for n in range(f, wp.min(f + CHUNK, faces.shape[0])):
-                face = faces[n]
-                apart = triangle_distance_squared(centre, vertices[face[0]], vertices[face[1]], vertices[face[2]])
-                nearest = wp.min(nearest, apart)
-                if apart <= reach * reach:
-                    if count < near.shape[1]:
-                        near[block, count] = n
-                    count += 1
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        if box_gap_squared(centre, a, b, c) <= wp.max(nearest, reach * reach):
+            apart = triangle_distance_squared(centre, a, b, c)
+            nearest = wp.min(nearest, apart)
+            if apart <= reach * reach:
+                if count < near.shape[1]:
+                    near[block, count] = f
+                count += 1
     counts[block] = count
     clearances[block] = wp.sqrt(nearest)
 

@@ -70,11 +70,11 @@ def held_row(system: LaplaceSystem, level: int, colour: int, item: int):
 
 @wp.func
 def held_sum(system: LaplaceSystem, row: HeldRow):
-    """Load and values at the ends of the links."""
-    total = row.load
+    """Load and values at the ends of the links, added up in the order of harmonic.relaxed_value."""
+    total = wp.vec3(0.0, 0.0, 0.0)
     for d in range(6):
         total += system.values[row.ends[d]]
-    return total
+    return row.load + total
 
 
 @wp.func
