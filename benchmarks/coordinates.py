@@ -57,6 +57,7 @@ def main() -> None:
     parser.add_argument("--resolution", type=int, nargs="*", default=[64, 128, 256])
     parser.add_argument("--vertices", type=int, nargs="*", default=[42])
     parser.add_argument("--cage", nargs="*", default=[], help="cage files instead (where pymeshlab is missing)")
+    parser.add_argument("--kinds", nargs="*", default=KINDS)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--points", type=int, help="for the closed forms: 16 million, or 400,000 on a CPU")
     parser.add_argument("--json")
@@ -68,7 +69,7 @@ def main() -> None:
     rows = []
     for rest in cages:
         poses = [rest.twist(25).bend(20), rest.twist(-20)]
-        for kind in KINDS:
+        for kind in args.kinds:
             for resolution in args.resolution:
                 position_map = warpcage.PositionMap(rest, coordinates=kind, resolution=resolution, device=device)
                 turn = [0]
@@ -91,7 +92,7 @@ def main() -> None:
                 print(rows[-1], flush=True)
         random = np.random.default_rng(0)
         points = wp.array(random.uniform(-0.3, 0.3, (args.points, 3)), dtype=wp.vec3, device=device)
-        for kind in ("mean_value", "green"):
+        for kind in [kind for kind in args.kinds if kind != "harmonic"]:
             seconds = median_seconds(
                 lambda kind=kind, points=points, rest=rest, poses=poses: warpcage.deform_points(
                     points, rest, poses[0], coordinates=kind, device=device), device, runs=max(3, args.runs // 4))
