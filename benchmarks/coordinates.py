@@ -5,19 +5,21 @@
 
 A map is what `PositionMap.pose` does, host and device: lattice, distances, coordinates on the deformed cage, and the
 extension beyond it; on CUDA one graph. Median of warm runs, alternating between two poses, each a new Cage so that its
-checks are paid for as well. Memory is what the map's buffers hold. On a CPU the ratio to one thread is printed, at the
-lowest resolution. Several vertex counts show how the cost grows.
+checks are paid for as well. Memory is what the map's buffers hold. On a CPU the ratio to one thread is printed, from
+poses that take turns with such on one thread. Several vertex counts show how the cost grows.
 """
 
 import argparse
 import json
+import statistics
+import time
 
 import numpy as np
 import warp as wp
 from timing import median_seconds
 
 import warpcage
-from warpcage.devices import CPU_THREADS
+from warpcage import devices
 
 KINDS = ("mean_value", "harmonic", "green")
 
@@ -34,23 +36,40 @@ def test_cage(vertex_count: int) -> warpcage.Cage:
                                    vertex_count=vertex_count)
 
 
+def interleaved_seconds(action, runs: int) -> tuple[float, float]:
+    """Median seconds of action() on all threads and on one, in turns, so that other work on the machine meets both."""
+    threads = devices.CPU_THREADS
+    times = {threads: [], 1: []}
+    action()
+    for _ in range(runs):
+        for count in times:
+            devices.CPU_THREADS = count
+            begin = time.perf_counter()
+            action()
+            times[count].append(time.perf_counter() - begin)
+    devices.CPU_THREADS = threads
+    return statistics.median(times[threads]), statistics.median(times[1])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default=None)
     parser.add_argument("--resolution", type=int, nargs="*", default=[64, 128, 256])
     parser.add_argument("--vertices", type=int, nargs="*", default=[42])
     parser.add_argument("--cage", nargs="*", default=[], help="cage files instead (where pymeshlab is missing)")
+    parser.add_argument("--kinds", nargs="*", default=KINDS)
     parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--points", type=int, default=4_000_000, help="for the closed forms")
+    parser.add_argument("--points", type=int, help="for the closed forms: 16 million, or 400,000 on a CPU")
     parser.add_argument("--json")
     args = parser.parse_args()
     wp.config.quiet = True
     device = warpcage.devices.resolve_device(args.device)
+    args.points = args.points or (400_000 if device.is_cpu else 16_000_000)
     cages = [warpcage.Cage.load(file) for file in args.cage] or [test_cage(count) for count in args.vertices]
     rows = []
     for rest in cages:
         poses = [rest.twist(25).bend(20), rest.twist(-20)]
-        for kind in KINDS:
+        for kind in args.kinds:
             for resolution in args.resolution:
                 position_map = warpcage.PositionMap(rest, coordinates=kind, resolution=resolution, device=device)
                 turn = [0]
@@ -60,20 +79,20 @@ def main() -> None:
                     deformed = poses[turn[0] % 2]
                     position_map.pose(deformed.with_vertices(deformed.vertices))
 
-                seconds = median_seconds(pose, device, runs=args.runs)
+                ratio = {}
+                if device.is_cpu:
+                    seconds, alone = interleaved_seconds(pose, max(3, args.runs))
+                    ratio = {"times_one_thread": round(alone / seconds, 2)}
+                else:
+                    seconds = median_seconds(pose, device, runs=args.runs)
                 rows.append({"kind": kind, "resolution": resolution, "vertices": len(rest.vertices),
                              "faces": len(rest.faces), "milliseconds": round(1e3 * seconds, 3),
                              "cycles": position_map.cycles, "nodes": position_map.lattice.node_count,
-                             "megabytes": round(position_map.lattice.buffers.bytes / 1e6, 1)})
-                if device.is_cpu and resolution == min(args.resolution):
-                    threads, warpcage.devices.CPU_THREADS = warpcage.devices.CPU_THREADS, 1
-                    alone = median_seconds(pose, device, runs=max(3, args.runs // 4))
-                    warpcage.devices.CPU_THREADS = threads
-                    rows[-1]["times_one_thread"] = round(alone / seconds, 2)
+                             "megabytes": round(position_map.lattice.buffers.bytes / 1e6, 1), **ratio})
                 print(rows[-1], flush=True)
         random = np.random.default_rng(0)
         points = wp.array(random.uniform(-0.3, 0.3, (args.points, 3)), dtype=wp.vec3, device=device)
-        for kind in ("mean_value", "green"):
+        for kind in [kind for kind in args.kinds if kind != "harmonic"]:
             seconds = median_seconds(
                 lambda kind=kind, points=points, rest=rest, poses=poses: warpcage.deform_points(
                     points, rest, poses[0], coordinates=kind, device=device), device, runs=max(3, args.runs // 4))
@@ -82,8 +101,8 @@ def main() -> None:
             print(rows[-1], flush=True)
     if args.json:
         with open(args.json, "w", encoding="utf-8") as file:
-            json.dump({"device": device.name, "cpu_threads": CPU_THREADS, "warp": wp.__version__, "rows": rows}, file,
-                      indent=1)
+            json.dump({"device": device.name, "cpu_threads": devices.CPU_THREADS, "warp": wp.__version__, "rows": rows},
+                      file, indent=1)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from .cage_map import CageMap, cell_sides, corner_share, map_distance
+from .cage_map import CageMap, cell_sides, map_distance, side_position
 from .containment import cage_distance, winding_number
 from .green import green_position
 from .mean_value import mean_value_position
@@ -144,22 +144,6 @@ def cell_trilinear(values: wp.array3d(dtype=Any), cell: LatticeCell):
     return wp.lerp(wp.lerp(v00, v01, cell.offset[1]), wp.lerp(v10, v11, cell.offset[1]), cell.offset[0])
 
 
-@wp.func(inline=False)  # rare
-def gap_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3):
-    """cage_map.side_position from the array alone: a whole CageMap handed to a function that is not inlined is copied
-    to the stack of every ray."""
-    lowest = float(1.0e30)
-    position = wp.vec3(0.0, 0.0, 0.0)
-    for side in range(entry % 8):
-        total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        for corner in range(8):
-            total += corner_share(corner, offset) * sides[entry / 8 + side, corner]
-        if total[3] < lowest:
-            lowest = total[3]
-            position = wp.vec3(total[0], total[1], total[2])
-    return position
-
-
 @wp.func
 def edit_point(edit: LatticeEdit, x: wp.vec3):
     """Whether a point is in the deformed cage of an edit, and where the map leads; nothing is where an edit removes."""
@@ -178,7 +162,7 @@ def edit_point(edit: LatticeEdit, x: wp.vec3):
         if sides == 0:
             result.position = cell_trilinear(edit.deformed.positions, cell)
         else:
-            result.position = gap_position(edit.deformed.sides, sides, cell.offset)
+            result.position = side_position(edit.deformed.sides, sides, cell.offset)
         if (cell.flags & CELL_STAYS) == 0:
             result.leaves = wp.where(in_rest_cage(edit, result.position, edit.slack), 0, 1)
     return result

@@ -70,14 +70,17 @@ def cell_sides(cage_map: CageMap, i: int, j: int, k: int):
 
 
 @wp.func(inline=False)  # rare
-def side_position(cage_map: CageMap, entry: int, offset: wp.vec3):
-    """Canonical position at a place in a cell with an entry that is not 0: of the side that the place is on."""
+def side_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3):
+    """Canonical position at a place in a cell with an entry that is not 0: of the side that the place is on.
+
+    Of a CageMap it takes the table alone: the whole struct would be copied to the stack of every thread.
+    """
     lowest = float(1.0e30)
     position = wp.vec3(0.0, 0.0, 0.0)
     for side in range(entry % 8):
         total = wp.vec4(0.0, 0.0, 0.0, 0.0)
         for corner in range(8):
-            total += corner_share(corner, offset) * cage_map.sides[entry / 8 + side, corner]
+            total += corner_share(corner, offset) * sides[entry / 8 + side, corner]
         if total[3] < lowest:
             lowest = total[3]
             position = wp.vec3(total[0], total[1], total[2])
@@ -96,7 +99,7 @@ def map_position(cage_map: CageMap, x: wp.vec3):
     fz = g[2] - float(k)
     entry = cell_sides(cage_map, i, j, k)
     if entry != 0:
-        return side_position(cage_map, entry, wp.vec3(fx, fy, fz))
+        return side_position(cage_map.sides, entry, wp.vec3(fx, fy, fz))
     p00 = wp.lerp(cage_map.positions[i, j, k], cage_map.positions[i, j, k + 1], fz)
     p01 = wp.lerp(cage_map.positions[i, j + 1, k], cage_map.positions[i, j + 1, k + 1], fz)
     p10 = wp.lerp(cage_map.positions[i + 1, j, k], cage_map.positions[i + 1, j, k + 1], fz)

@@ -16,6 +16,9 @@ wp.set_module_options({"enable_backward": False})
 #: How far, in cells, a node may lie beyond a crossing by rounding and still count as on its inner side.
 SLACK = wp.constant(1.0e-3)
 
+#: Faces that are read at once.
+CHUNK = wp.constant(4)
+
 
 @wp.struct
 class LineCrossings:
@@ -36,6 +39,12 @@ def line_index(shape: wp.vec3i, axis: int, i: int, j: int, k: int):
 
 
 @wp.func
+def component(v: wp.vec3, axis: int):
+    """v[axis], from registers: an index that is not known to the compiler would send v through memory."""
+    return wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2]))
+
+
+@wp.func
 def edge_side(a: wp.vec3, b: wp.vec3, ordered: bool, axis0: int, axis1: int, p0: wp.float64, p1: wp.float64):
     """Twice the signed area of projected triangle (a, b, p), computed alike for both directions of the edge."""
     u = a
@@ -43,10 +52,10 @@ def edge_side(a: wp.vec3, b: wp.vec3, ordered: bool, axis0: int, axis1: int, p0:
     if not ordered:
         u = b
         v = a
-    u0 = wp.float64(u[axis0])
-    u1 = wp.float64(u[axis1])
-    v0 = wp.float64(v[axis0])
-    v1 = wp.float64(v[axis1])
+    u0 = wp.float64(component(u, axis0))
+    u1 = wp.float64(component(u, axis1))
+    v0 = wp.float64(component(v, axis0))
+    v1 = wp.float64(component(v, axis1))
     area = (v0 - u0) * (p1 - u1) - (v1 - u1) * (p0 - u0)
     # a line exactly through an edge counts as on its left, for both faces
     if area == wp.float64(0.0):
@@ -95,6 +104,48 @@ def segment_count(shape: wp.vec3i, axis: int, segment: int):
     return rows * ((columns + segment - 1) / segment)
 
 
+@wp.func
+def cross_face(
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    crossings: LineCrossings,
+    f: int,
+    axis: int,
+    row_axis: int,
+    column_axis: int,
+    row: int,
+    begin: int,
+    end: int,
+    first_line: int,
+):
+    """Crossings of the lines begin .. end - 1 of a row with a face; first_line: the one of column 0."""
+    face = faces[f]
+    a = vertices[face[0]]
+    b = vertices[face[1]]
+    c = vertices[face[2]]
+    lowest = wp.min(wp.min(component(a, column_axis), component(b, column_axis)), component(c, column_axis))
+    highest = wp.max(wp.max(component(a, column_axis), component(b, column_axis)), component(c, column_axis))
+    p0 = wp.float64(row)
+    for column in range(wp.max(begin, int(wp.ceil(lowest))), wp.min(end, int(wp.floor(highest)) + 1)):
+        p1 = wp.float64(column)
+        side_c = edge_side(a, b, face[0] < face[1], row_axis, column_axis, p0, p1)
+        side_a = edge_side(b, c, face[1] < face[2], row_axis, column_axis, p0, p1)
+        side_b = edge_side(c, a, face[2] < face[0], row_axis, column_axis, p0, p1)
+        zero = wp.float64(0.0)
+        front = side_a > zero and side_b > zero and side_c > zero
+        back = side_a < zero and side_b < zero and side_c < zero
+        if front or back:
+            total = side_a + side_b + side_c
+            place = (
+                side_a * wp.float64(component(a, axis))
+                + side_b * wp.float64(component(b, axis))
+                + side_c * wp.float64(component(c, axis))
+            ) / total
+            # (row, column, axis) is a right-handed frame for axes 0 and 2, a left-handed one for axis 1
+            leaves = front != (axis == 1)
+            insert_crossing(crossings, first_line + column, float(place), wp.where(leaves, f + 1, -f - 1))
+
+
 @wp.kernel
 def cross_lines(
     first: int,
@@ -129,35 +180,24 @@ def cross_lines(
     for column in range(begin, end):
         crossings.counts[first_line + column] = 0
 
-    p0 = wp.float64(row)
-    height = float(row)
-    for f in range(faces.shape[0]):
-        face = faces[f]
-        a = vertices[face[0]]
-        b = vertices[face[1]]
-        c = vertices[face[2]]
-        if wp.min(wp.min(a[row_axis], b[row_axis]), c[row_axis]) > height:
-            continue
-        if wp.max(wp.max(a[row_axis], b[row_axis]), c[row_axis]) < height:
-            continue
-        lowest = wp.min(wp.min(a[column_axis], b[column_axis]), c[column_axis])
-        highest = wp.max(wp.max(a[column_axis], b[column_axis]), c[column_axis])
-        for column in range(wp.max(begin, int(wp.ceil(lowest))), wp.min(end, int(wp.floor(highest)) + 1)):
-            p1 = wp.float64(column)
-            side_c = edge_side(a, b, face[0] < face[1], row_axis, column_axis, p0, p1)
-            side_a = edge_side(b, c, face[1] < face[2], row_axis, column_axis, p0, p1)
-            side_b = edge_side(c, a, face[2] < face[0], row_axis, column_axis, p0, p1)
-            zero = wp.float64(0.0)
-            front = side_a > zero and side_b > zero and side_c > zero
-            back = side_a < zero and side_b < zero and side_c < zero
-            if front or back:
-                total = side_a + side_b + side_c
-                place = (
-                    side_a * wp.float64(a[axis]) + side_b * wp.float64(b[axis]) + side_c * wp.float64(c[axis])
-                ) / total
-                # (row, column, axis) is a right-handed frame for axes 0 and 2, a left-handed one for axis 1
-                leaves = front != (axis == 1)
-                insert_crossing(crossings, first_line + column, float(place), wp.where(leaves, f + 1, -f - 1))
+    for f in range(0, faces.shape[0], CHUNK):
+        meets = int(0)
+        for m in range(CHUNK):  # without branches, so that all are read at once
+            face = faces[wp.min(f + m, faces.shape[0] - 1)]
+            a = vertices[face[0]]
+            b = vertices[face[1]]
+            c = vertices[face[2]]
+            low = wp.min(wp.min(a, b), c)
+            high = wp.max(wp.max(a, b), c)
+            over_row = component(low, row_axis) <= float(row) and component(high, row_axis) >= float(row)
+            over_run = component(low, column_axis) <= float(end - 1) and component(high, column_axis) >= float(begin)
+            meets += wp.where(f + m < faces.shape[0] and over_row and over_run, 1 << m, 0)
+        number = int(f)
+        while meets != 0:
+            if (meets & 1) == 1:
+                cross_face(vertices, faces, crossings, number, axis, row_axis, column_axis, row, begin, end, first_line)
+            meets = meets >> 1
+            number += 1
 
     for column in range(begin, end):
         if crossings.counts[first_line + column] > crossings.places.shape[1]:

@@ -19,9 +19,8 @@ from .cage_edits import (
     CUT_LENGTH,
     LONG_STEP,
     SHORT_DIFFERENCE,
-    gap_position,
 )
-from .cage_map import CageMap, map_distance
+from .cage_map import CageMap, map_distance, side_position
 from .deformed_march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .deformed_render import Picture, fill_pixel
 from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
@@ -209,7 +208,7 @@ def march_edit(edit: SingleEdit, grid: VoxelGrid, origin: wp.vec3, direction: wp
                     if sides == 0:
                         position = flat_position(edit, n, f)
                     else:
-                        position = gap_position(edit.sides, sides, f)
+                        position = side_position(edit.sides, sides, f)
                     if (flags & CELL_STAYS) == 0 and skip == 0:
                         leaves = map_distance(edit.rest, position) > edit.slack
 

@@ -1,7 +1,8 @@
 """Signed distance to a cage on the nodes of a lattice: exact in a narrow band, clamped outside it.
 
 The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
-the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Units: node units (see
+the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. How far the middle of each
+block is from the cage is kept as well, up to somewhat more than CLEARANCE cells. Units: node units (see
 crossings) for vertices, world units for the result. Siblings: containment, crossings.
 """
 
@@ -15,8 +16,12 @@ wp.set_module_options({"enable_backward": False})
 #: Half-width of the band, in cells.
 BAND = wp.constant(4.0)
 
-#: Nodes along a side of a block.
+#: Nodes along a side of a block, and half of its diagonal in cells.
 BLOCK = wp.constant(4)
+HALF_DIAGONAL = wp.constant(2.5981)
+
+#: Cells from the cage from which on a map of closed forms counts as smooth.
+CLEARANCE = wp.constant(7.0)
 
 
 @wp.func
@@ -42,8 +47,10 @@ def list_block_faces(
     faces: wp.array(dtype=wp.vec3i),
     counts: wp.array(dtype=int),
     near: wp.array2d(dtype=int),
+    clearances: wp.array(dtype=float),
 ):
-    """near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,) how many, also beyond m."""
+    """near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,) how many, also beyond m;
+    clearances (blocks,) cells from the middle of a block to the cage, up to what makes all its nodes clear of it."""
     block = first + wp.tid()
     shape = crossings.shapes[0]
     ny = block_count(shape[1])
@@ -55,19 +62,37 @@ def list_block_faces(
         float((block / (ny * nz)) * BLOCK) + half, float(((block / nz) % ny) * BLOCK) + half,
         float((block % nz) * BLOCK) + half,
     )  # fmt: skip
-    reach = BAND + half * wp.sqrt(3.0)
+    reach = BAND + HALF_DIAGONAL
+    nearest = (CLEARANCE + HALF_DIAGONAL) * (CLEARANCE + HALF_DIAGONAL)
     count = int(0)
     for f in range(faces.shape[0]):
         face = faces[f]
         a = vertices[face[0]]
         b = vertices[face[1]]
         c = vertices[face[2]]
-        if box_gap_squared(centre, a, b, c) <= reach * reach:
-            if triangle_distance_squared(centre, a, b, c) <= reach * reach:
+        if box_gap_squared(centre, a, b, c) <= wp.max(nearest, reach * reach):
+            apart = triangle_distance_squared(centre, a, b, c)
+            nearest = wp.min(nearest, apart)
+            if apart <= reach * reach:
                 if count < near.shape[1]:
                     near[block, count] = f
                 count += 1
     counts[block] = count
+    clearances[block] = wp.sqrt(nearest)
+
+
+@wp.func
+def block_of(shape: wp.vec3i, i: int, j: int, k: int):
+    """The block that node (i, j, k) of a lattice is in."""
+    return ((i / BLOCK) * block_count(shape[1]) + j / BLOCK) * block_count(shape[2]) + k / BLOCK
+
+
+@wp.func
+def node_clearance(shape: wp.vec3i, clearances: wp.array(dtype=float), i: int, j: int, k: int):
+    """Cells from node (i, j, k) to the cage, at least."""
+    half = 0.5 * float(BLOCK - 1)
+    off = wp.vec3(float(i % BLOCK) - half, float(j % BLOCK) - half, float(k % BLOCK) - half)
+    return clearances[block_of(shape, i, j, k)] - wp.length(off)
 
 
 @wp.kernel
@@ -89,7 +114,7 @@ def measure_band(
     k = n % shape[2]
     j = (n / shape[2]) % shape[1]
     i = n / (shape[2] * shape[1])
-    block = ((i / BLOCK) * block_count(shape[1]) + j / BLOCK) * block_count(shape[2]) + k / BLOCK
+    block = block_of(shape, i, j, k)
     count = counts[block]
     listed = count <= near.shape[1]
     if not listed:

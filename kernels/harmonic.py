@@ -6,9 +6,10 @@ McCormick, "A Multigrid Tutorial") for the rows of harmonic_rows. On level l the
     sum over uncut links u_k - d u_0 + b = 0,    d = 6, or the sum of 1 / theta at a cut node
 
 with b the boundary values' sources on level 0 and 4 times the restricted residual on coarser ones (the spacing
-doubles), where the boundary values of the correction are zero. After a sweep that ends with black nodes their
-residual is zero, so only red ones are restricted; and as the next sweep starts with red ones, only black ones need
-the correction.
+doubles), where the boundary values of the correction are zero. A sweep is red nodes, then black ones, whose residual it
+leaves zero. So only red residuals are restricted, and as the next sweep sets red values anew, only black ones need the
+correction, and the residuals can lie in the red values' place meanwhile. On coarser levels, which begin at zero, the
+first half sweep is load / d. The half sweep that ends a cycle begins the next one: what it changes is the residual.
 
 values (nodes of all levels,) vec3, as numbered by node_levels; zero outside. A launch writes nodes of one colour and
 reads the other, so items are independent. Every kernel takes its count from the device: launches may be longer than
@@ -108,20 +109,29 @@ def relaxed_value(system: LaplaceSystem, level: int, node: int):
 
 @wp.func
 def restricted_load(system: LaplaceSystem, level: int, node: int):
-    """Load of a node of `level` (1 and up) from the residuals of red nodes of the level below, by full weighting."""
+    """Load of a node of `level` (1 and up) by full weighting from the level below, whose red values are residuals."""
     p = node_place(system.levels, level, node)
     shape = system.levels.shapes[level - 1]
     row = shape[2]
     slab = shape[1] * shape[2]
     centre = system.levels.first_node[level - 1] + 2 * (p[0] * slab + p[1] * row + p[2])
-    total = 4.0 * residual(system, level - 1, centre)
+    total = 4.0 * system.values[centre]
     for s in range(-1, 2, 2):
         for t in range(-1, 2, 2):
-            total += residual(system, level - 1, centre + s * slab + t * row)
-            total += residual(system, level - 1, centre + s * slab + t)
-            total += residual(system, level - 1, centre + s * row + t)
+            total += system.values[centre + s * slab + t * row]
+            total += system.values[centre + s * slab + t]
+            total += system.values[centre + s * row + t]
     # weights 1/8 and 1/32, times 4 for the doubled spacing
     return total / 8.0
+
+
+@wp.func
+def take_load(system: LaplaceSystem, level: int, node: int, is_red: bool):
+    """Restrict to a node of `level` (1 and up) and, where it is red, relax it from zero."""
+    load = restricted_load(system, level, node)
+    system.loads[node - system.levels.first_node[1]] = load
+    if is_red:
+        system.values[node] = load / diagonal(system, system.levels.codes[node])
 
 
 @wp.func
@@ -142,6 +152,14 @@ def prolonged_correction(system: LaplaceSystem, level: int, node: int):
     return 0.5 * total
 
 
+@wp.func
+def raise_largest(largest: wp.array(dtype=wp.vec2), slot: int, found: wp.vec2):
+    """Raise an entry; a look at what is held, which only grows, spares most of the waiting."""
+    held = largest[slot]
+    if found[0] > held[0] or found[1] > held[1]:
+        wp.atomic_max(largest, slot, found)
+
+
 @wp.kernel
 def relax_laplace(first: int, level: int, colour: int, system: LaplaceSystem):
     """Half a Gauss-Seidel sweep: solve the rows of one colour for their own node."""
@@ -154,14 +172,42 @@ def relax_laplace(first: int, level: int, colour: int, system: LaplaceSystem):
 
 
 @wp.kernel
+def relax_and_measure(first: int, span: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
+    """Relax the red nodes of level 0, and raise `largest` (slots,), first component, to what changes most.
+
+    An item takes `span` nodes and raises entry (item % slots): items that share one may not run on two CPU threads.
+    """
+    item = first + wp.tid()
+    begin = system.levels.starts[0]
+    worst = float(0.0)
+    for n in range(begin + item * span, wp.min(begin + (item + 1) * span, system.levels.starts[1])):
+        node = system.levels.nodes[n]
+        value = relaxed_value(system, 0, node)
+        if diagonal(system, system.levels.codes[node]) <= LARGEST_DIAGONAL:
+            worst = wp.max(worst, wp.max(wp.abs(value - system.values[node])))
+        system.values[node] = value
+    raise_largest(largest, item % largest.shape[0], wp.vec2(worst, 0.0))
+
+
+@wp.kernel
+def leave_residual(first: int, level: int, system: LaplaceSystem):
+    """Put the residuals of the red nodes of a level in the place of their values."""
+    n = first + wp.tid()
+    begin = system.levels.starts[2 * level]
+    if n >= system.levels.starts[2 * level + 1] - begin:
+        return
+    node = system.levels.nodes[begin + n]
+    system.values[node] = residual(system, level, node)
+
+
+@wp.kernel
 def restrict_residual(first: int, level: int, system: LaplaceSystem):
-    """Loads of `level` (1 and up)."""
+    """Loads of `level` (1 and up), and its first half sweep."""
     n = first + wp.tid()
     begin = system.levels.starts[2 * level]
     if n >= system.levels.starts[2 * level + 2] - begin:
         return
-    node = system.levels.nodes[begin + n]
-    system.loads[node - system.levels.first_node[1]] = restricted_load(system, level, node)
+    take_load(system, level, system.levels.nodes[begin + n], begin + n < system.levels.starts[2 * level + 1])
 
 
 @wp.kernel
@@ -176,39 +222,18 @@ def prolong_correction(first: int, level: int, system: LaplaceSystem):
 
 
 @wp.kernel
-def clear_corrections(first: int, system: LaplaceSystem):
-    """Zero the values of level 1 and up. One item a node."""
-    node = system.levels.first_node[1] + first + wp.tid()
-    if node < system.levels.first_node[system.levels.shapes.shape[0]]:
-        system.values[node] = wp.vec3(0.0, 0.0, 0.0)
-
-
-@wp.kernel
-def measure_residual(first: int, items: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
-    """Largest residual over diagonal on level 0, and largest correction on level 1; zero before.
-
-    Each of `items` items visits the lists in steps of `items` and raises entry (item % slots) of largest (slots,).
-    Items that share a slot may not run on two threads of a CPU.
-    """
+def prolong_and_measure(first: int, span: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
+    """prolong_correction on level 0; the second component of `largest` rises to the largest correction (see
+    relax_and_measure)."""
     item = first + wp.tid()
+    begin = system.levels.starts[1]
     worst = float(0.0)
-    n = system.levels.starts[0] + item
-    while n < system.levels.starts[1]:
+    for n in range(begin + item * span, wp.min(begin + (item + 1) * span, system.levels.starts[2])):
         node = system.levels.nodes[n]
-        scaled = residual(system, 0, node) / diagonal(system, system.levels.codes[node])
-        worst = wp.max(worst, wp.max(wp.abs(scaled)))
-        n += items
-    change = float(0.0)
-    if system.levels.shapes.shape[0] > 1:
-        n = system.levels.starts[2] + item
-        while n < system.levels.starts[4]:
-            change = wp.max(change, wp.max(wp.abs(system.values[system.levels.nodes[n]])))
-            n += items
-    slot = item % largest.shape[0]
-    held = largest[slot]
-    # what is held only grows, so that a look spares most of the waiting
-    if worst > held[0] or change > held[1]:
-        wp.atomic_max(largest, slot, wp.vec2(worst, change))
+        correction = prolonged_correction(system, 0, node)
+        worst = wp.max(worst, wp.max(wp.abs(correction)))
+        system.values[node] = system.values[node] + correction
+    raise_largest(largest, item % largest.shape[0], wp.vec2(0.0, worst))
 
 
 @wp.kernel

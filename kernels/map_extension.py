@@ -17,7 +17,7 @@ Siblings: node_levels, harmonic_rows.
 import warp as wp
 
 from .harmonic_rows import CutRows, barycentric, crossing_value, nearest_face
-from .node_levels import REGULAR, RING, NodeLevels, node_place
+from .node_levels import OUTSIDE, RING, NodeLevels, node_place
 
 wp.set_module_options({"enable_backward": False})
 
@@ -78,20 +78,30 @@ class Extrapolation:
 
 
 @wp.func
+def is_known(code: int, rings: int):
+    """Whether a node of this code is inside or in one of the first `rings` rings."""
+    return code > OUTSIDE or (code <= RING and code > RING - rings)
+
+
+@wp.func
 def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int):
     """What the 26 directions of the lattice say at a node, from inside nodes and the first `rings` rings."""
     result = Extrapolation()
     shape = levels.shapes[0]
-    for d in range(27):
-        step = ((d / 9 - 1) * shape[1] + (d / 3) % 3 - 1) * shape[2] + d % 3 - 1
-        code = levels.codes[node + step]
-        if d != 13 and (code >= REGULAR or (code <= RING and code > RING - rings)):
-            result.nearby += values[node + step]
-            result.nearby_count += 1.0
-            code = levels.codes[node + 2 * step]
-            if code >= REGULAR or (code <= RING and code > RING - rings):
-                result.linear += 2.0 * values[node + step] - values[node + 2 * step]
-                result.linear_count += 1.0
+    last = levels.codes.shape[0] - 1
+    for i in range(-1, 2):  # without branches around the codes, so that they are read at once
+        for j in range(-1, 2):
+            for k in range(-1, 2):
+                step = (i * shape[1] + j) * shape[2] + k
+                code = levels.codes[node + step]
+                far_code = levels.codes[wp.clamp(node + 2 * step, 0, last)]
+                if i * i + j * j + k * k > 0 and is_known(code, rings):
+                    value = values[node + step]
+                    result.nearby += value
+                    result.nearby_count += 1.0
+                    if is_known(far_code, rings):
+                        result.linear += 2.0 * value - values[node + 2 * step]
+                        result.linear_count += 1.0
     return result
 
 
@@ -190,6 +200,7 @@ def gather_status(
     list_overflow: wp.array(dtype=int),
     solver: wp.array(dtype=float),
     gap_count: wp.array(dtype=int),
+    narrow: wp.array(dtype=int),
     levels: NodeLevels,
     status: wp.array(dtype=float),
 ):
@@ -199,6 +210,6 @@ def gather_status(
     status[1] = float(list_overflow[0])
     status[2] = solver[0]
     status[3] = solver[1]
-    status[4] = float(gap_count[0])
+    status[4] = float(gap_count[0] + narrow[0] / 2)
     for s in range(status.shape[0] - 5):
         status[5 + s] = float(levels.starts[s + 1] - levels.starts[s])

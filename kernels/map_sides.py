@@ -7,18 +7,24 @@ map_extension), then by parallelograms, u_1 + u_2 - u_12. All of it is linear in
 functions. A fourth channel continues the signed distance alike, negative on the side itself: a point belongs to the
 side where that is lowest.
 
-Gaps are found at outside nodes next to the inside: there the inside nodes among the 26 neighbours are not joined by
-links that do not cross the cage.
-Siblings: map_extension, harmonic_rows, node_levels.
+Gaps are found at outside nodes next to the inside, where the inside nodes among the 26 neighbours are not joined by
+links that do not cross the cage, and at links that leave the cage and enter it again: gaps narrower than a cell. They
+count where the map differs by more than GAP_JUMP from one side to the other; grooves that a pose does not open do not
+make sides necessary.
+Siblings: map_extension, harmonic_rows, node_levels, crossings.
 """
 
 import warp as wp
 
+from .crossings import LineCrossings, exit_distance
 from .harmonic_rows import DOUBLE_CUT, CutRows, crossing_value
 from .map_extension import is_steady, node_step
-from .node_levels import REGULAR, NodeLevels, node_place
+from .node_levels import OUTSIDE, NodeLevels, node_place
 
 wp.set_module_options({"enable_backward": False})
+
+#: Difference of the remainder of a map over a gap, as a share of the rest cage's size, from which on sides are kept.
+GAP_JUMP = wp.constant(1.0e-2)
 
 #: Least distance, in cells, between two crossings that a value beyond the second is continued from.
 SHORTEST_CHORD = wp.constant(0.1)
@@ -48,9 +54,9 @@ def is_open_link(levels: NodeLevels, rows: CutRows, node: int, direction: int):
 
 
 @wp.func(inline=False)  # rare: only next to a link that crosses the cage twice
-def falls_apart(levels: NodeLevels, rows: CutRows, node: int, mask: int):
-    """Whether inside nodes among the 26 neighbours of a node, the bits of `mask`, are not all joined by links that do
-    not cross the cage."""
+def loose_part(levels: NodeLevels, rows: CutRows, node: int, mask: int):
+    """Those of the inside nodes among the 26 neighbours of a node, the bits of `mask`, that links that do not cross the
+    cage do not join to the lowest."""
     shape = levels.shapes[0]
     reached = mask & (-mask)
     before = int(0)
@@ -67,38 +73,60 @@ def falls_apart(levels: NodeLevels, rows: CutRows, node: int, mask: int):
                     if along >= 0 and along < 3 and (mask >> other) & 1 == 1 and (reached >> other) & 1 == 0:
                         if is_open_link(levels, rows, place, direction):
                             reached = reached | (1 << other)
-    return reached != mask
+    return mask & ~reached
 
 
 @wp.func
-def is_gap_node(levels: NodeLevels, rows: CutRows, node: int):
-    """Whether the inside nodes around an outside node belong to different sides of a gap."""
+def far_side(levels: NodeLevels, rows: CutRows, node: int):
+    """Inside nodes around an outside node on the far side of a gap, as a mask and the rest of them as another; none in
+    the first where there is no gap."""
     shape = levels.shapes[0]
     mask = int(0)
     doubly_cut = int(0)
-    for d in range(27):
-        code = levels.codes[node + ((d / 9 - 1) * shape[1] + (d / 3) % 3 - 1) * shape[2] + d % 3 - 1]
-        if code >= REGULAR:
-            mask = mask | (1 << d)
-            if code >= 0 and code < rows.links.shape[0]:
-                if (rows.links[code] & DOUBLE_CUT) != 0:
-                    doubly_cut = 1
-    if doubly_cut == 1:
-        return falls_apart(levels, rows, node, mask)
+    for i in range(3):  # without branches, so that all are read at once
+        for j in range(3):
+            for k in range(3):
+                code = levels.codes[node + ((i - 1) * shape[1] + j - 1) * shape[2] + k - 1]
+                mask += wp.where(code > OUTSIDE, 1 << (9 * i + 3 * j + k), 0)
+                if code >= 0 and code < rows.links.shape[0]:
+                    doubly_cut = doubly_cut | (rows.links[code] & DOUBLE_CUT)
+    if doubly_cut != 0:
+        loose = loose_part(levels, rows, node, mask)
+        return wp.vec2i(loose, mask & ~loose)
     reached = mask & (-mask)  # the lowest one
     for _step in range(7):
         reached = grown(reached) & mask
     if reached != mask:  # a path along the rim may take longer
         for _more in range(20):
             reached = grown(reached) & mask
-    return reached != mask
+    return wp.vec2i(mask & ~reached, reached)
+
+
+@wp.func(inline=False)  # rare
+def mean_around(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, mask: int):
+    """Mean of the values at those of the 26 neighbours that are in `mask`."""
+    shape = levels.shapes[0]
+    total = wp.vec3(0.0, 0.0, 0.0)
+    count = float(0.0)
+    for d in range(27):
+        if (mask >> d) & 1 == 1:
+            total += values[node + ((d / 9 - 1) * shape[1] + (d / 3) % 3 - 1) * shape[2] + d % 3 - 1]
+            count += 1.0
+    return total / count
 
 
 @wp.kernel
 def find_gap_nodes(
-    first: int, levels: NodeLevels, rows: CutRows, flags: wp.array(dtype=int), count: wp.array(dtype=int)
+    first: int,
+    levels: NodeLevels,
+    rows: CutRows,
+    values: wp.array(dtype=wp.vec3),
+    least: float,
+    flags: wp.array(dtype=int),
+    count: wp.array(dtype=int),
 ):
-    """flags (nodes of rings 0 and 1,): 1 at narrow gaps; count (1,) is above 0 where there are any.
+    """flags (nodes of rings 0 and 1,): 1 at narrow gaps over which `values` (nodes,) differ by more than `least`;
+    count (1,) is above 0 where there are any.
 
     Items of a CPU launch that is cut over threads may miss each other's additions to count.
     """
@@ -109,10 +137,39 @@ def find_gap_nodes(
             flags[n] = 0
         return
     flag = int(0)
-    if is_gap_node(levels, rows, levels.nodes[levels.starts[section] + n]):
-        flag = 1
-        wp.atomic_add(count, 0, 1)
+    node = levels.nodes[levels.starts[section] + n]
+    parts = far_side(levels, rows, node)
+    if parts[0] != 0:
+        jump = mean_around(levels, values, node, parts[0]) - mean_around(levels, values, node, parts[1])
+        if wp.length(jump) > least:
+            flag = 1
+            wp.atomic_add(count, 0, 1)
     flags[n] = flag
+
+
+@wp.kernel
+def confirm_narrow(
+    first: int,
+    crossings: LineCrossings,
+    levels: NodeLevels,
+    values: wp.array(dtype=wp.vec3),
+    narrow: wp.array(dtype=int),
+):
+    """narrow (1,): from 1, where the lattice has links that leave the cage and enter it again, to 2 where the map jumps
+    over one. One item a cut node of level 0."""
+    if narrow[0] == 0:
+        return
+    row = first + wp.tid()
+    section = 2 * levels.shapes.shape[0]
+    if row >= levels.starts[section + 1] - levels.starts[section]:
+        return
+    node = levels.nodes[levels.starts[section] + row]
+    p = node_place(levels, 0, node)
+    for direction in range(6):
+        other = node + node_step(levels, direction)
+        if levels.codes[other] >= 0 and wp.length(values[other] - values[node]) > GAP_JUMP:
+            if exit_distance(crossings, direction / 2, direction % 2 == 1, p[0], p[1], p[2]) < 1.0:
+                narrow[0] = 2
 
 
 @wp.func
@@ -128,7 +185,7 @@ def inside_corners(levels: NodeLevels, cell: int):
     """Bits of the corners of a cell that are inside."""
     mask = int(0)
     for corner in range(8):
-        if levels.codes[corner_node(levels, cell, corner)] >= REGULAR:
+        if levels.codes[corner_node(levels, cell, corner)] > OUTSIDE:
             mask = mask | (1 << corner)
     return mask
 
@@ -161,44 +218,91 @@ def mark_gap_cells(first: int, levels: NodeLevels, flags: wp.array(dtype=int), s
 
 
 @wp.kernel
-def count_cell_sides(
-    first: int, levels: NodeLevels, rows: CutRows, side_index: wp.array(dtype=int), counts: wp.array(dtype=int)
-):
-    """counts (nodes,): sides of the cells marked -1, zero for others. One item a node."""
-    cell = first + wp.tid()
-    count = int(0)
-    if side_index[cell] == -1:
-        left = inside_corners(levels, cell)
-        while left != 0:
-            left = left & ~side_corners(levels, rows, cell, left)
-            count += 1
-    counts[cell] = count
+def mark_narrow_cells(first: int, levels: NodeLevels, rows: CutRows, side_index: wp.array(dtype=int)):
+    """side_index (nodes,): -1 for the cells around cut nodes with a link that crosses the cage twice. One item a row of
+    level 0."""
+    row = first + wp.tid()
+    if (rows.links[row] & DOUBLE_CUT) != 0:
+        node = levels.nodes[levels.starts[2 * levels.shapes.shape[0]] + row]
+        shape = levels.shapes[0]
+        for corner in range(8):
+            side_index[node - ((corner >> 2) * shape[1] + ((corner >> 1) & 1)) * shape[2] - (corner & 1)] = -1
 
 
 @wp.kernel
-def list_cell_sides(
+def count_column_sides(
+    first: int, levels: NodeLevels, rows: CutRows, side_index: wp.array(dtype=int), counts: wp.array(dtype=int)
+):
+    """counts (columns,): sides of the cells marked -1 in each column of level 0."""
+    column = first + wp.tid()
+    depth = levels.shapes[0][2]
+    count = int(0)
+    for cell in range(column * depth, (column + 1) * depth):
+        if side_index[cell] == -1:
+            left = inside_corners(levels, cell)
+            while left != 0:
+                left = left & ~side_corners(levels, rows, cell, left)
+                count += 1
+    counts[column] = count
+
+
+@wp.kernel
+def list_column_sides(
     first: int,
     levels: NodeLevels,
     rows: CutRows,
     offsets: wp.array(dtype=int),
-    counts: wp.array(dtype=int),
     side_index: wp.array(dtype=int),
     side_cells: wp.array(dtype=int),
     side_masks: wp.array(dtype=int),
 ):
     """side_index: 8 * first row + number of sides of each cell that has any, else 0; cell and corners of each row."""
-    cell = first + wp.tid()
-    count = counts[cell]
-    row = offsets[cell]
-    side_index[cell] = wp.where(count > 0, 8 * row + count, 0)
-    if count > 0:
-        left = inside_corners(levels, cell)
-        while left != 0:
-            side = side_corners(levels, rows, cell, left)
-            side_cells[row] = cell
-            side_masks[row] = side
-            left = left & ~side
-            row += 1
+    column = first + wp.tid()
+    depth = levels.shapes[0][2]
+    row = offsets[column]
+    for cell in range(column * depth, (column + 1) * depth):
+        if side_index[cell] == -1:
+            begin = row + 0
+            left = inside_corners(levels, cell)
+            while left != 0:
+                side = side_corners(levels, rows, cell, left)
+                side_cells[row] = cell
+                side_masks[row] = side
+                left = left & ~side
+                row += 1
+            side_index[cell] = wp.where(row > begin, 8 * begin + row - begin, 0)
+
+
+@wp.kernel
+def set_boundary_values(
+    first: int,
+    rows: CutRows,
+    faces: wp.array(dtype=wp.vec3i),
+    vertex_values: wp.array(dtype=wp.vec3),
+    boundary: wp.array2d(dtype=wp.vec3),
+):
+    """boundary (rows of level 0, 6): values where links cross the cage, of a map that is linear on its faces."""
+    row = first + wp.tid()
+    for direction in range(6):
+        if rows.faces[row, direction] >= 0:
+            boundary[row, direction] = crossing_value(rows, faces, vertex_values, row, direction)
+
+
+@wp.kernel
+def measure_jumps(
+    first: int, levels: NodeLevels, rows: CutRows, boundary: wp.array2d(dtype=wp.vec3), jumps: wp.array(dtype=float)
+):
+    """jumps (rows of level 0,): how far `boundary` jumps over the links of a node that leave the cage and enter it
+    again; 0 where there are none."""
+    row = first + wp.tid()
+    jump = float(0.0)
+    if (rows.links[row] & DOUBLE_CUT) != 0:
+        node = levels.nodes[levels.starts[2 * levels.shapes.shape[0]] + row]
+        for direction in range(6):
+            other = levels.codes[node + node_step(levels, direction)]
+            if rows.faces[row, direction] >= 0 and other >= 0:
+                jump = wp.max(jump, wp.length(boundary[other, direction ^ 1] - boundary[row, direction]))
+    jumps[row] = jump
 
 
 @wp.func
@@ -211,8 +315,7 @@ def affine_position(affine: wp.array(dtype=wp.vec3), x: wp.vec3):
 def continued(
     levels: NodeLevels,
     rows: CutRows,
-    faces: wp.array(dtype=wp.vec3i),
-    vertex_values: wp.array(dtype=wp.vec3),
+    boundary: wp.array2d(dtype=wp.vec3),
     scale: float,
     affine: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
@@ -229,7 +332,7 @@ def continued(
     axis = direction / 2
     sign = wp.where(direction % 2 == 1, 1.0, -1.0)
     place[axis] = place[axis] + sign * theta
-    g = scale * crossing_value(rows, faces, vertex_values, row, direction) + affine_position(affine, place)
+    g = scale * boundary[row, direction] + affine_position(affine, place)
     position = values[node]
     height = distance[node]
     ratio = (1.0 - theta) / wp.max(theta, 0.5)
@@ -242,7 +345,7 @@ def continued(
         else:  # the cage is crossed again behind the node
             apart = theta + rows.fractions[row, back]
             place[axis] = place[axis] - sign * apart
-            position = scale * crossing_value(rows, faces, vertex_values, row, back) + affine_position(affine, place)
+            position = scale * boundary[row, back] + affine_position(affine, place)
             ratio = (1.0 - theta) / wp.max(apart, SHORTEST_CHORD)
     position = g + (g - position) * ratio
     return wp.vec4(position[0], position[1], position[2], wp.max(-height * ratio, 0.0))
@@ -253,8 +356,7 @@ def fill_sides(
     first: int,
     levels: NodeLevels,
     rows: CutRows,
-    faces: wp.array(dtype=wp.vec3i),
-    vertex_values: wp.array(dtype=wp.vec3),
+    boundary: wp.array2d(dtype=wp.vec3),
     scale: float,
     affine: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
@@ -265,6 +367,7 @@ def fill_sides(
 ):
     """sides (rows, 8): position and signed distance at the corners of a cell as one side sees them.
 
+    boundary (rows of level 0, 6): values of the map, less the affine part, where links cross the cage.
     values, distance (nodes,): positions (the affine part added) and signed distances at nodes.
     """
     row = first + wp.tid()
@@ -289,7 +392,7 @@ def fill_sides(
                     # values that amplify what they come from count only where there are no others
                     weight = wp.where(is_steady(rows, row_of_node, direction), 1.0, 1.0e-6)
                     total += weight * continued(
-                        levels, rows, faces, vertex_values, scale, affine, values, distance, node, direction
+                        levels, rows, boundary, scale, affine, values, distance, node, direction
                     )
                     count += weight
         if count > 0.0:

@@ -47,7 +47,7 @@ class NearFace:
     touching: int
 
 
-@wp.func
+@wp.func(inline=False)
 def near_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
     """Corner weights of a face whose plane passes next to the origin, in float64."""
     p = wp.vec3d(a)
@@ -126,6 +126,15 @@ def far_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, det: float):
 
 
 @wp.func
+def near_plane(a: wp.vec3, normal: wp.vec3, edge_b: wp.vec3, edge_c: wp.vec3, det: float, band: float):
+    """Whether a face with corner a, edges edge_b and edge_c from there, and their cross product `normal` is one for
+    float64: its plane passes within `band` of the origin, or its normal has few digits."""
+    squared = wp.dot(normal, normal)
+    edges = wp.dot(edge_b, edge_b) + wp.dot(edge_c, edge_c)
+    return det * det <= band * band * squared or squared <= SLIVER * edges * edges
+
+
+@wp.func
 def face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float, share: float):
     """Corner weights of the face a, b, c as seen from the origin, and whether the origin lies on it.
 
@@ -134,15 +143,12 @@ def face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float, share: float):
     edge_b = b - a
     edge_c = c - a
     normal = wp.cross(edge_b, edge_c)
-    normal_squared = wp.dot(normal, normal)
     det = wp.dot(normal, a)
-    band = share * size
-    edges = wp.dot(edge_b, edge_b) + wp.dot(edge_c, edge_c)
     result = NearFace()
-    if det * det > band * band * normal_squared and normal_squared > SLIVER * edges * edges:
-        result.weights = far_face_weights(a, b, c, det)
-    else:
+    if near_plane(a, normal, edge_b, edge_c, det, share * size):
         result = near_face_weights(a, b, c, size)
+    else:
+        result.weights = far_face_weights(a, b, c, det)
     return result
 
 
@@ -160,24 +166,43 @@ def mean_value_position(
     targets: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`."""
+    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`.
+
+    Faces for float64 wait for the end: the points of a warp rarely meet theirs at the same face.
+    """
     total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
     share = float(PLANE_BAND)
+    waiting = wp.uint64(0)  # up to four faces, 16 bits each: their number plus one
     f = int(0)
-    while f < faces.shape[0]:
-        face = faces[f]
-        near = face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size, share)
-        w = near.weights
-        corner_sum = w[0] * targets[face[0]] + w[1] * targets[face[1]] + w[2] * targets[face[2]]
-        f += 1
-        if near.touching == 1:
-            total = 1.0
-            position = corner_sum
-            break
+    while f < faces.shape[0] or waiting != wp.uint64(0):
+        number = int(f)
+        if f < faces.shape[0]:
+            f += 1
+        else:
+            number = int(waiting & wp.uint64(0xFFFF)) - 1
+            waiting = waiting >> wp.uint64(16)
+        face = faces[number]
+        a = vertices[face[0]] - x
+        b = vertices[face[1]] - x
+        c = vertices[face[2]] - x
+        edge_b = b - a
+        edge_c = c - a
+        normal = wp.cross(edge_b, edge_c)
+        det = wp.dot(normal, a)
+        w = wp.vec3(0.0, 0.0, 0.0)
+        if not near_plane(a, normal, edge_b, edge_c, det, share * size):
+            w = far_face_weights(a, b, c, det)
+        elif number == f - 1 and f < faces.shape[0] and number < 0xFFFF and (waiting >> wp.uint64(48)) == wp.uint64(0):
+            waiting = (waiting << wp.uint64(16)) | wp.uint64(number + 1)
+        else:
+            near = near_face_weights(a, b, c, size)
+            w = near.weights
+            if near.touching == 1:
+                return w[0] * targets[face[0]] + w[1] * targets[face[1]] + w[2] * targets[face[2]]
         total += w[0] + w[1] + w[2]
-        position += corner_sum
-        if f == faces.shape[0] and needs_wide_band(total, size, share):
+        position += w[0] * targets[face[0]] + w[1] * targets[face[1]] + w[2] * targets[face[2]]
+        if f == faces.shape[0] and waiting == wp.uint64(0) and needs_wide_band(total, size, share):
             share = WIDE_BAND
             total = 0.0
             position = wp.vec3(0.0, 0.0, 0.0)

@@ -5,7 +5,8 @@ the last axis fastest; node (i, j, k) of level l is first_node[l] + (i * ny + j)
 in the table of cut nodes (see harmonic_rows) where that is >= 0, else one of the constants below.
 
 The list `nodes` holds, section after section,
-    2 l + c         inside nodes of level l with (i + j + k) % 2 = c ("red" 0, "black" 1)
+    2 l + c         inside nodes of level l with (i + j + k) % 2 = c ("red" 0, "black" 1); where `interpolates` is set,
+                    those that are evaluated (0) and those that are interpolated from them (1)
     2 L + l         inside nodes of level l whose cross of six grid edges meets the cage ("cut")
     3 L + r         outside nodes of level 0: r = 0 face neighbours of an inside node, r = 1 other corners of cells with
                     an inside node, r = 2 others within a cell's diagonal of the cage: corners of cells that it may
@@ -13,20 +14,30 @@ The list `nodes` holds, section after section,
 and starts[s] is where section s begins. Within a section nodes ascend, so that neighbours in the list are near in
 memory. They are counted column by column, summed up (exclusive scan) and written: no atomics, the same lists on every
 device.
-Siblings: crossings.
+
+Maps of closed forms are smooth away from the cage: where `interpolates` is set, inside nodes with an odd coordinate
+and at least CLEARANCE cells from the cage are interpolated (see closed_form_map) rather than evaluated.
+Siblings: crossings, distance_band.
 """
 
 import warp as wp
 
 from .crossings import LineCrossings, exit_distance
+from .distance_band import CLEARANCE, node_clearance
 
 wp.set_module_options({"enable_backward": False})
 
-OUTSIDE = wp.constant(-2)
 REGULAR = wp.constant(-1)  # inside, not cut
-RING = wp.constant(-3)  # ring r has code RING - r
+INTERPOLATED = wp.constant(-2)  # the same, but interpolated from others
+OUTSIDE = wp.constant(-3)  # codes above are inside, codes below in a ring
+RING = wp.constant(-4)  # ring r has code RING - r
 RINGS = wp.constant(3)
 CELL_DIAGONAL = wp.constant(1.7321)  # cells
+
+
+#: Nodes of a column that are read at once.
+CHUNK = wp.constant(8)
+_Codes = wp.types.vector(length=8, dtype=int)
 
 
 @wp.struct
@@ -37,6 +48,7 @@ class NodeLevels:
     codes: wp.array(dtype=int)  # (nodes of all levels,)
     nodes: wp.array(dtype=int)  # the list
     starts: wp.array(dtype=int)  # (3 L + RINGS + 1,)
+    interpolates: int  # 1: of inside nodes clear of the cage only those of even coordinates are evaluated
 
 
 @wp.func
@@ -89,19 +101,45 @@ def is_cut_link(
 
 
 @wp.func
-def ring_code(shape: wp.vec3i, distance: wp.array(dtype=float), p: wp.vec3i):
-    """Code of outside node p of level 0, within a cell's diagonal of the cage: the ring that it belongs to."""
+def node_cut(crossings: LineCrossings, distance: wp.array(dtype=float), p: wp.vec3i, reach: int):
+    """1 where the cage comes between inside node p (lattice numbering) and any of the six `reach` nodes on; 2 where all
+    six are inside, so that it does so twice on a link."""
+    shape = crossings.shapes[0]
+    outside = int(0)
+    for d in range(6):  # without branches, so that all six are read at once
+        q = p
+        q[d / 2] = p[d / 2] + wp.where(d % 2 == 1, reach, -reach)
+        i = wp.clamp(q[0], 0, shape[0] - 1)
+        j = wp.clamp(q[1], 0, shape[1] - 1)
+        k = wp.clamp(q[2], 0, shape[2] - 1)
+        beside = i != q[0] or j != q[1] or k != q[2]
+        if distance[(i * shape[1] + j) * shape[2] + k] >= 0.0 or beside:
+            outside += 1
+    if outside > 0:
+        return int(1)
     for axis in range(3):
-        step = wp.vec3i(0, 0, 0)
-        step[axis] = 1
-        a = p - step
-        b = p + step
-        if is_inside_node(shape, distance, a[0], a[1], a[2]) or is_inside_node(shape, distance, b[0], b[1], b[2]):
-            return RING
-    for d in range(27):
-        if is_inside_node(shape, distance, p[0] + d / 9 - 1, p[1] + (d / 3) % 3 - 1, p[2] + d % 3 - 1):
-            return RING - 1
-    return RING - 2
+        if exit_distance(crossings, axis, False, p[0], p[1], p[2]) < float(reach):
+            return int(2)
+        if exit_distance(crossings, axis, True, p[0], p[1], p[2]) < float(reach):
+            return int(2)
+    return int(0)
+
+
+@wp.func
+def ring_code(shape: wp.vec3i, distance: wp.array(dtype=float), p: wp.vec3i):
+    """Code of outside node p of level 0, within a cell's diagonal of the cage: the ring that it belongs to. The margin
+    of the lattice is wider than that, so that all neighbours are there."""
+    node = (p[0] * shape[1] + p[1]) * shape[2] + p[2]
+    beside = float(1.0)
+    around = float(1.0)
+    for i in range(-1, 2):
+        for j in range(-1, 2):
+            for k in range(-1, 2):
+                found = distance[node + (i * shape[1] + j) * shape[2] + k]
+                around = wp.min(around, found)
+                if i * i + j * j + k * k == 1:
+                    beside = wp.min(beside, found)
+    return wp.where(beside < 0.0, RING, wp.where(around < 0.0, RING - 1, RING - 2))
 
 
 @wp.kernel
@@ -110,10 +148,13 @@ def classify_nodes(
     crossings: LineCrossings,
     distance: wp.array(dtype=float),
     scales: wp.array(dtype=float),
+    clearances: wp.array(dtype=float),
     levels: NodeLevels,
+    narrow: wp.array(dtype=int),
 ):
     """Codes of all nodes; cut nodes get 0 until list_columns numbers them. distance (nodes of level 0,): signed, and
-    scales[0] its units a cell."""
+    scales[0] its units a cell. clearances (blocks,): see distance_band. narrow (1,) becomes 1 where the
+    cage has gaps narrower than a cell: links that leave the cage and enter it again."""
     node = first + wp.tid()
     if node >= levels.first_node[levels.shapes.shape[0]]:
         return
@@ -129,14 +170,35 @@ def classify_nodes(
         code = REGULAR
         # no link is cut where the cage is farther than its length; farther than 4 cells `distance` does not know
         if level > 2 or -cells < 0.9999 * float(reach):
-            for axis in range(3):
-                if is_cut_link(crossings, distance, p, axis, False, reach):
-                    code = 0
-                if is_cut_link(crossings, distance, p, axis, True, reach):
-                    code = 0
+            cut = node_cut(crossings, distance, p, reach)
+            if cut > 0:
+                code = 0
+            if cut == 2 and level == 0:
+                narrow[0] = 1
+        elif levels.interpolates == 1 and ((p[0] | p[1] | p[2]) & 1) == 1:
+            if node_clearance(shape, clearances, p[0], p[1], p[2]) >= CLEARANCE:
+                code = INTERPOLATED
     elif level == 0 and cells < CELL_DIAGONAL:
         code = ring_code(shape, distance, p)
     levels.codes[node] = code
+
+
+@wp.func
+def inside_section(levels: NodeLevels, code: int, parity: int):
+    """Which of a level's two sections an inside node belongs to; parity: that of i + j + k."""
+    if levels.interpolates == 1:
+        return wp.where(code == INTERPOLATED, 1, 0)
+    return parity % 2
+
+
+@wp.func
+def column_codes(levels: NodeLevels, begin: int, count: int, k: int):
+    """Codes of nodes k .. k + CHUNK - 1 of a column of `count` nodes that begins at `begin`; OUTSIDE beyond its end."""
+    codes = _Codes()
+    for m in range(CHUNK):
+        code = levels.codes[begin + wp.min(k + m, count - 1)]
+        codes[m] = wp.where(k + m < count, code, OUTSIDE)
+    return codes
 
 
 @wp.kernel
@@ -151,25 +213,33 @@ def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
     local = column - levels.first_column[level]
     begin = levels.first_node[level] + local * shape[2]
     parity = local / shape[1] + local % shape[1]
-    inside = wp.vec2i(0, 0)
+    one = int(0)
+    other = int(0)
     cut = int(0)
-    rings = wp.vec3i(0, 0, 0)
-    for k in range(shape[2]):
-        code = levels.codes[begin + k]
-        if code >= REGULAR:
-            inside[(parity + k) % 2] += 1
-            if code != REGULAR:
-                cut += 1
-        elif code <= RING:
-            rings[RING - code] += 1
+    ring_0 = int(0)
+    ring_1 = int(0)
+    ring_2 = int(0)
+    for k in range(0, shape[2], CHUNK):
+        codes = column_codes(levels, begin, shape[2], k)
+        for m in range(CHUNK):
+            code = codes[m]
+            is_inside = code > OUTSIDE
+            section = inside_section(levels, code, parity + k + m)
+            one += wp.where(is_inside and section == 0, 1, 0)
+            other += wp.where(is_inside and section == 1, 1, 0)
+            cut += wp.where(code >= 0, 1, 0)
+            ring_0 += wp.where(code == RING, 1, 0)
+            ring_1 += wp.where(code == RING - 1, 1, 0)
+            ring_2 += wp.where(code == RING - 2, 1, 0)
     columns = levels.first_column[level_count]
     width = levels.first_column[level + 1] - levels.first_column[level]
-    counts[2 * levels.first_column[level] + local] = inside[0]
-    counts[2 * levels.first_column[level] + width + local] = inside[1]
+    counts[2 * levels.first_column[level] + local] = one
+    counts[2 * levels.first_column[level] + width + local] = other
     counts[2 * columns + column] = cut
     if level == 0:
-        for r in range(RINGS):
-            counts[3 * columns + r * width + local] = rings[r]
+        counts[3 * columns + local] = ring_0
+        counts[3 * columns + width + local] = ring_1
+        counts[3 * columns + 2 * width + local] = ring_2
         if column == 0:
             counts[3 * columns + RINGS * width] = 0
 
@@ -227,25 +297,39 @@ def list_columns(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
     parity = local / shape[1] + local % shape[1]
     columns = levels.first_column[level_count]
     width = levels.first_column[level + 1] - levels.first_column[level]
-    inside = wp.vec2i(
-        offsets[2 * levels.first_column[level] + local], offsets[2 * levels.first_column[level] + width + local]
-    )
+    one = offsets[2 * levels.first_column[level] + local]
+    other = offsets[2 * levels.first_column[level] + width + local]
     cut = offsets[2 * columns + column]
     first_cut = offsets[2 * columns]
-    rings = wp.vec3i(0, 0, 0)
+    ring_0 = int(0)
+    ring_1 = int(0)
+    ring_2 = int(0)
     if level == 0:
-        for r in range(RINGS):
-            rings[r] = offsets[3 * columns + r * width + local]
-    for k in range(shape[2]):
-        code = levels.codes[begin + k]
-        if code >= REGULAR:
-            colour = (parity + k) % 2
-            levels.nodes[inside[colour]] = begin + k
-            inside[colour] += 1
-            if code != REGULAR:
-                levels.nodes[cut] = begin + k
-                levels.codes[begin + k] = cut - first_cut
-                cut += 1
-        elif code <= RING:
-            levels.nodes[rings[RING - code]] = begin + k
-            rings[RING - code] += 1
+        ring_0 = offsets[3 * columns + local]
+        ring_1 = offsets[3 * columns + width + local]
+        ring_2 = offsets[3 * columns + 2 * width + local]
+    for k in range(0, shape[2], CHUNK):
+        codes = column_codes(levels, begin, shape[2], k)
+        for m in range(CHUNK):
+            code = codes[m]
+            node = begin + k + m
+            if code > OUTSIDE:
+                if inside_section(levels, code, parity + k + m) == 0:
+                    levels.nodes[one] = node
+                    one += 1
+                else:
+                    levels.nodes[other] = node
+                    other += 1
+                if code >= 0:
+                    levels.nodes[cut] = node
+                    levels.codes[node] = cut - first_cut
+                    cut += 1
+            elif code == RING:
+                levels.nodes[ring_0] = node
+                ring_0 += 1
+            elif code == RING - 1:
+                levels.nodes[ring_1] = node
+                ring_1 += 1
+            elif code == RING - 2:
+                levels.nodes[ring_2] = node
+                ring_2 += 1

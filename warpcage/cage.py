@@ -22,7 +22,7 @@ class Cage:
     functions and `Deformer` call `require_usable`, which refuses it.
     """
 
-    __slots__ = ("_vertices", "_faces", "_topology", "_problem")
+    __slots__ = ("_vertices", "_faces", "_topology", "_problem", "_bounds")
 
     def __init__(self, vertices, faces):
         self._set(_checked_vertices(vertices), None, None)
@@ -30,7 +30,8 @@ class Cage:
 
     def _set(self, vertices, faces, topology):
         vertices.setflags(write=False)
-        self._vertices, self._faces, self._topology, self._problem = vertices, faces, topology, None
+        self._vertices, self._faces, self._topology = vertices, faces, topology
+        self._problem, self._bounds = None, None
 
     def __repr__(self) -> str:
         return f"Cage({len(self.vertices)} vertices, {len(self.faces)} faces, size {self.size:.4g})"
@@ -59,14 +60,20 @@ class Cage:
 
     @property
     def bounds(self) -> np.ndarray:
-        """(2, 3) float64: lowest and highest corner of the bounding box of the vertices that faces use."""
-        used = self.vertices[self.faces.reshape(-1)]
-        return np.stack([used.min(axis=0), used.max(axis=0)])
+        """(2, 3) float64: lowest and highest corner of the bounding box of the vertices that faces use; read-only."""
+        if self._bounds is None:
+            used = self.vertices
+            if len(self.topology.unused_vertices):
+                used = used[self.topology.used_vertices]
+            self._bounds = np.stack([used.min(axis=0), used.max(axis=0)])
+            self._bounds.setflags(write=False)
+        return self._bounds
 
     @property
     def size(self) -> float:
         """Longest side of the bounding box, world units."""
-        return float(np.ptp(self.bounds, axis=0).max())
+        lower, upper = self.bounds
+        return float((upper - lower).max())
 
     @property
     def volume(self) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 
@@ -16,7 +18,7 @@ class CageTopology:
     clashing_edges (k, 2): edges whose two faces walk them in the same direction, so that one of them looks inward.
     pinched_vertices (k,): vertices whose faces form more than one fan.
     repeated_faces (k,): faces that name a vertex twice.
-    unused_vertices (k,): vertices of no face.
+    unused_vertices (k,): vertices of no face. used_vertices (k,): the others, ascending.
     parts (f,): connected part of each face, 0 .. part_count - 1, connected over edges.
     """
 
@@ -29,7 +31,8 @@ class CageTopology:
         proper = starts != ends
 
         self.repeated_faces = np.unique(owner[~proper])
-        self.unused_vertices = np.setdiff1d(np.arange(vertex_count), starts)
+        self.used_vertices = np.unique(starts)
+        self.unused_vertices = np.setdiff1d(np.arange(vertex_count), self.used_vertices)
 
         low, high = np.minimum(starts, ends)[proper], np.maximum(starts, ends)[proper]
         keys, edge, uses = np.unique(low * vertex_count + high, return_inverse=True, return_counts=True)
@@ -57,6 +60,28 @@ class CageTopology:
         fan, _ = connected_parts(len(starts), first, second)
         fans = np.unique(np.stack([starts, fan], axis=1), axis=0)
         return np.flatnonzero(np.bincount(fans[:, 0], minlength=vertex_count) > 1)
+
+    @functools.cached_property
+    def problem(self) -> str:
+        """What makes every cage of these faces unusable, in one line without its name; empty where nothing does."""
+        if len(self.open_edges):
+            a, b = self.open_edges[0]
+            return (f"is open: {len(self.open_edges)} edges have one face only, the first from vertex {a} to {b}: "
+                    "close it")
+        if len(self.crowded_edges):
+            a, b = self.crowded_edges[0]
+            return (f"is not manifold: {len(self.crowded_edges)} edges have more than two faces, the first from vertex "
+                    f"{a} to {b}")
+        if len(self.repeated_faces):
+            return f"has degenerate faces: face {self.repeated_faces[0]} names a vertex twice"
+        if len(self.pinched_vertices):
+            return (f"is not manifold: parts of it only touch at {len(self.pinched_vertices)} vertices, the first "
+                    f"{self.pinched_vertices[0]}: split them")
+        if len(self.clashing_edges):
+            a, b = self.clashing_edges[0]
+            return (f"is wound inconsistently: the two faces at {len(self.clashing_edges)} edges clash, the first from "
+                    f"vertex {a} to {b}: flip faces until all are anticlockwise seen from outside")
+        return ""
 
     @property
     def closed(self) -> bool:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from .coordinates import BLOCK_THREADS
 from .devices import launch
-from .kernels.closed_form_map import map_nodes_green, map_nodes_mean_value
+from .kernels.closed_form_map import interpolate_nodes, map_crossings_green, map_nodes_green, map_nodes_mean_value
 from .kernels.green import weigh_green
 from .kernels.lattice_weights import place_nodes
 from .kernels.map_extension import extend_outwards
 from .kernels.mean_value import weigh_mean_value
 from .kernels.node_levels import RINGS
-from .map_sides import GapFlags
+from .map_sides import GapFlags, boundary_buffer, described_rows, launch_rings, linear_boundary
 from .node_levels import LatticeNodes
 
 
@@ -23,13 +24,15 @@ class ClosedFormSolver:
 
     def __init__(self, lattice):
         self.lattice, self.device = lattice, lattice.device
-        self.nodes = LatticeNodes(lattice, level_count=1)
+        self.nodes = LatticeNodes(lattice, level_count=1, interpolates=True)
         self.status = wp.zeros(2, dtype=float, device=self.device)
         self.gaps = GapFlags(self)
+        self.launch_rows(self.nodes.sizes, self.nodes.sections)
 
     def prepare(self) -> None:
         """Set up for the pose that the lattice was filled with."""
         self.nodes.fill()
+        self.launch_rows(self.nodes.sizes, self.nodes.sections)
 
     @property
     def values(self) -> wp.array:
@@ -37,13 +40,28 @@ class ClosedFormSolver:
         return self.lattice.buffers.get("values", self.lattice.node_count, wp.vec3)
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
-        """Nothing to set up."""
+        """Launch the description of the cut nodes. sizes, sections: of this pose, or upper bounds."""
+        self.rows = described_rows(self.lattice, self.nodes, int(sections[2]), int(sections[2]))
 
     def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
         """Launch what fills the values. sizes, sections: of this pose, or upper bounds."""
         values = self.lattice.buffers.get("values", sizes["nodes"], wp.vec3)
         values.zero_()
         self.launch_map(sections, vertex_values, face_values, values)
+        self.gaps.launch(sections, self.rows, values)
+
+    def find_gaps(self, sections: np.ndarray) -> None:
+        """Launch the search for narrow gaps."""
+        self.gaps.launch(sections, self.rows, self.values)
+
+    def _launch_interpolation(self, sections: np.ndarray, values: wp.array) -> None:
+        """Launch what fills the inside nodes that were not evaluated."""
+        for axis in range(3):
+            self._launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values])
+
+    def _launch(self, kernel, count: int, inputs, outputs) -> None:
+        """Launch a kernel of the closed forms, in blocks that suit the many registers it holds."""
+        launch(kernel, count, inputs, outputs, device=self.device, block_dim=BLOCK_THREADS)
 
     def solve(self, vertex_values: wp.array, face_values=None) -> None:
         """Values at inside nodes and rings for vertex_values (v,) and, for green, face_values (f,) vec3: what psi in
@@ -55,6 +73,10 @@ class ClosedFormSolver:
 
     def load_modules(self) -> None:
         """Compile what a capture would need: the map has run before."""
+
+    def node_ranges(self) -> list[tuple[int, int]]:
+        """(begin, count) in the node list of what has weights: inside nodes."""
+        return [(int(self.nodes.starts[0]), int(self.nodes.starts[2] - self.nodes.starts[0]))]
 
     def _size(self) -> float:
         """Size of the cage in node units."""
@@ -71,54 +93,69 @@ class ClosedFormSolver:
 
 
 class MeanValueSolver(ClosedFormSolver):
-    """Mean value maps: the formula holds outside the cage as well, so the rings take their own values."""
+    """Mean value maps. Their formula holds outside the cage as well, but bends at its edges and, in gaps, from one side
+    to the other, so that the rings continue the inside values through the cage instead, as harmonic maps do."""
 
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
-        """Launch the map at all listed nodes."""
-        launch(
+        """Launch the map at inside nodes and what continues it."""
+        self._launch(
             map_nodes_mean_value,
-            int(sections[:2].sum() + sections[3:].sum()),
+            int(sections[0]),
             [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, self._size()],
             [values],
-            device=self.device,
         )
+        self._launch_interpolation(sections, values)
+        launch_rings(self, sections, vertex_values, values)
+
+    def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
+        """The map's remainder where links cross the cage."""
+        return linear_boundary(self, vertex_values)
 
     def extend(self, vertex_values: wp.array) -> None:
-        """Nothing to do: the rings have values of their own."""
-
-    def node_ranges(self) -> list[tuple[int, int]]:
-        """(begin, count) in the node list of what has weights: inside nodes, then rings."""
-        starts = self.nodes.starts
-        return [(int(starts[0]), int(starts[2] - starts[0])), (int(starts[3]), int(starts[-1] - starts[3]))]
+        """Continue the values at inside nodes to the rings of outside nodes around them."""
+        launch_rings(self, self.nodes.sections, vertex_values, self.values)
 
     def weigh(self, begin: int, count: int) -> tuple[wp.array, None]:
         """Weights (count, v) of the nodes listed from `begin` on; no weights of faces."""
         lattice = self.lattice
         weights = wp.empty((count, lattice.vertices.size), dtype=float, device=self.device)
         points = self._place(begin, count)
-        launch(
+        self._launch(
             weigh_mean_value,
             count,
             [points, self._vertices, lattice.faces, self._size()],
             [weights],
-            device=self.device,
         )
         return weights, None
 
 
 class GreenSolver(ClosedFormSolver):
-    """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly."""
+    """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly. Cut nodes are
+    described where there are gaps only."""
+
+    def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
+        """Nothing to set up."""
+        self.rows = None
 
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
         """Launch the map at inside nodes and what continues it."""
-        launch(
+        self._launch(
             map_nodes_green,
-            int(sections[:2].sum()),
+            int(sections[0]),
             [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, face_values, self._size()],
             [values],
-            device=self.device,
         )
+        self._launch_interpolation(sections, values)
         self._launch_rings(sections, vertex_values, values)
+
+    def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
+        """The limit of the map's remainder, from inside, where links cross the cage."""
+        super().launch_rows(self.nodes.sizes, self.nodes.sections)
+        boundary = boundary_buffer(self)
+        lattice = self.lattice
+        inputs = [self.nodes.levels, self.rows, self._vertices, lattice.faces, vertex_values, face_values, self._size()]
+        self._launch(map_crossings_green, boundary.size, inputs, [boundary])
+        return boundary
 
     def extend(self, vertex_values: wp.array) -> None:
         """Continue the values at inside nodes to the rings of outside nodes around them."""
@@ -135,20 +172,15 @@ class GreenSolver(ClosedFormSolver):
                 device=self.device,
             )
 
-    def node_ranges(self) -> list[tuple[int, int]]:
-        """(begin, count) in the node list of what has weights: inside nodes."""
-        return [(int(self.nodes.starts[0]), int(self.nodes.starts[2] - self.nodes.starts[0]))]
-
     def weigh(self, begin: int, count: int) -> tuple[wp.array, wp.array]:
         """Weights (count, v) of vertices and (count, f) of faces at the nodes listed from `begin` on."""
         lattice = self.lattice
         vertex_weights = wp.empty((count, lattice.vertices.size), dtype=float, device=self.device)
         face_weights = wp.empty((count, lattice.faces.size), dtype=float, device=self.device)
-        launch(
+        self._launch(
             weigh_green,
             count,
             [self._place(begin, count), self._vertices, lattice.faces, self._size()],
             [vertex_weights, face_weights],
-            device=self.device,
         )
         return vertex_weights, face_weights

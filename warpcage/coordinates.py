@@ -15,6 +15,7 @@ import warp as wp
 from .arrays import as_host_points, as_points, is_device_array
 from .cage import SURFACE_TOLERANCE, Cage, require_same_faces
 from .devices import launch, resolve_device
+from .face_geometry import column_cross, column_dot, face_edges
 from .kernels import cage_map, green, local_points, mean_value
 from .memory import require_memory
 
@@ -23,6 +24,9 @@ KINDS = ("mean_value", "green", "harmonic")
 
 #: Nodes along the longest side of the lattice on which harmonic coordinates are solved.
 HARMONIC_RESOLUTION = 128
+
+#: Threads of a block of closed-form kernels: they hold so many registers that larger blocks fill a GPU worse.
+BLOCK_THREADS = 128
 
 
 def mean_value_coordinates(points, cage: Cage, device=None):
@@ -43,7 +47,7 @@ def mean_value_coordinates(points, cage: Cage, device=None):
     weights = wp.empty((local.count, len(cage.vertices)), dtype=wp.float32, device=local.device)
     vertices, faces = _cage_arrays(cage, local)
     launch(mean_value.weigh_mean_value, local.count, [local.points, vertices, faces, 1.0], [weights],
-           device=local.device)
+           device=local.device, block_dim=BLOCK_THREADS)
     return local.given_back(weights)
 
 
@@ -70,7 +74,7 @@ def green_coordinates(points, cage: Cage, device=None, *, outside: str = "raise"
     face_weights = wp.empty((local.count, len(cage.faces)), dtype=wp.float32, device=local.device)
     vertices, faces = _cage_arrays(cage, local)
     launch(green.weigh_green, local.count, [local.points, vertices, faces, 1.0], [vertex_weights, face_weights],
-           device=local.device)
+           device=local.device, block_dim=BLOCK_THREADS)
     launch(local_points.scale_rows, local.count, [cage.size], [face_weights], device=local.device)
     if len(lost):
         rows = wp.array(lost, dtype=wp.int32, device=local.device)
@@ -128,7 +132,7 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
         inputs.append(wp.array(normals, dtype=wp.vec3, device=local.device))
         outputs.append(local.bad)
     kernel = mean_value.map_mean_value if coordinates == "mean_value" else green.map_green_inside
-    launch(kernel, local.count, [*inputs, 1.0], outputs, device=local.device)
+    launch(kernel, local.count, [*inputs, 1.0], outputs, device=local.device, block_dim=BLOCK_THREADS)
     world = _restore(moved, local, centre, rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)
@@ -145,25 +149,20 @@ def stretched_normals(source: Cage, target: Cage) -> np.ndarray:
     A target face without area has no normal and gives zero. Raises ValueError for cages whose faces differ.
     """
     require_same_faces(source, target)
-    u, v = _edges(source)
-    s, t = _edges(target)
-    double_area = np.linalg.norm(np.cross(u, v), axis=1)
-    normal = np.cross(s, t)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
-
-    def dot(a, b):
-        return np.einsum("fi,fi->f", a, b)
-
-    energy = dot(s, s) * dot(v, v) - 2.0 * dot(s, t) * dot(u, v) + dot(t, t) * dot(u, u)
-    stretch = np.sqrt(np.maximum(energy, 0.0)) / (np.sqrt(2.0) * double_area)
-    return stretch[:, None] * normal
+    return stretched_columns(face_edges(source), face_edges(target))[0].T
 
 
-def _edges(cage: Cage) -> tuple[np.ndarray, np.ndarray]:
-    local = cage.vertices - cage.bounds.mean(axis=0)
-    a, b, c = (local[cage.faces[:, k]] for k in range(3))
-    return b - a, c - a
+def stretched_columns(source, target) -> tuple[np.ndarray, np.ndarray]:
+    """`stretched_normals` of the target and unit normals of the source, (3, f) each, from the edges of both cages."""
+    (u, v), (s, t) = source, target
+    normal, source_normal = column_cross(s, t), column_cross(u, v)
+    length = np.sqrt(column_dot(normal, normal))
+    double_area = np.sqrt(column_dot(source_normal, source_normal))
+    energy = (column_dot(s, s) * column_dot(v, v) - 2.0 * column_dot(s, t) * column_dot(u, v)
+              + column_dot(t, t) * column_dot(u, u))
+    stretch = np.sqrt(np.maximum(0.5 * energy, 0.0)) / double_area
+    normal *= np.divide(stretch, length, out=np.zeros_like(length), where=length > 0.0)
+    return normal, source_normal / double_area
 
 
 @dataclass

@@ -11,18 +11,17 @@ from .devices import launch
 from .kernels.harmonic import (
     LaplaceSystem,
     begin_cycles,
-    clear_corrections,
     judge_cycle,
-    measure_residual,
+    leave_residual,
+    prolong_and_measure,
     prolong_correction,
+    relax_and_measure,
     relax_laplace,
     restrict_residual,
 )
 from .kernels.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
-from .kernels.harmonic_rows import CutRows, describe_rows, set_sources
-from .kernels.map_extension import extend_outwards, extend_through_cage
-from .kernels.node_levels import RINGS
-from .map_sides import GapFlags
+from .kernels.harmonic_rows import set_sources
+from .map_sides import GapFlags, described_rows, launch_rings, linear_boundary
 from .node_levels import LatticeNodes
 
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)
@@ -42,8 +41,8 @@ LARGEST_SLOTS = 64
 #: Sweeps over fewer nodes than this run on one thread of a CPU: cutting them over threads takes longer than they do.
 SHORT_LAUNCH = 1 << 16
 
-#: Levels with fewer nodes of a colour than this go through one launch of one block of threads on CUDA.
-COARSE_NODES = 2600
+#: Levels with fewer nodes of a colour than this go through one launch of one block of threads on CUDA: two a thread.
+COARSE_NODES = 2 * BLOCK_THREADS
 
 
 def require_tolerance(tolerance) -> float:
@@ -96,7 +95,7 @@ class HarmonicSolver:
         """
         self.solve_inside(vertex_values)
         self.extend(vertex_values)
-        self.gaps.launch(self.nodes.sections)
+        self.find_gaps(self.nodes.sections)
 
     def solve_inside(self, vertex_values: wp.array) -> None:
         """The same for inside nodes only; other nodes are zero."""
@@ -121,31 +120,29 @@ class HarmonicSolver:
 
     def extend(self, vertex_values: wp.array) -> None:
         """Continue the values at inside nodes to the rings of outside nodes around them (kernels/map_extension.py)."""
-        self._launch_rings(self.nodes.sections, vertex_values)
+        launch_rings(self, self.nodes.sections, vertex_values, self.system.values)
+
+    def find_gaps(self, sections: np.ndarray) -> None:
+        """Launch the search for narrow gaps."""
+        self.gaps.launch(sections, self.rows, self.system.values)
+
+    def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
+        """The map's remainder where links cross the cage."""
+        return linear_boundary(self, vertex_values)
 
     def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
         """Launch a whole solution, for a CUDA graph: the cycles end on the device. sections: upper bounds."""
         self._launch_start(sections, vertex_values)
         wp.capture_while(self.going, lambda: self._cycle(sections))
-        self._launch_rings(sections, vertex_values)
-        self.gaps.launch(sections)
+        launch_rings(self, sections, vertex_values, self.system.values)
+        self.find_gaps(sections)
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
         """Launch the description of the cut rows. sizes, sections: of this pose, or upper bounds."""
         lattice, nodes, buffers = self.lattice, self.nodes, self.lattice.buffers
         levels = nodes.level_count
         row_count, finest = int(sections[2 * levels : 3 * levels].sum()), int(sections[2 * levels])
-        rows = self.rows = CutRows()
-        rows.links = buffers.get("links", row_count, int)
-        rows.diagonals = buffers.get("diagonals", row_count, float)
-        rows.fractions = buffers.get("fractions", (row_count, 6), float)
-        rows.faces = buffers.get("cut_faces", (finest, 6), int)
-        rows.corners = buffers.get("cut_corners", (finest, 6), wp.vec3)
-        self._launch(
-            describe_rows,
-            row_count,
-            [lattice.crossings, lattice.flat_distance, lattice.vertices, lattice.faces, nodes.levels, rows],
-        )
+        rows = self.rows = described_rows(lattice, nodes, row_count, finest)
         system = self.system = LaplaceSystem()
         system.levels, system.rows = nodes.levels, rows
         system.sources = buffers.get("sources", finest, wp.vec3)
@@ -159,14 +156,7 @@ class HarmonicSolver:
         inputs = [nodes.levels, self.rows, self.lattice.faces, vertex_values, system.sources]
         self._launch(set_sources, int(sections[2 * nodes.level_count]), inputs)
         self._launch(begin_cycles, 1, [self.going, self.status, self._largest])
-
-    def _launch_rings(self, sections: np.ndarray, vertex_values: wp.array) -> None:
-        lattice, levels, values = self.lattice, self.nodes.levels, self.system.values
-        rings = sections[3 * self.nodes.level_count :]
-        self._launch(extend_through_cage, int(rings[0]), [levels, self.rows, lattice.faces, vertex_values, values])
-        for ring in range(1, RINGS):
-            inputs = [ring, lattice.vertices, lattice.faces, levels, vertex_values, values]
-            self._launch(extend_outwards, int(rings[ring]), inputs)
+        self._sweep(relax_laplace, int(sections[0]), [0, 0, system])
 
     def _cycle_runner(self, sections: np.ndarray):
         """A callable that runs one cycle: launches on the CPU, the replay of one graph on CUDA."""
@@ -188,23 +178,25 @@ class HarmonicSolver:
         wp.load_module(cycle_coarse_levels.module, device=self.device)
 
     def _cycle(self, sections: np.ndarray) -> None:
-        """Launch a V-cycle and what judges it."""
+        """Launch a V-cycle and what judges it; the half sweep that it begins with was done by the one before."""
         system, last = self.system, self.nodes.level_count - 1
         inside = sections[: 2 * last + 2].reshape(-1, 2)
         few = SHORT_LAUNCH if self.device.is_cpu else COARSE_NODES
         coarse = last
         while coarse > 1 and inside[coarse - 1].max() < few:
             coarse -= 1
-        self._sweep(clear_corrections, system.loads.size, [system])
         for level in range(coarse):
-            self._relax(level, SWEEPS, inside)
+            self._relax(level, 1, 2 * SWEEPS - 1, inside)
+            self._sweep(leave_residual, int(inside[level, 0]), [level, system])
             self._sweep(restrict_residual, int(inside[level + 1].sum()), [level + 1, system])
         self._cycle_coarse(coarse)
         for level in reversed(range(coarse)):
-            self._sweep(prolong_correction, int(inside[level, 1]), [level, system])
-            self._relax(level, SWEEPS, inside)
-        nodes = LARGEST_SLOTS if self.device.is_cpu else int(max(inside[0, 0], inside[1].sum() if last else 0))
-        self._launch(measure_residual, nodes, [nodes, system, self._largest])
+            if level:
+                self._sweep(prolong_correction, int(inside[level, 1]), [level, system])
+            else:
+                self._measure(prolong_and_measure, int(inside[0, 1]))
+            self._relax(level, 0, 2 * SWEEPS, inside)
+        self._measure(relax_and_measure, int(inside[0, 0]))
         inputs = [ERROR_PER_RESIDUAL, ERROR_PER_CORRECTION, self.tolerance, MAX_CYCLES, self._largest]
         self._launch(judge_cycle, 1, [*inputs, self.going, self.status])
 
@@ -214,10 +206,18 @@ class HarmonicSolver:
         inputs = [0, level, SWEEPS, COARSEST_SWEEPS, threads, self.system]
         wp.launch(cycle_coarse_levels, dim=threads, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
 
-    def _relax(self, level: int, sweeps: int, inside: np.ndarray) -> None:
-        for _ in range(sweeps):
-            for colour in (0, 1):
-                self._sweep(relax_laplace, int(inside[level, colour]), [level, colour, self.system])
+    def _relax(self, level: int, colour: int, half_sweeps: int, inside: np.ndarray) -> None:
+        """Launch half sweeps, the colours in turn."""
+        for half in range(half_sweeps):
+            at = (colour + half) % 2
+            self._sweep(relax_laplace, int(inside[level, at]), [level, at, self.system])
+
+    def _measure(self, kernel, count: int) -> None:
+        """Launch a kernel that raises the largest changes; on a CPU an item a slot, as slots must not be shared."""
+        items = LARGEST_SLOTS if self.device.is_cpu else count
+        threads = 1 if count < SHORT_LAUNCH else None
+        inputs = [-(-count // max(items, 1)), self.system, self._largest]
+        launch(kernel, items, inputs, device=self.device, threads=threads)
 
     def _sweep(self, kernel, count: int, inputs) -> None:
         """Launch a kernel of little work an item."""

@@ -46,7 +46,8 @@ class CageLattice:
     Attributes: shape (3,) node counts; lower (3,) float64, world position of node (0, 0, 0); spacing, world units;
     origin (3,) float64; distance, array3d float: signed distance in world units, negative inside, exact nearer than 4
     cells and clamped to that; crossings, where lattice lines cross the cage; vertices (v,) vec3 in node units; faces;
-    constants, what a pose sends to the device; sizes, how many nodes, lines and blocks of nodes there are.
+    constants and map_constants, what a pose sends to the device, for the lattice and for the map on it; sizes, how many
+    nodes, lines and blocks of nodes there are.
 
     Inside means a winding number above 0.5, exact at nodes. Raises ValueError for a resolution outside 8 .. 1024, an
     unusable cage, or one without extent.
@@ -69,9 +70,14 @@ class CageLattice:
                 "shapes": (levels, wp.vec3i),
                 "first_node": (levels + 1, int),
                 "first_column": (levels + 1, int),
-                "affine": (4, wp.vec3),
                 "vertices": (vertex_count, wp.vec3),  # node units
                 "centred": (vertex_count, wp.vec3),  # the same, from the middle of the lattice
+            },
+            self.device,
+        )
+        self.map_constants = PoseConstants(
+            {
+                "affine": (4, wp.vec3),
                 "vertex_values": (vertex_count, wp.vec3),  # what a map takes at the vertices
                 "face_values": (face_count, wp.vec3),
             },
@@ -160,8 +166,9 @@ class CageLattice:
         counts = self.buffers.get("block_counts", sizes["blocks"], int)
         near = self.buffers.get("block_faces", (sizes["blocks"], BLOCK_FACES), int)
         self.flat_distance = self.buffers.get("distance", sizes["nodes"], float)
+        self.clearances = self.buffers.get("clearances", sizes["blocks"], float)
         inputs = [self.crossings, self.vertices, self.faces, counts, near]
-        launch(list_block_faces, sizes["blocks"], inputs, device=self.device)
+        launch(list_block_faces, sizes["blocks"], [*inputs, self.clearances], device=self.device)
         inputs += [self.constants.arrays["scales"], self.flat_distance]
         launch(measure_band, sizes["nodes"], inputs, device=self.device)
 

@@ -48,7 +48,7 @@ class LatticeWeights:
                         device=self.device,
                     )
         self.solver.extend(vertex_values)
-        self.solver.gaps.launch(self.solver.nodes.sections)
+        self.solver.find_gaps(self.solver.nodes.sections)
 
     def _solve_harmonic(self):
         solver, nodes = self.solver, self.solver.nodes

@@ -15,18 +15,20 @@ class LatticeNodes:
     """Numbering, codes and lists of the nodes of a CageLattice (see kernels/node_levels.py).
 
     level_count 1 lists the inside nodes and the rings around them, as the closed forms need; None takes as many levels
-    as multigrid has use for.
+    as multigrid has use for. interpolates: inside nodes clear of the cage have sections by whether they are evaluated
+    or interpolated, not by colour (one level only).
 
     Attributes: levels, the kernels' struct; counts: {"inside": (L, 2), "cut": (L,), "rings": (3,)} NumPy ints;
     sections (3 L + 3,) the same in one row; first_node (L + 1,) NumPy ints.
     """
 
-    def __init__(self, lattice, level_count: int | None = None):
-        self.lattice = lattice
+    def __init__(self, lattice, level_count: int | None = None, *, interpolates: bool = False):
+        self.lattice, self.interpolates = lattice, interpolates
         self.level_count = lattice.level_count if level_count is None else level_count
         self.section_count = 3 * self.level_count + RINGS
         self._limits = wp.zeros(self.section_count, dtype=int, device=lattice.device)
         self.overflow = wp.zeros(1, dtype=int, device=lattice.device)
+        self.narrow = wp.zeros(1, dtype=int, device=lattice.device)  # 1 where a gap is narrower than a cell
         self.fill()
 
     def fill(self) -> LatticeNodes:
@@ -78,8 +80,10 @@ class LatticeNodes:
         levels.first_column = arrays["first_column"][: count + 1]
         levels.codes = buffers.get("codes", sizes["nodes"], int)
         levels.starts = buffers.get("starts", self.section_count + 1, int)
-        inputs = [lattice.crossings, lattice.flat_distance, arrays["scales"], levels]
-        launch(classify_nodes, sizes["nodes"], inputs, device=device)
+        levels.interpolates = int(self.interpolates)
+        inputs = [lattice.crossings, lattice.flat_distance, arrays["scales"], lattice.clearances, levels]
+        self.narrow.zero_()
+        launch(classify_nodes, sizes["nodes"], inputs, [self.narrow], device=device)
         counts = buffers.get("column_counts", sizes["entries"], int)
         self._offsets = buffers.get("column_offsets", sizes["entries"], int)
         launch(count_columns, sizes["columns"], [levels], [counts], device=device)

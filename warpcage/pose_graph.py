@@ -1,4 +1,4 @@
-"""PoseGraph: all that a pose of a PositionMap does on a GPU, as one CUDA graph that later poses replay."""
+"""PoseGraph: all that a pose of a PositionMap does on a GPU, as two CUDA graphs that later poses replay."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from .kernels.map_extension import add_affine, gather_status
 class PoseGraph:
     """The launches of a pose, captured with somewhat more room than the pose at hand needs.
 
-    lattice, solver: of a PositionMap that has just been posed. Upload, lattice, lists, multigrid cycles until the
-    tolerance is met and download of the outcome are one graph, so that a pose costs the host one launch and one wait.
+    lattice, solver: of a PositionMap that has just been posed. The first graph uploads the lattice's constants and lays
+    it out, with the lists of nodes; the second uploads the map's constants, which the host works out meanwhile, solves
+    until the tolerance is met and downloads the outcome. A pose costs the host two launches and one wait.
 
     Attribute: has_gaps, whether the solver flagged nodes at narrow gaps.
     """
@@ -55,9 +56,13 @@ class PoseGraph:
         """Capture anew at the next pose: buffers have moved, or a pose had no room."""
         self._graph = None
 
-    def run(self) -> bool:
-        """Replay for the pose that the lattice's constants hold; False where a list was longer than foreseen."""
-        self._graph()
+    def begin(self) -> None:
+        """Start on the pose that the lattice's constants hold; they stay as they are until `finish`."""
+        self._run_lattice()
+
+    def finish(self) -> bool:
+        """Map what the lattice's map_constants hold, and wait; False where a list was longer than foreseen."""
+        self._run_map()
         status = self._host_status.numpy()
         if status[0] != 0.0 or status[1] != 0.0:
             return False
@@ -74,21 +79,28 @@ class PoseGraph:
         nodes.set_limits(self._sections)
         self._launch()  # once outside, so that all buffers and modules are there
         self._generation = lattice.buffers.generation
-        self._graph = self._launch
+        self._graph = self._run_lattice, self._run_map = self._launch_lattice, self._launch_map
         if self.device.is_cuda:
-            with wp.ScopedCapture(device=self.device) as capture:
-                self._launch()
-            graph, stream = capture.graph, self.device.stream
+            lattice_graph, map_graph = (self._captured(launches) for launches in self._graph)
+            stream = self.device.stream
 
-            def replay():
-                wp.capture_launch(graph)
+            def run_map():
+                wp.capture_launch(map_graph)
                 wp.synchronize_stream(stream)
 
-            self._graph = replay
+            self._run_lattice, self._run_map = (lambda: wp.capture_launch(lattice_graph)), run_map
+
+    def _captured(self, launches):
+        with wp.ScopedCapture(device=self.device) as capture:
+            launches()
+        return capture.graph
 
     def _launch(self) -> None:
+        self._launch_lattice()
+        self._launch_map()
+
+    def _launch_lattice(self) -> None:
         lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
-        arrays = lattice.constants.arrays
         lattice.constants.send()
         lattice.overflow.zero_()
         nodes.overflow.zero_()
@@ -97,10 +109,15 @@ class PoseGraph:
         nodes.launch_classes(self._node_sizes)
         nodes.launch_lists(self._node_sizes, int(self._sections.sum()))
         solver.launch_rows(self._node_sizes, self._sections)
+
+    def _launch_map(self) -> None:
+        lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
+        arrays = lattice.map_constants.arrays
+        lattice.map_constants.send()
         solver.launch_solution(self._node_sizes, self._sections, arrays["vertex_values"], arrays["face_values"])
         values = lattice.buffers.get("values", self._node_sizes["nodes"], wp.vec3)
         inputs = [nodes.levels, self.scale, arrays["affine"]]
         launch(add_affine, self._lattice_sizes["nodes"], inputs, [values], device=self.device)
-        inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.levels]
+        inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.narrow, nodes.levels]
         launch(gather_status, 1, inputs, [self._status], device=self.device)
         wp.copy(self._host_status, self._status)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import warp as wp
 
 from .cage import require_same_faces
 from .closed_form_solver import GreenSolver, MeanValueSolver
 from .devices import launch, resolve_device
+from .face_geometry import column_cross, column_dot, face_edges
 from .harmonic_solver import HarmonicSolver, require_tolerance
 from .kernels.cage_map import CageMap
 from .kernels.map_extension import add_affine
 from .lattice import CageLattice, lattice_frame, require_resolution
 from .lattice_weights import LatticeWeights, harmonic_weights
-from .map_sides import build_sides
+from .map_sides import REPORTED_JUMP, SIDE_BUFFERS, MapSides, side_bytes
 from .memory import require_memory
 from .pose_graph import PoseGraph
 
@@ -41,8 +44,9 @@ class PositionMap:
 
     Attributes: data, the CageMap for kernels; lattice; origin (3,) float64; cycles and residual of the harmonic solver
     (0 for the closed forms); thin_nodes, how many nodes lie at gaps of the deformed cage that are narrower than about
-    two cells. There harmonic maps keep values for each side (kernels/map_sides.py) and hold down to gaps of one cell;
-    maps of closed forms, which see across gaps themselves, are rough.
+    two cells and that the pose opens: there the map keeps values for each side (kernels/map_sides.py), which hold down
+    to gaps of one cell; gap_jump, by how much the pose opens gaps narrower than that, as a share of the rest cage's
+    size. `pose` warns where it is above 2e-2.
 
     Raises ValueError for unusable cages, unknown names, a resolution or tolerance out of range, poses whose faces
     differ, and where the device has not the memory. Source: "Deforming Radiance Fields with Cages" (ECCV 2022),
@@ -65,7 +69,8 @@ class PositionMap:
         if store not in STORES:
             raise ValueError(f"store must be one of {', '.join(STORES)}, got {store!r}")
         rest.require_usable("rest cage")
-        self.rest, self.coordinates, self.store = rest, coordinates, store
+        self.coordinates, self.store = coordinates, store
+        self._take_rest(rest)
         self.resolution = require_resolution(resolution)
         self.tolerance = require_tolerance(tolerance)
         self.device = resolve_device(device)
@@ -75,6 +80,7 @@ class PositionMap:
         self._weights: LatticeWeights | None = None
         self._data: CageMap | None = None
         self._graph: PoseGraph | None = None
+        self.gap_jump = 0.0
 
     def pose(self, deformed) -> PositionMap:
         """Compute the map from `deformed`, a Cage with the faces of the rest cage. Buffers of the last pose are reused.
@@ -87,8 +93,9 @@ class PositionMap:
         if self.lattice is not None:
             self.lattice.lay(deformed)
             if self._graph is not None and self._graph.fits():
-                self._write_values()
-                if self._graph.run():
+                self._graph.begin()
+                self._write_values()  # while the device lays the lattice
+                if self._graph.finish():
                     self._take_map(self._graph.has_gaps)
                     return self
         self._weights = None  # the last pose's go before this one's come
@@ -119,7 +126,7 @@ class PositionMap:
             raise ValueError('rebind needs the weights: make the PositionMap with store="weights"')
         rest.require_usable("rest cage")
         require_same_faces(rest, self._posed_lattice().cage)
-        self.rest = rest
+        self._take_rest(rest)
         self._map_positions()
         return self
 
@@ -147,25 +154,30 @@ class PositionMap:
     @property
     def thin_nodes(self) -> int:
         self._posed_lattice()
-        solver = self._solver
-        if self.coordinates != "harmonic":
-            solver.gaps.launch(solver.nodes.sections)
-        return solver.gaps.total()
+        return self._solver.gaps.total() if self._has_gaps else 0
 
-    def memory_bytes(self, deformed=None) -> int:
-        """Bytes on the device that a pose takes (default: the rest pose), worked out from shapes before allocation."""
+    def memory_bytes(self, deformed=None, *, gaps: bool = False) -> int:
+        """Bytes on the device that a pose takes (default: the rest pose), worked out from shapes before allocation.
+
+        gaps: with the most that the tables of narrow gaps may take, where they go all over the cage.
+        """
         deformed = self.rest if deformed is None else deformed
         shape, _, spacing = lattice_frame(deformed, self.resolution, self.origin)
         nx, ny, nz = shape
         nodes, lines = nx * ny * nz, nx * ny + ny * nz + nx * nz
         inside = abs(deformed.volume) / spacing**3
-        surface = _face_areas(deformed).sum() / spacing**2
+        surface = _area(deformed) / spacing**2
         total = FIXED_BYTES + NODE_BYTES * nodes + LINE_BYTES * lines + SURFACE_BYTES * surface + 5 * inside
         if self.coordinates == "harmonic":
             total += LEVELS_BYTES * nodes
+        if gaps:
+            total += side_bytes(nodes, surface)
         if self.store == "weights":
             total += LatticeWeights.row_bytes(self.coordinates, deformed) * (inside + 4 * surface)
         return int(total)
+
+    def _take_rest(self, rest) -> None:
+        self.rest, self._rest_edges = rest, face_edges(rest)
 
     def _posed_lattice(self) -> CageLattice:
         if self._data is None:
@@ -184,10 +196,10 @@ class PositionMap:
         return MeanValueSolver(self.lattice) if self.coordinates == "mean_value" else GreenSolver(self.lattice)
 
     def _write_values(self) -> None:
-        """The remainder of the map, and its affine part, to the lattice's constants; still to be sent."""
+        """The remainder of the map, and its affine part, to the lattice's map_constants; still to be sent."""
         lattice, deformed, rest = self.lattice, self.lattice.cage, self.rest
         matrix, offset = fit_affine(deformed, rest)
-        host = lattice.constants.host
+        host = lattice.map_constants.host
         host["vertex_values"][:] = (rest.vertices - (deformed.vertices @ matrix.T + offset)) / rest.size
         host["affine"][:3] = matrix.T * lattice.spacing
         host["affine"][3] = matrix @ lattice.lower + offset - self.origin
@@ -198,13 +210,13 @@ class PositionMap:
         """Fill the positions: remainder of the map, plus its affine part."""
         lattice = self.lattice
         self._write_values()
-        lattice.constants.send()
-        arrays = lattice.constants.arrays
+        lattice.map_constants.send()
+        arrays = lattice.map_constants.arrays
         solver = self._solver if self._weights is None else self._weights
         solver.solve(arrays["vertex_values"], arrays["face_values"])
         inputs = [self._solver.nodes.levels, self.rest.size, arrays["affine"]]
         launch(add_affine, lattice.node_count, inputs, [self._solver.values], device=self.device)
-        self._take_map(self.coordinates == "harmonic" and int(self._solver.gaps.count.numpy()[0]) > 0)
+        self._take_map(self._solver.gaps.found())
 
     def _take_map(self, has_gaps: bool) -> None:
         lattice = self.lattice
@@ -212,10 +224,30 @@ class PositionMap:
         data.lower, data.spacing, data.inverse_spacing = lattice.local_lower, lattice.spacing, 1.0 / lattice.spacing
         data.positions = lattice.buffers.get("values", lattice.node_count, wp.vec3).reshape(lattice.shape)
         data.distance = lattice.distance
+        self.gap_jump = 0.0
+        self._has_gaps = has_gaps
         if has_gaps:
-            arrays = lattice.constants.arrays
-            data.side_index, data.sides = build_sides(
-                self._solver, self._solver.gaps, arrays["vertex_values"], self.rest.size, arrays["affine"]
+            self._take_sides(data)
+
+    def _take_sides(self, data: CageMap) -> None:
+        """Give the map the sides of narrow gaps, and report those that its lattice smears."""
+        lattice, solver, arrays = self.lattice, self._solver, self.lattice.map_constants.arrays
+        require_memory(
+            side_bytes(lattice.node_count, _area(lattice.cage) / lattice.spacing**2),
+            self.device,
+            f"tables for sides of narrow gaps at resolution {self.resolution} need {{size}}: take a lower resolution",
+            held=lattice.buffers.bytes_of(SIDE_BUFFERS),
+        )
+        boundary = solver.boundary_at_gaps(arrays["vertex_values"], arrays["face_values"])
+        sides = MapSides(solver, boundary, self.rest.size, arrays["affine"])
+        data.side_index, data.sides = sides.index, sides.table
+        self.gap_jump = sides.jump
+        if self.gap_jump > REPORTED_JUMP:
+            warnings.warn(
+                f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose "
+                f"opens by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there, take a "
+                f"resolution above {self.resolution} or open the gaps",
+                stacklevel=4,
             )
 
     def _face_values(self, matrix: np.ndarray) -> np.ndarray:
@@ -223,11 +255,11 @@ class PositionMap:
 
         As x = sum phi v + sum psi n, an affine map A x + b is sum phi (A v + b) + sum psi A n.
         """
-        from .coordinates import stretched_normals
+        from .coordinates import stretched_columns
 
-        deformed = self.lattice.cage
-        normals = stretched_normals(deformed, self.rest) - _face_normals(deformed) @ matrix.T
-        return (normals * (self.lattice.spacing / self.rest.size)).astype(np.float32)
+        normals, source_normals = stretched_columns(face_edges(self.lattice.cage), self._rest_edges)
+        normals -= matrix @ source_normals
+        return (normals.T * (self.lattice.spacing / self.rest.size)).astype(np.float32)
 
 
 def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
@@ -248,15 +280,6 @@ def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
     return matrix, middle - matrix @ centre
 
 
-def _face_crosses(cage) -> np.ndarray:
-    a, b, c = (cage.vertices[cage.faces[:, corner]] for corner in range(3))
-    return np.cross(b - a, c - a)
-
-
-def _face_areas(cage) -> np.ndarray:
-    return 0.5 * np.linalg.norm(_face_crosses(cage), axis=1)
-
-
-def _face_normals(cage) -> np.ndarray:
-    crosses = _face_crosses(cage)
-    return crosses / np.linalg.norm(crosses, axis=1, keepdims=True)
+def _area(cage) -> float:
+    cross = column_cross(*face_edges(cage))
+    return 0.5 * float(np.sqrt(column_dot(cross, cross)).sum())
