@@ -301,6 +301,17 @@ def test_what_stands_behind_is_chosen():
             warpcage.fit(scene, background=kind, progress=False)
 
 
+def test_layers_keep_within_the_memory_given():
+    scene = room_scene(6, 16, masks="split")
+    options = {name: value for name, value in SMALL.items() if name != "progress"} | {"background_side": 512}
+    optimizer = FieldOptimizer(scene, max_memory="64MB", **options)
+    layers = 6 * surface_node_count(optimizer.background.sides[-1]) * 16 * (2 + optimizer.shards)
+    assert optimizer.background.sides[-1] < 512 and layers < 64e6 / 4
+    for name, value in (("background_layers", 1), ("background_detail", 0.0), ("view_share", 2)):
+        with pytest.raises(ValueError, match=name):
+            FieldOptimizer(scene, **{name: value})
+
+
 def test_split_pictures_are_whole_together(tmp_path):
     folder = write_room(tmp_path / "dtu", 9, 24)
     whole, split = (warpcage.load_scene(folder, split="all", masks=masks) for masks in (False, "split"))

@@ -51,21 +51,31 @@ def _is_plain(scene) -> bool:
     return bool(same.mean() >= PLAIN_SHARE)
 
 
+def layers_that_fit(scene, options, shards: int, limit: int) -> tuple[int, int]:
+    """Cells along a layer's edge that the options ask for, or fewer for a quarter of `limit` bytes, and the bytes that
+    the layers and their gradients then take."""
+    side = options.background_side
+    if side is None:
+        focal = float(np.median([camera.fx for camera in scene.cameras]))  # pixels a unit of a face's half side
+        side = int(np.clip(2.0 * focal * options.background_detail, min(16, options.max_background_side),
+                           options.max_background_side))
+    node_bytes = options.background_layers * 16 * (2 + shards)  # vec4: values, moments and gradients
+    side = max(2, min(side, math.isqrt(int(limit / (4 * 6 * node_bytes)))))
+    return side, node_bytes * surface_node_count(side)
+
+
 class BackgroundOptimizer:
     """RMSProp on the layers behind a field, one step beside each of the field's.
 
     scene: Scene of whole pictures, whose every ray the field and the layers explain together; or of split ones, whose
-    surroundings the layers explain alone. bounds: (2, 3) of the field. options: FitOptions. batch_rays: of a batch.
+    surroundings the layers explain alone. bounds: (2, 3) of the field. options: FitOptions. side: cells along a layer's
+    edge in the end. batch_rays: of a batch.
     shards: gradient arrays, one a CPU thread. `prepare`, `accumulate` and `apply` make a step.
     """
 
-    def __init__(self, scene, bounds, options, batch_rays: int, shards: int, device):
+    def __init__(self, scene, bounds, options, side: int, batch_rays: int, shards: int, device):
         self.options, self.device, self.batch_rays, self.shards = options, device, batch_rays, shards
         self.center, self.half = bounds.mean(axis=0), 0.5 * float((bounds[1] - bounds[0]).max())
-        side = options.background_side
-        if side is None:
-            focal = float(np.median([camera.fx for camera in scene.cameras]))  # pixels a unit of a face's half side
-            side = int(np.clip(2.0 * focal * options.background_detail, 16, options.max_background_side))
         self.sides = [max(2, round(side / 2 ** (options.levels - 1 - level))) for level in range(options.levels)]
         self.start = np.empty(4, np.float32)  #: of each node
         self.start[:3] = _mean_colour(scene)

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from .background_files import MAX_LAYERS, MAX_SIDE
 from .fit_memory import memory_size
 
 MAX_LEVELS = 6
@@ -86,10 +87,17 @@ OPTION_RANGES = {
     "keep_weight": (0.0, 1.0, float, False),
     "keep_at": (0.0, 1.0, float, False),
     "supersampling": (1, 2, int, False),
+    "view_share": (0.0, 1.0, float, False),
+    "background_layers": (2, MAX_LAYERS, int, False),
+    "background_side": (2, MAX_SIDE, int, True),
+    "max_background_side": (2, MAX_SIDE, int, False),
+    "variation_background": (0.0, 1e3, float, False),
+    "variation_background_depth": (0.0, 1e3, float, False),
     "beta": (0.0, 1.0 - 1e-6, float, False),
     **{name: (1e-9, 1e9, float, False) for name in ("footprint", "level_growth", "epochs", "rate_density",
                                                     "rate_density_end", "rate_sh", "rate_sh_end",
-                                                    "decay_power")},
+                                                    "decay_power", "background_detail",
+                                                    "rate_background", "rate_background_end")},
 }
 
 

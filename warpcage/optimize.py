@@ -9,7 +9,7 @@ import time
 import numpy as np
 import warp as wp
 
-from .background_fit import BackgroundOptimizer, chosen_background
+from .background_fit import BackgroundOptimizer, chosen_background, layers_that_fit
 from .bounds import Silhouettes, camera_array, keep_seen, scene_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
 from .field import VoxelField, checked_bounds, field_from_mask
@@ -81,6 +81,9 @@ class FieldOptimizer:
             bounds = scene_box(scene)
             if self._silhouettes is not None:
                 bounds = self._silhouettes.bound(bounds)
+        if self.layered:
+            self.background_side, layer_bytes = layers_that_fit(scene, self.options, self.shards, self.memory_limit)
+            self.memory_limit -= layer_bytes
         self._choose_grid(checked_bounds(bounds), coarse_start=self.layered and scene.alphas is None)
         self._upload_images()
         self._start_level(self._first_mask(), None)
@@ -88,7 +91,7 @@ class FieldOptimizer:
         self._activate_tiles()
         self._plan()
         self.background = None if not self.layered else BackgroundOptimizer(
-            scene, self.bounds, self.options, self.batch_rays, self.shards, self.device)
+            scene, self.bounds, self.options, self.background_side, self.batch_rays, self.shards, self.device)
 
     # Set-up
 
