@@ -22,7 +22,7 @@ def oracle_map(kind, rest, deformed, points):
     if kind == "mean_value":
         return oracles.mean_value_weights(points, deformed.vertices, deformed.faces) @ rest.vertices
     if kind == "harmonic":
-        return oracles.harmonic_oracle(deformed.vertices, deformed.faces, rest.vertices, points)
+        return oracles.harmonic_oracle(deformed.vertices, deformed.faces, rest.vertices, points, graded=2)
     from warpcage.coordinates import stretched_normals
 
     phi, psi = oracles.green_weights_in_closed_form(points, deformed.vertices, deformed.faces)

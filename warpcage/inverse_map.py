@@ -30,8 +30,9 @@ class InverseMap:
     """The map of a Deformer, x -> sum_j w_j(x) v_j with coordinates of the deformed cage, and its inverse, in float64.
 
     rest, deformed: usable Cages of the same faces. coordinates: "mean_value", "green" (closed forms) or "harmonic"
-    (boundary elements: each face in 4**cuts elements of constant flux). For references and for what must follow a
-    rendered field exactly; points within an element of the cage are rough for harmonic coordinates.
+    (boundary elements: each face in (2 cuts)**2 elements of constant flux, smaller towards its edges, where fluxes are
+    singular). For references and for what must follow a rendered field exactly; points within an element of the cage
+    are rough for harmonic coordinates.
     Raises ValueError for cages that differ in faces, are not usable, or another name of coordinates.
 
     Source: "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3; see kernels/inverse_map.py.
@@ -53,8 +54,7 @@ class InverseMap:
         if coordinates == "green":
             density = stretched_normals(deformed, rest)
         elif coordinates == "harmonic":
-            for _ in range(cuts):
-                corners, data = _quartered(corners), _quartered(data)
+            corners, data = _cut_towards_edges(corners, cuts), _cut_towards_edges(data, cuts)
             density = self._fluxes(corners, data)
         self._map = ExactMap()
         self._map.corners, self._map.data = self._send2(corners), self._send2(data)
@@ -102,8 +102,17 @@ class InverseMap:
         return wp.array2d(np.ascontiguousarray(rows), dtype=wp.vec3d, device=self.device)
 
 
-def _quartered(corners: np.ndarray) -> np.ndarray:
-    """Triangles (f, 3, k) cut in four at the middles of their edges: (4 f, 3, k)."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    return np.concatenate([np.stack(part, axis=1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+def _cut_towards_edges(corners: np.ndarray, cuts: int) -> np.ndarray:
+    """Triangles (f, 3, k) cut in (2 cuts)**2 each on a grid of barycentric coordinates, narrower towards all edges."""
+    count = 2 * cuts
+    even = np.linspace(0, 1, count + 1)
+    narrowed = np.where(even < 0.5, 2 * even**2, 1 - 2 * (1 - even) ** 2)
+    grid = {}
+    for i in range(count + 1):
+        for j in range(count + 1 - i):
+            place = narrowed[[i, j, count - i - j]]
+            grid[i, j] = place / place.sum()
+    upright = [(grid[i + 1, j], grid[i, j + 1], grid[i, j]) for i in range(count) for j in range(count - i)]
+    turned = [(grid[i + 1, j + 1], grid[i, j + 1], grid[i + 1, j]) for i in range(count - 1)
+              for j in range(count - 1 - i)]
+    return np.einsum("eac,fck->feak", np.array(upright + turned), corners).reshape(-1, 3, corners.shape[2])
