@@ -8,7 +8,8 @@ from the last to the first. An edit may keep its source (a duplicate) or remove 
 
 Two kinds of edit share these functions: LatticeEdit looks the map and the signed distances up on lattices,
 ClosedFormEdit evaluates mean value or Green coordinates and winding numbers at the point itself; tables over lattice
-cells tell it where the answer is the same for a whole cell. A module compiles only the kind that its kernels take. All positions are relative to one origin that the caller keeps to.
+cells tell it where the answer is the same for a whole cell. A module compiles only the kind that its kernels take. All
+positions are relative to one origin that the caller keeps to.
 Siblings: cage_map, containment, green, mean_value.
 """
 
@@ -66,7 +67,7 @@ class CellTable:
 
     lower: wp.vec3  # position of node (0, 0, 0)
     spacing: float
-    flags: wp.array3d(dtype=wp.uint8)  # CELL_INSIDE and CELL_OUTSIDE hold exactly; without either a point must be tested
+    flags: wp.array3d(dtype=wp.uint8)  # CELL_INSIDE and CELL_OUTSIDE hold exactly; without either points are tested
     skip: wp.array3d(dtype=wp.uint8)  # as LatticeEdit.skip
 
 

@@ -1,9 +1,13 @@
 """Ray casting of a deformed mesh that carries its colour and light along: what a captured field shows when it is posed.
 
-Where a ray meets the posed mesh, the same place of the mesh at rest is shaded as mesh_raycast does it, with the texture,
-the normal, the shadows and the light that it has there; the view direction is taken to rest space by a matrix given at
-each vertex ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4, if that is the Jacobian of the map from posed to
-rest space). With the mesh at rest in both places and unit matrices it is the picture of the mesh at rest.
+Where a ray meets the posed mesh, the same place of the mesh at rest is shaded as mesh_raycast does it, with the
+texture, the normal, the shadows and the light that it has there; the view direction is taken to rest space by a matrix
+given at each vertex ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4, if that is the Jacobian of
+the map from posed to rest space). With the mesh at rest in both places and unit matrices it is the picture of the mesh
+at rest.
+
+For comparison the posed mesh can be lit where it is instead, by lights fixed to the world: then only its texture comes
+from rest.
 
 The texture is solid: Perlin noise of the place at rest, in two octaves, over the colours of the faces.
 Positions relative to any one origin for each of the two meshes; depths in the posed mesh's unit.
@@ -52,6 +56,7 @@ def cast_carried_rays(
     view_matrices: wp.array(dtype=wp.mat33),
     texture: SolidTexture,
     lighting: MeshLighting,
+    light_stays: int,
     camera: PinholeCamera,
     side_samples: int,
     rgba: wp.array(dtype=wp.vec4),
@@ -59,8 +64,8 @@ def cast_carried_rays(
 ):
     """One pixel an item, as mesh_raycast.cast_mesh_rays; both meshes have the same faces.
 
-    view_matrices (v,): posed to rest directions. depth (height * width,): mean distance over the samples that hit, inf
-    where not all do.
+    light_stays: 1 lights the posed mesh by lights fixed to the world. view_matrices (v,): posed to rest directions.
+    depth (height * width,): mean distance over the samples that hit, inf where not all do.
     """
     item = first + wp.tid()
     column = item % camera.width
@@ -78,10 +83,16 @@ def cast_carried_rays(
             place = wp.mesh_eval_position(rest, face, query.u, query.v)
             view = wp.normalize(vertex_mean(view_matrices, rest, face, query.u, query.v) * direction)
             normal = wp.mesh_eval_face_normal(rest, face)
+            base = texture_factor(texture, place) * face_colours[face]
+            lit = rest
+            if light_stays == 1:
+                lit = posed
+                place = camera.centre + query.t * direction
+                view = direction
+                normal = wp.normalize(query.normal)
             if wp.dot(normal, view) > 0.0:
                 normal = -normal
-            base = texture_factor(texture, place) * face_colours[face]
-            colour += shaded_colour(rest, lighting, base, place, normal, view)
+            colour += shaded_colour(lit, lighting, base, place, normal, view)
             distance += query.t
             hits += 1.0
     count = float(side_samples * side_samples)

@@ -5,7 +5,7 @@ deformed_points and deformed_render on ClosedFormEdit; a module of its own, so t
 
 Positions are exact everywhere. Lattices help only to do without work whose result is known: which cells are certainly
 inside or outside a cage, and which certainly show nothing.
-Siblings: cage_edits, cage_map, deformed_march, deformed_points, deformed_render, grid, rays.
+Siblings: cage_edits, cage_map, deformed_march, deformed_points, deformed_render, edit_cells, grid, rays.
 """
 
 import warp as wp
@@ -21,8 +21,9 @@ from .cage_edits import (
 )
 from .cage_map import CageMap, cell_sides
 from .deformed_march import MarchOptions, march_deformed
-from .deformed_points import canonical_ray, jacobian_spread, largest_stretch, mat83, mean_jacobian
+from .deformed_points import canonical_ray
 from .deformed_render import Picture, fill_pixel
+from .edit_cells import jacobian_spread, largest_stretch, mat83, mean_jacobian
 from .grid import VoxelGrid
 from .rays import PinholeCamera, pixel_direction, tile_pixel
 

@@ -5,11 +5,11 @@ the rest cage is seen at the x that is mapped to p. Newton's iteration finds it.
 and applied to the deformed one give another map, good as a first guess only.
 
 Mean value coordinates as in mean_value (Floater, Kos and Reimers 2005; Ju, Schaefer and Warren 2005); Green coordinates
-(Lipman, Levin and Cohen-Or 2008) and harmonic ones as layer potentials: u(x) = sum over triangles of the double layer of
-linear data plus the single layer of a constant density. For Green coordinates the triangles are the cage's faces and
+(Lipman, Levin and Cohen-Or 2008) and harmonic ones as layer potentials: u(x) = sum over triangles of the double layer
+of linear data plus the single layer of a constant density. For Green coordinates the triangles are the cage's faces and
 the densities the stretched normals; for harmonic ones they are pieces of the faces, and the densities the fluxes that
-boundary elements give (collocation at centroids). With a, b, c the corners seen from x, m_e the outward normal of edge e
-in the plane, d_e the distance of the foot point behind it, L_e = log((r + s + l) / (r + s - l)), h the signed height
+boundary elements give (collocation at centroids). With a, b, c the corners seen from x, m_e the outward normal of edge
+e in the plane, d_e the distance of the foot point behind it, L_e = log((r + s + l) / (r + s - l)), h the signed height
 and Omega the signed solid angle: psi = (sum_e d_e L_e - h Omega) / 4 pi,
 phi_i = (lambda_i Omega - h grad(lambda_i) . sum_e m_e L_e) / 4 pi.
 

@@ -18,7 +18,7 @@ from .harmonic_rows import DOUBLE_CUT, CutRows, crossing_value
 from .map_extension import is_steady, node_step
 from .node_levels import REGULAR, NodeLevels, node_place
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 2})
 
 #: Least distance, in cells, between two crossings that a value beyond the second is continued from.
 SHORTEST_CHORD = wp.constant(0.1)

@@ -11,9 +11,10 @@ from .cage import SURFACE_TOLERANCE, Cage
 from .devices import launch
 from .kernels.cage_edits import CellTable, ClosedFormEdit, LatticeEdit
 from .kernels.cage_map import CageMap
-from .kernels.deformed_points import map_points, mark_edit_cases
-from .kernels.deformed_render import mark_edit_cells, render_edits
+from .kernels.deformed_points import map_points
+from .kernels.deformed_render import render_edits
 from .kernels.deformed_single import SingleEdit, join_cell_tables, render_edit
+from .kernels.edit_cells import mark_edit_cases, mark_edit_cells
 from .kernels.grid_skip import spread_distance
 from .lattice import CageLattice
 

@@ -41,12 +41,17 @@ class CarriedMesh:
         self._lighting = mesh_lighting(float(np.ptp(self.vertices, axis=0).max()))
         self._rest = self._mesh(self.vertices, self.vertices.mean(axis=0))
 
-    def render(self, camera, *, posed=None, view_matrices=None, samples: int = 3) -> tuple[np.ndarray, np.ndarray]:
-        """RGBA (h, w, 4) float32, straight alpha, and depth (h, w), inf where the pixel is not covered whole.
+    def render(self, cameras, *, posed=None, view_matrices=None, light_stays: bool = False,
+               samples: int = 3) -> tuple[np.ndarray, np.ndarray]:
+        """RGBA (n, h, w, 4) float32, straight alpha, and depth (n, h, w), inf where the pixel is not covered whole.
+
+        cameras: n cameras of one image size.
 
         posed: (v, 3) where the vertices are, world units; None is at rest. view_matrices: (v, 3, 3) that take
         directions from posed to rest space at each vertex, of any scale; None leaves directions as they are.
-        samples x samples rays a pixel. Raises ValueError for shapes that do not fit.
+        light_stays: light the posed mesh by lights fixed to the world instead, as no captured field can.
+        samples x samples rays a pixel. Raises ValueError for shapes that do not fit, no camera, or cameras of
+        several sizes.
         """
         count = len(self.vertices)
         posed = self.vertices if posed is None else np.asarray(posed, np.float64)
@@ -56,17 +61,22 @@ class CarriedMesh:
                              f"{matrices.shape}")
         if samples < 1:
             raise ValueError(f"samples must be at least 1, got {samples}")
+        if len({(camera.width, camera.height) for camera in cameras}) != 1:
+            raise ValueError("render needs one camera or more, all of one image size")
         origin = posed.mean(axis=0)
         mesh = self._mesh(posed, origin)
         matrices = wp.array(np.ascontiguousarray(matrices, np.float32), dtype=wp.mat33, device=self.device)
-        pixels = camera.width * camera.height
-        rgba = wp.empty(pixels, dtype=wp.vec4, device=self.device)
-        depth = wp.empty(pixels, dtype=wp.float32, device=self.device)
-        inputs = [mesh.id, self._rest.id, self._colours, matrices, self._texture, self._lighting,
-                  camera_struct(camera, origin), samples]
-        launch(cast_carried_rays, pixels, inputs, [rgba, depth], device=self.device)
-        shape = camera.height, camera.width
-        return rgba.numpy().reshape(*shape, 4), depth.numpy().reshape(shape)
+        shape = cameras[0].height, cameras[0].width
+        rgba = wp.empty(shape[0] * shape[1], dtype=wp.vec4, device=self.device)
+        depth = wp.empty(shape[0] * shape[1], dtype=wp.float32, device=self.device)
+        colours = np.empty((len(cameras), *shape, 4), np.float32)
+        distances = np.empty((len(cameras), *shape), np.float32)
+        for view, camera in enumerate(cameras):
+            inputs = [mesh.id, self._rest.id, self._colours, matrices, self._texture, self._lighting, int(light_stays),
+                      camera_struct(camera, origin), samples]
+            launch(cast_carried_rays, len(rgba), inputs, [rgba, depth], device=self.device)
+            colours[view], distances[view] = rgba.numpy().reshape(*shape, 4), depth.numpy().reshape(shape)
+        return colours, distances
 
     def _mesh(self, vertices: np.ndarray, origin: np.ndarray) -> wp.Mesh:
         points = wp.array((vertices - origin).astype(np.float32), dtype=wp.vec3, device=self.device)

@@ -1,4 +1,4 @@
-"""Models that the project makes itself, beside the bricks of synthetic: an animal (organic) and a chair (thin parts)."""
+"""Models that the project makes itself beside its bricks: an animal (organic) and a chair (thin parts)."""
 
 from __future__ import annotations
 
