@@ -24,7 +24,7 @@ import numpy as np
 import shortcuts
 import warp as wp
 from results import write_jpeg, write_results
-from truth_scenes import SCENES, TRUTHS, TruthScene, pose_cages
+from truth_scenes import SCENES, TRUTHS, TruthScene, View, pose_cages
 
 import warpcage
 from warpcage.evaluation import ssim
@@ -53,9 +53,10 @@ def main() -> None:
         rows += measured
         figures += [picture for pose, picture in pictures.items() if pose in args.shown]
         print(f"{name}: {time.perf_counter() - begin:.1f} s", flush=True)
-    if args.json:
-        write_results(args.json, device, size=args.size, train_views=args.train_views, test_views=args.test_views,
-                      samples=args.samples**2, quality=args.quality, cuts=args.cuts, scenes=scenes, rows=rows)
+        if args.json:  # after each scene: what was measured is kept
+            write_results(args.json, device, size=args.size, train_views=args.train_views, test_views=args.test_views,
+                          samples=args.samples**2, quality=args.quality, cuts=args.cuts, middle=args.middle,
+                          scenes=scenes, rows=rows)
     if args.figures:
         sheet = contact_sheet([cell for row in figures for cell in row], columns=4)
         write_jpeg(pathlib.Path(args.figures) / "ground_truth.jpg", sheet, quality=85)
@@ -69,6 +70,7 @@ def parse_arguments():
     parser.add_argument("--kinds", nargs="*", default=list(KINDS))
     parser.add_argument("--resolution", type=int, nargs="*", default=[64, 128, 256])
     parser.add_argument("--middle", type=int, default=128, help="resolution of the extra rows")
+    parser.add_argument("--extra", nargs="*", default=["twist", "bend"], help="poses of the march and nearest-voxel rows")
     parser.add_argument("--size", type=int, default=400, help="pixels a side")
     parser.add_argument("--train-views", type=int, default=120)
     parser.add_argument("--test-views", type=int, default=6)
@@ -111,11 +113,11 @@ def measure_scene(scene, field, ceiling: float, args):
                 report(frames, resolution=resolution, **facts)
                 if kind == "harmonic" and resolution == args.middle:
                     pictures[pose] = picture_line(scene, views[0], frames[0])
-                    report_more(deformer, posed, views, truths, frames, report, args)
+                    report_more(deformer, posed, views, truths, frames, report, args, pose in args.extra)
     return rows, pictures
 
 
-def report_more(deformer, posed, views, truths, frames, report, args) -> None:
+def report_more(deformer, posed, views, truths, frames, report, args, slow: bool) -> None:
     """The rows of one harmonic pose beside the plain ones."""
     middle = {"resolution": args.middle}
     for truth in TRUTHS[1:]:
@@ -124,14 +126,16 @@ def report_more(deformer, posed, views, truths, frames, report, args) -> None:
     paper = warpcage.Deformer(deformer.field, deformer.edits[0].cage, coordinates="harmonic", resolution=args.middle,
                               density="paper").pose(posed)
     report([paper.render(view.camera) for view in views], "density paper", **middle)
-    for plain in (False, True):
-        marched = [shortcuts.march(deformer, view.camera, plain_directions=plain) for view in views[:2]]
-        report(marched, "march, plain directions" if plain else "march", views[:2], **middle)
+    for plain in (False, True) if slow else ():
+        marched = [shortcuts.march(deformer, view.camera, plain_directions=plain, stride=2) for view in views[:2]]
+        thinned = [View(view.camera, view.image[::2, ::2], view.depth[::2, ::2]) for view in views[:2]]
+        report(marched, "march, plain directions" if plain else "march", thinned, **middle)
     for threshold in (0.5, 0.999):
         shortcuts.use_weight_sums(deformer.pose(posed), threshold)
         report([deformer.render(view.camera) for view in views], f"weight sum {threshold}", **middle)
-    unknowns = shortcuts.use_nearest_voxels(deformer.pose(posed), posed)
-    report([deformer.render(view.camera) for view in views], "nearest voxel", **middle, unknowns=unknowns)
+    if slow:
+        unknowns = shortcuts.use_nearest_voxels(deformer.pose(posed), posed)
+        report([deformer.render(view.camera) for view in views], "nearest voxel", **middle, unknowns=unknowns)
 
 
 def measure(frames, views, size: float) -> dict:

@@ -95,22 +95,22 @@ def _remark(deformer, edit) -> None:
     edits.scene, edits._marked_step = None, 0.0
 
 
-def march(deformer, camera, *, plain_directions: bool, chunk: int = 4_000_000) -> np.ndarray:
+def march(deformer, camera, *, plain_directions: bool, stride: int = 1, chunk: int = 4_000_000) -> np.ndarray:
     """A frame of a posed deformer on white, (h, w, 3), composited from Deformer.to_canonical and VoxelField.sample.
 
-    Samples one march step of the field apart, opacity by canonical arc length, as the deformer's own frames have it.
+    stride: only every so many pixels along either side. Samples one march step of the field apart, opacity by canonical arc
+    length, as the deformer's own frames have it.
     """
     frame = deformer.render(camera, background="white")
     field, step = deformer.field, deformer.field.step
-    seen = np.flatnonzero(frame.alpha.ravel() > 1e-4)
-    centres, directions = (np.asarray(part, np.float64).reshape(-1, 3) for part in camera.rays())
-    centres = np.broadcast_to(centres, directions.shape)[seen]
-    directions = directions[seen]
+    alpha = frame.alpha[::stride, ::stride]
+    seen = np.flatnonzero(alpha.ravel() > 1e-4)
+    centres, directions = (part[::stride, ::stride].reshape(-1, 3)[seen] for part in camera.rays())
     corners = np.concatenate([field.bounds, deformer.deformed[0].bounds])
     distance = np.linalg.norm(corners.mean(axis=0) - camera.centre)
     reach = 0.5 * np.linalg.norm(np.ptp(corners, axis=0))
     t = np.arange(max(distance - reach, step), distance + reach, step)
-    image = np.ones((camera.height * camera.width, 3))
+    image = np.ones((alpha.size, 3))
     rays = max(1, chunk // len(t))
     for first in range(0, len(seen), rays):
         part = slice(first, first + rays)
@@ -127,4 +127,4 @@ def march(deformer, camera, *, plain_directions: bool, chunk: int = 4_000_000) -
         light = np.exp(-np.concatenate([np.zeros((len(depth), 1)), depth], axis=1))
         weight = light[:, :-1] - light[:, 1:]
         image[seen[part]] = (weight[..., None] * rgb.reshape(*x.shape[:2], 3)).sum(axis=1) + light[:, -1:]
-    return image.reshape(camera.height, camera.width, 3)
+    return image.reshape(*alpha.shape, 3)
