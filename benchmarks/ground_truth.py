@@ -70,7 +70,7 @@ def parse_arguments():
     parser.add_argument("--kinds", nargs="*", default=list(KINDS))
     parser.add_argument("--resolution", type=int, nargs="*", default=[64, 128, 256])
     parser.add_argument("--middle", type=int, default=128, help="resolution of the extra rows")
-    parser.add_argument("--extra", nargs="*", default=["twist", "bend"], help="poses of the march and nearest-voxel rows")
+    parser.add_argument("--extra", nargs="*", default=["twist", "bend"], help="poses of march and nearest-voxel rows")
     parser.add_argument("--size", type=int, default=400, help="pixels a side")
     parser.add_argument("--train-views", type=int, default=120)
     parser.add_argument("--test-views", type=int, default=6)

@@ -98,8 +98,8 @@ def _remark(deformer, edit) -> None:
 def march(deformer, camera, *, plain_directions: bool, stride: int = 1, chunk: int = 4_000_000) -> np.ndarray:
     """A frame of a posed deformer on white, (h, w, 3), composited from Deformer.to_canonical and VoxelField.sample.
 
-    stride: only every so many pixels along either side. Samples one march step of the field apart, opacity by canonical arc
-    length, as the deformer's own frames have it.
+    stride: only every so many pixels along either side. Samples one march step of the field apart, opacity by canonical
+    arc length, as the deformer's own frames have it.
     """
     frame = deformer.render(camera, background="white")
     field, step = deformer.field, deformer.field.step
