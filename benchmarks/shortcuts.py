@@ -3,7 +3,8 @@
 nearest_voxel: harmonic boundary values are put at the lattice nodes nearest to the cage's surface instead of at the
 crossings of grid edges with it, and Laplace's equation is solved for the rest.
 weight_sum: weights are zero at nodes outside the cage, and a sample counts as inside where the interpolated sum of
-weights exceeds a threshold; the sum is not divided out. No distance to the cage is known.
+weights exceeds a threshold (0.98 in the authors' published code); the sum is not divided out. No distance to the cage
+is known.
 plain_directions: the field is asked for its colour along the direction of the ray in posed space.
 """
 
@@ -32,13 +33,13 @@ def use_nearest_voxels(deformer, posed, tolerance: float = 1e-5) -> int:
     unknown = distance.ravel() < 0
     unknown[fixed] = False
     number = np.full(unknown.size, -1)
-    number[unknown] = np.arange(unknown.sum())
+    number[unknown] = np.arange(unknown.sum())  # rows of the unknowns
     rows, columns, right = [], [], np.zeros((unknown.sum(), 3))
     nodes = np.flatnonzero(unknown)
     for stride in (distance.shape[1] * distance.shape[2], distance.shape[2], 1):
         for neighbour in (nodes - stride, nodes + stride):
             known = ~unknown[neighbour]
-            np.add.at(right, np.flatnonzero(known), flat[neighbour[known]])
+            right[known] += flat[neighbour[known]]
             rows.append(np.flatnonzero(~known))
             columns.append(number[neighbour[~known]])
     diagonal = np.arange(len(nodes))

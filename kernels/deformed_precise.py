@@ -27,7 +27,8 @@ from .edit_cells import jacobian_spread, largest_stretch, mat83, mean_jacobian
 from .grid import VoxelGrid
 from .rays import PinholeCamera, pixel_direction, tile_pixel
 
-wp.set_module_options({"enable_backward": False})
+# small blocks: rays of one end at very different times
+wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 #: Half the diagonal of a cell: no point in it is farther from the nearest corner.
 HALF_DIAGONAL = wp.constant(0.8661)

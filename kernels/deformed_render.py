@@ -13,7 +13,8 @@ from .grid import VoxelGrid
 from .rays import PinholeCamera, pixel_direction, tile_pixel
 from .volume_render import DEPTH_MIN_ALPHA
 
-wp.set_module_options({"enable_backward": False})
+# small blocks: rays of one end at very different times
+wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 
 @wp.func

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import numpy as np
 import warp as wp
 
 from .cage import SURFACE_TOLERANCE, Cage
-from .devices import launch
+from .devices import launch, load_modules
 from .kernels.cage_edits import CellTable, ClosedFormEdit, LatticeEdit
 from .kernels.cage_map import CageMap
 from .kernels.deformed_points import map_points
@@ -66,17 +67,19 @@ def checked_edits(rest) -> list[CageEdit]:
 class LatticeEdits:
     """Edits whose maps and signed distances are looked up on lattices of `resolution` cells, and the cells to skip.
 
-    origin: (3,) world point that device positions are relative to.
+    origin: (3,) world point that device positions are relative to. renders: whether frames will be asked for.
     """
 
     map_kernel = map_points
 
     def __init__(self, edits: list[CageEdit], coordinates: str, resolution: int, origin, device,
-                 store: str = "map"):
+                 store: str = "map", *, renders: bool = True):
         from .position_map import PositionMap
 
         self.device = device
         self._edits = edits
+        self.render_kernel = render_edit if len(edits) == 1 else render_edits
+        load_modules(_modules(coordinates, self.render_kernel if renders else None), device)
         self._rests = [CageLattice(edit.cage, resolution, origin=origin, device=device) for edit in edits]
         self._maps = [
             None if edit.remove
@@ -90,7 +93,6 @@ class LatticeEdits:
         self.array: wp.array | None = None  #: (edit_count,) LatticeEdit
         self.scene = None  #: what the render kernel takes, once prepared: the one edit, or the array of all
         self._marked_step = 0.0
-        self.render_kernel = render_edit if len(edits) == 1 else render_edits
 
     def pose(self, cages: list[Cage | None]) -> None:
         """Compute the maps from the deformed cages (None where the edit removes)."""
@@ -184,7 +186,7 @@ class ClosedFormEdits:
         self._settle_cells = settle_deformed_cells
         self.device = device
         self._edits, self._origin, self._is_green = edits, origin, coordinates == "green"
-        self._guide = LatticeEdits(edits, coordinates, GUIDE_RESOLUTION, origin, device)
+        self._guide = LatticeEdits(edits, coordinates, GUIDE_RESOLUTION, origin, device, renders=False)
         self._rest_cells = []
         for edit, rest in zip(edits, self._guide.rest_maps(), strict=True):
             table = _cell_table(rest, device)
@@ -246,6 +248,27 @@ def _cell_table(cage_map: CageMap, device) -> CellTable:
     shape = tuple(side - 1 for side in cage_map.distance.shape)
     table.flags = wp.empty(shape, dtype=wp.uint8, device=device)
     return table
+
+
+def _modules(coordinates: str, render_kernel) -> list:
+    """Modules of the kernels that posing edits launches, and of that of their frames."""
+    from .kernels import (
+        closed_form_map,
+        crossings,
+        distance_band,
+        edit_cells,
+        grid_skip,
+        harmonic,
+        harmonic_coarse,
+        harmonic_rows,
+        map_extension,
+        map_sides,
+        node_levels,
+    )
+
+    solver = [harmonic, harmonic_coarse, harmonic_rows, map_sides] if coordinates == "harmonic" else [closed_form_map]
+    names = [] if render_kernel is None else [sys.modules[render_kernel.module.name]]
+    return [crossings, distance_band, node_levels, map_extension, edit_cells, grid_skip, *solver, *names]
 
 
 def _distance_map(lattice: CageLattice) -> CageMap:

@@ -10,9 +10,18 @@ import numpy as np
 import warp as wp
 
 from .bounds import Silhouettes, camera_array, scene_box
-from .devices import CPU_THREADS, launch, resolve_device, run_parallel
+from .devices import CPU_THREADS, launch, load_modules, module_block_dim, resolve_device, run_parallel
 from .field import VoxelField, field_from_mask
-from .kernels import field_loss, field_loss_warps, field_step, field_variation, grid_refine
+from .kernels import (
+    active_tiles,
+    field_loss,
+    field_loss_warps,
+    field_step,
+    field_variation,
+    grid_refine,
+    grid_skip,
+    visual_hull,
+)
 from .kernels.spherical_harmonics import vec9
 from .kernels.volume_render import record_weights
 from .scene import Scene
@@ -20,9 +29,8 @@ from .scene import Scene
 #: A training march ends where less than this share of the light is left, as a render does.
 STOP_TRANSMITTANCE = 1e-3
 
-#: Threads a ray, and a block, of the photometric gradient on CUDA.
+#: Threads a ray of the photometric gradient on CUDA.
 WARP_LANES = 32
-BLOCK_DIM = 128
 
 #: Numbers of a gradient's row: 27 coefficients, red first, then the density.
 ROW_NUMBERS = 28
@@ -94,6 +102,9 @@ class FieldOptimizer:
         self.level = 0
         self.shards = min(CPU_THREADS, MAX_SHARDS) if self.device.is_cpu else 1
 
+        gradients = field_loss if self.device.is_cpu else field_loss_warps
+        load_modules([visual_hull, grid_refine, grid_skip, active_tiles, gradients, field_variation, field_step],
+                     self.device)
         self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
             bounds = scene_box(scene)
@@ -193,7 +204,7 @@ class FieldOptimizer:
     def _activate_tiles(self) -> None:
         active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
         inputs = [self.field.grid, self.rays.cameras, self.rays.tile_size, 2.0 * self.field.step]
-        launch(field_loss.mark_active_tiles, self.tile_total, inputs, [active], device=self.device)
+        launch(active_tiles.mark_active_tiles, self.tile_total, inputs, [active], device=self.device)
         self.tile_ids = np.flatnonzero(active.numpy()).astype(np.int32)
         if len(self.tile_ids) == 0:
             raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
@@ -220,7 +231,8 @@ class FieldOptimizer:
         wp.load_module(record_weights.module, device=self.device)
         run_parallel([
             lambda begin=begin, end=end, weights=weights: wp.launch(
-                record_weights, dim=end - begin, inputs=[begin, *inputs], outputs=[weights], device=self.device)
+                record_weights, dim=end - begin, inputs=[begin, *inputs], outputs=[weights], device=self.device,
+                block_dim=module_block_dim(record_weights))
             for begin, end, weights in zip(edges, edges[1:], shards, strict=False)
         ], self.shards)
         for other in shards[1:]:
@@ -308,8 +320,7 @@ class FieldOptimizer:
         if not self.device.is_cpu:
             launch(field_loss_warps.accumulate_photometric_gradient_by_warps, WARP_LANES * self.batch_rays,
                    [field.grid, coefficients, *photometric],
-                   [self.gradients[0], self.touched, self.squared_error],
-                   device=self.device, block_dim=BLOCK_DIM)
+                   [self.gradients[0], self.touched, self.squared_error], device=self.device)
         vary = options.variation_density > 0 or options.variation_sh > 0
         variation = [field.grid, coefficients, self.nodes, first_row, unit, options.variation_density * boost,
                      options.variation_sh * boost]
