@@ -80,7 +80,7 @@ the one with the closed form evaluated at every sample ("precise"); harmonic coo
 {results['harmonic_reference']}³. The paper's figures are of one A100, those of the authors' code of one H200 (lattice,
 and render with the lattice ready).
 """, table(["coordinates", "lattice", "warpcage, s", "paper, s (A100)", "authors' code, s (H200)", "PSNR, dB"], rows),
-            source(results), """![Rows: mean value, harmonic, green; columns: 64, 128, 256, precise](pictures/table1.jpg)
+            source(results), """![Rows: coordinates; columns: 64, 128, 256, precise](pictures/table1.jpg)
 
 The paper's Fig. 8: rows are mean value, harmonic and green coordinates; columns 64³, 128³, 256³ and precise (harmonic:
 512³). Made by the command above with `--figure`.
@@ -139,8 +139,8 @@ cast pictures of the posed model. What the posed model is:
 
 - **Where it is.** A deformed field shows at x what the field holds at phi(x), phi made of coordinates of the *deformed*
   cage. So each vertex p of the model goes where phi(x) = p: Newton's iteration in float64 finds it, from closed forms
-  (mean value, green) or boundary elements (harmonic). The usual way with meshes, coordinates of the rest cage applied to
-  the deformed one, is another map.
+  (mean value, green) or boundary elements (harmonic). The usual way with meshes, coordinates of the rest cage applied
+  to the deformed one, is another map.
 - **How it is lit.** A field holds the light that fell on the object when it was captured. So the truth carries colour,
   shadows and highlights along with the matter; highlights are seen along J d, J the Jacobian of phi: the limit of the
   paper's Eq. 4. Two other truths stand further below.
