@@ -37,7 +37,7 @@ def main() -> None:
     args = parse_arguments()
     wp.config.quiet = True
     device = warpcage.devices.resolve_device(args.device)
-    scenes, rows, figures = [], [], []
+    scenes, rows = [], []
     for name in args.scenes:
         begin = time.perf_counter()
         scene = TruthScene(name, size=args.size, train_views=args.train_views, test_views=args.test_views,
@@ -51,15 +51,15 @@ def main() -> None:
         scenes.append(facts)
         measured, pictures = measure_scene(scene, field, ceiling["psnr"], args)
         rows += measured
-        figures += [picture for pose, picture in pictures.items() if pose in args.shown]
+        if args.figures:
+            lines = [line for pose, line in pictures.items() if pose in args.shown]
+            sheet = contact_sheet([cell for line in lines for cell in line], columns=4)
+            write_jpeg(pathlib.Path(args.figures) / f"ground_truth_{name}.jpg", sheet, quality=85)
         print(f"{name}: {time.perf_counter() - begin:.1f} s", flush=True)
         if args.json:  # after each scene: what was measured is kept
             write_results(args.json, device, size=args.size, train_views=args.train_views, test_views=args.test_views,
                           samples=args.samples**2, quality=args.quality, cuts=args.cuts, middle=args.middle,
                           scenes=scenes, rows=rows)
-    if args.figures:
-        sheet = contact_sheet([cell for row in figures for cell in row], columns=4)
-        write_jpeg(pathlib.Path(args.figures) / "ground_truth.jpg", sheet, quality=85)
 
 
 def parse_arguments():
@@ -80,7 +80,7 @@ def parse_arguments():
     parser.add_argument("--quality", default="standard", help="of the fits")
     parser.add_argument("--shown", nargs="*", default=["twist", "bend"], help="poses in the figure")
     parser.add_argument("--json")
-    parser.add_argument("--figures", help="folder for ground_truth.jpg: at rest, truth, deformed field, error x 5")
+    parser.add_argument("--figures", help="folder for pictures: at rest, truth, deformed field, error x 5")
     parser.add_argument("--quick", action="store_true", help="small, on the CPU")
     args = parser.parse_args()
     if args.quick:

@@ -7,6 +7,7 @@ import json
 import os
 import pathlib
 import platform
+import shlex
 import sys
 
 import numpy as np
@@ -40,7 +41,8 @@ def _processor() -> str:
 def command_line() -> str:
     """How this script was called, from the project's folder; folders of the machine left out."""
     words = [f"python benchmarks/{pathlib.Path(sys.argv[0]).name}"]
-    return " ".join(words + [os.path.basename(word) if os.path.isabs(word) else word for word in sys.argv[1:]])
+    given = [os.path.basename(word) if os.path.isabs(word) else word for word in sys.argv[1:]]
+    return " ".join(words + [shlex.quote(word) for word in given])
 
 
 def write_results(path, device, **content) -> None:

@@ -56,7 +56,7 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
         "prepare_quick": [out],
         "coordinates": ["--device", "cpu", "--resolution", 16, 24, "--runs", 1, "--points", 20000,
                         "--json", out / "coordinates.json"],
-        "convergence": ["--device", "cpu", "--resolution", 12, 16, 24, "--points", 30, "--cuts", 2, 4,
+        "convergence": ["--device", "cpu", "--resolution", 12, 16, "--points", 30, "--cuts", 2, 3,
                         "--json", out / "convergence.json"],
         "fit_curve": ["--data", scene, "--device", "cpu", "--points", 1, "--option", "epochs=1.0", "resolution=48",
                       "--json", out / "fit_curve.json"],
