@@ -7,8 +7,9 @@ Several edits resolve in order: each acts on the scene that the ones before it l
 from the last to the first. An edit may keep its source (a duplicate) or remove it (nothing is drawn in its place).
 
 Two kinds of edit share these functions: LatticeEdit looks the map and the signed distances up on lattices,
-ClosedFormEdit evaluates mean value or Green coordinates and winding numbers at the point itself. A module compiles only
-the kind that its kernels take. All positions are relative to one origin that the caller keeps to.
+ClosedFormEdit evaluates mean value or Green coordinates and winding numbers at the point itself; tables over lattice
+cells tell it where the answer is the same for a whole cell. A module compiles only the kind that its kernels take. All
+positions are relative to one origin that the caller keeps to.
 Siblings: cage_map, containment, green, mean_value.
 """
 
@@ -61,15 +62,23 @@ class LatticeEdit:
 
 
 @wp.struct
+class CellTable:
+    """CELL_... flags of the cells of a lattice over a cage, and how far beyond there is anything to see."""
+
+    lower: wp.vec3  # position of node (0, 0, 0)
+    spacing: float
+    flags: wp.array3d(dtype=wp.uint8)  # CELL_INSIDE and CELL_OUTSIDE hold exactly; without either points are tested
+    skip: wp.array3d(dtype=wp.uint8)  # as LatticeEdit.skip
+
+
+@wp.struct
 class ClosedFormEdit:
     deformed_vertices: wp.array(dtype=wp.vec3)
     rest_vertices: wp.array(dtype=wp.vec3)
     rest_normals: wp.array(dtype=wp.vec3)  # (f,) stretched, for Green coordinates
     faces: wp.array(dtype=wp.vec3i)
-    lower: wp.vec3  # box around the deformed cage
-    upper: wp.vec3
-    rest_lower: wp.vec3  # box around the rest cage
-    rest_upper: wp.vec3
+    deformed_cells: CellTable
+    rest_cells: CellTable  # its `skip` is not used
     size: float  # longest side of the deformed cage
     is_green: int  # 1: Green, 0: mean value
     tolerance: float
@@ -175,12 +184,18 @@ def in_rest_cage(edit: LatticeEdit, x: wp.vec3, slack: float):
 
 
 @wp.func
-def in_box(x: wp.vec3, lower: wp.vec3, upper: wp.vec3):
-    """Whether a point lies in a box."""
-    return (
-        x[0] >= lower[0] and x[1] >= lower[1] and x[2] >= lower[2]
-        and x[0] <= upper[0] and x[1] <= upper[1] and x[2] <= upper[2]
-    )
+def table_flags(table: CellTable, x: wp.vec3):
+    """Flags of the cell of a point; CELL_OUTSIDE beside the lattice."""
+    g = (x - table.lower) / table.spacing
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    if (
+        i >= 0 and j >= 0 and k >= 0
+        and i < table.flags.shape[0] and j < table.flags.shape[1] and k < table.flags.shape[2]
+    ):
+        return int(table.flags[i, j, k])
+    return CELL_OUTSIDE
 
 
 @wp.func(inline=False)  # closed forms are long, and slow enough that a call does not matter
@@ -194,8 +209,9 @@ def in_cage(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype
 @wp.func
 def in_rest_cage(edit: ClosedFormEdit, x: wp.vec3, slack: float):  # noqa: F811
     """Whether a point lies in the rest cage of an edit, or within `slack` of it."""
-    if not in_box(x, edit.rest_lower, edit.rest_upper):
-        return False
+    flags = table_flags(edit.rest_cells, x)
+    if (flags & (CELL_INSIDE | CELL_OUTSIDE)) != 0:
+        return (flags & CELL_INSIDE) != 0
     return in_cage(x, edit.rest_vertices, edit.faces, slack)
 
 
@@ -214,11 +230,17 @@ def edit_point(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
     """Whether a point is in the deformed cage of an edit, and where the map leads; nothing is where an edit removes."""
     result = EditPoint()
     result.position = x
-    if edit.removes == 0 and in_box(x, edit.lower, edit.upper):
-        if in_cage(x, edit.deformed_vertices, edit.faces, edit.tolerance):
-            result.mapped = 1
-            result.flags = CELL_STEEP  # for all that is known of it
-            result.position = edit_position(edit, x)
+    if edit.removes == 1:
+        return result
+    flags = table_flags(edit.deformed_cells, x)
+    inside = (flags & CELL_INSIDE) != 0
+    if (flags & (CELL_INSIDE | CELL_OUTSIDE)) == 0:
+        inside = in_cage(x, edit.deformed_vertices, edit.faces, edit.tolerance)
+    if inside:
+        result.mapped = 1
+        result.flags = flags
+        result.position = edit_position(edit, x)
+        if (flags & CELL_STAYS) == 0:
             result.leaves = wp.where(in_rest_cage(edit, result.position, edit.slack), 0, 1)
     return result
 
@@ -339,9 +361,11 @@ def is_folded(edits: Any, x: wp.vec3, point: CanonicalPoint):
 
 @wp.func
 def is_folded(edits: wp.array(dtype=ClosedFormEdit), x: wp.vec3, point: CanonicalPoint):  # noqa: F811
-    """The same without lattices."""
+    """The same without lattices, whose cells only say where that is possible."""
     position = x
     rest_of_path = point.path
+    if (point.flags & CELL_FOLDED) == 0:
+        return False
     e = int(edits.shape[0]) - 1
     while rest_of_path != 0:
         if (point.path & (1 << e)) != 0:

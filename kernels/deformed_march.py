@@ -19,6 +19,7 @@ from .cage_edits import (
     CUT_LENGTH,
     MAPPED,
     CanonicalPoint,
+    CellTable,
     ClosedFormEdit,
     LatticeEdit,
     canonical_direction,
@@ -64,6 +65,12 @@ class DeformedRadiance:
 
 
 @wp.func
+def table_upper(table: CellTable):
+    shape = wp.vec3(float(table.skip.shape[0]), float(table.skip.shape[1]), float(table.skip.shape[2]))
+    return table.lower + table.spacing * shape
+
+
+@wp.func
 def lattice_lower(edit: LatticeEdit):
     return edit.deformed.lower
 
@@ -76,31 +83,41 @@ def lattice_upper(edit: LatticeEdit):
 
 @wp.func
 def lattice_lower(edit: ClosedFormEdit):  # noqa: F811 (a Warp overload)
-    return edit.lower
+    return edit.deformed_cells.lower
 
 
 @wp.func
 def lattice_upper(edit: ClosedFormEdit):  # noqa: F811
-    return edit.upper
+    return table_upper(edit.deformed_cells)
+
+
+@wp.func
+def empty_reach_of_cells(
+    skip: wp.array3d(dtype=wp.uint8), lower: wp.vec3, inverse_spacing: float, x: wp.vec3, direction: wp.vec3
+):
+    """Distance along a ray from x, in the box of a lattice, over which nothing can be seen; 0 where x may hold
+    something."""
+    g = (x - lower) * inverse_spacing
+    i = wp.clamp(int(wp.floor(g[0])), 0, skip.shape[0] - 1)
+    j = wp.clamp(int(wp.floor(g[1])), 0, skip.shape[1] - 1)
+    k = wp.clamp(int(wp.floor(g[2])), 0, skip.shape[2] - 1)
+    reach = int(skip[i, j, k])
+    if reach == 0:
+        return 0.0
+    return exit_distance(g, direction * inverse_spacing, reach)
 
 
 @wp.func
 def empty_reach(edit: LatticeEdit, x: wp.vec3, direction: wp.vec3):
-    """Distance along a ray from x, in an edit's box, over which nothing can be seen; 0 where x may hold something."""
-    g = (x - edit.deformed.lower) * edit.deformed.inverse_spacing
-    i = wp.clamp(int(wp.floor(g[0])), 0, edit.skip.shape[0] - 1)
-    j = wp.clamp(int(wp.floor(g[1])), 0, edit.skip.shape[1] - 1)
-    k = wp.clamp(int(wp.floor(g[2])), 0, edit.skip.shape[2] - 1)
-    reach = int(edit.skip[i, j, k])
-    if reach == 0:
-        return 0.0
-    return exit_distance(g, direction * edit.deformed.inverse_spacing, reach)
+    """empty_reach_of_cells of an edit's lattice."""
+    return empty_reach_of_cells(edit.skip, edit.deformed.lower, edit.deformed.inverse_spacing, x, direction)
 
 
 @wp.func
 def empty_reach(edit: ClosedFormEdit, x: wp.vec3, direction: wp.vec3):  # noqa: F811
-    """0: without a lattice nothing is known of the inside of the box."""
-    return 0.0
+    """empty_reach_of_cells of an edit's table."""
+    table = edit.deformed_cells
+    return empty_reach_of_cells(table.skip, table.lower, 1.0 / table.spacing, x, direction)
 
 
 @wp.func

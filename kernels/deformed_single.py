@@ -28,7 +28,8 @@ from .rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .spherical_harmonics import sh_basis
 from .volume_render import grid_span, sample_index_after
 
-wp.set_module_options({"enable_backward": False})
+# small blocks: rays of one end at very different times
+wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 #: `look` holds the flags of a cell that must be looked at, or this and the distance to the nearest such cell.
 LOOK_SKIP = wp.constant(32)

@@ -10,7 +10,7 @@ Siblings: grid, rays, spherical_harmonics, volume_render.
 import warp as wp
 
 from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
-from .rays import PinholeCamera, image_direction, pixel_direction
+from .rays import PinholeCamera, image_direction
 from .spherical_harmonics import sh_basis, vec9
 from .volume_render import exit_distance, grid_span, sample_index_after
 
@@ -166,39 +166,3 @@ def accumulate_photometric_gradient(
             if has_background:
                 grad_background[n] = left * grad_colour
         march += 1
-
-
-@wp.kernel
-def mark_active_tiles(
-    first: int,
-    grid: VoxelGrid,
-    cameras: wp.array(dtype=PinholeCamera),
-    tile_size: int,
-    step: float,
-    active: wp.array(dtype=wp.int32),
-):
-    """1 where any pixel of a tile looks through a cell that holds values: the others have no gradient."""
-    tile = first + wp.tid()
-    width = cameras[0].width
-    height = cameras[0].height
-    columns = (width + tile_size - 1) // tile_size
-    rows = (height + tile_size - 1) // tile_size
-    camera = cameras[tile // (rows * columns)]
-    found = int(0)
-    for n in range(tile_size * tile_size):
-        row = (tile // columns) % rows * tile_size + n // tile_size
-        column = tile % columns * tile_size + n % tile_size
-        if found == 0 and row < height and column < width:
-            direction = pixel_direction(camera, column, row)
-            g0 = grid_position(grid, camera.centre)
-            dg = wp.cw_mul(direction, grid.inverse_voxel_size)
-            span = grid_span(grid, camera.centre, direction)
-            k = sample_index_after(span[0], step)
-            while (float(k) + 0.5) * step < span[1] and found == 0:
-                t = (float(k) + 0.5) * step
-                empty = empty_distance(grid, g0 + t * dg)
-                if empty > 0:
-                    k = wp.max(k + 1, sample_index_after(t + exit_distance(g0 + t * dg, dg, empty), step))
-                else:
-                    found = int(1)
-    active[tile] = found

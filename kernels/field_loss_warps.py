@@ -14,7 +14,7 @@ from .grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_pos
 from .spherical_harmonics import sh_basis
 from .volume_render import exit_distance, grid_span, sample_index_after
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
 LANES = wp.constant(32)
 COEFFICIENTS = wp.constant(27)

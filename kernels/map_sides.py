@@ -21,7 +21,7 @@ from .harmonic_rows import DOUBLE_CUT, CutRows, crossing_value
 from .map_extension import is_steady, node_step
 from .node_levels import OUTSIDE, NodeLevels, node_place
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 2})
 
 #: Difference of the remainder of a map over a gap, as a share of the rest cage's size, from which on sides are kept.
 GAP_JUMP = wp.constant(1.0e-2)

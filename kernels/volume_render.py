@@ -12,7 +12,7 @@ from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_dista
 from .rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .spherical_harmonics import sh_basis
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
 #: Depth of a pixel is reported where it is at least this opaque.
 DEPTH_MIN_ALPHA = wp.constant(1.0e-3)

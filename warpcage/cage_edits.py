@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import numpy as np
 import warp as wp
 
 from .cage import SURFACE_TOLERANCE, Cage
-from .devices import launch
-from .kernels.cage_edits import ClosedFormEdit, LatticeEdit
+from .devices import launch, load_modules
+from .kernels.cage_edits import CellTable, ClosedFormEdit, LatticeEdit
 from .kernels.cage_map import CageMap
-from .kernels.deformed_points import map_points, mark_edit_cases
-from .kernels.deformed_render import mark_edit_cells, render_edits
+from .kernels.deformed_points import map_points
+from .kernels.deformed_render import render_edits
 from .kernels.deformed_single import SingleEdit, join_cell_tables, render_edit
+from .kernels.edit_cells import mark_edit_cases, mark_edit_cells
 from .kernels.grid_skip import spread_distance
 from .lattice import CageLattice
 
@@ -23,6 +25,10 @@ LATTICE_SLACK = 0.5
 
 #: The same where distances are exact, as a share of the cage's size: float32 evaluates the maps to about 1e-5.
 CLOSED_FORM_SLACK = 1e-4
+
+#: Cells of the lattice that tells the closed forms what they can leave out, along the longest side of a cage, and how
+#: much larger than a cell the box is that must show nothing, in cells.
+GUIDE_RESOLUTION, GUIDE_MARGIN = 96, 0.5
 
 #: Edits of one scene; a sample's way through them is kept in the bits of an int.
 MAX_EDITS = 31
@@ -61,17 +67,19 @@ def checked_edits(rest) -> list[CageEdit]:
 class LatticeEdits:
     """Edits whose maps and signed distances are looked up on lattices of `resolution` cells, and the cells to skip.
 
-    origin: (3,) world point that device positions are relative to.
+    origin: (3,) world point that device positions are relative to. renders: whether frames will be asked for.
     """
 
     map_kernel = map_points
 
     def __init__(self, edits: list[CageEdit], coordinates: str, resolution: int, origin, device,
-                 store: str = "map"):
+                 store: str = "map", *, renders: bool = True):
         from .position_map import PositionMap
 
         self.device = device
         self._edits = edits
+        self.render_kernel = render_edit if len(edits) == 1 else render_edits
+        load_modules(_modules(coordinates, self.render_kernel if renders else None), device)
         self._rests = [CageLattice(edit.cage, resolution, origin=origin, device=device) for edit in edits]
         self._maps = [
             None if edit.remove
@@ -85,7 +93,6 @@ class LatticeEdits:
         self.array: wp.array | None = None  #: (edit_count,) LatticeEdit
         self.scene = None  #: what the render kernel takes, once prepared: the one edit, or the array of all
         self._marked_step = 0.0
-        self.render_kernel = render_edit if len(edits) == 1 else render_edits
 
     def pose(self, cages: list[Cage | None]) -> None:
         """Compute the maps from the deformed cages (None where the edit removes)."""
@@ -114,6 +121,14 @@ class LatticeEdits:
         if index < len(held) and held[index].shape == shape:
             return held[index]
         return wp.empty(shape, dtype=wp.uint8, device=self.device)
+
+    def rest_maps(self) -> list[CageMap]:
+        """The signed distances to the rest cages, one an edit."""
+        return [_distance_map(rest) for rest in self._rests]
+
+    def posed(self) -> list[tuple[LatticeEdit, wp.array]]:
+        """The posed edits, and the array in which `prepare` leaves what may be skipped."""
+        return list(zip(self._structs, self._skips, strict=True))
 
     def prepare(self, grid, step: float) -> None:
         """Find the cells that a march of `step` (world units) through the deformed `grid` may skip; once a pose."""
@@ -153,25 +168,44 @@ class LatticeEdits:
 
 
 class ClosedFormEdits:
-    """Edits whose mean value or Green coordinates are evaluated at every sample ("precise")."""
+    """Edits whose mean value or Green coordinates are evaluated at every sample ("precise").
+
+    A lattice map of the same coordinates finds the cells where that can be left out: those that are clear of a cage,
+    and those that show nothing.
+    """
 
     def __init__(self, edits: list[CageEdit], coordinates: str, origin, device):
-        from .kernels.deformed_precise import map_points_precisely, render_precisely
+        from .kernels.deformed_precise import (
+            map_points_precisely,
+            render_precisely,
+            settle_deformed_cells,
+            settle_rest_cells,
+        )
 
         self.map_kernel, self.render_kernel = map_points_precisely, render_precisely
+        self._settle_cells = settle_deformed_cells
         self.device = device
         self._edits, self._origin, self._is_green = edits, origin, coordinates == "green"
+        self._guide = LatticeEdits(edits, coordinates, GUIDE_RESOLUTION, origin, device, renders=False)
+        self._rest_cells = []
+        for edit, rest in zip(edits, self._guide.rest_maps(), strict=True):
+            table = _cell_table(rest, device)
+            slack = CLOSED_FORM_SLACK * edit.cage.size
+            launch(settle_rest_cells, table.flags.size, [rest, slack], [table.flags], device=device)
+            self._rest_cells.append(table)
         self.array: wp.array | None = None  #: (edit_count,) ClosedFormEdit
 
     def pose(self, cages: list[Cage | None]) -> None:
         """Upload the deformed cages (None where the edit removes)."""
+        self._guide.pose(cages)
         self._structs = [
-            self._struct(edit, edit.cage if cage is None else cage)
-            for edit, cage in zip(self._edits, cages, strict=True)
+            self._struct(edit, edit.cage if cage is None else cage, rest_cells, guide, skip)
+            for edit, cage, rest_cells, (guide, skip) in zip(self._edits, cages, self._rest_cells,
+                                                             self._guide.posed(), strict=True)
         ]
         self.array = wp.array(self._structs, dtype=ClosedFormEdit, device=self.device)
 
-    def _struct(self, edit: CageEdit, deformed: Cage) -> ClosedFormEdit:
+    def _struct(self, edit: CageEdit, deformed: Cage, rest_cells, guide: LatticeEdit, skip) -> ClosedFormEdit:
         rest = edit.cage
         struct = ClosedFormEdit()
         struct.deformed_vertices = self._local(deformed.vertices)
@@ -185,8 +219,10 @@ class ClosedFormEdits:
         struct.size = deformed.size
         struct.tolerance = SURFACE_TOLERANCE * deformed.size
         struct.slack = CLOSED_FORM_SLACK * rest.size
-        struct.lower, struct.upper = self._box(deformed, struct.tolerance)
-        struct.rest_lower, struct.rest_upper = self._box(rest, struct.slack)
+        struct.deformed_cells = _cell_table(guide.deformed, self.device)
+        struct.deformed_cells.skip = skip
+        launch(self._settle_cells, skip.size, [guide], [struct.deformed_cells.flags], device=self.device)
+        struct.rest_cells = rest_cells
         struct.is_green = int(self._is_green)
         struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
         return struct
@@ -199,12 +235,40 @@ class ClosedFormEdits:
     def _local(self, vertices: np.ndarray) -> wp.array:
         return wp.array((vertices - self._origin).astype(np.float32), dtype=wp.vec3, device=self.device)
 
-    def _box(self, cage: Cage, margin: float) -> tuple[wp.vec3, wp.vec3]:
-        lower, upper = cage.bounds - self._origin
-        return wp.vec3(*(lower - 2.0 * margin)), wp.vec3(*(upper + 2.0 * margin))
-
     def prepare(self, grid, step: float) -> None:
-        """Nothing: without a lattice no cells are skipped."""
+        """Find the cells that a march of `step` (world units) may skip; once a pose. They are taken half a cell larger,
+        as the lattice's map is only near the exact one."""
+        self._guide.prepare(grid, step + GUIDE_MARGIN * max(guide.deformed.spacing for guide, _ in self._guide.posed()))
+
+
+def _cell_table(cage_map: CageMap, device) -> CellTable:
+    """An empty table over the cells of a map."""
+    table = CellTable()
+    table.lower, table.spacing = cage_map.lower, cage_map.spacing
+    shape = tuple(side - 1 for side in cage_map.distance.shape)
+    table.flags = wp.empty(shape, dtype=wp.uint8, device=device)
+    return table
+
+
+def _modules(coordinates: str, render_kernel) -> list:
+    """Modules of the kernels that posing edits launches, and of that of their frames."""
+    from .kernels import (
+        closed_form_map,
+        crossings,
+        distance_band,
+        edit_cells,
+        grid_skip,
+        harmonic,
+        harmonic_coarse,
+        harmonic_rows,
+        map_extension,
+        map_sides,
+        node_levels,
+    )
+
+    solver = [harmonic, harmonic_coarse, harmonic_rows, map_sides] if coordinates == "harmonic" else [closed_form_map]
+    names = [] if render_kernel is None else [sys.modules[render_kernel.module.name]]
+    return [crossings, distance_band, node_levels, map_extension, edit_cells, grid_skip, *solver, *names]
 
 
 def _distance_map(lattice: CageLattice) -> CageMap:

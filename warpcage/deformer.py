@@ -166,8 +166,7 @@ class Deformer:
             setattr(picture, name, wp.empty(count, dtype=wp.float32, device=self.device))
         camera_data = camera_struct(camera, self.field.center)
         inputs = [self.field.grid, self._edits.scene, camera_data, wp.vec3(*map(float, colour)), options, picture]
-        # small blocks: rays of one end at very different times
-        launch(self._edits.render_kernel, tile_threads(camera), inputs, device=self.device, block_dim=64)
+        launch(self._edits.render_kernel, tile_threads(camera), inputs, device=self.device)
         if model is not None:
             model.add_behind(camera, picture.rgb, picture.alpha)
         return Frame(camera.width, camera.height, picture.rgb, **{name: getattr(picture, name) for name in names})

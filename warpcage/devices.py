@@ -31,17 +31,18 @@ def resolve_device(device=None) -> wp.Device:
 
 
 def launch(kernel: wp.Kernel, count: int, inputs, outputs=(), *, device, threads: int | None = None,
-           block_dim: int = 256) -> None:
+           block_dim: int | None = None) -> None:
     """Launch a one-dimensional kernel whose first parameter is `first`, the index of this launch's first item.
 
-    On CUDA it is one launch with `first` = 0, in blocks of `block_dim`. On the CPU the items are cut into chunks that
-    run on `threads` threads (default CPU_THREADS), so outputs of different items must be disjoint: no atomics across
-    items there.
+    On CUDA it is one launch with `first` = 0, in blocks of `block_dim` (default: what the kernel's module says, as a
+    module is compiled anew for each other number). On the CPU the items are cut into chunks that run on `threads`
+    threads (default CPU_THREADS), so outputs of different items must be disjoint: no atomics across items there.
     """
     device = wp.get_device(device)
     if count <= 0:
         return
     threads = CPU_THREADS if threads is None else threads
+    block_dim = module_block_dim(kernel) if block_dim is None else block_dim
     if not device.is_cpu or threads <= 1 or count < 2 * threads:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device, block_dim=block_dim)
         return
@@ -54,6 +55,23 @@ def launch(kernel: wp.Kernel, count: int, inputs, outputs=(), *, device, threads
         wp.launch(kernel, dim=end - begin, inputs=[begin, *inputs], outputs=list(outputs), device=device)
 
     run_parallel([lambda b=b, e=e: run(b, e) for b, e in zip(edges, edges[1:], strict=False)], threads)
+
+
+def module_block_dim(kernel: wp.Kernel) -> int:
+    """Threads a block that a kernel's module is meant for: its option block_dim, 256 where it names none."""
+    return kernel.module.options["block_dim"]
+
+
+def load_modules(modules, device) -> None:
+    """Compile and load modules of kernels (Python modules) side by side; launched one by one they would wait for each
+    other. Costs nothing where they are loaded."""
+    groups: dict[int, list[wp.Module]] = {}
+    for module in modules:
+        warp_module = wp.get_module(module.__name__)
+        groups.setdefault(warp_module.options["block_dim"], []).append(warp_module)
+    for block_dim, group in groups.items():
+        wp.force_load(device, group, block_dim=None if wp.get_device(device).is_cpu else block_dim,
+                      max_workers=min(len(group), CPU_THREADS))
 
 
 def run_parallel(tasks, threads: int | None = None) -> list:

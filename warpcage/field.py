@@ -18,9 +18,6 @@ from .supersampling import average_frame, checked_supersampling, finer_camera
 #: A march ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-3
 
-#: Threads a block of a render on CUDA.
-RENDER_BLOCK_DIM = 128
-
 BASIS_COUNT = 9
 
 
@@ -156,8 +153,7 @@ class VoxelField:
         alpha = wp.empty(count, dtype=wp.float32, device=self.device)
         depth = wp.empty(count, dtype=wp.float32, device=self.device)
         inputs = [self.grid, camera_struct(camera, self.center), wp.vec3(*map(float, colour)), step, STOP_TRANSMITTANCE]
-        launch(render_image, tile_threads(camera), inputs, [rgb, alpha, depth], device=self.device,
-               block_dim=RENDER_BLOCK_DIM)
+        launch(render_image, tile_threads(camera), inputs, [rgb, alpha, depth], device=self.device)
         if model is not None:
             model.add_behind(camera, rgb, alpha)
         return Frame(camera.width, camera.height, rgb, alpha, depth)

@@ -11,12 +11,21 @@ import warp as wp
 
 from .background_fit import BackgroundOptimizer, chosen_background, layers_that_fit
 from .bounds import Silhouettes, camera_array, keep_seen, scene_box
-from .devices import CPU_THREADS, launch, resolve_device, run_parallel
+from .devices import CPU_THREADS, launch, load_modules, module_block_dim, resolve_device, run_parallel
 from .field import VoxelField, checked_bounds, field_from_mask
 from .fit_defaults import DENSITY_POWER, SH_POWER, directional_rate, pixel_size, scarcity
 from .fit_memory import FitMemory, array_bytes, device_arrays, memory_limit, require_image_memory
 from .fit_options import MAX_LEVELS, checked_options, checked_seed
-from .kernels import field_loss, field_loss_warps, field_step, field_variation, grid_refine
+from .kernels import (
+    active_tiles,
+    field_loss,
+    field_loss_warps,
+    field_step,
+    field_variation,
+    grid_refine,
+    grid_skip,
+    visual_hull,
+)
 from .kernels.spherical_harmonics import vec9
 from .kernels.view_dependence import shrink_view_dependence
 from .kernels.volume_render import record_weights
@@ -26,9 +35,8 @@ from .sparse_grid import mask_count
 #: A training march ends where less than this share of the light is left, as a render does.
 STOP_TRANSMITTANCE = 1e-3
 
-#: Threads a ray, and a block, of the photometric gradient on CUDA.
+#: Threads a ray of the photometric gradient on CUDA.
 WARP_LANES = 32
-BLOCK_DIM = 128
 
 #: Numbers of a gradient's row: 27 coefficients, red first, then the density.
 ROW_NUMBERS = 28
@@ -76,6 +84,9 @@ class FieldOptimizer:
         self.random_background, self.layered = chosen_background(scene, self.options.background)
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
 
+        gradients = field_loss if self.device.is_cpu else field_loss_warps
+        load_modules([visual_hull, grid_refine, grid_skip, active_tiles, gradients, field_variation, field_step],
+                     self.device)
         self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
             bounds = scene_box(scene)
@@ -226,7 +237,7 @@ class FieldOptimizer:
             return
         active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
         inputs = [self.field.grid, self.rays.cameras, self.rays.tile_size, 2.0 * self.field.step]
-        launch(field_loss.mark_active_tiles, self.tile_total, inputs, [active], device=self.device)
+        launch(active_tiles.mark_active_tiles, self.tile_total, inputs, [active], device=self.device)
         self.tile_ids = np.flatnonzero(active.numpy()).astype(np.int32)
         if len(self.tile_ids) == 0:
             raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
@@ -253,7 +264,8 @@ class FieldOptimizer:
         wp.load_module(record_weights.module, device=self.device)
         run_parallel([
             lambda begin=begin, end=end, weights=weights: wp.launch(
-                record_weights, dim=end - begin, inputs=[begin, *inputs], outputs=[weights], device=self.device)
+                record_weights, dim=end - begin, inputs=[begin, *inputs], outputs=[weights], device=self.device,
+                block_dim=module_block_dim(record_weights))
             for begin, end, weights in zip(edges, edges[1:], shards, strict=False)
         ], self.shards)
         for other in shards[1:]:
@@ -360,7 +372,7 @@ class FieldOptimizer:
             launch(field_loss_warps.accumulate_photometric_gradient_by_warps, WARP_LANES * self.batch_rays,
                    [field.grid, coefficients, *photometric],
                    [self.gradients[0], self.touched, self.squared_error, grad_behind],
-                   device=self.device, block_dim=BLOCK_DIM)
+                   device=self.device)
         vary = self.variation_density > 0 or self.variation_sh > 0
         variation = [field.grid, coefficients, self.nodes, first_row, unit,
                      self.variation_density * boost, self.variation_sh * boost]

@@ -236,7 +236,7 @@ def render_mesh_views(vertices, faces, colours, cameras, *, samples: int = 3, hi
         indices=wp.array(faces.ravel(), dtype=wp.int32, device=device),
     )
     face_colours = wp.array(colours, dtype=wp.vec3, device=device)
-    lighting = _lighting(size)
+    lighting = mesh_lighting(size)
     lighting.highlight, lighting.shininess = highlight, shininess
     width, height = cameras[0].width, cameras[0].height
     rgba = wp.zeros(width * height, dtype=wp.vec4, device=device)
@@ -248,7 +248,8 @@ def render_mesh_views(vertices, faces, colours, cameras, *, samples: int = 3, hi
     return views
 
 
-def _lighting(size: float) -> MeshLighting:
+def mesh_lighting(size: float) -> MeshLighting:
+    """The light of all scenes here, for a mesh of this size (world units)."""
     lighting = MeshLighting()
     lighting.key_direction = wp.normalize(wp.vec3(0.45, -0.6, 0.9))
     lighting.key_colour = wp.vec3(0.66, 0.64, 0.59)

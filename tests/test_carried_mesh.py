@@ -1,0 +1,93 @@
+"""Ray cast meshes that carry colour and light along."""
+
+import numpy as np
+import pytest
+
+from warpcage.camera import Camera
+from warpcage.carried_mesh import CarriedMesh
+from warpcage.synthetic import render_mesh_views
+from warpcage.synthetic_shapes import MODELS, chair_model, subdivided_model
+
+EYE = np.array([1.8, -1.6, 1.1])
+
+
+def view(eye=EYE, **options):
+    return Camera.look_at(eye, (0, 0, 0), fov_degrees=40, width=40, height=40, **options)
+
+
+def test_at_rest_without_texture_it_is_the_picture_of_the_plain_ray_caster(device):
+    model = chair_model()
+    rgba, depth = CarriedMesh(*model, texture=(0.0, 1.0), device=device).render([view()], samples=2)
+    expected = render_mesh_views(*model, [view()], samples=2, device=device)
+    # the origins of float32 differ: a ray may just miss a silhouette in one of them
+    assert np.mean(np.abs(rgba - expected).max(axis=-1) > 2e-3) < 0.005
+    assert (np.isfinite(depth) == (rgba[..., 3] == 1)).all()
+
+
+def test_a_rigid_pose_is_what_the_counter_moved_camera_sees(device):
+    turn, up = 1.1, 0.4
+    spin = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    tilt = np.array([[1, 0, 0], [0, np.cos(up), -np.sin(up)], [0, np.sin(up), np.cos(up)]])
+    rotation, offset = spin @ tilt, np.array([0.3, -0.2, 0.5])
+    mesh = CarriedMesh(*chair_model(), device=device)
+    camera = view()
+    move = np.eye(4)
+    move[:3, :3], move[:3, 3] = rotation, offset
+    matrices = np.broadcast_to(rotation.T, (len(mesh.vertices), 3, 3))
+    moved = camera.moved(move)
+    rgba, depth = mesh.render([moved], posed=mesh.vertices @ rotation.T + offset, view_matrices=matrices, samples=2)
+    expected, expected_depth = mesh.render([camera], samples=2)
+    assert np.mean(np.abs(rgba - expected).max(axis=-1) > 2e-3) < 0.005
+    both = np.isfinite(depth) & np.isfinite(expected_depth)
+    assert both.sum() > 100 and np.median(np.abs(depth[both] - expected_depth[both])) < 1e-5
+    # were the directions left as they are, the highlights would not turn with it
+    unturned, _ = mesh.render([moved], posed=mesh.vertices @ rotation.T + offset, samples=2)
+    assert np.abs(unturned - expected)[..., :3].max() > 0.03
+    # nor if the lights stayed where they are
+    relit, _ = mesh.render([moved], posed=mesh.vertices @ rotation.T + offset, light_stays=True, samples=2)
+    assert np.abs(relit - expected)[..., :3].max() > 0.05
+
+
+def test_lights_that_stay_light_a_moved_mesh_as_if_it_had_been_there(device):
+    vertices, faces, colours = chair_model()
+    turned = vertices @ np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    mesh = CarriedMesh(vertices, faces, colours, texture=(0.0, 1.0), device=device)
+    relit, _ = mesh.render([view()], posed=turned, light_stays=True, samples=2)
+    expected = render_mesh_views(turned, faces, colours, [view()], samples=2, device=device)
+    # reach and offset of the light follow the size of the mesh's box, which a turn leaves nearly as it is
+    assert np.mean(np.abs(relit - expected).max(axis=-1) > 2e-2) < 0.01
+
+
+def test_texture_is_of_the_place_at_rest(device):
+    mesh = CarriedMesh(*chair_model(), texture=(0.6, 9.0), device=device)
+    plain, _ = CarriedMesh(*chair_model(), texture=(0.0, 9.0), device=device).render([view()])
+    rest, _ = mesh.render([view()])
+    assert np.abs(rest - plain).max() > 0.05
+    shift = np.eye(4)
+    shift[:3, 3] = 3.0
+    moved, _ = mesh.render([view().moved(shift)], posed=mesh.vertices + 3.0)
+    assert np.mean(np.abs(moved - rest).max(axis=-1) > 2e-3) < 0.005
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_models_are_closed_and_face_out(name):
+    import trimesh
+
+    vertices, faces, colours = subdivided_model(name, 0.3)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    assert mesh.is_watertight and mesh.volume > 0.05
+    assert colours.shape == faces.shape and colours.min() >= 0 and colours.max() <= 1
+    assert np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2).max() <= 0.3 + 1e-9
+    assert np.abs(vertices.min(axis=0) + vertices.max(axis=0)).max() < 1e-6
+    assert 1.7 < np.ptp(vertices, axis=0).max() < 2.4
+
+
+def test_refuses_what_does_not_fit():
+    vertices, faces, colours = chair_model()
+    with pytest.raises(ValueError, match="colour"):
+        CarriedMesh(vertices, faces, colours[:-1])
+    mesh = CarriedMesh(vertices, faces, colours)
+    with pytest.raises(ValueError, match="posed"):
+        mesh.render([view()], posed=vertices[:-1])
+    with pytest.raises(ValueError, match="not known"):
+        subdivided_model("teapot", 0.1)
