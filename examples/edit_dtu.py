@@ -58,17 +58,13 @@ def main(argv=None) -> dict:
 
     axes = upright_axes(masked)
     box = turned(warpcage.Cage.box(*WING, segments=(3, 3, 3)), axes)
-    corners = turned(warpcage.Cage.box(*HOUSE), axes)
-    chosen = warpcage.select_nodes(field, cameras=masked.cameras, masks=list(masked.alphas), floaters=0.1)
-    inside = chosen.mask.copy()
-    inside[chosen.mask] = corners.contains(chosen.points)
-    generated = warpcage.Cage.from_field(warpcage.NodeSelection(field, inside, chosen.notes), vertex_count=100)
+    generated = warpcage.Cage.load(args.cage) if args.cage else generate(field, masked, axes)
     edits = {
         "box": (box, posed(box, axes, lambda cage: cage.stretch(1.35, axis="z", centre=cage.bounds[0]))),
         "generated": (generated, posed(generated, axes, lambda cage: cage.twist(-28, axis="z", limits=(0.1, 1.0))
                                        .taper(0.75, axis="z", limits=(0.1, 1.0)))),
     }
-    camera = test.cameras[args.view]
+    camera = test.cameras[min(args.view, len(test) - 1)]
     camera = dataclasses.replace(camera, fx=0.85 * camera.fx, fy=0.85 * camera.fy)  # room for what the edits lift
     figures["unmoved"] = show(out, field, edits, camera)
     for name, (rest, moved) in edits.items():
@@ -92,8 +88,17 @@ def parse_arguments(argv):
     parser.add_argument("--quality", default="standard", choices=("fast", "standard", "high"))
     parser.add_argument("--whole", action="store_true", help="fit whole pictures; the masks only choose what to edit")
     parser.add_argument("--field", metavar="FILE", help="edit this field instead of fitting one")
+    parser.add_argument("--cage", metavar="FILE", help="use this cage around the object instead of generating one")
     parser.add_argument("--view", type=int, default=4, help="held-out view to show (default: %(default)s)")
     return parser.parse_args(argv)
+
+
+def generate(field, scene, axes):
+    """A cage around what the masks of all pictures agree to be the object, without the blocks behind it."""
+    chosen = warpcage.select_nodes(field, cameras=scene.cameras, masks=list(scene.alphas), floaters=0.1)
+    inside = chosen.mask.copy()
+    inside[chosen.mask] = turned(warpcage.Cage.box(*HOUSE), axes).contains(chosen.points)
+    return warpcage.Cage.from_field(warpcage.NodeSelection(field, inside, chosen.notes), vertex_count=100)
 
 
 def upright_axes(scene) -> np.ndarray:

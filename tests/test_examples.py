@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from background_scenes import write_room
 
 from warpcage.cage import Cage
 from warpcage.images import read_image
@@ -28,7 +29,7 @@ def run(name, *words, cwd):
 def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("*.py")}
     assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
-                     "analytic_field.py", "cage_contact_sheet.py"}  # fmt: skip
+                     "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
@@ -55,6 +56,22 @@ def test_cage_contact_sheet(tmp_path):
     orange = np.abs(sheet[:48] - [1.0, 0.45, 0.0]).max(axis=-1) < 0.1
     assert orange[:, :48].sum() == 0 and orange[:, 52:100].sum() > 50
     assert Cage.load(tmp_path / "out" / "bricks_42.obj").check().usable
+
+
+def test_edit_dtu_on_a_room(tmp_path, device):
+    write_room(tmp_path / "room", 25, 32)
+    words = ["--data", "room", "--device", device, "--quality", "fast"]
+    said = run("edit_dtu.py", "--out", "out", *words, cwd=tmp_path)
+    assert "dB inside the masks of 4 held-out views" in said
+    out = tmp_path / "out"
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["masked_psnr"] > 14.0 and summary["psnr"] > 17.0 and summary["unmoved"] < 1e-5
+    assert read_image(out / "edits.png").shape == (3 * 32 + 8, 3 * 32 + 8, 3)
+    assert Cage.load(out / "generated.obj").check().usable and Cage.load(out / "box_posed.obj").check().usable
+    # once more with that field and cage
+    run("edit_dtu.py", "--out", "again", "--field", out / "field.npz", "--cage", out / "generated.obj", *words,
+        cwd=tmp_path)
+    assert read_image(tmp_path / "again" / "edits.png").shape == (3 * 32 + 8, 3 * 32 + 8, 3)
 
 
 def test_render_lego_on_the_brick_scene(tmp_path, device):

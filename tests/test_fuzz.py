@@ -22,6 +22,7 @@ from scene_writers import (  # noqa: E402
 )
 
 from warpcage import VoxelField, load_scene  # noqa: E402
+from warpcage.background import LayeredBackground  # noqa: E402
 from warpcage.cage import Cage  # noqa: E402
 from warpcage.fit_progress import load_progress, save_progress  # noqa: E402
 from warpcage.images import read_image  # noqa: E402
@@ -199,13 +200,16 @@ ARRAYS = st.sampled_from([
 ])  # fmt: skip
 
 
-@pytest.mark.parametrize("format", ["warpcage", "svox2"])
+@pytest.mark.parametrize("format", ["warpcage", "svox2", "layers"])
 def test_field_files(tmp_path_factory, format):
     density = np.zeros((6, 6, 6))
     density[2:4, 2:4, 2:4] = 3.0
     field = VoxelField.from_dense(density, np.zeros((6, 6, 6, 9, 3)), [[0, 0, 0], [1, 1, 1]])
+    if format == "layers":
+        field.background_model = LayeredBackground((0.5, 0.5, 0.5), 0.5, 2, np.full((3, 26, 4), 0.5),
+                                                   unseen=(0.1, 0.2, 0.3, 0.4))
     path = tmp_path_factory.mktemp("field") / "field.npz"
-    field.save(path, format=format)
+    field.save(path, format="svox2" if format == "svox2" else "warpcage")
     whole = path.read_bytes()
     contents = dict(np.load(path))
 
@@ -224,6 +228,8 @@ def test_field_files(tmp_path_factory, format):
             assert np.isfinite(read.node_densities()).all() and np.isfinite(read.bounds).all()
             _, sampled = read.sample(read.bounds.mean(axis=0, keepdims=True), [[0.0, 0.0, 1.0]])
             assert np.isfinite(sampled).all()
+            if read.background_model is not None:
+                assert np.isfinite(read.background_model.sample(np.zeros((1, 3)), [[0.0, 0.0, 1.0]])).all()
 
     try_damaged()
 

@@ -58,7 +58,7 @@ def test_a_fit_is_the_same_anywhere(pictures, fitted, world, alpha):
         assert np.abs(frame.rgb - plain.rgb).mean() < tolerance
         assert np.abs(frame.alpha - plain.alpha).mean() < tolerance
         seen = plain.alpha > 0.5
-        assert np.median(np.abs(frame.depth[seen] / scale / plain.depth[seen] - 1)) < 1e-3
+        assert np.median(np.abs(frame.depth[seen] / scale / plain.depth[seen] - 1)) < tolerance
     assert 0.02 < seen.mean() < 0.98
 
 

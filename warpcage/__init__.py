@@ -13,7 +13,8 @@ from .coordinates import deform_points, green_coordinates, harmonic_coordinates,
 from .deformer import Deformer
 from .evaluation import evaluate, mean_psnr, psnr
 from .field import VoxelField
-from .optimize import FieldOptimizer, FitOptions, fit
+from .fit_options import FitOptions
+from .optimize import FieldOptimizer, fit
 from .pose_file import PoseFile
 from .position_map import PositionMap
 from .render import Frame

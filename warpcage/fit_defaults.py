@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Pixels a voxel from which on FitOptions' regularisers hold as they stand: 87 views of 800x800, 512 voxels a side.
+#: Rays a voxel from which on FitOptions' regularisers hold as they stand: 87 views of 800x800, 512 voxels a side, or
+#: 720 of them and four rays a pixel.
 PLENTY = 160.0
 
 #: How the variations' weights follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
@@ -23,14 +24,14 @@ def pixel_size(cameras, centre) -> float:
     return float(np.median([np.linalg.norm(camera.centre - centre) / camera.fx for camera in cameras]))
 
 
-def scarcity(cameras, centre, voxel: float) -> float:
-    """How few pixels see a voxel, against PLENTY: 1 where there are as many, 2 where there are half of them.
+def scarcity(cameras, centre, voxel: float, supersampling: int = 1) -> float:
+    """How few rays see a voxel, against PLENTY: 1 where there are as many, 2 where there are half of them.
 
     A prior weighs against the evidence, and the photometric loss is a mean: where the views show each voxel by fewer
     pixels, the variation's weight must grow by as much, or the field matches these views and little else.
-    voxel: side of a voxel of the last level, world units.
+    voxel: side of a voxel of the last level, world units. supersampling: rays a side of a pixel.
     """
-    seen = len(cameras) * (voxel / pixel_size(cameras, centre)) ** 2
+    seen = len(cameras) * (supersampling * voxel / pixel_size(cameras, centre)) ** 2
     return float(np.clip(PLENTY / max(seen, 1e-9), 1.0, MOST_SCARCE))
 
 

@@ -14,7 +14,8 @@ from .bounds import Silhouettes, camera_array, keep_seen, scene_box
 from .devices import CPU_THREADS, launch, resolve_device, run_parallel
 from .field import VoxelField, checked_bounds, field_from_mask
 from .fit_defaults import DENSITY_POWER, SH_POWER, directional_rate, pixel_size, scarcity
-from .fit_memory import FitMemory, array_bytes, device_arrays, memory_limit, memory_size, require_image_memory
+from .fit_memory import FitMemory, array_bytes, device_arrays, memory_limit, require_image_memory
+from .fit_options import MAX_LEVELS, checked_options, checked_seed
 from .kernels import field_loss, field_loss_warps, field_step, field_variation, grid_refine
 from .kernels.spherical_harmonics import vec9
 from .kernels.view_dependence import shrink_view_dependence
@@ -34,96 +35,18 @@ ROW_NUMBERS = 28
 
 #: Pictures that were taken are fewer and less exact than rendered ones: so much more total variation suits them.
 CAPTURED_VARIATION = 30.0
+
 #: Steps from one pass over the SH coefficients that shrinks them to the next.
 SHRINK_EVERY = 4
 
 #: Rays of a batch that is made smaller for the sake of more steps, at least.
 SMALLEST_BATCH = 4096
 
+#: Without silhouettes, fine voxels turn to fog before the cameras unless a coarse fit has told them where matter is.
+COARSE_SIDE = 24
+
 #: A CPU thread's own gradients are worth their memory up to this many.
 MAX_SHARDS = 8
-
-
-@dataclasses.dataclass(frozen=True)
-class FitOptions:
-    """What `fit` may be told. Lengths are relative to the scene, so that the defaults suit objects of any size."""
-
-    resolution: int | None = None  #: voxels along the longest side at the end; None follows the images' pixel footprint
-    max_resolution: int = 512
-    footprint: float = 0.7  #: voxel side over a pixel's footprint at the object, where resolution is None
-    levels: int = 3  #: the resolution doubles from level to level
-    level_growth: float = 2.2  #: each level gets this many times the rays of the one before
-    epochs: float = 8.0  #: passes over the pixels that see the object
-    least_steps: int = 600  #: steps that a fit takes even so, where `epochs` is not given: few pixels are soon through
-    batch_rays: int | None = None  #: None follows the number of pixels, so that there are steps enough
-    tile_size: int = 2  #: a batch is made of square tiles of this many pixels, neighbours share voxels
-    rate_density: float = 0.25  #: first learning rate, in optical depth a voxel of the level
-    rate_density_end: float = 0.0125
-    rate_sh: float = 3e-2
-    rate_sh_end: float = 1.5e-3
-    decay_power: float = 2.0  #: rates fall with this power of the share of steps done: slowly first, fast at the end
-    directional: float | None = None  #: rate of the coefficients that tell directions apart, over that of the constant
-    #: ones; None follows the number of steps (see fit_defaults)
-    beta: float = 0.95  #: RMSProp's decay
-    scarcity: float | None = None  #: factor of the variations and the shrinkage; None follows how few pixels see a
-    #: voxel (see fit_defaults)
-    variation_density: float = 3e-6  #: total variation of density (per half extent) a voxel of the box
-    variation_sh: float = 3e-4
-    variation: float | None = None  #: factor on both; None is what the number of pixels that see a voxel asks for, and
-    #: CAPTURED_VARIATION at least with layers behind the field or where the scene's opacity comes from mask files
-    shrink_sh: float = 0.06  #: decay of SH of degree 1 and up, relative to a step of rate_sh, where views are scarce
-    variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
-    prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
-    keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
-    #: this rendering weight
-    keep_at: float = 0.4  #: share of the last level's steps after which that happens first
-    supersampling: int = 1  #: rays a side of a pixel in the last level, and in renders of the field: 1 or 2
-    view_share: float = 0.1  #: voxels that fewer of the cameras see than this share of them are left empty
-    background: str = "auto"  #: behind the field: "random" colours that supervise opacity where the images have alpha,
-    #: "layers" (see LayeredBackground) for whole or split pictures, the scene's "constant" colour, or what suits
-    background_layers: int = 16
-    background_side: int | None = None  #: cells along a layer's edge; None follows the images' pixels
-    max_background_side: int = 512
-    background_detail: float = 0.25  #: cells a pixel, where background_side is None
-    rate_background: float = 0.2  #: learning rates of the layers' colours and optical depths
-    rate_background_end: float = 0.01
-    variation_background: float = 0.03  #: total variation of the layers' colours
-    variation_background_depth: float = 0.03
-    max_memory: int | str | None = None  #: bytes, or "4GB", that the fit may take on its device, images included; None
-    #: is most of what is free. Where it is short the last levels are refined less far
-
-
-#: What `quality` stands for, over the defaults.
-QUALITIES = {
-    "fast": {"epochs": 4.0},
-    "standard": {},
-    "high": {"epochs": 16.0, "max_resolution": 720, "supersampling": 2},
-}
-
-#: name -> smallest, largest, kind, whether None will do
-OPTION_RANGES = {
-    "resolution": (8, 2048, int, True),
-    "max_resolution": (8, 2048, int, False),
-    "levels": (1, 6, int, False),
-    "least_steps": (0, 2**24, int, False),
-    "batch_rays": (1, 2**24, int, True),
-    "tile_size": (1, 64, int, False),
-    "directional": (1e-9, 1e9, float, True),
-    "scarcity": (0.0, 1e6, float, True),
-    "variation": (0.0, 1e6, float, True),
-    "variation_density": (0.0, 1e3, float, False),
-    "variation_sh": (0.0, 1e3, float, False),
-    "shrink_sh": (0.0, 1e3, float, False),
-    "variation_share": (1e-6, 1.0, float, False),
-    "prune_weight": (0.0, 1e3, float, False),
-    "keep_weight": (0.0, 1.0, float, False),
-    "keep_at": (0.0, 1.0, float, False),
-    "supersampling": (1, 2, int, False),
-    "beta": (0.0, 1.0 - 1e-6, float, False),
-    **{name: (1e-9, 1e9, float, False) for name in ("footprint", "level_growth", "epochs", "rate_density",
-                                                    "rate_density_end", "rate_sh", "rate_sh_end",
-                                                    "decay_power")},
-}
 
 
 class FieldOptimizer:
@@ -140,9 +63,9 @@ class FieldOptimizer:
 
     def __init__(self, scene: Scene, *, device=None, seed: int = 0, bounds=None, **options):
         self.scene = scene
-        self.options = _checked_options(options)
+        self.options = checked_options(options)
         self.device = resolve_device(device)
-        self.seed = _checked_seed(seed)
+        self.seed = checked_seed(seed)
         self.given = {"seed": self.seed, "bounds": None if bounds is None else np.asarray(bounds, np.float64).tolist(),
                       **dataclasses.asdict(self.options)}
         self.random = np.random.default_rng(self.seed)
@@ -158,7 +81,7 @@ class FieldOptimizer:
             bounds = scene_box(scene)
             if self._silhouettes is not None:
                 bounds = self._silhouettes.bound(bounds)
-        self._choose_grid(checked_bounds(bounds))
+        self._choose_grid(checked_bounds(bounds), coarse_start=self.layered and scene.alphas is None)
         self._upload_images()
         self._start_level(self._first_mask(), None)
         self._allocate_state()
@@ -169,8 +92,11 @@ class FieldOptimizer:
 
     # Set-up
 
-    def _choose_grid(self, box: np.ndarray) -> None:
-        """Cubic voxels that halve `levels - 1` times: the final shape, and bounds grown around the box to fit it."""
+    def _choose_grid(self, box: np.ndarray, coarse_start: bool) -> None:
+        """Cubic voxels that halve `levels - 1` times: the final shape, and bounds grown around the box to fit it.
+
+        coarse_start: as many more levels as the first needs to have COARSE_SIDE voxels a side at most.
+        """
         options = self.options
         extent = box[1] - box[0]
         longest = float(extent.max())
@@ -178,11 +104,16 @@ class FieldOptimizer:
         if resolution is None:
             pixel = pixel_size(self.scene.cameras, box.mean(axis=0))
             resolution = int(np.clip(math.ceil(longest / (options.footprint * pixel)), 32, options.max_resolution))
+        if coarse_start:
+            needed = 1 + math.ceil(math.log2(max(1.0, resolution / COARSE_SIDE)))
+            self.options = options = dataclasses.replace(options, levels=max(options.levels, min(needed, MAX_LEVELS)))
         unit = 2 ** (options.levels - 1)
         voxel = longest / resolution
         shape = np.maximum(1, np.ceil(extent / voxel / unit - 1e-6).astype(int)) * unit
         scarce = options.scarcity
-        self.scarcity = scarcity(self.scene.cameras, box.mean(axis=0), voxel) if scarce is None else scarce
+        if scarce is None:
+            scarce = scarcity(self.scene.cameras, box.mean(axis=0), voxel, options.supersampling)
+        self.scarcity = scarce
         factors = self.scarcity**DENSITY_POWER, self.scarcity**SH_POWER
         if options.variation is not None:
             factors = options.variation, options.variation
@@ -558,34 +489,3 @@ def _ratio(fine: VoxelField, coarse: VoxelField) -> wp.vec3:
 
 def _log_interpolate(start: float, end: float, progress: float) -> float:
     return math.exp((1.0 - progress) * math.log(start) + progress * math.log(end))
-
-
-def _checked_seed(seed) -> int:
-    if not (isinstance(seed, (int, np.integer)) and seed >= 0):
-        raise ValueError(f"the seed must be a whole number of at least 0, got {seed!r}")
-    return int(seed)
-
-
-def _checked_options(options: dict) -> FitOptions:
-    options = dict(options)
-    names = {field.name for field in dataclasses.fields(FitOptions)} | {"quality"}
-    unknown = sorted(set(options) - names)
-    if unknown:
-        raise ValueError(f"fit has no option {unknown[0]!r}; it has {', '.join(sorted(names))}")
-    quality = options.pop("quality", "standard")
-    if quality not in QUALITIES:
-        raise ValueError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
-    if "epochs" in options:
-        options.setdefault("least_steps", 0)
-    if options.get("max_memory") is not None:
-        options["max_memory"] = memory_size(options["max_memory"])
-    checked = FitOptions(**{**QUALITIES[quality], **options})
-    for name, (low, high, kind, optional) in OPTION_RANGES.items():
-        value = getattr(checked, name)
-        if value is None and optional:
-            continue
-        wanted = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
-        if not isinstance(value, wanted) or isinstance(value, bool) or not low <= value <= high:
-            what = "a whole number" if kind is int else "a number"
-            raise ValueError(f"{name} must be {what} from {low:g} to {high:g}, got {value!r}")
-    return checked
