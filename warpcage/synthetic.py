@@ -204,9 +204,12 @@ def _placed(part, degrees, offset):
 
 # Pictures
 
+#: Strength and exponent of the specular term.
+HIGHLIGHT, SHININESS = 0.22, 18.0
 
-def render_mesh_views(vertices, faces, colours, cameras, *, samples: int = 3, highlight: float = 0.22,
-                      shininess: float = 18.0, device=None) -> np.ndarray:
+
+def render_mesh_views(vertices, faces, colours, cameras, *, samples: int = 3, highlight: float = HIGHLIGHT,
+                      shininess: float = SHININESS, device=None) -> np.ndarray:
     """Ray cast a mesh from each camera.
 
     vertices (v, 3) world units; faces (f, 3); colours (f, 3) in [0, 1]; cameras of one image size; samples x samples
@@ -236,8 +239,7 @@ def render_mesh_views(vertices, faces, colours, cameras, *, samples: int = 3, hi
         indices=wp.array(faces.ravel(), dtype=wp.int32, device=device),
     )
     face_colours = wp.array(colours, dtype=wp.vec3, device=device)
-    lighting = mesh_lighting(size)
-    lighting.highlight, lighting.shininess = highlight, shininess
+    lighting = mesh_lighting(size, highlight, shininess)
     width, height = cameras[0].width, cameras[0].height
     rgba = wp.zeros(width * height, dtype=wp.vec4, device=device)
     views = np.empty((len(cameras), height, width, 4), np.float32)
@@ -248,9 +250,10 @@ def render_mesh_views(vertices, faces, colours, cameras, *, samples: int = 3, hi
     return views
 
 
-def mesh_lighting(size: float) -> MeshLighting:
+def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = SHININESS) -> MeshLighting:
     """The light of all scenes here, for a mesh of this size (world units)."""
     lighting = MeshLighting()
+    lighting.highlight, lighting.shininess = highlight, shininess
     lighting.key_direction = wp.normalize(wp.vec3(0.45, -0.6, 0.9))
     lighting.key_colour = wp.vec3(0.66, 0.64, 0.59)
     lighting.fill_direction = wp.normalize(wp.vec3(-0.6, 0.7, 0.25))
