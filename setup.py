@@ -19,6 +19,7 @@ setup(
         "imageio>=2.34",
         "av>=12.0",  # imageio's pyav plugin: MP4 without an ffmpeg executable
         "scikit-image>=0.22",
+        "scipy>=1.11",
         "tqdm>=4.66",
     ],
     extras_require={

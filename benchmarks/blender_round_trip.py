@@ -21,7 +21,8 @@ import numpy as np
 
 import warpcage
 
-#: name: (format, up, what is done to the mesh in Blender, options of the exporter)
+#: name: (format, up, what is done to the mesh in Blender, options of the exporter). "through" reads the cage in the
+#: same format and with Blender's own axes for it, as a user does who changes no setting; the others read OBJ, z up.
 WAYS = {
     "obj_plain": ("obj", "z", "", {"export_normals": False, "export_uv": False, "export_materials": False}),
     "obj_default": ("obj", "y", "materials", {}),
@@ -31,6 +32,9 @@ WAYS = {
     "obj_ngons": ("obj", "z", "ngons", {}),
     "obj_quads_triangulated": ("obj", "z", "quads", {"export_triangulated_mesh": True}),
     "obj_shuffled": ("obj", "z", "shuffled", {}),
+    "obj_through": ("obj", None, "through", {}),
+    "ply_through": ("ply", None, "through", {}),
+    "glb_through": ("glb", None, "through", {}),
     "ply": ("ply", "z", "", {"export_normals": True}),
     "ply_ascii_y_up": ("ply", "y", "quads", {"ascii_format": True}),
     "ply_shuffled": ("ply", "z", "shuffled", {}),
@@ -86,7 +90,7 @@ def through(cage, folder, way: str) -> tuple[int, float, np.ndarray]:
 
     ending, up, changes, options = WAYS[way]
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.wm.obj_import(filepath=str(folder / "rest.obj"), forward_axis="Y", up_axis="Z")
+    bring_in(cage, folder, ending, changes)
     thing = bpy.context.selected_objects[0]
     bpy.context.view_layer.objects.active = thing
     prepare(thing, changes)
@@ -103,12 +107,30 @@ def through(cage, folder, way: str) -> tuple[int, float, np.ndarray]:
     expected[number] = [vertex.co[:] for vertex in thing.data.vertices]
 
     posed_file = folder / f"{way}.{ending}"
-    export(posed_file, ending, up, options)
+    if "through" in changes:  # the vertices are those of the file turned to Blender's axes and back
+        place = np.array(thing.matrix_world)
+        expected = expected @ place[:3, :3].T + place[:3, 3]
+        if ending == "obj":
+            expected = expected[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+    export(posed_file, ending, "own" if "through" in changes else up, options)
     rest = warpcage.Cage.load(rest_file, up=up) if rest_file.exists() else cage
     posed = warpcage.Cage.load(posed_file, up=up)
     matched = rest.match(posed).vertices
     want = expected[number] if rest_file.exists() else expected
     return len(posed.vertices), float(np.abs(matched - want).max() / cage.size), expected
+
+
+def bring_in(cage, folder: pathlib.Path, ending: str, changes: str) -> None:
+    import bpy
+
+    if "through" not in changes:
+        bpy.ops.wm.obj_import(filepath=str(folder / "rest.obj"), forward_axis="Y", up_axis="Z")
+        return
+    file = folder / f"through.{ending}"
+    cage.save(file)
+    read = {"obj": bpy.ops.wm.obj_import, "ply": bpy.ops.wm.ply_import, "glb": bpy.ops.import_scene.gltf}[ending]
+    read(filepath=str(file))
+    file.unlink()
 
 
 def prepare(thing, changes: str) -> None:
@@ -146,6 +168,7 @@ def export(path: pathlib.Path, ending: str, up: str | None, options: dict) -> No
     import bpy
 
     axes = {"forward_axis": "NEGATIVE_Z", "up_axis": "Y"} if up == "y" else {"forward_axis": "Y", "up_axis": "Z"}
+    axes = {} if up == "own" else axes
     if ending == "obj":
         bpy.ops.wm.obj_export(filepath=str(path), **axes, **options)
     elif ending == "ply":

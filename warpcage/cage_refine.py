@@ -27,7 +27,8 @@ def subdivided(cage: Cage, times: int = 1) -> Cage:
 
 
 def simplified(cage: Cage, vertex_count: int, *, field=None, mesh=None, margin: float = 0.0) -> Cage:
-    """About `vertex_count` vertices (within a tenth) that enclose what the cage encloses.
+    """About `vertex_count` vertices (within a tenth) that enclose what the cage encloses: decimated so that the surface
+    only moves outward (`warpcage.cage_nested`), then off the object where faces come too near to it.
 
     field, mesh: what must stay enclosed, visible voxels or vertices and points on faces; without either it is the cage
     itself, so that the simpler one lies around it. margin: least distance to it, world units.
@@ -44,19 +45,21 @@ def simplified(cage: Cage, vertex_count: int, *, field=None, mesh=None, margin: 
     if not (np.isfinite(margin) and margin >= 0.0):
         raise ValueError(f"margin must be finite and not negative, got {margin}")
     thing = cage if mesh is None and field is None else mesh
-    spacing, points = cage.size / 96.0, []
+    spacing, slack, points = cage.size / 96.0, 0.0, []
     if thing is not None:
         vertices, faces = np.asarray(thing.vertices, dtype=np.float64), np.asarray(thing.faces, dtype=np.int64)
         points += [vertices, surface_points(vertices, faces, 0.5 * spacing)]
+        slack = 0.29 * spacing  # how far a face may lie off the points on it
     if field is not None:
         points.append(visible_nodes(field))
         spacing = max(spacing, float(np.max(field.voxel_size)))
+        slack = max(slack, 0.5 * float(np.linalg.norm(np.broadcast_to(field.voxel_size, 3))))
     points = np.concatenate(points)
     if not len(points):
         raise ValueError("there is nothing to enclose: the object is empty")
     if thing is not cage and not np.asarray(cage.contains(points)).all():
         raise ValueError("the cage does not enclose the object even before: check(field=...) says where")
-    return simplified_cage(cage.vertices, cage.faces, points, spacing, margin, vertex_count)
+    return simplified_cage(cage.vertices, cage.faces, points, spacing, slack + margin, vertex_count)
 
 
 def symmetrised(cage: Cage, axis: str = "x", *, centre: float | None = None, keep: str = "both") -> Cage:

@@ -10,13 +10,17 @@ class ObjectShell:
 
     points: (p, 3) float64, world units, dense enough that the object has no hole wider than `spacing` between them.
     spacing: side of a voxel. reach: closing radius; gaps narrower than twice that count as filled, cavities as well.
+    need: distance that a cage will keep; near it distances are exact.
 
-    distance (nx, ny, nz): from voxel centres to the nearest voxel centre that holds a point.
+    distance (nx, ny, nz): from voxel centres to the nearest point.
+    skin (n, 3): one of the points in each voxel that is less than two voxels from free space.
     closed (nx, ny, nz): signed distance, negative inside, to the object closed by a ball of radius `reach` (dilation,
     then erosion; Serra 1982); never more than `distance`. Surface and directions come from it smoothed over one voxel.
     """
 
-    def __init__(self, points: np.ndarray, spacing: float, reach: float):
+    def __init__(self, points: np.ndarray, spacing: float, reach: float, need: float):
+        import scipy.ndimage
+        import scipy.spatial
         import skimage.filters
         import skimage.measure
 
@@ -27,15 +31,34 @@ class ObjectShell:
         self.solid = np.zeros(cell.max(axis=0) + radius + 2, dtype=bool)
         self.solid[tuple(cell.T)] = True
 
-        self.distance = distance_to(self.solid, radius) * spacing
+        deep = scipy.ndimage.binary_erosion(self.solid, np.ones((3, 3, 3), dtype=bool), iterations=2)
+        # what lies two voxels below the skin is nearest to nothing outside
+        near = np.flatnonzero(~deep[tuple(cell.T)])
+        _, one = np.unique(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape), return_index=True)
+        self.skin = points[near[one]]
+        # from far off a search among all points is slow and more than is needed: voxels stand for those they hold
+        self._coarse = np.sqrt(0.75) * spacing if need > 6.0 * spacing else 0.0
+        found = self.lower + cell[near[one]] * spacing if self._coarse else points[near]
+        self._nearest = scipy.spatial.KDTree(found)
+        self.distance = self._distances(radius, need, deep)
         beyond = self.distance > reach
         parts = skimage.measure.label(beyond, connectivity=1)
         outside = parts == parts[0, 0, 0]  # the corner is free, so cavities of the dilated object are not part of it
-        # by the triangle inequality reach - inward never exceeds the distance to the object
-        inward = distance_to(outside, radius) * spacing
-        self.closed = np.where(outside, self.distance, reach - inward).astype(np.float64)
+        # by the triangle inequality reach - inward never exceeds the distance to the object; the voxel nearest to the
+        # true rim of what is outside may lie half a diagonal behind it, which would keep cages so much farther off
+        inward = distance_to(outside, radius) * spacing - np.sqrt(0.75) * spacing
+        self.closed = np.where(outside, self.distance, np.minimum(self.distance, reach - inward)).astype(np.float64)
         self._smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)
         self._slope = np.gradient(self._smooth, spacing)
+
+    def _distances(self, radius: int, need: float, deep) -> np.ndarray:
+        """Exact within a voxel of `need`, between voxel centres from 2.5 on, 0 deep inside; mixed in between."""
+        distance = distance_to(self.solid, radius).astype(np.float64) * self.spacing
+        far = np.clip(np.abs(distance - need) / self.spacing - 1.0, 0.0, 1.5) / 1.5
+        near = (far < 1.0) & ~deep
+        exact = self.exact_distance(self.lower + np.argwhere(near) * self.spacing)
+        distance[near] = (1.0 - far[near]) * exact + far[near] * np.minimum(distance[near], exact)
+        return distance
 
     def surface(self, level: float, step: int = 1) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (v, 3), world units, and outward faces (f, 3) of the closed object's offset by `level`.
@@ -55,9 +78,10 @@ class ObjectShell:
         """`closed` at points x (..., 3), trilinear; beyond the grid its value at the grid's edge."""
         return self._sample(x, [self.closed])[0]
 
-    def object_distance(self, x: np.ndarray) -> np.ndarray:
-        """`distance` at points x (..., 3), trilinear."""
-        return self._sample(x, [self.distance])[0]
+    def exact_distance(self, x: np.ndarray) -> np.ndarray:
+        """Distance from x (n, 3) to the nearest point of the object's skin; where `need` is more than six voxels, up to
+        1.8 voxels less."""
+        return np.maximum(self._nearest.query(x)[0] - self._coarse, 0.0)
 
     def outward(self, x: np.ndarray) -> np.ndarray:
         """Unit directions (..., 3) in which `closed` grows fastest; zero where it is flat."""
@@ -75,19 +99,10 @@ class ObjectShell:
         return self.lower + np.stack(np.unravel_index(first, parts.shape), axis=1) * self.spacing
 
     def _sample(self, x, volumes):
-        shape = np.array(self.solid.shape)
-        g = np.clip((np.asarray(x) - self.lower) / self.spacing, 0.0, shape - 1.000001)
-        cell = np.floor(g).astype(np.int64)
-        share = g - cell
-        strides = np.array([shape[1] * shape[2], shape[2], 1])
-        base = cell @ strides
-        totals = [0.0] * len(volumes)
-        for corner in range(8):
-            offset = np.array([corner >> 2, corner >> 1 & 1, corner & 1])
-            weight = np.prod(np.where(offset == 1, share, 1.0 - share), axis=-1)
-            for k, volume in enumerate(volumes):
-                totals[k] = totals[k] + weight * volume.reshape(-1)[base + offset @ strides]
-        return totals
+        import scipy.ndimage
+
+        grid = np.moveaxis((np.asarray(x) - self.lower) / self.spacing, -1, 0)
+        return [scipy.ndimage.map_coordinates(volume, grid, order=1, mode="nearest") for volume in volumes]
 
 
 def distance_to(mask: np.ndarray, radius: int) -> np.ndarray:

@@ -12,8 +12,8 @@ import itertools
 import numpy as np
 
 from .cage import Cage
-from .cage_fitting import fitted, pieces, pushed
-from .cage_offset import decimated, flaw, needed
+from .cage_nested import nested
+from .cage_offset import sound
 from .cage_shell import ObjectShell
 
 #: Sizes of voxels tried, as shares of the longest side; and closing radii, in voxels.
@@ -35,28 +35,25 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
         points = np.concatenate([points, points])
         points[len(points) // 2 :, axis] = 2.0 * middle - points[len(points) // 2 :, axis]
     frame = np.eye(3) if axis is not None else principal_frame(points)
-    need = needed(spacing, slack, margin)
+    need = slack + margin
     side, reasons = None, []
     for closing in _CLOSINGS:
         reach = need + max(2.0 * spacing, 0.0 if side is None else closing * side)
-        shell = ObjectShell(points, spacing, min(reach, need + 40.0 * spacing))
+        shell = ObjectShell(points, spacing, min(reach, need + 40.0 * spacing), need)
         solid = np.argwhere(shell.closed <= need + 0.5 * spacing) * spacing + shell.lower
         side, marks, lower = _searched(solid @ frame, vertex_count, axis, spacing)
         nodes, faces = outer_surface(marks, axis)
         vertices = (lower + nodes * side) @ frame.T
         if len(vertices) > 1.1 * vertex_count and axis is None:
-            vertices, faces = decimated(vertices, faces, vertex_count)
-        partner = None if axis is None else _partners(nodes, marks.shape, axis)
+            vertices, faces = nested(vertices, faces, vertex_count)
+        mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
         vertices = _smoothed_improved(vertices, Cage(vertices, faces).edges)
-        for start in (_drawn_in(shell, vertices, need), vertices):
-            fit = fitted(shell, start, faces, need)
-            if axis is not None:
-                fit = _cleared(shell, fit, faces, need, partner, axis, middle)
-            # a mirrored count is even in its pairs and has no decimation to help it
-            reason = flaw(shell, fit, faces, need, len(fit) if axis is not None else vertex_count)
-            if not reason:
-                return Cage(fit, faces)
-            reasons.append(reason)
+        # a mirrored count is even in its pairs and has no decimation to help it
+        count = len(vertices) if axis is not None else vertex_count
+        cage, reason = sound(shell, vertices, faces, need, count, mirror)
+        if not reason:
+            return cage
+        reasons.append(reason)
     raise ValueError(reasons[-1])
 
 
@@ -214,26 +211,12 @@ def _smoothed_improved(vertices, edges, rounds: int = 4, back: float = 0.6) -> n
     return vertices
 
 
-def _drawn_in(shell, vertices, need) -> np.ndarray:
-    """Vertices moved towards the nearest of the object's surface, to where the distance field has a slope."""
-    surface, _ = shell.surface(need, 2)
-    nearest = np.stack([surface[np.argmin(((surface - vertex) ** 2).sum(axis=1))] for vertex in vertices])
-    away = vertices - nearest
-    far = np.linalg.norm(away, axis=1, keepdims=True)
-    return nearest + away * np.minimum(1.0, (shell.reach - need) / np.maximum(far, 1e-12))
+def _mirror(partner, axis, middle):
+    """A function that takes the mean of vertices and of their mirror images across the plane at `middle`."""
 
-
-def _cleared(shell, vertices, faces, need, partner, axis, middle, rounds: int = 150) -> np.ndarray:
-    """Vertices pushed outward until all faces keep `need`, both halves alike about the plane at `middle`."""
-    level, edges = need + 0.15 * shell.spacing, Cage(vertices, faces).edges
-
-    def mirrored():
+    def mirrored(vertices):
         across = vertices[partner]
         across[:, axis] = 2.0 * middle - across[:, axis]
         return 0.5 * (vertices + across)
 
-    for _ in range(rounds):
-        vertices, worst = pushed(shell, mirrored(), faces, level, pieces(shell, vertices, edges))
-        if worst <= 0.05 * shell.spacing:
-            break
-    return mirrored()
+    return mirrored

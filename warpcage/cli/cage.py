@@ -41,6 +41,7 @@ def add_arguments(parser):
     parser.add_argument("--sides", type=options.positive_int, metavar="N", help="sides of the cylinder (default: 12)")
     parser.add_argument("--rings", type=options.positive_int, metavar="N",
                         help="pieces of the cylinder along its axis (default: 4)")
+    parser.add_argument("--quiet", action="store_true", help="do not tell what is tried")
     options.add_device(parser)
 
 
@@ -71,7 +72,7 @@ def run(args):
     else:
         make = Cage.from_field if is_field else Cage.from_mesh
         cage = make(thing, vertex_count=args.vertices or 100, margin=args.margin, method=args.method or "auto",
-                    symmetry=args.symmetry)
+                    symmetry=args.symmetry, progress=not args.quiet)
     cage.require_usable("the cage")
     cage.save(output, up=args.cage_up)
     print(f"wrote {output}: {len(cage.vertices)} vertices, {len(cage.faces)} faces")
