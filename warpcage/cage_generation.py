@@ -20,6 +20,9 @@ VISIBLE_OPACITY = 0.01
 
 _LEAST_COUNT, _MOST_COUNT = 8, 2000
 
+#: Points of a mesh that are all looked at; of more, one in each cell of a tenth of a voxel.
+_MOST_POINTS = 1_000_000
+
 
 def cage_around_mesh(mesh, vertex_count: int = 100, *, margin: float | None = None,
                      method: str = "auto", symmetry: str | None = None, progress: bool = False) -> Cage:
@@ -56,7 +59,11 @@ def cage_around_mesh(mesh, vertex_count: int = 100, *, margin: float | None = No
     spacing = _spacing(np.ptp(vertices, axis=0), vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
     # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
-    return _cage_around_points(points, spacing, 0.29 * spacing, margin, vertex_count, method, symmetry, progress)
+    slack = 0.29 * spacing
+    if len(points) > _MOST_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
+        _, one = np.unique(np.floor((points - points.min(axis=0)) / (0.1 * spacing)), axis=0, return_index=True)
+        points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
+    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, progress)
 
 
 def cage_around_field(field, vertex_count: int = 100, *, margin: float | None = None,
