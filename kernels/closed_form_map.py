@@ -16,7 +16,8 @@ from .harmonic_rows import CutRows
 from .mean_value import mean_value_position
 from .node_levels import NodeLevels, centred_place, node_place
 
-wp.set_module_options({"enable_backward": False, "fast_math": True})
+# so many registers a thread that larger blocks fill a GPU worse
+wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
 
 
 @wp.kernel

@@ -22,7 +22,8 @@ import warp as wp
 
 from .triangle import nearest_barycentric
 
-wp.set_module_options({"enable_backward": False, "fast_math": True})
+# so many registers a thread that larger blocks fill a GPU worse
+wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
 
 #: Faces whose plane passes closer than this share of the size take the float64 path.
 PLANE_BAND = wp.constant(1.0e-3)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from .coordinates import BLOCK_THREADS
 from .devices import launch
 from .kernels.closed_form_map import interpolate_nodes, map_crossings_green, map_nodes_green, map_nodes_mean_value
 from .kernels.green import weigh_green
@@ -60,8 +59,7 @@ class ClosedFormSolver:
             self._launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values])
 
     def _launch(self, kernel, count: int, inputs, outputs) -> None:
-        """Launch a kernel of the closed forms, in blocks that suit the many registers it holds."""
-        launch(kernel, count, inputs, outputs, device=self.device, block_dim=BLOCK_THREADS)
+        launch(kernel, count, inputs, outputs, device=self.device)
 
     def solve(self, vertex_values: wp.array, face_values=None) -> None:
         """Values at inside nodes and rings for vertex_values (v,) and, for green, face_values (f,) vec3: what psi in

@@ -25,9 +25,6 @@ KINDS = ("mean_value", "green", "harmonic")
 #: Nodes along the longest side of the lattice on which harmonic coordinates are solved.
 HARMONIC_RESOLUTION = 128
 
-#: Threads of a block of closed-form kernels: they hold so many registers that larger blocks fill a GPU worse.
-BLOCK_THREADS = 128
-
 
 def mean_value_coordinates(points, cage: Cage, device=None):
     """Mean value coordinates of points in a cage: (n, v) float32, each row sums to one and reproduces its point.
@@ -47,7 +44,7 @@ def mean_value_coordinates(points, cage: Cage, device=None):
     weights = wp.empty((local.count, len(cage.vertices)), dtype=wp.float32, device=local.device)
     vertices, faces = _cage_arrays(cage, local)
     launch(mean_value.weigh_mean_value, local.count, [local.points, vertices, faces, 1.0], [weights],
-           device=local.device, block_dim=BLOCK_THREADS)
+           device=local.device)
     return local.given_back(weights)
 
 
@@ -74,7 +71,7 @@ def green_coordinates(points, cage: Cage, device=None, *, outside: str = "raise"
     face_weights = wp.empty((local.count, len(cage.faces)), dtype=wp.float32, device=local.device)
     vertices, faces = _cage_arrays(cage, local)
     launch(green.weigh_green, local.count, [local.points, vertices, faces, 1.0], [vertex_weights, face_weights],
-           device=local.device, block_dim=BLOCK_THREADS)
+           device=local.device)
     launch(local_points.scale_rows, local.count, [cage.size], [face_weights], device=local.device)
     if len(lost):
         rows = wp.array(lost, dtype=wp.int32, device=local.device)
@@ -132,7 +129,7 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
         inputs.append(wp.array(normals, dtype=wp.vec3, device=local.device))
         outputs.append(local.bad)
     kernel = mean_value.map_mean_value if coordinates == "mean_value" else green.map_green_inside
-    launch(kernel, local.count, [*inputs, 1.0], outputs, device=local.device, block_dim=BLOCK_THREADS)
+    launch(kernel, local.count, [*inputs, 1.0], outputs, device=local.device)
     world = _restore(moved, local, centre, rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)
