@@ -4,12 +4,13 @@ The same sums as field_loss.accumulate_photometric_gradient, which says what the
 are looked up at once, one a lane; then the samples that hold matter are taken one by one, and the 27 coefficients of a
 voxel are read, and their gradients added, by 27 neighbouring lanes: a voxel's row is one run of memory instead of 27
 scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
-Siblings: field_loss, grid, rays, spherical_harmonics, volume_render. Uses warp shuffles: CUDA only.
+Siblings: field_loss, field_step, grid, rays, spherical_harmonics, volume_render. Uses warp shuffles: CUDA only.
 """
 
 import warp as wp
 
 from .field_loss import TrainingRays, background_behind, batch_pixel, subray_direction
+from .field_step import COEFFICIENTS, GRADIENT_ROW
 from .grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position
 from .spherical_harmonics import sh_basis
 from .volume_render import exit_distance, grid_span, sample_index_after
@@ -17,9 +18,6 @@ from .volume_render import exit_distance, grid_span, sample_index_after
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
 LANES = wp.constant(32)
-COEFFICIENTS = wp.constant(27)
-#: Numbers of a gradient row: 27 coefficients, red first, then the density.
-GRADIENT_ROW = wp.constant(28)
 
 
 @wp.func_native("""

@@ -9,6 +9,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+#: Numbers of a voxel's SH: nine of red, nine of green, nine of blue.
 COEFFICIENTS = wp.constant(27)
 BASIS_COUNT = wp.constant(9)
 #: Numbers of a gradient row: 27 coefficients, red first, then the density.

@@ -1,18 +1,15 @@
 """Gradient of the total variation of a voxel field's density and SH coefficients.
 
 Per node and number sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences (Plenoxels 2022, Eq. 3).
-Siblings: grid.
+Siblings: field_step, grid.
 """
 
 import warp as wp
 
+from .field_step import COEFFICIENTS, GRADIENT_ROW
 from .grid import VoxelGrid
 
 wp.set_module_options({"enable_backward": False})
-
-COEFFICIENTS = wp.constant(27)
-#: Numbers of a gradient row: 27 coefficients, red first, then the density.
-GRADIENT_ROW = wp.constant(28)
 
 
 @wp.func

@@ -14,7 +14,8 @@ from warpcage.bounds import camera_array, object_bounds
 from warpcage.devices import resolve_device
 from warpcage.evaluation import error_image, evaluate, mean_psnr, psnr, ssim
 from warpcage.kernels import field_loss, field_loss_warps, field_step, field_variation
-from warpcage.optimize import FieldOptimizer, coefficient_rows, gradient_parts
+from warpcage.optimize import FieldOptimizer
+from warpcage.row_views import coefficient_rows, gradient_parts
 
 
 def training_rays(cameras, images, alphas, field, device, side=1):

@@ -54,11 +54,11 @@ def test_a_fit_is_the_same_anywhere(pictures, fitted, world, alpha):
     for camera, here in list(zip(scene.cameras, pictures.cameras, strict=True))[::5]:
         frame, plain = field.render(camera), expected.render(here)
         # other factors round otherwise, and so do the sums of a GPU from run to run; optimising magnifies that
-        tolerance = 1e-6 if world == "1024 times" and field.device.is_cpu else 5e-3
+        tolerance = 1e-6 if world == "1024 times" and field.device.is_cpu else 3e-3 if alpha else 5e-3
         assert np.abs(frame.rgb - plain.rgb).mean() < tolerance
         assert np.abs(frame.alpha - plain.alpha).mean() < tolerance
         seen = plain.alpha > 0.5
-        assert np.median(np.abs(frame.depth[seen] / scale / plain.depth[seen] - 1)) < tolerance
+        assert np.median(np.abs(frame.depth[seen] / scale / plain.depth[seen] - 1)) < (1e-3 if alpha else tolerance)
     assert 0.02 < seen.mean() < 0.98
 
 

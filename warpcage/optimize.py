@@ -26,9 +26,9 @@ from .kernels import (
     grid_skip,
     visual_hull,
 )
-from .kernels.spherical_harmonics import vec9
 from .kernels.view_dependence import shrink_view_dependence
 from .kernels.volume_render import record_weights
+from .row_views import ROW_NUMBERS, coefficient_rows, gradient_parts
 from .scene import Scene
 from .sparse_grid import mask_count
 
@@ -37,9 +37,6 @@ STOP_TRANSMITTANCE = 1e-3
 
 #: Threads a ray of the photometric gradient on CUDA.
 WARP_LANES = 32
-
-#: Numbers of a gradient's row: 27 coefficients, red first, then the density.
-ROW_NUMBERS = 28
 
 #: Pictures that were taken are fewer and less exact than rendered ones: so much more total variation suits them.
 CAPTURED_VARIATION = 30.0
@@ -480,21 +477,6 @@ def fit(scene: Scene, *, quality: str = "standard", device=None, seed: int = 0, 
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     return field
-
-
-def coefficient_rows(sh: wp.array) -> wp.array:
-    """Coefficients (rows, 3) of vec9 as numbers (rows, 27), without a copy."""
-    return wp.array(ptr=sh.ptr, dtype=wp.float32, shape=(sh.shape[0], 27), device=sh.device, copy=False)
-
-
-def gradient_parts(gradients: wp.array) -> tuple[wp.array, wp.array]:
-    """The densities (rows,) and the coefficients (rows, 3) of vec9 of gradients (rows, 28), without a copy."""
-    rows, stride = gradients.shape[0], gradients.strides[0]
-    density = wp.array(ptr=gradients.ptr + 27 * 4, dtype=wp.float32, shape=rows, strides=(stride,),
-                       device=gradients.device, copy=False)
-    sh = wp.array(ptr=gradients.ptr, dtype=vec9, shape=(rows, 3), strides=(stride, 36), device=gradients.device,
-                  copy=False)
-    return density, sh
 
 
 def _ratio(fine: VoxelField, coarse: VoxelField) -> wp.vec3:
