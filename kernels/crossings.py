@@ -6,18 +6,20 @@ those where the winding number turns from 0 to above 0 or back, so even places e
 Whether a line passes through a face is decided by edge functions in float64, of float32 input and with vertices in one
 order for both faces of an edge: products are exact, so neighbouring faces agree and closed cages have no leaks (compare
 Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", JCGT 2013).
-Siblings: none.
+Siblings: lanes.
 """
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from .lanes import ballot, lane_count, lowest_bit, without_lowest_bit
+
+wp.set_module_options({"enable_backward": False, "block_dim": 64})  # small blocks: few items, to fill a GPU with
 
 #: How far, in cells, a node may lie beyond a crossing by rounding and still count as on its inner side.
 SLACK = wp.constant(1.0e-3)
 
-#: Faces that are read at once.
-CHUNK = wp.constant(4)
+#: Neighbouring lines that a group of lanes takes.
+RUN = wp.constant(32)
 
 
 @wp.struct
@@ -97,11 +99,61 @@ def keep_changes(crossings: LineCrossings, line: int):
 
 
 @wp.func
-def segment_count(shape: wp.vec3i, axis: int, segment: int):
-    """Runs of at most `segment` neighbouring lines along `axis`."""
+def run_count(shape: wp.vec3i, axis: int):
+    """Runs of at most RUN neighbouring lines along `axis`."""
     rows = wp.where(axis == 0, shape[1], shape[0])
     columns = wp.where(axis == 2, shape[1], shape[2])
-    return rows * ((columns + segment - 1) / segment)
+    return rows * ((columns + RUN - 1) / RUN)
+
+
+@wp.struct
+class LineRun:
+    """Neighbouring lines of one axis and one row: lines of axis 0, 1, 2 are numbered by (j, k), (i, k), (i, j)."""
+
+    axis: int
+    row_axis: int
+    column_axis: int
+    row: int
+    begin: int  # columns begin .. end - 1
+    end: int
+    first_line: int  # number of the row's line in column 0
+
+
+@wp.func
+def line_run(shape: wp.vec3i, number: int):
+    """The run of that number, those of axis 0 first; axis 3 for none."""
+    result = LineRun()
+    item = int(number)
+    axis = int(0)
+    while axis < 3 and item >= run_count(shape, axis):
+        item -= run_count(shape, axis)
+        axis += 1
+    result.axis = axis
+    result.row_axis = wp.where(axis == 0, 1, 0)
+    result.column_axis = wp.where(axis == 2, 1, 2)
+    columns = wp.where(axis == 2, shape[1], shape[2])
+    runs = (columns + RUN - 1) / RUN
+    result.row = item / runs
+    result.begin = (item - result.row * runs) * RUN
+    result.end = wp.min(result.begin + RUN, columns)
+    row_of_axis_0 = wp.where(axis == 0, result.row, 0)
+    result.first_line = line_index(shape, axis, wp.where(axis == 0, 0, result.row), row_of_axis_0, 0)
+    return result
+
+
+@wp.func
+def face_meets_run(vertices: wp.array(dtype=wp.vec3), face: wp.vec3i, run: LineRun):
+    """Whether the lines of a run pass through the bounding box of a face."""
+    a = vertices[face[0]]
+    b = vertices[face[1]]
+    c = vertices[face[2]]
+    low = wp.min(wp.min(a, b), c)
+    high = wp.max(wp.max(a, b), c)
+    over_row = component(low, run.row_axis) <= float(run.row) and component(high, run.row_axis) >= float(run.row)
+    over_columns = (
+        component(low, run.column_axis) <= float(run.end - 1) and component(high, run.column_axis) >= float(run.begin)
+    )
+    return over_row and over_columns
 
 
 @wp.func
@@ -110,46 +162,43 @@ def cross_face(
     faces: wp.array(dtype=wp.vec3i),
     crossings: LineCrossings,
     f: int,
-    axis: int,
-    row_axis: int,
-    column_axis: int,
-    row: int,
-    begin: int,
-    end: int,
-    first_line: int,
+    run: LineRun,
+    lane: int,
+    lanes: int,
 ):
-    """Crossings of the lines begin .. end - 1 of a row with a face; first_line: the one of column 0."""
+    """Crossings of a lane's lines of a run with a face."""
     face = faces[f]
     a = vertices[face[0]]
     b = vertices[face[1]]
     c = vertices[face[2]]
-    lowest = wp.min(wp.min(component(a, column_axis), component(b, column_axis)), component(c, column_axis))
-    highest = wp.max(wp.max(component(a, column_axis), component(b, column_axis)), component(c, column_axis))
-    p0 = wp.float64(row)
-    for column in range(wp.max(begin, int(wp.ceil(lowest))), wp.min(end, int(wp.floor(highest)) + 1)):
+    lowest = wp.min(wp.min(component(a, run.column_axis), component(b, run.column_axis)), component(c, run.column_axis))
+    highest = wp.max(wp.max(component(a, run.column_axis), component(b, run.column_axis)), component(c, run.column_axis))
+    p0 = wp.float64(run.row)
+    own = run.begin + lane
+    skipped = wp.max(int(wp.ceil(lowest)) - own + lanes - 1, 0) / lanes
+    for column in range(own + skipped * lanes, wp.min(run.end, int(wp.floor(highest)) + 1), lanes):
         p1 = wp.float64(column)
-        side_c = edge_side(a, b, face[0] < face[1], row_axis, column_axis, p0, p1)
-        side_a = edge_side(b, c, face[1] < face[2], row_axis, column_axis, p0, p1)
-        side_b = edge_side(c, a, face[2] < face[0], row_axis, column_axis, p0, p1)
+        side_c = edge_side(a, b, face[0] < face[1], run.row_axis, run.column_axis, p0, p1)
+        side_a = edge_side(b, c, face[1] < face[2], run.row_axis, run.column_axis, p0, p1)
+        side_b = edge_side(c, a, face[2] < face[0], run.row_axis, run.column_axis, p0, p1)
         zero = wp.float64(0.0)
         front = side_a > zero and side_b > zero and side_c > zero
         back = side_a < zero and side_b < zero and side_c < zero
         if front or back:
             total = side_a + side_b + side_c
             place = (
-                side_a * wp.float64(component(a, axis))
-                + side_b * wp.float64(component(b, axis))
-                + side_c * wp.float64(component(c, axis))
+                side_a * wp.float64(component(a, run.axis))
+                + side_b * wp.float64(component(b, run.axis))
+                + side_c * wp.float64(component(c, run.axis))
             ) / total
             # (row, column, axis) is a right-handed frame for axes 0 and 2, a left-handed one for axis 1
-            leaves = front != (axis == 1)
-            insert_crossing(crossings, first_line + column, float(place), wp.where(leaves, f + 1, -f - 1))
+            leaves = front != (run.axis == 1)
+            insert_crossing(crossings, run.first_line + column, float(place), wp.where(leaves, f + 1, -f - 1))
 
 
 @wp.kernel
 def cross_lines(
     first: int,
-    segment: int,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
     crossings: LineCrossings,
@@ -157,53 +206,32 @@ def cross_lines(
 ):
     """Crossings of all lines of a lattice with a cage.
 
-    An item is a run of `segment` neighbouring lines of one axis, those of axis 0 first. overflow (1,) becomes the
-    crossings a line would need where they are more than the capacity.
+    A group of lanes takes a run of RUN neighbouring lines: the lanes look at as many faces at once, and then each at
+    its own lines where these faces may meet them. overflow (1,) becomes the crossings a line would need where they are
+    more than the capacity.
     """
-    shape = crossings.shapes[0]
     item = first + wp.tid()
-    axis = int(0)
-    while axis < 3 and item >= segment_count(shape, axis, segment):
-        item -= segment_count(shape, axis, segment)
-        axis += 1
-    if axis == 3:
+    lanes = lane_count()
+    lane = item % lanes
+    run = line_run(crossings.shapes[0], item / lanes)
+    if run.axis == 3:
         return
-    # lines of axis 0, 1, 2 are numbered by (j, k), (i, k), (i, j): row and column
-    row_axis = wp.where(axis == 0, 1, 0)
-    column_axis = wp.where(axis == 2, 1, 2)
-    columns = shape[column_axis]
-    runs = (columns + segment - 1) / segment
-    row = item / runs
-    begin = (item - row * runs) * segment
-    end = wp.min(begin + segment, columns)
-    first_line = line_index(shape, axis, wp.where(row_axis == 0, row, 0), wp.where(row_axis == 1, row, 0), 0)
-    for column in range(begin, end):
-        crossings.counts[first_line + column] = 0
+    for column in range(run.begin + lane, run.end, lanes):
+        crossings.counts[run.first_line + column] = 0
 
-    for f in range(0, faces.shape[0], CHUNK):
-        meets = int(0)
-        for m in range(CHUNK):  # without branches, so that all are read at once
-            face = faces[wp.min(f + m, faces.shape[0] - 1)]
-            a = vertices[face[0]]
-            b = vertices[face[1]]
-            c = vertices[face[2]]
-            low = wp.min(wp.min(a, b), c)
-            high = wp.max(wp.max(a, b), c)
-            over_row = component(low, row_axis) <= float(row) and component(high, row_axis) >= float(row)
-            over_run = component(low, column_axis) <= float(end - 1) and component(high, column_axis) >= float(begin)
-            meets += wp.where(f + m < faces.shape[0] and over_row and over_run, 1 << m, 0)
-        number = int(f)
+    face_count = faces.shape[0]
+    for f in range(0, face_count, lanes):
+        own = faces[wp.min(f + lane, face_count - 1)]
+        meets = ballot(wp.where(f + lane < face_count and face_meets_run(vertices, own, run), 1, 0))
         while meets != 0:
-            if (meets & 1) == 1:
-                cross_face(vertices, faces, crossings, number, axis, row_axis, column_axis, row, begin, end, first_line)
-            meets = meets >> 1
-            number += 1
+            cross_face(vertices, faces, crossings, f + lowest_bit(meets), run, lane, lanes)
+            meets = without_lowest_bit(meets)
 
-    for column in range(begin, end):
-        if crossings.counts[first_line + column] > crossings.places.shape[1]:
-            overflow[0] = crossings.counts[first_line + column]
-            crossings.counts[first_line + column] = 0
-        keep_changes(crossings, first_line + column)
+    for column in range(run.begin + lane, run.end, lanes):
+        if crossings.counts[run.first_line + column] > crossings.places.shape[1]:
+            overflow[0] = crossings.counts[run.first_line + column]
+            crossings.counts[run.first_line + column] = 0
+        keep_changes(crossings, run.first_line + column)
 
 
 @wp.func

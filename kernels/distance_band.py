@@ -3,13 +3,15 @@
 The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
 the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. How far the middle of each
 block is from the cage is kept as well, up to somewhat more than CLEARANCE cells. Units: node units (see
-crossings) for vertices, world units for the result. Siblings: containment, crossings.
+crossings) for vertices, world units for the result. Siblings: containment,
+crossings, lanes.
 """
 
 import warp as wp
 
 from .containment import triangle_distance_squared
 from .crossings import LineCrossings, is_inside
+from .lanes import ballot, bit_count, bits_before, lane_count, least_of_lanes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -50,8 +52,12 @@ def list_block_faces(
     clearances: wp.array(dtype=float),
 ):
     """near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,) how many, also beyond m;
-    clearances (blocks,) cells from the middle of a block to the cage, up to what makes all its nodes clear of it."""
-    block = first + wp.tid()
+    clearances (blocks,) cells from the middle of a block to the cage, up to what makes all its nodes clear of it. A
+    group of lanes a block, a lane a face."""
+    item = first + wp.tid()
+    lanes = lane_count()
+    lane = item % lanes
+    block = item / lanes
     shape = crossings.shapes[0]
     ny = block_count(shape[1])
     nz = block_count(shape[2])
@@ -65,20 +71,25 @@ def list_block_faces(
     reach = BAND + HALF_DIAGONAL
     nearest = (CLEARANCE + HALF_DIAGONAL) * (CLEARANCE + HALF_DIAGONAL)
     count = int(0)
-    for f in range(faces.shape[0]):
-        face = faces[f]
+    for f in range(lane, (faces.shape[0] + lanes - 1) / lanes * lanes, lanes):
+        face = faces[wp.min(f, faces.shape[0] - 1)]
         a = vertices[face[0]]
         b = vertices[face[1]]
         c = vertices[face[2]]
-        if box_gap_squared(centre, a, b, c) <= wp.max(nearest, reach * reach):
+        is_near = int(0)
+        if f < faces.shape[0] and box_gap_squared(centre, a, b, c) <= wp.max(nearest, reach * reach):
             apart = triangle_distance_squared(centre, a, b, c)
             nearest = wp.min(nearest, apart)
-            if apart <= reach * reach:
-                if count < near.shape[1]:
-                    near[block, count] = f
-                count += 1
-    counts[block] = count
-    clearances[block] = wp.sqrt(nearest)
+            is_near = wp.where(apart <= reach * reach, 1, 0)
+        found = ballot(is_near)
+        slot = count + bit_count(bits_before(found, lane))
+        if is_near == 1 and slot < near.shape[1]:
+            near[block, slot] = f
+        count += bit_count(found)
+    nearest = least_of_lanes(nearest)
+    if lane == 0:
+        counts[block] = count
+        clearances[block] = wp.sqrt(nearest)
 
 
 @wp.func

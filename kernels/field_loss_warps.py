@@ -4,7 +4,7 @@ The same sums as field_loss.accumulate_photometric_gradient, which says what the
 are looked up at once, one a lane; then the samples that hold matter are taken one by one, and the 27 coefficients of a
 voxel are read, and their gradients added, by 27 neighbouring lanes: a voxel's row is one run of memory instead of 27
 scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
-Siblings: field_loss, field_step, grid, rays, spherical_harmonics, volume_render. Uses warp shuffles: CUDA only.
+Siblings: field_loss, field_step, grid, lanes, rays, spherical_harmonics, volume_render. Uses warp shuffles: CUDA only.
 """
 
 import warp as wp
@@ -12,52 +12,13 @@ import warp as wp
 from .field_loss import TrainingRays, background_behind, batch_pixel, subray_direction
 from .field_step import COEFFICIENTS, GRADIENT_ROW
 from .grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position
+from .lanes import ballot, from_lane, lowest_bit, without_lowest_bit
 from .spherical_harmonics import sh_basis
 from .volume_render import exit_distance, grid_span, sample_index_after
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
 LANES = wp.constant(32)
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, value, lane);
-#else
-    return value;  // never launched there
-#endif
-""")
-def from_lane(value: wp.float32, lane: wp.int32) -> wp.float32:
-    """The value that another lane of the warp holds."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return (int)__ballot_sync(0xffffffffu, flag);
-#else
-    return flag;
-#endif
-""")
-def ballot(flag: wp.int32) -> wp.int32:
-    """Bit i is set where lane i has a flag."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __ffs(bits) - 1;
-#else
-    return 0;
-#endif
-""")
-def lowest_bit(bits: wp.int32) -> wp.int32: ...
-
-
-@wp.func_native("""
-    return (int)((unsigned int)bits & ((unsigned int)bits - 1u));
-""")
-def without_lowest_bit(bits: wp.int32) -> wp.int32: ...
 
 
 @wp.func

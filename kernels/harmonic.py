@@ -14,12 +14,13 @@ first half sweep is load / d. The half sweep that ends a cycle begins the next o
 values (nodes of all levels,) vec3, as numbered by node_levels; zero outside. A launch writes nodes of one colour and
 reads the other, so items are independent. Every kernel takes its count from the device: launches may be longer than
 the list, which lets one CUDA graph serve poses with different counts.
-Siblings: node_levels, harmonic_rows. The levels with few nodes go through one launch in harmonic_coarse.
+Siblings: lanes, node_levels, harmonic_rows. The levels with few nodes go through one launch in harmonic_coarse.
 """
 
 import warp as wp
 
 from .harmonic_rows import CutRows
+from .lanes import lane_count, largest_of_lanes
 from .node_levels import OUTSIDE, NodeLevels, node_place
 
 wp.set_module_options({"enable_backward": False})
@@ -153,11 +154,16 @@ def prolonged_correction(system: LaplaceSystem, level: int, node: int):
 
 
 @wp.func
-def raise_largest(largest: wp.array(dtype=wp.vec2), slot: int, found: wp.vec2):
-    """Raise an entry; a look at what is held, which only grows, spares most of the waiting."""
-    held = largest[slot]
-    if found[0] > held[0] or found[1] > held[1]:
-        wp.atomic_max(largest, slot, found)
+def raise_largest(largest: wp.array(dtype=wp.vec2), item: int, found: wp.vec2):
+    """Raise the entry of an item's group of lanes; a look at what is held, which only grows, spares most of the
+    waiting. All lanes."""
+    most = wp.vec2(largest_of_lanes(found[0]), largest_of_lanes(found[1]))
+    lanes = lane_count()
+    if item % lanes == 0:
+        slot = (item / lanes) % largest.shape[0]
+        held = largest[slot]
+        if most[0] > held[0] or most[1] > held[1]:
+            wp.atomic_max(largest, slot, most)
 
 
 @wp.kernel
@@ -175,7 +181,7 @@ def relax_laplace(first: int, level: int, colour: int, system: LaplaceSystem):
 def relax_and_measure(first: int, span: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
     """Relax the red nodes of level 0, and raise `largest` (slots,), first component, to what changes most.
 
-    An item takes `span` nodes and raises entry (item % slots): items that share one may not run on two CPU threads.
+    An item takes `span` nodes, and a group of lanes raises one entry: on a CPU, items as many as there are entries.
     """
     item = first + wp.tid()
     begin = system.levels.starts[0]
@@ -186,7 +192,7 @@ def relax_and_measure(first: int, span: int, system: LaplaceSystem, largest: wp.
         if diagonal(system, system.levels.codes[node]) <= LARGEST_DIAGONAL:
             worst = wp.max(worst, wp.max(wp.abs(value - system.values[node])))
         system.values[node] = value
-    raise_largest(largest, item % largest.shape[0], wp.vec2(worst, 0.0))
+    raise_largest(largest, item, wp.vec2(worst, 0.0))
 
 
 @wp.kernel
@@ -233,19 +239,20 @@ def prolong_and_measure(first: int, span: int, system: LaplaceSystem, largest: w
         correction = prolonged_correction(system, 0, node)
         worst = wp.max(worst, wp.max(wp.abs(correction)))
         system.values[node] = system.values[node] + correction
-    raise_largest(largest, item % largest.shape[0], wp.vec2(0.0, worst))
+    raise_largest(largest, item, wp.vec2(0.0, worst))
 
 
 @wp.kernel
 def begin_cycles(
     first: int, going: wp.array(dtype=int), status: wp.array(dtype=float), largest: wp.array(dtype=wp.vec2)
 ):
-    """going (1,) becomes 1, status (cycles, residual) and largest zero. One item."""
-    going[0] = 1
-    for n in range(2):
-        status[n] = 0.0
-    for n in range(largest.shape[0]):
-        largest[n] = wp.vec2(0.0, 0.0)
+    """going (1,) becomes 1, status (cycles, residual) and largest (slots,) zero. An item a slot."""
+    item = first + wp.tid()
+    largest[item] = wp.vec2(0.0, 0.0)
+    if item == 0:
+        going[0] = 1
+        status[0] = 0.0
+        status[1] = 0.0
 
 
 @wp.kernel
@@ -260,12 +267,14 @@ def judge_cycle(
     status: wp.array(dtype=float),
 ):
     """Count a cycle and work out what is left after it; going (1,) becomes 0 where that is within the tolerance, and
-    largest zero. One item."""
-    worst = wp.vec2(0.0, 0.0)
-    for n in range(largest.shape[0]):
-        worst = wp.max(worst, largest[n])
+    largest zero. One group of lanes."""
+    item = first + wp.tid()
+    own = wp.vec2(0.0, 0.0)
+    for n in range(item, largest.shape[0], lane_count()):
+        own = wp.max(own, largest[n])
         largest[n] = wp.vec2(0.0, 0.0)
-    left = wp.max(per_residual * worst[0], per_correction * worst[1])
-    status[0] = status[0] + 1.0
-    status[1] = left
-    going[0] = wp.where(left > tolerance and status[0] < float(most_cycles), 1, 0)
+    left = wp.max(per_residual * largest_of_lanes(own[0]), per_correction * largest_of_lanes(own[1]))
+    if item == 0:
+        status[0] = status[0] + 1.0
+        status[1] = left
+        going[0] = wp.where(left > tolerance and status[0] < float(most_cycles), 1, 0)

@@ -204,12 +204,16 @@ def gather_status(
     levels: NodeLevels,
     status: wp.array(dtype=float),
 ):
-    """status: both overflows, the solver's cycles and residual, nodes at gaps, and the length of each section. One
-    item."""
-    status[0] = float(line_overflow[0])
-    status[1] = float(list_overflow[0])
-    status[2] = solver[0]
-    status[3] = solver[1]
-    status[4] = float(gap_count[0] + narrow[0] / 2)
-    for s in range(status.shape[0] - 5):
-        status[5 + s] = float(levels.starts[s + 1] - levels.starts[s])
+    """status (5 + sections,): both overflows, the solver's cycles and residual, nodes at gaps, and the length of each
+    section. An item an entry."""
+    item = first + wp.tid()
+    if item >= 5:
+        status[item] = float(levels.starts[item - 4] - levels.starts[item - 5])
+    elif item == 0:
+        status[item] = float(line_overflow[0])
+    elif item == 1:
+        status[item] = float(list_overflow[0])
+    elif item < 4:
+        status[item] = solver[item - 2]
+    else:
+        status[item] = float(gap_count[0] + narrow[0] / 2)

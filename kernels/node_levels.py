@@ -17,13 +17,14 @@ device.
 
 Maps of closed forms are smooth away from the cage: where `interpolates` is set, inside nodes with an odd coordinate
 and at least CLEARANCE cells from the cage are interpolated (see closed_form_map) rather than evaluated.
-Siblings: crossings, distance_band.
+Siblings: crossings, distance_band, lanes.
 """
 
 import warp as wp
 
 from .crossings import LineCrossings, exit_distance
 from .distance_band import CLEARANCE, node_clearance
+from .lanes import ballot, bit_count, bits_before, lane_count
 
 wp.set_module_options({"enable_backward": False})
 
@@ -33,11 +34,6 @@ OUTSIDE = wp.constant(-3)  # codes above are inside, codes below in a ring
 RING = wp.constant(-4)  # ring r has code RING - r
 RINGS = wp.constant(3)
 CELL_DIAGONAL = wp.constant(1.7321)  # cells
-
-
-#: Nodes of a column that are read at once.
-CHUNK = wp.constant(8)
-_Codes = wp.types.vector(length=8, dtype=int)
 
 
 @wp.struct
@@ -191,20 +187,46 @@ def inside_section(levels: NodeLevels, code: int, parity: int):
     return parity % 2
 
 
+@wp.struct
+class SectionFlags:
+    """Which of the sections that its level fills a node belongs to, 1 or 0 each."""
+
+    one: int
+    other: int
+    cut: int
+    ring_0: int
+    ring_1: int
+    ring_2: int
+
+
 @wp.func
-def column_codes(levels: NodeLevels, begin: int, count: int, k: int):
-    """Codes of nodes k .. k + CHUNK - 1 of a column of `count` nodes that begins at `begin`; OUTSIDE beyond its end."""
-    codes = _Codes()
-    for m in range(CHUNK):
-        code = levels.codes[begin + wp.min(k + m, count - 1)]
-        codes[m] = wp.where(k + m < count, code, OUTSIDE)
-    return codes
+def section_flags(levels: NodeLevels, code: int, parity: int):
+    result = SectionFlags()
+    section = inside_section(levels, code, parity)
+    result.one = wp.where(code > OUTSIDE and section == 0, 1, 0)
+    result.other = wp.where(code > OUTSIDE and section == 1, 1, 0)
+    result.cut = wp.where(code >= 0, 1, 0)
+    result.ring_0 = wp.where(code == RING, 1, 0)
+    result.ring_1 = wp.where(code == RING - 1, 1, 0)
+    result.ring_2 = wp.where(code == RING - 2, 1, 0)
+    return result
+
+
+@wp.func
+def column_code(levels: NodeLevels, begin: int, count: int, k: int):
+    """Code of node k of a column of `count` nodes that begins at `begin`; OUTSIDE beyond its end."""
+    code = levels.codes[begin + wp.min(k, count - 1)]
+    return wp.where(k < count, code, OUTSIDE)
 
 
 @wp.kernel
 def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
-    """Nodes of each section in each column; counts lie section after section, a column of its level an entry."""
-    column = first + wp.tid()
+    """Nodes of each section in each column; counts lie section after section, a column of its level an entry. A group
+    of lanes a column, a lane a node."""
+    item = first + wp.tid()
+    lanes = lane_count()
+    lane = item % lanes
+    column = item / lanes
     level_count = levels.shapes.shape[0]
     if column >= levels.first_column[level_count]:
         return
@@ -219,29 +241,28 @@ def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
     ring_0 = int(0)
     ring_1 = int(0)
     ring_2 = int(0)
-    for k in range(0, shape[2], CHUNK):
-        codes = column_codes(levels, begin, shape[2], k)
-        for m in range(CHUNK):
-            code = codes[m]
-            is_inside = code > OUTSIDE
-            section = inside_section(levels, code, parity + k + m)
-            one += wp.where(is_inside and section == 0, 1, 0)
-            other += wp.where(is_inside and section == 1, 1, 0)
-            cut += wp.where(code >= 0, 1, 0)
-            ring_0 += wp.where(code == RING, 1, 0)
-            ring_1 += wp.where(code == RING - 1, 1, 0)
-            ring_2 += wp.where(code == RING - 2, 1, 0)
-    columns = levels.first_column[level_count]
-    width = levels.first_column[level + 1] - levels.first_column[level]
-    counts[2 * levels.first_column[level] + local] = one
-    counts[2 * levels.first_column[level] + width + local] = other
-    counts[2 * columns + column] = cut
-    if level == 0:
-        counts[3 * columns + local] = ring_0
-        counts[3 * columns + width + local] = ring_1
-        counts[3 * columns + 2 * width + local] = ring_2
-        if column == 0:
-            counts[3 * columns + RINGS * width] = 0
+    for k in range(0, shape[2], lanes):
+        code = column_code(levels, begin, shape[2], k + lane)
+        if ballot(wp.where(code != OUTSIDE, 1, 0)) != 0:
+            flags = section_flags(levels, code, parity + k + lane)
+            one += bit_count(ballot(flags.one))
+            other += bit_count(ballot(flags.other))
+            cut += bit_count(ballot(flags.cut))
+            ring_0 += bit_count(ballot(flags.ring_0))
+            ring_1 += bit_count(ballot(flags.ring_1))
+            ring_2 += bit_count(ballot(flags.ring_2))
+    if lane == 0:
+        columns = levels.first_column[level_count]
+        width = levels.first_column[level + 1] - levels.first_column[level]
+        counts[2 * levels.first_column[level] + local] = one
+        counts[2 * levels.first_column[level] + width + local] = other
+        counts[2 * columns + column] = cut
+        if level == 0:
+            counts[3 * columns + local] = ring_0
+            counts[3 * columns + width + local] = ring_1
+            counts[3 * columns + 2 * width + local] = ring_2
+            if column == 0:
+                counts[3 * columns + RINGS * width] = 0
 
 
 @wp.func
@@ -266,27 +287,42 @@ def find_starts(
     limits: wp.array(dtype=int),
     overflow: wp.array(dtype=int),
 ):
-    """starts from the scanned counts. One item a section, and one for the end.
+    """starts from the scanned counts. One group of lanes, a lane a section.
 
     limits (sections,): entries that there is room for. Where one is exceeded, overflow (1,) becomes 1 and all sections
     are empty.
     """
-    section = first + wp.tid()
-    fits = int(1)
-    for s in range(limits.shape[0]):
+    item = first + wp.tid()
+    lanes = lane_count()
+    section_count = limits.shape[0]
+    exceeded = int(0)
+    for s in range(item, section_count, lanes):
         if offsets[scan_entry(levels, s + 1)] - offsets[scan_entry(levels, s)] > limits[s]:
-            fits = 0
-    start = offsets[scan_entry(levels, section)]
-    if fits == 0:
+            exceeded = 1
+    exceeded = ballot(exceeded)
+    for s in range(item, section_count + 1, lanes):
+        levels.starts[s] = wp.where(exceeded == 0, offsets[scan_entry(levels, s)], 0)
+    if exceeded != 0 and item == 0:
         overflow[0] = 1
-        start = 0
-    levels.starts[section] = start
+
+
+@wp.func
+def list_node(levels: NodeLevels, flag: int, slot: int, node: int, lane: int):
+    """Write the nodes of the lanes with a flag to the list, from `slot` on; the slot after them. All lanes."""
+    flags = ballot(flag)
+    if flag == 1:
+        levels.nodes[slot + bit_count(bits_before(flags, lane))] = node
+    return slot + bit_count(flags)
 
 
 @wp.kernel
 def list_columns(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
-    """Write the nodes of each column to their sections, and the rows of cut nodes to their codes."""
-    column = first + wp.tid()
+    """Write the nodes of each column to their sections, and the rows of cut nodes to their codes. A group of lanes a
+    column, a lane a node."""
+    item = first + wp.tid()
+    lanes = lane_count()
+    lane = item % lanes
+    column = item / lanes
     level_count = levels.shapes.shape[0]
     if column >= levels.first_column[level_count] or levels.starts[3 * level_count + RINGS] == 0:
         return
@@ -308,28 +344,19 @@ def list_columns(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
         ring_0 = offsets[3 * columns + local]
         ring_1 = offsets[3 * columns + width + local]
         ring_2 = offsets[3 * columns + 2 * width + local]
-    for k in range(0, shape[2], CHUNK):
-        codes = column_codes(levels, begin, shape[2], k)
-        for m in range(CHUNK):
-            code = codes[m]
-            node = begin + k + m
-            if code > OUTSIDE:
-                if inside_section(levels, code, parity + k + m) == 0:
-                    levels.nodes[one] = node
-                    one += 1
-                else:
-                    levels.nodes[other] = node
-                    other += 1
-                if code >= 0:
-                    levels.nodes[cut] = node
-                    levels.codes[node] = cut - first_cut
-                    cut += 1
-            elif code == RING:
-                levels.nodes[ring_0] = node
-                ring_0 += 1
-            elif code == RING - 1:
-                levels.nodes[ring_1] = node
-                ring_1 += 1
-            elif code == RING - 2:
-                levels.nodes[ring_2] = node
-                ring_2 += 1
+    for k in range(0, shape[2], lanes):
+        code = column_code(levels, begin, shape[2], k + lane)
+        if ballot(wp.where(code != OUTSIDE, 1, 0)) != 0:
+            node = begin + k + lane
+            flags = section_flags(levels, code, parity + k + lane)
+            one = list_node(levels, flags.one, one, node, lane)
+            other = list_node(levels, flags.other, other, node, lane)
+            cuts = ballot(flags.cut)
+            if flags.cut == 1:
+                row = cut + bit_count(bits_before(cuts, lane))
+                levels.nodes[row] = node
+                levels.codes[node] = row - first_cut
+            cut += bit_count(cuts)
+            ring_0 = list_node(levels, flags.ring_0, ring_0, node, lane)
+            ring_1 = list_node(levels, flags.ring_1, ring_1, node, lane)
+            ring_2 = list_node(levels, flags.ring_2, ring_2, node, lane)

@@ -57,6 +57,11 @@ def launch(kernel: wp.Kernel, count: int, inputs, outputs=(), *, device, threads
     run_parallel([lambda b=b, e=e: run(b, e) for b, e in zip(edges, edges[1:], strict=False)], threads)
 
 
+def lane_count(device) -> int:
+    """Items that share a piece of work in kernels written for a group of lanes (kernels/lanes.py)."""
+    return 1 if wp.get_device(device).is_cpu else 32
+
+
 def module_block_dim(kernel: wp.Kernel) -> int:
     """Threads a block that a kernel's module is meant for: its option block_dim, 256 where it names none."""
     return kernel.module.options["block_dim"]

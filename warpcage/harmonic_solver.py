@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import warp as wp
 
-from .devices import launch
+from .devices import lane_count, launch
 from .kernels.harmonic import (
     LaplaceSystem,
     begin_cycles,
@@ -155,7 +155,7 @@ class HarmonicSolver:
         system.values.zero_()
         inputs = [nodes.levels, self.rows, self.lattice.faces, vertex_values, system.sources]
         self._launch(set_sources, int(sections[2 * nodes.level_count]), inputs)
-        self._launch(begin_cycles, 1, [self.going, self.status, self._largest])
+        self._launch(begin_cycles, self._largest.size, [self.going, self.status, self._largest])
         self._sweep(relax_laplace, int(sections[0]), [0, 0, system])
 
     def _cycle_runner(self, sections: np.ndarray):
@@ -198,7 +198,7 @@ class HarmonicSolver:
             self._relax(level, 0, 2 * SWEEPS, inside)
         self._measure(relax_and_measure, int(inside[0, 0]))
         inputs = [ERROR_PER_RESIDUAL, ERROR_PER_CORRECTION, self.tolerance, MAX_CYCLES, self._largest]
-        self._launch(judge_cycle, 1, [*inputs, self.going, self.status])
+        self._launch(judge_cycle, lane_count(self.device), [*inputs, self.going, self.status])
 
     def _cycle_coarse(self, level: int) -> None:
         """Launch the levels from `level` on as one block of threads."""
@@ -214,7 +214,8 @@ class HarmonicSolver:
 
     def _measure(self, kernel, count: int) -> None:
         """Launch a kernel that raises the largest changes; on a CPU an item a slot, as slots must not be shared."""
-        items = LARGEST_SLOTS if self.device.is_cpu else count
+        lanes = lane_count(self.device)
+        items = LARGEST_SLOTS if self.device.is_cpu else -(-count // lanes) * lanes
         threads = 1 if count < SHORT_LAUNCH else None
         inputs = [-(-count // max(items, 1)), self.system, self._largest]
         launch(kernel, items, inputs, device=self.device, threads=threads)

@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 
 from .buffers import Buffers
-from .devices import launch, resolve_device
-from .kernels.crossings import LineCrossings, cross_lines
+from .devices import lane_count, launch, resolve_device
+from .kernels.crossings import RUN, LineCrossings, cross_lines
 from .kernels.distance_band import BLOCK, list_block_faces, measure_band
 from .pose_constants import PoseConstants
 
@@ -108,12 +108,10 @@ class CageLattice:
         self.first_node = np.concatenate([[0], np.cumsum(shapes.prod(axis=1, dtype=np.int64))])
         self.first_column = np.concatenate([[0], np.cumsum(shapes[:, 0] * shapes[:, 1])])
         nx, ny, nz = self.shape
-        # a GPU wants many short items; a CPU visits the faces less often with long ones
-        segment = self._segment = 32 if self.device.is_cpu else 1
         self.sizes = {
             "nodes": nx * ny * nz,
             "lines": ny * nz + nx * nz + nx * ny,
-            "line_items": ny * -(-nz // segment) + nx * -(-nz // segment) + nx * -(-ny // segment),
+            "runs": (nx + ny) * -(-nz // RUN) + nx * -(-ny // RUN),
             "blocks": -(-nx // BLOCK) * -(-ny // BLOCK) * -(-nz // BLOCK),
         }
         scaled = (cage.vertices - self.lower) / self.spacing
@@ -156,8 +154,8 @@ class CageLattice:
         self.crossings.faces = self.buffers.get("faces", (lines, self._line_capacity), int)
         launch(
             cross_lines,
-            sizes["line_items"],
-            [self._segment, self.vertices, self.faces, self.crossings, self.overflow],
+            lane_count(self.device) * sizes["runs"],
+            [self.vertices, self.faces, self.crossings, self.overflow],
             device=self.device,
         )
 
@@ -168,7 +166,8 @@ class CageLattice:
         self.flat_distance = self.buffers.get("distance", sizes["nodes"], float)
         self.clearances = self.buffers.get("clearances", sizes["blocks"], float)
         inputs = [self.crossings, self.vertices, self.faces, counts, near]
-        launch(list_block_faces, sizes["blocks"], [*inputs, self.clearances], device=self.device)
+        items = lane_count(self.device) * sizes["blocks"]
+        launch(list_block_faces, items, [*inputs, self.clearances], device=self.device)
         inputs += [self.constants.arrays["scales"], self.flat_distance]
         launch(measure_band, sizes["nodes"], inputs, device=self.device)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from .devices import launch
+from .devices import lane_count, launch
 from .kernels.node_levels import RINGS, NodeLevels, classify_nodes, count_columns, find_starts, list_columns
 
 NO_LIMIT = np.iinfo(np.int32).max
@@ -86,12 +86,13 @@ class LatticeNodes:
         launch(classify_nodes, sizes["nodes"], inputs, [self.narrow], device=device)
         counts = buffers.get("column_counts", sizes["entries"], int)
         self._offsets = buffers.get("column_offsets", sizes["entries"], int)
-        launch(count_columns, sizes["columns"], [levels], [counts], device=device)
+        launch(count_columns, lane_count(device) * sizes["columns"], [levels], [counts], device=device)
         wp.utils.array_scan(counts, self._offsets, inclusive=False)
         inputs = [levels, self._offsets, self._limits, self.overflow]
-        launch(find_starts, self.section_count + 1, inputs, device=device)
+        launch(find_starts, lane_count(device), inputs, device=device)
 
     def launch_lists(self, sizes: dict, room: int) -> None:
         """Launch what writes the lists, of at most `room` nodes."""
         self.levels.nodes = self.lattice.buffers.get("nodes", room, int)
-        launch(list_columns, sizes["columns"], [self.levels, self._offsets], device=self.lattice.device)
+        device = self.lattice.device
+        launch(list_columns, lane_count(device) * sizes["columns"], [self.levels, self._offsets], device=device)

@@ -119,5 +119,5 @@ class PoseGraph:
         inputs = [nodes.levels, self.scale, arrays["affine"]]
         launch(add_affine, self._lattice_sizes["nodes"], inputs, [values], device=self.device)
         inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.narrow, nodes.levels]
-        launch(gather_status, 1, inputs, [self._status], device=self.device)
+        launch(gather_status, self._status.size, inputs, [self._status], device=self.device)
         wp.copy(self._host_status, self._status)
