@@ -20,7 +20,7 @@ from .node_levels import NodeLevels, centred_place, node_place
 wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(128, 5))
 def map_nodes_mean_value(
     first: int,
     levels: NodeLevels,

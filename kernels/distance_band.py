@@ -44,21 +44,21 @@ def block_count(side: int):
 @wp.kernel
 def list_block_faces(
     first: int,
-    crossings: LineCrossings,
+    shapes: wp.array(dtype=wp.vec3i),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
     counts: wp.array(dtype=int),
     near: wp.array2d(dtype=int),
     clearances: wp.array(dtype=float),
 ):
-    """near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,) how many, also beyond m;
+    """shapes: as in LineCrossings. near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,) how many, also beyond m;
     clearances (blocks,) cells from the middle of a block to the cage, up to what makes all its nodes clear of it. A
     group of lanes a block, a lane a face."""
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes
     block = item / lanes
-    shape = crossings.shapes[0]
+    shape = shapes[0]
     ny = block_count(shape[1])
     nz = block_count(shape[2])
     if block >= block_count(shape[0]) * ny * nz:

@@ -211,7 +211,7 @@ def mean_value_position(
     return position * wp.where(total == 0.0, 0.0, 1.0 / total)
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(128, 5))
 def map_mean_value(
     first: int,
     points: wp.array(dtype=wp.vec3),

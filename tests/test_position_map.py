@@ -184,6 +184,27 @@ def test_replayed_poses_are_the_same(kind, device, monkeypatch):
     assert sum(replays) >= 2
 
 
+@pytest.mark.parametrize("graphs", [False, True])
+def test_a_refused_pose_leaves_the_last_one(graphs, device, monkeypatch):
+    """Graphs start on a pose before its cage is checked."""
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: graphs))
+    rest = cage_named("icosphere")
+    poses = [rest.bend(30), rest.bend(29), rest.bend(31)]
+    same_place = rest.bend(28).vertices.copy()
+    same_place[1] = same_place[0]
+    for kind in KINDS:
+        position_map = PositionMap(rest, coordinates=kind, resolution=16, device=device)
+        for pose in poses:
+            position_map.pose(pose)
+            points = inside_points(pose, 50)
+            before = look_up(position_map, points)
+            for broken in (rest.vertices * [-1, 1, 1], same_place, 0 * rest.vertices, rest.vertices * [3, 1, 0]):
+                with pytest.raises(ValueError, match="^deformed cage "):
+                    position_map.pose(rest.with_vertices(broken))
+            after = look_up(position_map, points)
+            assert np.array_equal(before[0], after[0]) and np.array_equal(before[1], after[1])
+
+
 def test_harmonic_map_reports_its_solver(device):
     rest = cage_named("icosphere")
     position_map = PositionMap(rest, resolution=32, device=device)

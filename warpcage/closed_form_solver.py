@@ -26,12 +26,11 @@ class ClosedFormSolver:
         self.nodes = LatticeNodes(lattice, level_count=1, interpolates=True)
         self.status = wp.zeros(2, dtype=float, device=self.device)
         self.gaps = GapFlags(self)
-        self.launch_rows(self.nodes.sizes, self.nodes.sections)
+        self.rows = None  # of cut nodes, once the map is continued through the cage
 
     def prepare(self) -> None:
         """Set up for the pose that the lattice was filled with."""
         self.nodes.fill()
-        self.launch_rows(self.nodes.sizes, self.nodes.sections)
 
     @property
     def values(self) -> wp.array:
@@ -39,24 +38,31 @@ class ClosedFormSolver:
         return self.lattice.buffers.get("values", self.lattice.node_count, wp.vec3)
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
-        """Launch the description of the cut nodes. sizes, sections: of this pose, or upper bounds."""
-        self.rows = described_rows(self.lattice, self.nodes, int(sections[2]), int(sections[2]))
+        """Nothing: what needs the cut nodes described does so beside the map."""
 
     def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
         """Launch what fills the values. sizes, sections: of this pose, or upper bounds."""
-        values = self.lattice.buffers.get("values", sizes["nodes"], wp.vec3)
+        values, side = self.lattice.buffers.get("values", sizes["nodes"], wp.vec3), self.lattice.side
         values.zero_()
+        with side.fork():
+            self.describe(sections)
         self.launch_map(sections, vertex_values, face_values, values)
+        side.join()
+        with side.fork():  # farther inside than the rings look
+            for axis in range(3):
+                self._launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values])
+        self.continue_map(sections, vertex_values, values)
         self.gaps.launch(sections, self.rows, values)
+        side.join()
 
     def find_gaps(self, sections: np.ndarray) -> None:
         """Launch the search for narrow gaps."""
         self.gaps.launch(sections, self.rows, self.values)
 
-    def _launch_interpolation(self, sections: np.ndarray, values: wp.array) -> None:
-        """Launch what fills the inside nodes that were not evaluated."""
-        for axis in range(3):
-            self._launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values])
+    def extend(self, vertex_values: wp.array) -> None:
+        """Continue the values at inside nodes to the rings of outside nodes around them."""
+        self.describe(self.nodes.sections)
+        self.continue_map(self.nodes.sections, vertex_values, self.values)
 
     def _launch(self, kernel, count: int, inputs, outputs) -> None:
         launch(kernel, count, inputs, outputs, device=self.device)
@@ -95,23 +101,25 @@ class MeanValueSolver(ClosedFormSolver):
     to the other, so that the rings continue the inside values through the cage instead, as harmonic maps do."""
 
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
-        """Launch the map at inside nodes and what continues it."""
+        """Launch the map at the inside nodes that are not interpolated."""
         self._launch(
             map_nodes_mean_value,
             int(sections[0]),
             [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, self._size()],
             [values],
         )
-        self._launch_interpolation(sections, values)
+
+    def describe(self, sections: np.ndarray) -> None:
+        """Launch the description of the cut nodes."""
+        self.rows = described_rows(self.lattice, self.nodes, int(sections[2]), int(sections[2]))
+
+    def continue_map(self, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
+        """Launch what continues the map to the rings."""
         launch_rings(self, sections, vertex_values, values)
 
     def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
         """The map's remainder where links cross the cage."""
         return linear_boundary(self, vertex_values)
-
-    def extend(self, vertex_values: wp.array) -> None:
-        """Continue the values at inside nodes to the rings of outside nodes around them."""
-        launch_rings(self, self.nodes.sections, vertex_values, self.values)
 
     def weigh(self, begin: int, count: int) -> tuple[wp.array, None]:
         """Weights (count, v) of the nodes listed from `begin` on; no weights of faces."""
@@ -131,44 +139,35 @@ class GreenSolver(ClosedFormSolver):
     """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly. Cut nodes are
     described where there are gaps only."""
 
-    def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
-        """Nothing to set up."""
-        self.rows = None
-
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
-        """Launch the map at inside nodes and what continues it."""
+        """Launch the map at the inside nodes that are not interpolated."""
         self._launch(
             map_nodes_green,
             int(sections[0]),
             [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, face_values, self._size()],
             [values],
         )
-        self._launch_interpolation(sections, values)
-        self._launch_rings(sections, vertex_values, values)
+
+    def describe(self, sections: np.ndarray) -> None:
+        """Nothing: the rings are continued from values alone."""
+        self.rows = None
+
+    def continue_map(self, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
+        """Launch what continues the map to the rings."""
+        lattice = self.lattice
+        for ring in range(RINGS):
+            inputs = [ring, lattice.vertices, lattice.faces, self.nodes.levels, vertex_values]
+            self._launch(extend_outwards, int(sections[3 + ring]), inputs, [values])
 
     def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
         """The limit of the map's remainder, from inside, where links cross the cage."""
-        super().launch_rows(self.nodes.sizes, self.nodes.sections)
+        cut_count = int(self.nodes.sections[2])
+        self.rows = described_rows(self.lattice, self.nodes, cut_count, cut_count)
         boundary = boundary_buffer(self)
         lattice = self.lattice
         inputs = [self.nodes.levels, self.rows, self._vertices, lattice.faces, vertex_values, face_values, self._size()]
         self._launch(map_crossings_green, boundary.size, inputs, [boundary])
         return boundary
-
-    def extend(self, vertex_values: wp.array) -> None:
-        """Continue the values at inside nodes to the rings of outside nodes around them."""
-        self._launch_rings(self.nodes.sections, vertex_values, self.values)
-
-    def _launch_rings(self, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
-        lattice = self.lattice
-        for ring in range(RINGS):
-            launch(
-                extend_outwards,
-                int(sections[3 + ring]),
-                [ring, lattice.vertices, lattice.faces, self.nodes.levels, vertex_values],
-                [values],
-                device=self.device,
-            )
 
     def weigh(self, begin: int, count: int) -> tuple[wp.array, wp.array]:
         """Weights (count, v) of vertices and (count, f) of faces at the nodes listed from `begin` on."""

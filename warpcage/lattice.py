@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import warp as wp
 
@@ -10,18 +14,25 @@ from .devices import lane_count, launch, resolve_device
 from .kernels.crossings import RUN, LineCrossings, cross_lines
 from .kernels.distance_band import BLOCK, list_block_faces, measure_band
 from .pose_constants import PoseConstants
+from .side_stream import SideStream
 
 MIN_RESOLUTION, MAX_RESOLUTION = 8, 1024
 
 #: Cells between the cage's bounding box and the first node, per axis: two and an irrational share, so that the faces,
 #: edges and vertices of boxes and other regular cages do not fall on lattice lines.
-MARGIN = 2.0 + np.array([np.sqrt(2) - 1, np.sqrt(3) - 1, np.sqrt(5) - 2])
+MARGIN = (1.0 + math.sqrt(2), 1.0 + math.sqrt(3), math.sqrt(5))
 
 #: Crossings kept for a line at first; lines that need more make all of them longer.
 LINE_CAPACITY = 8
 
 #: Faces listed for a block of nodes in the distance band; blocks near more look at all faces.
 BLOCK_FACES = 16
+
+#: Flags that a pose raises on the device: lines overflow, lists overflow, gaps narrower than a cell.
+FLAGS = 3
+
+#: Views of buffers that are kept, of poses of different shapes.
+MOST_VIEWS = 64
 
 #: Cells along the longest side at which coarsening ends.
 COARSEST_RESOLUTION = 4
@@ -86,7 +97,10 @@ class CageLattice:
         self.vertices = self.constants.arrays["vertices"]
         self.faces = wp.array(cage.faces, dtype=wp.vec3i, device=self.device)
         self._line_capacity = LINE_CAPACITY
-        self.overflow = wp.zeros(1, dtype=int, device=self.device)
+        self.flags = wp.zeros(FLAGS, dtype=int, device=self.device)
+        self.overflow = self.flags[:1]
+        self.side = SideStream(self.device)
+        self._views: dict = {}
         self.fill(cage)
 
     def fill(self, cage, name: str = "cage") -> CageLattice:
@@ -104,35 +118,26 @@ class CageLattice:
         """Work out, on the host, where the nodes are; `constants` take it, still to be sent."""
         self.cage = cage
         self.shape, self.lower, self.spacing = lattice_frame(cage, self.resolution, self.origin)
-        shapes = level_shapes(self.shape, self.level_count)
-        self.first_node = np.concatenate([[0], np.cumsum(shapes.prod(axis=1, dtype=np.int64))])
-        self.first_column = np.concatenate([[0], np.cumsum(shapes[:, 0] * shapes[:, 1])])
-        nx, ny, nz = self.shape
-        self.sizes = {
-            "nodes": nx * ny * nz,
-            "lines": ny * nz + nx * nz + nx * ny,
-            "runs": (nx + ny) * -(-nz // RUN) + nx * -(-ny // RUN),
-            "blocks": -(-nx // BLOCK) * -(-ny // BLOCK) * -(-nz // BLOCK),
-        }
+        layout = level_layout(self.shape, self.level_count)
+        self.first_node, self.first_column, self.sizes = layout.first_node, layout.first_column, layout.sizes
         scaled = (cage.vertices - self.lower) / self.spacing
         host = self.constants.host
         host["scales"][0] = self.spacing
-        host["shapes"][:] = shapes
-        host["first_node"][:] = self.first_node
-        host["first_column"][:] = self.first_column
+        host["shapes"][:] = layout.shapes
+        host["first_node"][:] = layout.first_node
+        host["first_column"][:] = layout.first_column
         host["vertices"][:] = scaled
         host["centred"][:] = scaled - (np.array(self.shape) - 1) // 2
 
     def measure(self) -> None:
         """Cross the lines and measure distances for the pose that was laid and sent."""
         while True:
-            self.overflow.zero_()
-            self.launch_crossings(self.sizes)
+            self.flags.zero_()
+            self.launch_geometry(self.sizes)
             needed = int(self.overflow.numpy()[0])
             if needed == 0:
                 break
             self._line_capacity = max(2 * self._line_capacity, needed)
-        self.launch_distances(self.sizes)
         self.take_distance()
 
     @property
@@ -144,8 +149,17 @@ class CageLattice:
         """Position of node (0, 0, 0) relative to the origin; exact in float32."""
         return wp.vec3(*(self.lower - self.origin))
 
-    def launch_crossings(self, sizes: dict) -> None:
-        """Launch what finds the crossings. sizes: those of this pose, or upper bounds."""
+    def launch_geometry(self, sizes: dict) -> None:
+        """Launch what finds crossings and signed distances. sizes: those of this pose, or upper bounds."""
+        with self.side.fork():
+            self._launch_block_faces(sizes)
+        self._launch_crossings(sizes)
+        self.side.join()
+        self.flat_distance = self.buffers.get("distance", sizes["nodes"], float)
+        inputs = [self.crossings, self.vertices, self.faces, *self._block_faces, self.constants.arrays["scales"]]
+        launch(measure_band, sizes["nodes"], [*inputs, self.flat_distance], device=self.device)
+
+    def _launch_crossings(self, sizes: dict) -> None:
         lines = sizes["lines"]
         self.crossings = LineCrossings()
         self.crossings.shapes = self.constants.arrays["shapes"]
@@ -159,21 +173,28 @@ class CageLattice:
             device=self.device,
         )
 
-    def launch_distances(self, sizes: dict) -> None:
-        """Launch what fills the signed distances."""
-        counts = self.buffers.get("block_counts", sizes["blocks"], int)
-        near = self.buffers.get("block_faces", (sizes["blocks"], BLOCK_FACES), int)
-        self.flat_distance = self.buffers.get("distance", sizes["nodes"], float)
-        self.clearances = self.buffers.get("clearances", sizes["blocks"], float)
-        inputs = [self.crossings, self.vertices, self.faces, counts, near]
-        items = lane_count(self.device) * sizes["blocks"]
-        launch(list_block_faces, items, [*inputs, self.clearances], device=self.device)
-        inputs += [self.constants.arrays["scales"], self.flat_distance]
-        launch(measure_band, sizes["nodes"], inputs, device=self.device)
+    def _launch_block_faces(self, sizes: dict) -> None:
+        blocks = sizes["blocks"]
+        counts = self.buffers.get("block_counts", blocks, int)
+        near = self.buffers.get("block_faces", (blocks, BLOCK_FACES), int)
+        self.clearances = self.buffers.get("clearances", blocks, float)
+        self._block_faces = counts, near
+        inputs = [self.constants.arrays["shapes"], self.vertices, self.faces, counts, near]
+        launch(list_block_faces, lane_count(self.device) * blocks, [*inputs, self.clearances], device=self.device)
 
     def take_distance(self) -> None:
         """Let `distance` be this pose's part of the buffer."""
-        self.distance = self.buffers.get("distance", self.sizes["nodes"], float).reshape(self.shape)
+        self.distance = self.view("distance", float)
+
+    def view(self, name: str, dtype) -> wp.array:
+        """The buffer of that name, of values at the nodes, as an array of the lattice's shape. Poses of the same shape
+        share it: making one takes a few microseconds."""
+        key = name, self.shape, self.buffers.generation
+        if key not in self._views:
+            if len(self._views) >= MOST_VIEWS:
+                self._views.clear()
+            self._views[key] = self.buffers.get(name, self.node_count, dtype).reshape(self.shape)
+        return self._views[key]
 
 
 def lattice_frame(cage, resolution: int, origin) -> tuple[tuple[int, int, int], np.ndarray, float]:
@@ -181,17 +202,41 @@ def lattice_frame(cage, resolution: int, origin) -> tuple[tuple[int, int, int], 
 
     Spacing and lower - origin are float32 numbers, so that kernels see exactly the same lattice.
     """
-    bounds = cage.bounds
-    spacing = float(np.float32((bounds[1] - bounds[0]).max() / resolution))
-    lower = bounds[0] - MARGIN * spacing - origin
-    lower = lower.astype(np.float32).astype(np.float64) + origin
-    cells = np.ceil((bounds[1] - lower) / spacing + 3.0)
-    return tuple(int(side) + 1 for side in cells), lower, spacing
+    low, high = cage.bounds.tolist()
+    spacing = float(np.float32(max(b - a for a, b in zip(low, high, strict=True)) / resolution))
+    lower = [float(np.float32(a - margin * spacing - o)) + o
+             for a, margin, o in zip(low, MARGIN, np.asarray(origin).tolist(), strict=True)]
+    cells = (math.ceil((b - a) / spacing + 3.0) for a, b in zip(lower, high, strict=True))
+    return tuple(side + 1 for side in cells), np.array(lower), spacing
 
 
-def level_shapes(shape, level_count: int) -> np.ndarray:
-    """(L, 3) node counts: each level keeps every second node and has a last one at or beyond the finer level's."""
+@dataclass(frozen=True)
+class LevelLayout:
+    """How the nodes of a lattice of some shape are numbered, level after level; see CageLattice."""
+
+    shapes: np.ndarray
+    first_node: np.ndarray
+    first_column: np.ndarray
+    sizes: dict
+
+
+@functools.lru_cache(maxsize=256)
+def level_layout(shape, level_count: int) -> LevelLayout:
+    """shapes (L, 3) node counts: each level keeps every second node and has a last one at or beyond the finer level's;
+    first_node, first_column (L + 1,); sizes, what launches count. Poses of the same shape share it."""
     shapes = [np.asarray(shape, dtype=np.int64)]
     for _ in range(level_count - 1):
         shapes.append(shapes[-1] // 2 + 1)
-    return np.stack(shapes)
+    shapes = np.stack(shapes)
+    nx, ny, nz = shape
+    return LevelLayout(
+        shapes=shapes,
+        first_node=np.concatenate([[0], np.cumsum(shapes.prod(axis=1))]),
+        first_column=np.concatenate([[0], np.cumsum(shapes[:, 0] * shapes[:, 1])]),
+        sizes={
+            "nodes": nx * ny * nz,
+            "lines": ny * nz + nx * nz + nx * ny,
+            "runs": (nx + ny) * -(-nz // RUN) + nx * -(-ny // RUN),
+            "blocks": -(-nx // BLOCK) * -(-ny // BLOCK) * -(-nz // BLOCK),
+        },
+    )

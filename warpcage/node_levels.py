@@ -27,13 +27,15 @@ class LatticeNodes:
         self.level_count = lattice.level_count if level_count is None else level_count
         self.section_count = 3 * self.level_count + RINGS
         self._limits = wp.zeros(self.section_count, dtype=int, device=lattice.device)
-        self.overflow = wp.zeros(1, dtype=int, device=lattice.device)
-        self.narrow = wp.zeros(1, dtype=int, device=lattice.device)  # 1 where a gap is narrower than a cell
+        self.overflow = lattice.flags[1:2]
+        self.narrow = lattice.flags[2:3]  # 1 where a gap is narrower than a cell
         self.fill()
 
     def fill(self) -> LatticeNodes:
         """List the nodes anew, after the lattice was laid over another pose."""
         self._limits.fill_(NO_LIMIT)
+        self.overflow.zero_()
+        self.narrow.zero_()
         self.launch_classes(self.sizes)
         self.take_sections(np.diff(self.levels.starts.numpy().astype(np.int64)))
         self.launch_lists(self.sizes, int(self.sections.sum()))
@@ -82,7 +84,6 @@ class LatticeNodes:
         levels.starts = buffers.get("starts", self.section_count + 1, int)
         levels.interpolates = int(self.interpolates)
         inputs = [lattice.crossings, lattice.flat_distance, arrays["scales"], lattice.clearances, levels]
-        self.narrow.zero_()
         launch(classify_nodes, sizes["nodes"], inputs, [self.narrow], device=device)
         counts = buffers.get("column_counts", sizes["entries"], int)
         self._offsets = buffers.get("column_offsets", sizes["entries"], int)

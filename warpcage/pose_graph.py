@@ -102,10 +102,8 @@ class PoseGraph:
     def _launch_lattice(self) -> None:
         lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
         lattice.constants.send()
-        lattice.overflow.zero_()
-        nodes.overflow.zero_()
-        lattice.launch_crossings(self._lattice_sizes)
-        lattice.launch_distances(self._lattice_sizes)
+        lattice.flags.zero_()
+        lattice.launch_geometry(self._lattice_sizes)
         nodes.launch_classes(self._node_sizes)
         nodes.launch_lists(self._node_sizes, int(self._sections.sum()))
         solver.launch_rows(self._node_sizes, self._sections)

@@ -88,16 +88,13 @@ class PositionMap:
         Raises ValueError for faces that differ, an unusable cage, or too little memory.
         """
         require_same_faces(self.rest, deformed)
+        # the same checks on both ways: one before all else, one while the device is at work
+        if self._graph is not None and self._data is not None and self._replay(deformed):
+            return self
         deformed.require_usable("deformed cage")
         self._data = None  # what is in the buffers goes
         if self.lattice is not None:
             self.lattice.lay(deformed)
-            if self._graph is not None and self._graph.fits():
-                self._graph.begin()
-                self._write_values()  # while the device lays the lattice
-                if self._graph.finish():
-                    self._take_map(self._graph.has_gaps)
-                    return self
         self._weights = None  # the last pose's go before this one's come
         held = 0 if self.lattice is None else self.lattice.buffers.bytes
         require_memory(self.memory_bytes(deformed), self.device, self._too_large(), held=held)
@@ -116,6 +113,32 @@ class PositionMap:
         elif self._weights is None and PoseGraph.is_supported(self.device):
             self._graph = PoseGraph(self.lattice, self._solver, self.rest.size)
         return self
+
+    def _replay(self, deformed) -> bool:
+        """Pose by the graph: the device lays the lattice while the host checks the cage. False where there is no room.
+
+        Raises ValueError for an unusable cage, once the last pose's map is worked out again.
+        """
+        last = self.lattice.cage
+        if deformed.size == 0.0:  # no lattice at all
+            deformed.require_usable("deformed cage")
+        self.lattice.lay(deformed)
+        has_room = self._graph.fits()
+        if has_room:
+            self._graph.begin()
+        self._data = None  # what is in the buffers goes
+        try:
+            deformed.require_usable("deformed cage")
+        except ValueError:
+            self.pose(last)
+            raise
+        if not has_room:
+            return False
+        self._write_values()
+        if not self._graph.finish():
+            return False
+        self._take_map(self._graph.has_gaps)
+        return True
 
     def rebind(self, rest) -> PositionMap:
         """Map the same pose to another canonical cage, from the weights that were kept.
@@ -222,7 +245,7 @@ class PositionMap:
         lattice = self.lattice
         data = self._data = CageMap()
         data.lower, data.spacing, data.inverse_spacing = lattice.local_lower, lattice.spacing, 1.0 / lattice.spacing
-        data.positions = lattice.buffers.get("values", lattice.node_count, wp.vec3).reshape(lattice.shape)
+        data.positions = lattice.view("values", wp.vec3)
         data.distance = lattice.distance
         self.gap_jump = 0.0
         self._has_gaps = has_gaps
