@@ -117,15 +117,19 @@ def measure_band(
     scales: wp.array(dtype=float),
     distance: wp.array(dtype=float),
 ):
-    """distance (nodes,): signed, clamped to BAND cells. scales[0]: world units a cell. One item a node."""
-    n = first + wp.tid()
+    """distance (nodes,): signed, clamped to BAND cells. scales[0]: world units a cell. BLOCK^3 items a block of nodes,
+    which look at the same faces."""
+    item = first + wp.tid()
     shape = crossings.shapes[0]
-    if n >= shape[0] * shape[1] * shape[2]:
+    ny = block_count(shape[1])
+    nz = block_count(shape[2])
+    block = item / (BLOCK * BLOCK * BLOCK)
+    local = item % (BLOCK * BLOCK * BLOCK)
+    i = (block / (ny * nz)) * BLOCK + local / (BLOCK * BLOCK)
+    j = ((block / nz) % ny) * BLOCK + (local / BLOCK) % BLOCK
+    k = (block % nz) * BLOCK + local % BLOCK
+    if i >= shape[0] or j >= shape[1] or k >= shape[2]:
         return
-    k = n % shape[2]
-    j = (n / shape[2]) % shape[1]
-    i = n / (shape[2] * shape[1])
-    block = block_of(shape, i, j, k)
     count = counts[block]
     listed = count <= near.shape[1]
     if not listed:
@@ -143,4 +147,4 @@ def measure_band(
         if box_gap_squared(x, a, b, c) < nearest:
             nearest = wp.min(nearest, triangle_distance_squared(x, a, b, c))
     found = wp.max(wp.sqrt(nearest) * scales[0], 1.0e-30)  # a node on the cage keeps its side
-    distance[n] = wp.where(is_inside(crossings, i, j, k), -found, found)
+    distance[(i * shape[1] + j) * shape[2] + k] = wp.where(is_inside(crossings, i, j, k), -found, found)

@@ -59,6 +59,18 @@ def least_of_lanes(value: wp.float32) -> wp.float32:
     ...
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int reach = 16; reach > 0; reach >>= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, reach);
+#endif
+    return value;
+""")
+def sum_of_lanes(value: wp.float32) -> wp.float32:
+    """The sum of the lanes' values, the same in each of them. All lanes."""
+    ...
+
+
 @wp.func
 def largest_of_lanes(value: float):
     """The largest of the lanes' values, in each of them. All lanes."""

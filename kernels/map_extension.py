@@ -11,15 +11,16 @@ averaged over the grid edges; the other rings take the mean of 2 u_1 - u_2 along
 ring 1 from inside nodes alone where it can. All of it is linear in the values and exact for linear functions; where a
 part of the cage is too thin for that (no second value), the mean of the neighbours or the value at the nearest point of
 the cage stands in.
-Siblings: node_levels, harmonic_rows.
+Siblings: lanes, node_levels, harmonic_rows.
 """
 
 import warp as wp
 
 from .harmonic_rows import CutRows, barycentric, crossing_value, nearest_face
+from .lanes import lane_count, sum_of_lanes
 from .node_levels import OUTSIDE, RING, NodeLevels, node_place
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": 64})  # small blocks: few items, to fill a GPU with
 
 
 @wp.func
@@ -84,24 +85,48 @@ def is_known(code: int, rings: int):
 
 
 @wp.func
-def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int):
-    """What the 26 directions of the lattice say at a node, from inside nodes and the first `rings` rings."""
-    result = Extrapolation()
+def with_direction(
+    sums: Extrapolation, levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int, direction: int
+):
+    """The sums with what direction 0 .. 26 of the lattice says at a node, from inside nodes and the first `rings`
+    rings; the middle one says nothing."""
+    result = sums
     shape = levels.shapes[0]
-    last = levels.codes.shape[0] - 1
-    for i in range(-1, 2):  # without branches around the codes, so that they are read at once
-        for j in range(-1, 2):
-            for k in range(-1, 2):
-                step = (i * shape[1] + j) * shape[2] + k
-                code = levels.codes[node + step]
-                far_code = levels.codes[wp.clamp(node + 2 * step, 0, last)]
-                if i * i + j * j + k * k > 0 and is_known(code, rings):
-                    value = values[node + step]
-                    result.nearby += value
-                    result.nearby_count += 1.0
-                    if is_known(far_code, rings):
-                        result.linear += 2.0 * value - values[node + 2 * step]
-                        result.linear_count += 1.0
+    step = ((direction / 9 - 1) * shape[1] + (direction / 3) % 3 - 1) * shape[2] + direction % 3 - 1
+    # without branches around the codes, so that they are read at once
+    code = levels.codes[node + step]
+    far_code = levels.codes[wp.clamp(node + 2 * step, 0, levels.codes.shape[0] - 1)]
+    if step != 0 and is_known(code, rings):
+        value = values[node + step]
+        result.nearby += value
+        result.nearby_count += 1.0
+        if is_known(far_code, rings):
+            result.linear += 2.0 * value - values[node + 2 * step]
+            result.linear_count += 1.0
+    return result
+
+
+@wp.func
+def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int):
+    """What the 26 directions of the lattice say at a node."""
+    result = Extrapolation()
+    for direction in range(27):
+        result = with_direction(result, levels, values, node, rings, direction)
+    return result
+
+
+@wp.func
+def shared_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int, lane: int):
+    """The same by a group of lanes, the directions shared out among them. All lanes."""
+    own = Extrapolation()
+    for direction in range(lane, 27, lane_count()):
+        own = with_direction(own, levels, values, node, rings, direction)
+    result = Extrapolation()
+    result.linear_count = sum_of_lanes(own.linear_count)
+    result.nearby_count = sum_of_lanes(own.nearby_count)
+    for axis in range(3):
+        result.linear[axis] = sum_of_lanes(own.linear[axis])
+        result.nearby[axis] = sum_of_lanes(own.nearby[axis])
     return result
 
 
@@ -145,6 +170,19 @@ def extend_through_cage(
             values[node] = other / wp.max(other_count, 1.0)
 
 
+@wp.func
+def value_on_cage(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    vertex_values: wp.array(dtype=wp.vec3),
+):
+    """Value at the point of the cage nearest to x, of a map that is linear on its faces."""
+    face = faces[nearest_face(x, vertices, faces)]
+    weight = barycentric(x, vertices[face[0]], vertices[face[1]], vertices[face[2]])
+    return weight[0] * vertex_values[face[0]] + weight[1] * vertex_values[face[1]] + weight[2] * vertex_values[face[2]]
+
+
 @wp.kernel
 def extend_outwards(
     first: int,
@@ -155,28 +193,28 @@ def extend_outwards(
     vertex_values: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
 ):
-    """Values of a ring from the inside nodes and the rings before it. vertices (v,) in node units."""
-    n = first + wp.tid()
+    """Values of a ring from the inside nodes and the rings before it. vertices (v,) in node units. A group of lanes a
+    node."""
+    item = first + wp.tid()
+    lane = item % lane_count()
+    n = item / lane_count()
     section = 3 * levels.shapes.shape[0] + ring
     if n >= levels.starts[section + 1] - levels.starts[section]:
         return
     node = levels.nodes[levels.starts[section] + n]
     # nodes of ring 1 have an inside node next to them; nodes of ring 0 that are near may belong to another part
-    found = lattice_extrapolation(levels, values, node, wp.where(ring == 1, 0, ring))
+    found = shared_extrapolation(levels, values, node, wp.where(ring == 1, 0, ring), lane)
     if found.linear_count == 0.0:
-        found = lattice_extrapolation(levels, values, node, ring)
-    if found.linear_count > 0.0:
-        values[node] = found.linear / found.linear_count
-    elif found.nearby_count > 0.0:
-        values[node] = found.nearby / found.nearby_count
-    else:
-        p = node_place(levels, 0, node)
-        x = wp.vec3(float(p[0]), float(p[1]), float(p[2]))
-        face = faces[nearest_face(x, vertices, faces)]
-        weight = barycentric(x, vertices[face[0]], vertices[face[1]], vertices[face[2]])
-        values[node] = (
-            weight[0] * vertex_values[face[0]] + weight[1] * vertex_values[face[1]] + weight[2] * vertex_values[face[2]]
-        )
+        found = shared_extrapolation(levels, values, node, ring, lane)
+    if lane == 0:
+        if found.linear_count > 0.0:
+            values[node] = found.linear / found.linear_count
+        elif found.nearby_count > 0.0:
+            values[node] = found.nearby / found.nearby_count
+        else:
+            p = node_place(levels, 0, node)
+            x = wp.vec3(float(p[0]), float(p[1]), float(p[2]))
+            values[node] = value_on_cage(x, vertices, faces, vertex_values)
 
 
 @wp.kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from .devices import launch
+from .devices import lane_count, launch
 from .kernels.closed_form_map import interpolate_nodes, map_crossings_green, map_nodes_green, map_nodes_mean_value
 from .kernels.green import weigh_green
 from .kernels.lattice_weights import place_nodes
@@ -37,13 +37,16 @@ class ClosedFormSolver:
         """(nodes,) vec3, flat: the last map."""
         return self.lattice.buffers.get("values", self.lattice.node_count, wp.vec3)
 
+    def clear(self, sizes: dict) -> None:
+        """Launch what clears the values, before a solution."""
+        self.lattice.buffers.get("values", sizes["nodes"], wp.vec3).zero_()
+
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
         """Nothing: what needs the cut nodes described does so beside the map."""
 
     def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
-        """Launch what fills the values. sizes, sections: of this pose, or upper bounds."""
+        """Launch what fills the cleared values. sizes, sections: of this pose, or upper bounds."""
         values, side = self.lattice.buffers.get("values", sizes["nodes"], wp.vec3), self.lattice.side
-        values.zero_()
         with side.fork():
             self.describe(sections)
         self.launch_map(sections, vertex_values, face_values, values)
@@ -70,6 +73,7 @@ class ClosedFormSolver:
     def solve(self, vertex_values: wp.array, face_values=None) -> None:
         """Values at inside nodes and rings for vertex_values (v,) and, for green, face_values (f,) vec3: what psi in
         node units multiplies."""
+        self.clear(self.nodes.sizes)
         self.launch_solution(self.nodes.sizes, self.nodes.sections, vertex_values, face_values)
 
     def take_status(self, status: np.ndarray) -> None:
@@ -157,7 +161,7 @@ class GreenSolver(ClosedFormSolver):
         lattice = self.lattice
         for ring in range(RINGS):
             inputs = [ring, lattice.vertices, lattice.faces, self.nodes.levels, vertex_values]
-            self._launch(extend_outwards, int(sections[3 + ring]), inputs, [values])
+            self._launch(extend_outwards, lane_count(self.device) * int(sections[3 + ring]), inputs, [values])
 
     def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
         """The limit of the map's remainder, from inside, where links cross the cage."""

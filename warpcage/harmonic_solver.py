@@ -100,6 +100,7 @@ class HarmonicSolver:
     def solve_inside(self, vertex_values: wp.array) -> None:
         """The same for inside nodes only; other nodes are zero."""
         sections = self.nodes.sections
+        self.clear(self.nodes.sizes)
         self._launch_start(sections, vertex_values)
         run_cycle = self._cycle_runner(sections)
         going = True
@@ -130,8 +131,13 @@ class HarmonicSolver:
         """The map's remainder where links cross the cage."""
         return linear_boundary(self, vertex_values)
 
+    def clear(self, sizes: dict) -> None:
+        """Launch what clears the values, before a solution."""
+        self.lattice.buffers.get("values", sizes["nodes"], wp.vec3).zero_()
+
     def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
-        """Launch a whole solution, for a CUDA graph: the cycles end on the device. sections: upper bounds."""
+        """Launch a whole solution of cleared values, for a CUDA graph: the cycles end on the device. sections: upper
+        bounds."""
         self._launch_start(sections, vertex_values)
         wp.capture_while(self.going, lambda: self._cycle(sections))
         launch_rings(self, sections, vertex_values, self.system.values)
@@ -152,7 +158,6 @@ class HarmonicSolver:
 
     def _launch_start(self, sections: np.ndarray, vertex_values: wp.array) -> None:
         system, nodes = self.system, self.nodes
-        system.values.zero_()
         inputs = [nodes.levels, self.rows, self.lattice.faces, vertex_values, system.sources]
         self._launch(set_sources, int(sections[2 * nodes.level_count]), inputs)
         self._launch(begin_cycles, self._largest.size, [self.going, self.status, self._largest])

@@ -157,7 +157,7 @@ class CageLattice:
         self.side.join()
         self.flat_distance = self.buffers.get("distance", sizes["nodes"], float)
         inputs = [self.crossings, self.vertices, self.faces, *self._block_faces, self.constants.arrays["scales"]]
-        launch(measure_band, sizes["nodes"], [*inputs, self.flat_distance], device=self.device)
+        launch(measure_band, BLOCK**3 * sizes["blocks"], [*inputs, self.flat_distance], device=self.device)
 
     def _launch_crossings(self, sizes: dict) -> None:
         lines = sizes["lines"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from .devices import launch
+from .devices import lane_count, launch
 from .kernels.harmonic_rows import CutRows, describe_rows
 from .kernels.map_extension import extend_outwards, extend_through_cage
 from .kernels.map_sides import (
@@ -136,7 +136,7 @@ def launch_rings(solver, sections: np.ndarray, vertex_values: wp.array, values: 
     launch(extend_through_cage, int(rings[0]), inputs, device=solver.device)
     for ring in range(1, RINGS):
         inputs = [ring, lattice.vertices, lattice.faces, nodes.levels, vertex_values, values]
-        launch(extend_outwards, int(rings[ring]), inputs, device=solver.device)
+        launch(extend_outwards, lane_count(solver.device) * int(rings[ring]), inputs, device=solver.device)
 
 
 def linear_boundary(solver, vertex_values: wp.array) -> wp.array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import warp as wp
 
@@ -60,9 +62,14 @@ class PoseGraph:
         """Start on the pose that the lattice's constants hold; they stay as they are until `finish`."""
         self._run_lattice()
 
-    def finish(self) -> bool:
-        """Map what the lattice's map_constants hold, and wait; False where a list was longer than foreseen."""
+    def go_on(self) -> None:
+        """Go on with what the lattice's map_constants hold."""
         self._run_map()
+
+    def finish(self) -> bool:
+        """Wait for the map; False where a list was longer than foreseen."""
+        if self.device.is_cuda:
+            wp.synchronize_stream(self.device.stream)
         status = self._host_status.numpy()
         if status[0] != 0.0 or status[1] != 0.0:
             return False
@@ -82,13 +89,8 @@ class PoseGraph:
         self._graph = self._run_lattice, self._run_map = self._launch_lattice, self._launch_map
         if self.device.is_cuda:
             lattice_graph, map_graph = (self._captured(launches) for launches in self._graph)
-            stream = self.device.stream
-
-            def run_map():
-                wp.capture_launch(map_graph)
-                wp.synchronize_stream(stream)
-
-            self._run_lattice, self._run_map = (lambda: wp.capture_launch(lattice_graph)), run_map
+            self._run_lattice = functools.partial(wp.capture_launch, lattice_graph)
+            self._run_map = functools.partial(wp.capture_launch, map_graph)
 
     def _captured(self, launches):
         with wp.ScopedCapture(device=self.device) as capture:
@@ -103,6 +105,8 @@ class PoseGraph:
         lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
         lattice.constants.send()
         lattice.flags.zero_()
+        with lattice.side.fork():
+            solver.clear(self._node_sizes)
         lattice.launch_geometry(self._lattice_sizes)
         nodes.launch_classes(self._node_sizes)
         nodes.launch_lists(self._node_sizes, int(self._sections.sum()))

@@ -115,7 +115,7 @@ class PositionMap:
         return self
 
     def _replay(self, deformed) -> bool:
-        """Pose by the graph: the device lays the lattice while the host checks the cage. False where there is no room.
+        """Pose by the graph; the host checks the cage while the device is at work. False where there is no room.
 
         Raises ValueError for an unusable cage, once the last pose's map is worked out again.
         """
@@ -123,19 +123,19 @@ class PositionMap:
         if deformed.size == 0.0:  # no lattice at all
             deformed.require_usable("deformed cage")
         self.lattice.lay(deformed)
+        self._data = None  # what is in the buffers goes
         has_room = self._graph.fits()
         if has_room:
             self._graph.begin()
-        self._data = None  # what is in the buffers goes
+            with np.errstate(all="ignore"):  # of faces without area
+                self._write_values()
+            self._graph.go_on()
         try:
             deformed.require_usable("deformed cage")
         except ValueError:
             self.pose(last)
             raise
-        if not has_room:
-            return False
-        self._write_values()
-        if not self._graph.finish():
+        if not has_room or not self._graph.finish():
             return False
         self._take_map(self._graph.has_gaps)
         return True
