@@ -17,11 +17,12 @@ functions at that place of the cage. Farther outside the sum of phi is zero, and
 Shapes: points (n,), vertices and targets (v,), faces (f,), target_normals (f,): unit normals of the target times the
 stretch of each face. One unit of length for points, vertices and size, which is the longest side of the vertices'
 bounding box; psi is a length. Keep coordinates near the origin (float32).
-Siblings: triangle.
+Siblings: entries, triangle.
 """
 
 import warp as wp
 
+from .entries import reciprocal_root, vec3_entry, vec3i_entry
 from .triangle import nearest_barycentric
 
 # so many registers a thread that larger blocks fill a GPU worse
@@ -55,14 +56,15 @@ class FaceIntegrals:
 def edge_integral(r: float, s: float, cosine: float, sine: float, edge_squared: float):
     """Integral of 1 / distance along an edge, over its length. r, s: distances of its ends; cosine, sine: their dot
     product and the length squared of their cross product."""
-    edge = wp.sqrt(edge_squared)
+    inverse_edge = reciprocal_root(edge_squared)
+    edge = edge_squared * inverse_edge
     product = r * s
     q = wp.where(cosine > 0.0, product + cosine, sine / (product - cosine))
     z = edge * (r + s + edge) / q
     y = z / (2.0 + z)
     yy = y * y
     series = 2.0 * y * (1.0 + yy * (0.33333333 + yy * (0.2 + yy * (0.14285714 + yy * 0.11111111))))
-    return wp.where(z < 0.4, series, wp.log(1.0 + z)) / edge
+    return wp.where(z < 0.4, series, wp.log(1.0 + z)) * inverse_edge
 
 
 @wp.func
@@ -170,7 +172,7 @@ def face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
         k_b = edge_integral(length_c, length_a, cosine_b, wp.dot(cross_b, cross_b), wp.dot(edge_b, edge_b))
         k_c = edge_integral(length_a, length_b, cosine_c, wp.dot(cross_c, cross_c), wp.dot(edge_c, edge_c))
         solid_angle = 2.0 * wp.atan2(det, below)
-        inverse_area = 1.0 / wp.sqrt(normal_squared)
+        inverse_area = reciprocal_root(normal_squared)
         normal *= inverse_area
         height = det * inverse_area
         area_a = wp.dot(normal, cross_a)
@@ -213,13 +215,18 @@ def green_point(
     touched = int(0)
     touched_target = wp.vec3(0.0, 0.0, 0.0)
     for f in range(faces.shape[0]):
-        face = faces[f]
-        integrals = face_integrals(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
-        target_a = targets[face[0]]
-        target_b = targets[face[1]]
-        target_c = targets[face[2]]
+        face = vec3i_entry(faces, f)
+        integrals = face_integrals(
+            vec3_entry(vertices, face[0]) - x, vec3_entry(vertices, face[1]) - x, vec3_entry(vertices, face[2]) - x, size
+        )
+        target_a = vec3_entry(targets, face[0])
+        target_b = vec3_entry(targets, face[1])
+        target_c = vec3_entry(targets, face[2])
         phi = integrals.phi
-        position += phi[0] * target_a + phi[1] * target_b + phi[2] * target_c + integrals.psi * target_normals[f]
+        position += phi[0] * target_a
+        position += phi[1] * target_b
+        position += phi[2] * target_c
+        position += integrals.psi * vec3_entry(target_normals, f)
         winding += phi[0] + phi[1] + phi[2]
         if integrals.touching == 1:
             touched = 1

@@ -15,11 +15,12 @@ where the contributions of its near and far side cancel, a second pass takes eve
 Defined everywhere but on the cage, where it tends to the linear interpolation on the face: points within SNAP of the
 size take that. Shapes: points (n,), vertices and targets (v,), faces (f,); one unit of length for points, vertices and
 size, which is the longest side of the vertices' bounding box. Keep coordinates near the origin (float32).
-Siblings: triangle.
+Siblings: entries, triangle.
 """
 
 import warp as wp
 
+from .entries import reciprocal_root, vec3_entry, vec3i_entry
 from .triangle import nearest_barycentric
 
 # so many registers a thread that larger blocks fill a GPU worse
@@ -110,18 +111,21 @@ def positive_angle(sine: float, cosine: float):
 
 
 @wp.func
-def far_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, det: float):
-    """Corner weights of a face clear of the origin's plane; det = det(a, b, c)."""
+def far_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, edge_b: wp.vec3, edge_c: wp.vec3, det: float):
+    """Corner weights of a face clear of the origin's plane; edge_b = b - a, edge_c = c - a, det = det(a, b, c)."""
     cross_a = wp.cross(b, c - b)
-    cross_b = wp.cross(c, a - c)
-    cross_c = wp.cross(a, b - a)
-    sine_a = wp.length(cross_a)
-    sine_b = wp.length(cross_b)
-    sine_c = wp.length(cross_c)
+    cross_b = wp.cross(edge_c, c)
+    cross_c = wp.cross(a, edge_b)
+    squared_a = wp.dot(cross_a, cross_a)
+    squared_b = wp.dot(cross_b, cross_b)
+    squared_c = wp.dot(cross_c, cross_c)
+    inverse_a = reciprocal_root(squared_a)
+    inverse_b = reciprocal_root(squared_b)
+    inverse_c = reciprocal_root(squared_c)
     mean = (
-        cross_a * (positive_angle(sine_a, wp.dot(b, c)) / sine_a)
-        + cross_b * (positive_angle(sine_b, wp.dot(c, a)) / sine_b)
-        + cross_c * (positive_angle(sine_c, wp.dot(a, b)) / sine_c)
+        cross_a * (positive_angle(squared_a * inverse_a, wp.dot(b, c)) * inverse_a)
+        + cross_b * (positive_angle(squared_b * inverse_b, wp.dot(c, a)) * inverse_b)
+        + cross_c * (positive_angle(squared_c * inverse_c, wp.dot(a, b)) * inverse_c)
     )
     return wp.vec3(wp.dot(cross_a, mean), wp.dot(cross_b, mean), wp.dot(cross_c, mean)) * (0.5 / det)
 
@@ -149,7 +153,7 @@ def face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float, share: float):
     if near_plane(a, normal, edge_b, edge_c, det, share * size):
         result = near_face_weights(a, b, c, size)
     else:
-        result.weights = far_face_weights(a, b, c, det)
+        result.weights = far_face_weights(a, b, c, edge_b, edge_c, det)
     return result
 
 
@@ -169,45 +173,58 @@ def mean_value_position(
 ):
     """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`.
 
-    Faces for float64 wait for the end: the points of a warp rarely meet theirs at the same face.
+    Faces for float64 wait until the others are done: the points of a warp rarely meet theirs at the same face.
     """
     total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
     share = float(PLANE_BAND)
     waiting = wp.uint64(0)  # up to four faces, 16 bits each: their number plus one
-    f = int(0)
-    while f < faces.shape[0] or waiting != wp.uint64(0):
-        number = int(f)
-        if f < faces.shape[0]:
-            f += 1
-        else:
-            number = int(waiting & wp.uint64(0xFFFF)) - 1
-            waiting = waiting >> wp.uint64(16)
-        face = faces[number]
-        a = vertices[face[0]] - x
-        b = vertices[face[1]] - x
-        c = vertices[face[2]] - x
-        edge_b = b - a
-        edge_c = c - a
-        normal = wp.cross(edge_b, edge_c)
-        det = wp.dot(normal, a)
-        w = wp.vec3(0.0, 0.0, 0.0)
-        if not near_plane(a, normal, edge_b, edge_c, det, share * size):
-            w = far_face_weights(a, b, c, det)
-        elif number == f - 1 and f < faces.shape[0] and number < 0xFFFF and (waiting >> wp.uint64(48)) == wp.uint64(0):
-            waiting = (waiting << wp.uint64(16)) | wp.uint64(number + 1)
-        else:
-            near = near_face_weights(a, b, c, size)
-            w = near.weights
-            if near.touching == 1:
-                return w[0] * targets[face[0]] + w[1] * targets[face[1]] + w[2] * targets[face[2]]
-        total += w[0] + w[1] + w[2]
-        position += w[0] * targets[face[0]] + w[1] * targets[face[1]] + w[2] * targets[face[2]]
-        if f == faces.shape[0] and waiting == wp.uint64(0) and needs_wide_band(total, size, share):
+    going = int(1)
+    while going == 1:
+        band = share * size
+        f = int(0)
+        while f < faces.shape[0] or waiting != wp.uint64(0):
+            # the float32 faces up to the next that must be looked at in float64 now: the waiting ones have no room or
+            # all others are done
+            number = int(-1)
+            while f < faces.shape[0] and number < 0:
+                face = vec3i_entry(faces, f)
+                a = vec3_entry(vertices, face[0]) - x
+                b = vec3_entry(vertices, face[1]) - x
+                c = vec3_entry(vertices, face[2]) - x
+                edge_b = b - a
+                edge_c = c - a
+                normal = wp.cross(edge_b, edge_c)
+                det = wp.dot(normal, a)
+                if not near_plane(a, normal, edge_b, edge_c, det, band):
+                    w = far_face_weights(a, b, c, edge_b, edge_c, det)
+                    total += w[0] + w[1] + w[2]
+                    position += w[0] * vec3_entry(targets, face[0])
+                    position += w[1] * vec3_entry(targets, face[1])
+                    position += w[2] * vec3_entry(targets, face[2])
+                elif f < 0xFFFF and (waiting >> wp.uint64(48)) == wp.uint64(0):
+                    waiting = (waiting << wp.uint64(16)) | wp.uint64(f + 1)
+                else:
+                    number = f
+                f += 1
+            if number < 0 and waiting != wp.uint64(0):
+                number = int(waiting & wp.uint64(0xFFFF)) - 1
+                waiting = waiting >> wp.uint64(16)
+            if number >= 0:
+                face = faces[number]
+                near = near_face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
+                w = near.weights
+                along = w[0] * targets[face[0]] + w[1] * targets[face[1]] + w[2] * targets[face[2]]
+                if near.touching == 1:
+                    return along
+                total += w[0] + w[1] + w[2]
+                position += along
+        going = 0
+        if needs_wide_band(total, size, share):
             share = WIDE_BAND
             total = 0.0
             position = wp.vec3(0.0, 0.0, 0.0)
-            f = 0
+            going = 1
     return position * wp.where(total == 0.0, 0.0, 1.0 / total)
 
 

@@ -1,0 +1,40 @@
+"""Entries of arrays by bare address arithmetic, and a reciprocal root: for loops that are bound by their instructions.
+
+Warp's own indexing also takes negative and long indices, at eight instructions an entry. These take an index from
+zero up to the array's end, which nobody checks.
+Siblings: none.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func_native("""
+    const char* begin = reinterpret_cast<const char*>(array.data);
+    return *reinterpret_cast<const wp::vec_t<3, wp::float32>*>(begin + (unsigned long long)(unsigned)i * (unsigned)array.strides[0]);
+""")
+def vec3_entry(array: wp.array(dtype=wp.vec3), i: int) -> wp.vec3:
+    """array[i]"""
+    ...
+
+
+@wp.func_native("""
+    const char* begin = reinterpret_cast<const char*>(array.data);
+    return *reinterpret_cast<const wp::vec_t<3, wp::int32>*>(begin + (unsigned long long)(unsigned)i * (unsigned)array.strides[0]);
+""")
+def vec3i_entry(array: wp.array(dtype=wp.vec3i), i: int) -> wp.vec3i:
+    """array[i]"""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return rsqrtf(x);
+#else
+    return 1.0f / sqrtf(x);
+#endif
+""")
+def reciprocal_root(x: wp.float32) -> wp.float32:
+    """1 / sqrt(x), to two units in the last place; infinite at zero."""
+    ...
