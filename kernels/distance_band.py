@@ -1,8 +1,8 @@
 """Signed distance to a cage on the nodes of a lattice: exact in a narrow band, clamped outside it.
 
 The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
-the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. How far the middle of each
-block is from the cage is kept as well, up to somewhat more than CLEARANCE cells. Units: node units (see
+the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Which octants of a block
+are CLEARANCE cells and more from the cage is kept as well. Units: node units (see
 crossings) for vertices, world units for the result. Siblings: containment,
 crossings, lanes.
 """
@@ -18,9 +18,10 @@ wp.set_module_options({"enable_backward": False})
 #: Half-width of the band, in cells.
 BAND = wp.constant(4.0)
 
-#: Nodes along a side of a block, and half of its diagonal in cells.
+#: Nodes along a side of a block, and half of its diagonal in cells; the same diagonal of an octant of 2 x 2 x 2 nodes.
 BLOCK = wp.constant(4)
 HALF_DIAGONAL = wp.constant(2.5981)
+OCTANT_DIAGONAL = wp.constant(0.8661)
 
 #: Cells from the cage from which on a map of closed forms counts as smooth.
 CLEARANCE = wp.constant(7.0)
@@ -41,6 +42,27 @@ def block_count(side: int):
     return (side + BLOCK - 1) / BLOCK
 
 
+@wp.func
+def distance_squared_below(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    bound: float,
+    lane: int,
+    lanes: int,
+):
+    """Squared distance from x to the cage, `bound` where it is above that. All lanes, which share the faces."""
+    nearest = float(bound)
+    for f in range(lane, faces.shape[0], lanes):
+        face = faces[f]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        if box_gap_squared(x, a, b, c) < nearest:
+            nearest = wp.min(nearest, triangle_distance_squared(x, a, b, c))
+    return least_of_lanes(nearest)
+
+
 @wp.kernel
 def list_block_faces(
     first: int,
@@ -49,11 +71,11 @@ def list_block_faces(
     faces: wp.array(dtype=wp.vec3i),
     counts: wp.array(dtype=int),
     near: wp.array2d(dtype=int),
-    clearances: wp.array(dtype=float),
+    clear_octants: wp.array(dtype=int),
 ):
     """shapes: as in LineCrossings. near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,) how many, also beyond m;
-    clearances (blocks,) cells from the middle of a block to the cage, up to what makes all its nodes clear of it. A
-    group of lanes a block, a lane a face."""
+    clear_octants (blocks,): bit o is set where the nodes of octant o are at least CLEARANCE cells from the cage; bits
+    0, 1, 2 of o: its upper half along the axes. A group of lanes a block, a lane a face."""
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes
@@ -86,24 +108,27 @@ def list_block_faces(
         if is_near == 1 and slot < near.shape[1]:
             near[block, slot] = f
         count += bit_count(found)
-    nearest = least_of_lanes(nearest)
+    apart = wp.sqrt(least_of_lanes(nearest))
+    clear = wp.where(apart >= 0.9999 * (CLEARANCE + HALF_DIAGONAL), 255, 0)
+    if clear == 0 and apart > CLEARANCE - HALF_DIAGONAL:
+        least = (CLEARANCE + OCTANT_DIAGONAL) * (CLEARANCE + OCTANT_DIAGONAL)
+        o = int(0)
+        while o < 8:
+            x = centre + wp.vec3(float(2 * (o & 1) - 1), float((o & 2) - 1), float((o & 4) / 2 - 1))
+            if distance_squared_below(x, vertices, faces, least, lane, lanes) == least:
+                clear = clear | (1 << o)
+            o += 1
     if lane == 0:
         counts[block] = count
-        clearances[block] = wp.sqrt(nearest)
+        clear_octants[block] = clear
 
 
 @wp.func
-def block_of(shape: wp.vec3i, i: int, j: int, k: int):
-    """The block that node (i, j, k) of a lattice is in."""
-    return ((i / BLOCK) * block_count(shape[1]) + j / BLOCK) * block_count(shape[2]) + k / BLOCK
-
-
-@wp.func
-def node_clearance(shape: wp.vec3i, clearances: wp.array(dtype=float), i: int, j: int, k: int):
-    """Cells from node (i, j, k) to the cage, at least."""
-    half = 0.5 * float(BLOCK - 1)
-    off = wp.vec3(float(i % BLOCK) - half, float(j % BLOCK) - half, float(k % BLOCK) - half)
-    return clearances[block_of(shape, i, j, k)] - wp.length(off)
+def is_clear(shape: wp.vec3i, clear_octants: wp.array(dtype=int), i: int, j: int, k: int):
+    """Whether node (i, j, k) of a lattice is known to be CLEARANCE cells and more from the cage."""
+    block = ((i / BLOCK) * block_count(shape[1]) + j / BLOCK) * block_count(shape[2]) + k / BLOCK
+    octant = (i % BLOCK) / 2 + 2 * ((j % BLOCK) / 2) + 4 * ((k % BLOCK) / 2)
+    return (clear_octants[block] >> octant) & 1 == 1
 
 
 @wp.kernel

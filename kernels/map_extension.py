@@ -20,7 +20,7 @@ from .harmonic_rows import CutRows, barycentric, crossing_value, nearest_face
 from .lanes import lane_count, sum_of_lanes
 from .node_levels import OUTSIDE, RING, NodeLevels, node_place
 
-wp.set_module_options({"enable_backward": False, "block_dim": 64})  # small blocks: few items, to fill a GPU with
+wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
 
 @wp.func

@@ -23,7 +23,7 @@ Siblings: crossings, distance_band, lanes.
 import warp as wp
 
 from .crossings import LineCrossings, exit_distance
-from .distance_band import CLEARANCE, node_clearance
+from .distance_band import is_clear
 from .lanes import ballot, bit_count, bits_before, lane_count
 
 wp.set_module_options({"enable_backward": False})
@@ -144,12 +144,12 @@ def classify_nodes(
     crossings: LineCrossings,
     distance: wp.array(dtype=float),
     scales: wp.array(dtype=float),
-    clearances: wp.array(dtype=float),
+    clear_octants: wp.array(dtype=int),
     levels: NodeLevels,
     narrow: wp.array(dtype=int),
 ):
     """Codes of all nodes; cut nodes get 0 until list_columns numbers them. distance (nodes of level 0,): signed, and
-    scales[0] its units a cell. clearances (blocks,): see distance_band. narrow (1,) becomes 1 where the
+    scales[0] its units a cell. clear_octants (blocks,): see distance_band. narrow (1,) becomes 1 where the
     cage has gaps narrower than a cell: links that leave the cage and enter it again."""
     node = first + wp.tid()
     if node >= levels.first_node[levels.shapes.shape[0]]:
@@ -172,7 +172,7 @@ def classify_nodes(
             if cut == 2 and level == 0:
                 narrow[0] = 1
         elif levels.interpolates == 1 and ((p[0] | p[1] | p[2]) & 1) == 1:
-            if node_clearance(shape, clearances, p[0], p[1], p[2]) >= CLEARANCE:
+            if is_clear(shape, clear_octants, p[0], p[1], p[2]):
                 code = INTERPOLATED
     elif level == 0 and cells < CELL_DIAGONAL:
         code = ring_code(shape, distance, p)

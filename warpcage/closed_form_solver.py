@@ -55,8 +55,7 @@ class ClosedFormSolver:
             for axis in range(3):
                 self._launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values])
         self.continue_map(sections, vertex_values, values)
-        self.gaps.launch(sections, self.rows, values)
-        side.join()
+        self.gaps.launch(sections, self.rows, values)  # joins
 
     def find_gaps(self, sections: np.ndarray) -> None:
         """Launch the search for narrow gaps."""

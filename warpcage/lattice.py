@@ -177,10 +177,10 @@ class CageLattice:
         blocks = sizes["blocks"]
         counts = self.buffers.get("block_counts", blocks, int)
         near = self.buffers.get("block_faces", (blocks, BLOCK_FACES), int)
-        self.clearances = self.buffers.get("clearances", blocks, float)
+        self.clear_octants = self.buffers.get("clear_octants", blocks, int)
         self._block_faces = counts, near
         inputs = [self.constants.arrays["shapes"], self.vertices, self.faces, counts, near]
-        launch(list_block_faces, lane_count(self.device) * blocks, [*inputs, self.clearances], device=self.device)
+        launch(list_block_faces, lane_count(self.device) * blocks, [*inputs, self.clear_octants], device=self.device)
 
     def take_distance(self) -> None:
         """Let `distance` be this pose's part of the buffer."""

@@ -63,11 +63,13 @@ class GapFlags:
         levels, level_count, crossings = nodes.levels, nodes.level_count, nodes.lattice.crossings
         items = int(sections[3 * level_count : 3 * level_count + 2].sum())
         self.flags = nodes.lattice.buffers.get("gap_flags", items, int)
+        with nodes.lattice.side.fork():
+            cut = int(sections[2 * level_count])
+            launch(confirm_narrow, cut, [crossings, levels, values], [nodes.narrow], device=self.device)
         self.count.zero_()
         inputs = [levels, CutRows() if rows is None else rows, values, float(least)]
         launch(find_gap_nodes, items, inputs, [self.flags, self.count], device=self.device)
-        cut = int(sections[2 * level_count])
-        launch(confirm_narrow, cut, [crossings, levels, values], [nodes.narrow], device=self.device)
+        nodes.lattice.side.join()
 
     def found(self) -> bool:
         """Whether there are any, also such that hold no node; waits for the device."""

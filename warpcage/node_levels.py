@@ -83,7 +83,7 @@ class LatticeNodes:
         levels.codes = buffers.get("codes", sizes["nodes"], int)
         levels.starts = buffers.get("starts", self.section_count + 1, int)
         levels.interpolates = int(self.interpolates)
-        inputs = [lattice.crossings, lattice.flat_distance, arrays["scales"], lattice.clearances, levels]
+        inputs = [lattice.crossings, lattice.flat_distance, arrays["scales"], lattice.clear_octants, levels]
         launch(classify_nodes, sizes["nodes"], inputs, [self.narrow], device=device)
         counts = buffers.get("column_counts", sizes["entries"], int)
         self._offsets = buffers.get("column_offsets", sizes["entries"], int)

@@ -31,8 +31,9 @@ class PoseGraph:
         self.lattice, self.solver, self.scale, self.device = lattice, solver, scale, lattice.device
         # overflow of lines and lists, cycles, residual, nodes at gaps, then the length of each section
         words = 5 + solver.nodes.section_count
-        self._status = wp.zeros(words, dtype=float, device=self.device)
+        # written by the device where the host reads it
         self._host_status = wp.zeros(words, dtype=float, device="cpu", pinned=self.device.is_cuda)
+        self._status = wp.array(ptr=self._host_status.ptr, dtype=float, shape=words, device=self.device)
         self.has_gaps = False
         self._graph = None
         self._lattice_sizes: dict = {}
@@ -122,4 +123,3 @@ class PoseGraph:
         launch(add_affine, self._lattice_sizes["nodes"], inputs, [values], device=self.device)
         inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.narrow, nodes.levels]
         launch(gather_status, self._status.size, inputs, [self._status], device=self.device)
-        wp.copy(self._host_status, self._status)
