@@ -13,7 +13,7 @@ DENSITY_POWER, SH_POWER = 1.8, 1.0
 
 #: Directional coefficients step so much slower than the constant ones that they come about as far in a long fit as in
 #: one of this many steps; at least by this factor.
-DIRECTIONAL_STEPS, LEAST_DIRECTIONAL = 500.0, 0.15
+DIRECTIONAL_STEPS, LEAST_DIRECTIONAL = 250.0, 0.15
 
 #: Regularisers grow at most by this much: what no view tells, no smoothing finds.
 MOST_SCARCE = 32.0
