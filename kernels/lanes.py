@@ -2,7 +2,8 @@
 
 Kernels written for a group take lane_count() times as many items as they have work for: item / lane_count() is what
 to do, item % lane_count() the lane. Loops run with the lanes' stride, and all lanes of a group must come to every
-function below that says "all lanes"; so the same kernel runs on both.
+function below that says "all lanes"; so the same kernel runs on both. Where there is little to share, octets do: eight
+lanes of a warp, or one thread on a CPU.
 Siblings: none.
 """
 
@@ -68,6 +69,30 @@ def least_of_lanes(value: wp.float32) -> wp.float32:
 """)
 def sum_of_lanes(value: wp.float32) -> wp.float32:
     """The sum of the lanes' values, the same in each of them. All lanes."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return 8;
+#else
+    return 1;
+#endif
+""")
+def octet_count() -> wp.int32:
+    """Lanes of an octet."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int reach = 4; reach > 0; reach >>= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, reach);
+#endif
+    return value;
+""")
+def sum_of_octet(value: wp.float32) -> wp.float32:
+    """The sum of the values of an octet's lanes, the same in each of them. All lanes of the warp."""
     ...
 
 

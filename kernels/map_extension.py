@@ -17,7 +17,7 @@ Siblings: lanes, node_levels, harmonic_rows.
 import warp as wp
 
 from .harmonic_rows import CutRows, barycentric, crossing_value, nearest_face
-from .lanes import lane_count, sum_of_lanes
+from .lanes import lane_count, octet_count, sum_of_lanes, sum_of_octet
 from .node_levels import OUTSIDE, RING, NodeLevels, node_place
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
@@ -139,17 +139,21 @@ def extend_through_cage(
     vertex_values: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
 ):
-    """Values of ring 0, of a map that takes vertex_values (v,) at the cage's vertices and is linear on its faces."""
-    n = first + wp.tid()
+    """Values of ring 0, of a map that takes vertex_values (v,) at the cage's vertices and is linear on its faces. An
+    octet a node, a lane a direction; as many items as fill whole warps."""
+    item = first + wp.tid()
+    lane = item % octet_count()
+    n = item / octet_count()
     section = 3 * levels.shapes.shape[0]
-    if n >= levels.starts[section + 1] - levels.starts[section]:
-        return
-    node = levels.nodes[levels.starts[section] + n]
+    is_node = n < levels.starts[section + 1] - levels.starts[section]
+    node = int(0)
+    if is_node:
+        node = levels.nodes[levels.starts[section] + n]
     steady = wp.vec3(0.0, 0.0, 0.0)
     steady_count = float(0.0)
     other = wp.vec3(0.0, 0.0, 0.0)
     other_count = float(0.0)
-    for direction in range(6):
+    for direction in range(lane, wp.where(is_node, 6, 0), octet_count()):
         inside = node + node_step(levels, direction)
         row = levels.codes[inside]
         if row >= 0:
@@ -160,14 +164,20 @@ def extend_through_cage(
             else:
                 other += value
                 other_count += 1.0
-    if steady_count > 0.0:
-        values[node] = steady / steady_count
-    else:  # beside a tip of the cage
-        found = lattice_extrapolation(levels, values, node, 0)
-        if found.linear_count > 0.0:
-            values[node] = found.linear / found.linear_count
-        else:
-            values[node] = other / wp.max(other_count, 1.0)
+    steady_count = sum_of_octet(steady_count)
+    other_count = sum_of_octet(other_count)
+    for axis in range(3):
+        steady[axis] = sum_of_octet(steady[axis])
+        other[axis] = sum_of_octet(other[axis])
+    if is_node and lane == 0:
+        if steady_count > 0.0:
+            values[node] = steady / steady_count
+        else:  # beside a tip of the cage
+            found = lattice_extrapolation(levels, values, node, 0)
+            if found.linear_count > 0.0:
+                values[node] = found.linear / found.linear_count
+            else:
+                values[node] = other / wp.max(other_count, 1.0)
 
 
 @wp.func

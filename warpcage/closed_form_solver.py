@@ -38,7 +38,8 @@ class ClosedFormSolver:
         return self.lattice.buffers.get("values", self.lattice.node_count, wp.vec3)
 
     def clear(self, sizes: dict) -> None:
-        """Launch what clears the values, before a solution."""
+        """Launch what clears the values and the count of gaps, before a solution."""
+        self.gaps.count.zero_()
         self.lattice.buffers.get("values", sizes["nodes"], wp.vec3).zero_()
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
@@ -59,7 +60,7 @@ class ClosedFormSolver:
 
     def find_gaps(self, sections: np.ndarray) -> None:
         """Launch the search for narrow gaps."""
-        self.gaps.launch(sections, self.rows, self.values)
+        self.gaps.search(sections, self.rows, self.values)
 
     def extend(self, vertex_values: wp.array) -> None:
         """Continue the values at inside nodes to the rings of outside nodes around them."""

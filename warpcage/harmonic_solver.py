@@ -125,14 +125,15 @@ class HarmonicSolver:
 
     def find_gaps(self, sections: np.ndarray) -> None:
         """Launch the search for narrow gaps."""
-        self.gaps.launch(sections, self.rows, self.system.values)
+        self.gaps.search(sections, self.rows, self.system.values)
 
     def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
         """The map's remainder where links cross the cage."""
         return linear_boundary(self, vertex_values)
 
     def clear(self, sizes: dict) -> None:
-        """Launch what clears the values, before a solution."""
+        """Launch what clears the values and the count of gaps, before a solution."""
+        self.gaps.count.zero_()
         self.lattice.buffers.get("values", sizes["nodes"], wp.vec3).zero_()
 
     def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
@@ -141,7 +142,7 @@ class HarmonicSolver:
         self._launch_start(sections, vertex_values)
         wp.capture_while(self.going, lambda: self._cycle(sections))
         launch_rings(self, sections, vertex_values, self.system.values)
-        self.find_gaps(sections)
+        self.gaps.launch(sections, self.rows, self.system.values)
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
         """Launch the description of the cut rows. sizes, sections: of this pose, or upper bounds."""

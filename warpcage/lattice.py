@@ -28,8 +28,8 @@ LINE_CAPACITY = 8
 #: Faces listed for a block of nodes in the distance band; blocks near more look at all faces.
 BLOCK_FACES = 16
 
-#: Flags that a pose raises on the device: lines overflow, lists overflow, gaps narrower than a cell.
-FLAGS = 3
+#: Flags that a pose raises on the device: lines overflow, lists overflow, gaps narrower than a cell, nodes at gaps.
+FLAGS = 4
 
 #: Views of buffers that are kept, of poses of different shapes.
 MOST_VIEWS = 64

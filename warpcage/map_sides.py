@@ -54,10 +54,15 @@ class GapFlags:
 
     def __init__(self, solver):
         self.solver, self.device = solver, solver.lattice.device
-        self.count = wp.zeros(1, dtype=int, device=self.device)
+        self.count = solver.lattice.flags[3:4]
+
+    def search(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
+        """Clear the count, and launch."""
+        self.count.zero_()
+        self.launch(sections, rows, values, least)
 
     def launch(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
-        """Launch the search. sections: nodes of each list, or upper bounds; rows: without them, a gap that is narrower
+        """Launch the search, the count being zero. sections: nodes of each list, or upper bounds; rows: without them, a gap that is narrower
         than a cell is seen by `nodes.narrow` alone; values: of which a difference above `least` makes a gap."""
         nodes = self.solver.nodes
         levels, level_count, crossings = nodes.levels, nodes.level_count, nodes.lattice.crossings
@@ -66,7 +71,6 @@ class GapFlags:
         with nodes.lattice.side.fork():
             cut = int(sections[2 * level_count])
             launch(confirm_narrow, cut, [crossings, levels, values], [nodes.narrow], device=self.device)
-        self.count.zero_()
         inputs = [levels, CutRows() if rows is None else rows, values, float(least)]
         launch(find_gap_nodes, items, inputs, [self.flags, self.count], device=self.device)
         nodes.lattice.side.join()
@@ -101,7 +105,7 @@ class MapSides:
         levels, cut_count = nodes.levels, boundary.shape[0]
         columns = lattice.shape[0] * lattice.shape[1]
         # where there are sides at all, all gaps get theirs
-        solver.gaps.launch(nodes.sections, rows, solver.values, 0.0)
+        solver.gaps.search(nodes.sections, rows, solver.values, 0.0)
         self.index = buffers.get("side_index", lattice.node_count, int)
         self.index.zero_()
         flags = solver.gaps.flags
@@ -135,7 +139,9 @@ def launch_rings(solver, sections: np.ndarray, vertex_values: wp.array, values: 
     lattice, nodes = solver.lattice, solver.nodes
     rings = sections[3 * nodes.level_count :]
     inputs = [nodes.levels, solver.rows, lattice.faces, vertex_values, values]
-    launch(extend_through_cage, int(rings[0]), inputs, device=solver.device)
+    # an octet of lanes a node, in whole warps
+    items = int(rings[0]) if solver.device.is_cpu else -(-int(rings[0]) // 4) * lane_count(solver.device)
+    launch(extend_through_cage, items, inputs, device=solver.device)
     for ring in range(1, RINGS):
         inputs = [ring, lattice.vertices, lattice.faces, nodes.levels, vertex_values, values]
         launch(extend_outwards, lane_count(solver.device) * int(rings[ring]), inputs, device=solver.device)
