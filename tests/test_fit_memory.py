@@ -54,11 +54,11 @@ def test_estimates_match_what_is_allocated(scene, device):
 
 
 class Allocations:
-    """Bytes that Warp holds on the CPU from now on, and their peak."""
+    """Bytes that Warp's arrays hold on a device from now on, and their peak."""
 
-    def __init__(self, monkeypatch):
+    def __init__(self, monkeypatch, device):
         self.held = self.peak = 0
-        allocator = wp.get_device("cpu").get_allocator()
+        allocator = wp.get_device(device).get_allocator()
         allocate, deallocate = allocator.allocate, allocator.deallocate
 
         def counted_allocate(size):
@@ -75,19 +75,19 @@ class Allocations:
 
 
 @pytest.mark.parametrize("limit", ["20MB", "7MB", "2MB", "1.3MB"])
-def test_a_limit_is_kept(scene, monkeypatch, limit):
-    """Everything that Warp allocates is counted, masks and scans in between too."""
-    allocations = Allocations(monkeypatch)
-    field = fit(scene, device="cpu", progress=False, max_memory=limit, least_steps=60)
+def test_a_limit_is_kept(scene, device, monkeypatch, limit):
+    """Every array is counted, masks in between too."""
+    allocations = Allocations(monkeypatch, device)
+    field = fit(scene, device=device, progress=False, max_memory=limit, least_steps=60)
     assert allocations.peak <= memory_size(limit)
     assert allocations.peak > 0.4 * min(memory_size(limit), 15e6)  # and made use of
     assert mean_psnr(evaluate(field, scene)) > {"20MB": 30, "7MB": 30, "2MB": 28, "1.3MB": 24}[limit]
 
 
-def test_more_memory_is_more_detail(scene):
+def test_more_memory_is_more_detail(scene, device):
     shapes = []
     for limit in (None, "1GB", "7MB", "2MB"):
-        optimizer = FieldOptimizer(scene, device="cpu", max_memory=limit, least_steps=9, epochs=0.1)
+        optimizer = FieldOptimizer(scene, device=device, max_memory=limit, least_steps=9, epochs=0.1)
         while optimizer.step_count < optimizer.total_steps:
             optimizer.step()
         shapes.append(optimizer.field.resolution)
@@ -95,13 +95,13 @@ def test_more_memory_is_more_detail(scene):
     assert shapes[0] == shapes[1] and shapes[1][0] > shapes[2][0] > shapes[3][0]
 
 
-def test_limits_that_cannot_be_kept(scene):
+def test_limits_that_cannot_be_kept(scene, device):
     with pytest.raises(ValueError, match=r"images take .* MB of device memory .*max_memory.* downscale=\d"):
         FieldOptimizer(scene, max_memory="100kB")
-    images = array_bytes([FieldOptimizer(scene, device="cpu").rays.pixels])
+    images = array_bytes([FieldOptimizer(scene, device=device).rays.pixels])
     tables = len(scene) * 49 * 49 * 4
     with pytest.raises(ValueError, match="not possible: the images take"):
-        FieldOptimizer(scene, device="cpu", max_memory=images + tables + 20_000)
+        FieldOptimizer(scene, device=device, max_memory=images + tables + 20_000)
 
 
 def test_a_small_device_is_not_overrun(scene, monkeypatch):
@@ -114,8 +114,8 @@ def test_a_small_device_is_not_overrun(scene, monkeypatch):
     assert optimizer.field.resolution[0] < optimizer.shapes[0][0] * 4
 
 
-def test_a_checkpoint_of_a_limited_fit_goes_on(scene, tmp_path):
-    options = {"max_memory": "7MB", "least_steps": 60, "device": "cpu"}
+def test_a_checkpoint_of_a_limited_fit_goes_on(scene, device, tmp_path):
+    options = {"max_memory": "7MB", "least_steps": 60, "device": device}
     optimizer = FieldOptimizer(scene, **options)
     while optimizer.level < 2:
         optimizer.step()
@@ -129,11 +129,11 @@ def test_a_checkpoint_of_a_limited_fit_goes_on(scene, tmp_path):
     np.testing.assert_allclose(resumed.field.grid.density.numpy(), optimizer.field.grid.density.numpy(), atol=1e-4)
 
 
-def test_a_refinement_by_a_fraction_keeps_the_picture(scene):
+def test_a_refinement_by_a_fraction_keeps_the_picture(scene, device):
     """The same field on a grid 1.4 times as fine renders about the same."""
-    field = fit(scene, device="cpu", progress=False, resolution=16, levels=1, least_steps=80)
-    optimizer = FieldOptimizer(scene, device="cpu", resolution=16, levels=1)
+    field = fit(scene, device=device, progress=False, resolution=16, levels=1, least_steps=80)
+    optimizer = FieldOptimizer(scene, device=device, resolution=16, levels=1)
     shape = scaled_shape(field.resolution, 1.4)
-    optimizer._start_level(wp.ones(shape, dtype=wp.uint8, device="cpu"), field)
+    optimizer._start_level(wp.ones(shape, dtype=wp.uint8, device=device), field)
     views = dataclasses.replace(scene, images=np.clip([field.render(c).rgb for c in scene.cameras], 0, 1))
     assert mean_psnr(evaluate(optimizer.field, Scene(views.images, None, scene.cameras))) > 28
