@@ -74,7 +74,7 @@ def measure(scene, test, device, points: int, options: dict) -> dict:
     clock = Clock(device)
     optimizer = FieldOptimizer(scene, device=device, **options)
     setup = clock.pause()
-    image_bytes, held, curve = optimizer.rays.pixels.capacity, 0, []
+    image_bytes, held, curve = array_bytes(device_arrays(optimizer.pictures)), 0, []
     marks = set(np.linspace(0, optimizer.total_steps, points + 1)[1:].astype(int).tolist())
     samples, counted_at = np.zeros(2), 0
     here = samples_per_ray(optimizer)

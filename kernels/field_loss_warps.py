@@ -4,12 +4,13 @@ The same sums as field_loss.accumulate_photometric_gradient, which says what the
 are looked up at once, one a lane; then the samples that hold matter are taken one by one, and the 27 coefficients of a
 voxel are read, and their gradients added, by 27 neighbouring lanes: a voxel's row is one run of memory instead of 27
 scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
-Siblings: field_loss, field_step, grid, lanes, rays, spherical_harmonics, volume_render. Uses warp shuffles: CUDA only.
+Siblings: field_loss, field_step, grid, lanes, pictures, rays, spherical_harmonics, volume_render. Uses warp shuffles: CUDA
+only.
 """
 
 import warp as wp
 
-from .field_loss import TrainingRays, background_behind, batch_pixel, subray_direction
+from .field_loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
 from .field_step import COEFFICIENTS, GRADIENT_ROW
 from .grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position
 from .lanes import ballot, from_lane, lowest_bit, without_lowest_bit
@@ -86,7 +87,7 @@ def accumulate_photometric_gradient_by_warps(
     lane = item % LANES
     has_background = own_background.shape[0] > 0
     pixel = batch_pixel(rays, n)
-    if pixel[1] >= rays.pixels.shape[1] or pixel[2] >= rays.pixels.shape[2]:
+    if not in_picture(rays, pixel):
         if lane == 0:
             squared_error[n] = 0.0
             if has_background:
@@ -94,12 +95,11 @@ def accumulate_photometric_gradient_by_warps(
         return
     channel = wp.min(lane // 9, 3)
     camera = rays.cameras[pixel[0]]
-    behind = pick(background_behind(background, random_background, seed, n), channel)
+    all_behind = background_behind(background, random_background, seed, n)
     if has_background:
-        behind = pick(own_background[n], channel)
-    rgba = rays.pixels[pixel[0], pixel[1], pixel[2]]
-    seen = wp.vec3(float(rgba[0]), float(rgba[1]), float(rgba[2]))
-    target = pick(seen, channel) + (1.0 - float(rgba[3])) * behind
+        all_behind = own_background[n]
+    behind = pick(all_behind, channel)
+    target = pick(training_colour(rays, pixel, all_behind), channel)
     g0 = grid_position(grid, camera.centre)
 
     # of this lane's channel
