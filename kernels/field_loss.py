@@ -4,16 +4,16 @@ Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. W
 background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
 hand-written adjoint of volume_render.march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop
 of unknown length).
-Siblings: grid, pictures, rays, spherical_harmonics, volume_render.
+Siblings: grid, grid_rays, pictures, rays, spherical_harmonics.
 """
 
 import warp as wp
 
-from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
+from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance
+from .grid_rays import grid_ray, sample_beyond, sample_distance, sample_place
 from .pictures import Pictures, picture_pixel
 from .rays import PinholeCamera, image_direction
 from .spherical_harmonics import sh_basis, vec9
-from .volume_render import exit_distance, grid_span, sample_index_after
 
 wp.set_module_options({"enable_backward": False})
 
@@ -122,7 +122,6 @@ def accumulate_photometric_gradient(
     if has_background:
         behind = own_background[n]
     target = training_colour(rays, pixel, behind)
-    g0 = grid_position(grid, camera.centre)
 
     subray_count = rays.rays_per_side * rays.rays_per_side
     colours = mat43()
@@ -133,19 +132,17 @@ def accumulate_photometric_gradient(
         subray = march % subray_count
         direction = subray_direction(rays, camera, pixel, subray, seed, n)
         basis = sh_basis(direction)
-        dg = wp.cw_mul(direction, grid.inverse_voxel_size)
-        span = grid_span(grid, camera.centre, direction)
+        ray = grid_ray(grid, camera.centre, direction, step)
         # the part of C . dL/dC that comes from behind the current sample
         later = wp.dot(colours[subray], grad_colour)
         colour = wp.vec3()
         transmittance = float(1.0)
-        k = sample_index_after(span[0], step)
-        while (float(k) + 0.5) * step < span[1] and transmittance > stop:
-            t = (float(k) + 0.5) * step
-            g = g0 + t * dg
+        k = ray.first
+        while sample_distance(ray, k) < ray.far and transmittance > stop:
+            g = sample_place(ray, k)
             empty = empty_distance(grid, g)
             if empty > 0:
-                k = wp.max(k + 1, sample_index_after(t + exit_distance(g, dg, empty), step))
+                k = sample_beyond(ray, k, g, empty)
             else:
                 cell = cell_sample(grid, g)
                 sigma = cell_density(grid, cell)
