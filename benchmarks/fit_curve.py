@@ -71,14 +71,17 @@ class CountedAllocator:
 def counted_allocations(device):
     """A CountedAllocator in the place of a device's own."""
     counted = CountedAllocator(device)
-    if device.is_cuda:
-        wp.set_device_allocator(device, counted)
+    try:
+        if device.is_cuda:
+            wp.set_device_allocator(device, counted)
+        else:  # Warp has no call for it
+            device.default_allocator = counted
         yield counted
-        wp.set_device_allocator(device, None)
-    else:  # Warp has no call for it
-        device.default_allocator = counted
-        yield counted
-        device.default_allocator = counted.inner
+    finally:
+        if device.is_cuda:
+            wp.set_device_allocator(device, None)
+        else:
+            device.default_allocator = counted.inner
 
 
 class Clock:
