@@ -1,5 +1,14 @@
 from setuptools import setup
 
+TEST = [
+    "pytest>=8.0",
+    "hypothesis>=6.100",
+    "scipy>=1.11",
+    # cameras and lenses are compared with these two; without them those tests are skipped
+    "opencv-python-headless>=4.10",
+    "pycolmap>=3.13; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.15'",
+]
+
 setup(
     name="warpcage",
     version="0.1.0",
@@ -23,8 +32,8 @@ setup(
         "tqdm>=4.66",
     ],
     extras_require={
-        "test": ["pytest>=8.0", "hypothesis>=6.100", "scipy>=1.11"],
-        "dev": ["pytest>=8.0", "hypothesis>=6.100", "scipy>=1.11", "ruff>=0.6"],
+        "test": TEST,
+        "dev": [*TEST, "ruff>=0.6"],
     },
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[

@@ -1,6 +1,11 @@
 """Time of a canonical frame, a deformed frame with its lattice ready, a new pose with its frame, and posing in a loop.
 
     python benchmarks/deformed_render.py --field field.npz --cage cage.obj --device cuda:0 --json render.json
+    python benchmarks/deformed_render.py --field room.npz --cage cage.obj --scene DIR --device cuda:0
+
+A field with layers behind it is rendered with them, and the rows of frames say what they add (layers_milliseconds:
+against the same frame on black, by turns). --scene takes a held-out view of a scene, whose surroundings such a field
+shows.
 
 The kernels behind a frame and a pose are listed with --profile (CUDA only); NOTES-render.md holds what was found.
 """
@@ -10,7 +15,7 @@ import json
 import time
 
 import warp as wp
-from timing import median_seconds
+from timing import median_seconds, median_seconds_by_turns
 
 import warpcage
 
@@ -21,20 +26,26 @@ def main() -> None:
     device = warpcage.devices.resolve_device(args.device)
     field = warpcage.VoxelField.load(args.field, device=device)
     rest = warpcage.Cage.load(args.cage)
-    camera = warpcage.turntable(field.center, 4.03, 30, 1, fov_degrees=39.6, width=args.size, height=args.size,
-                                start_degrees=30)[0]
+    camera = chosen_camera(field, args)
     rows = []
 
     def report(what, seconds, **more):
         rows.append({"what": what, "milliseconds": round(1e3 * seconds, 3), **more})
         print(rows[-1], flush=True)
 
-    report("canonical frame", median_seconds(lambda: field.render(camera), device, runs=args.runs))
+    def report_frame(what, render, **more):
+        views = [lambda: render(camera), lambda: render(camera, background="black")]
+        seconds, *plain = median_seconds_by_turns(views if field.background_model else views[:1], device,
+                                                  runs=args.runs)
+        if plain:
+            more["layers_milliseconds"] = round(1e3 * (seconds - plain[0]), 3)
+        report(what, seconds, **more)
+
+    report_frame("canonical frame", field.render)
     poses = [rest.bend(share * args.bend, axis="y", towards="z") for share in (1.0, 0.8)]
     for kind in args.kinds:
         deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution).pose(poses[0])
-        report("frame, lattice ready", median_seconds(lambda d=deformer: d.render(camera), device, runs=args.runs),
-               kind=kind)
+        report_frame("frame, lattice ready", deformer.render, kind=kind)
         cycle = Cycle(deformer, poses)
         report("pose", median_seconds(cycle.pose, device, runs=args.runs), kind=kind)
         report("pose and frame", median_seconds(lambda c=cycle: c.pose().render(camera), device, runs=args.runs),
@@ -49,14 +60,15 @@ def main() -> None:
             baked = warpcage.bake(deformer)
             live = deformer.render(camera).rgb
             print({"bake": repr(baked), "psnr": round(float(warpcage.psnr(baked.render(camera).rgb, live)), 2)})
-            report("frame of the baked field", median_seconds(lambda b=baked: b.render(camera), device, runs=args.runs),
-                   kind=kind)
+            report_frame("frame of the baked field", baked.render, kind=kind)
     peak = wp.get_mempool_used_mem_high(device) if device.is_cuda else None
     print({"peak_device_bytes": peak})
     if args.json:
         with open(args.json, "w", encoding="utf-8") as file:
-            json.dump({"device": device.name, "warp": wp.__version__, "voxels": field.voxel_count, "size": args.size,
-                       "resolution": args.resolution, "peak_device_bytes": peak, "rows": rows}, file, indent=1)
+            json.dump({"device": device.name, "warp": wp.__version__, "voxels": field.voxel_count,
+                       "size": [camera.width, camera.height], "resolution": args.resolution,
+                       "layers": field.background_model.layer_count if field.background_model else 0,
+                       "peak_device_bytes": peak, "rows": rows}, file, indent=1)
 
 
 def parse_arguments():
@@ -64,7 +76,9 @@ def parse_arguments():
     parser.add_argument("--field", required=True)
     parser.add_argument("--cage", required=True)
     parser.add_argument("--device", default=None)
-    parser.add_argument("--size", type=int, default=800)
+    parser.add_argument("--size", type=int, default=800, help="pixels a side, without --scene")
+    parser.add_argument("--scene", help="scene folder: its first held-out view instead of one from a turntable")
+    parser.add_argument("--downscale", type=int, default=1, help="of the scene's pictures")
     parser.add_argument("--resolution", type=int, default=128)
     parser.add_argument("--bend", type=float, default=45.0)
     parser.add_argument("--runs", type=int, default=10)
@@ -73,6 +87,13 @@ def parse_arguments():
     parser.add_argument("--bake", action="store_true", help="bake the pose too, and compare with the live frame")
     parser.add_argument("--json")
     return parser.parse_args()
+
+
+def chosen_camera(field, args):
+    if args.scene:
+        return warpcage.load_scene(args.scene, split="test", downscale=args.downscale).cameras[0]
+    return warpcage.turntable(field.center, 4.03, 30, 1, fov_degrees=39.6, width=args.size, height=args.size,
+                              start_degrees=30)[0]
 
 
 class Cycle:

@@ -7,10 +7,15 @@ Clock: from the images in host memory to the finished field, kernels compiled be
 out. Samples are counted in passes of their own, at each point of the curve and at both ends of a level, over the
 training rays that see the object, and summed over the steps in between: `marched` in cells that hold values, `matter`
 those of them with density. A step takes them once for the colour and once more for the gradient; they count once.
+
+`peak_device_bytes` is the most that the arrays of the timed fit held at once, images included: each is counted as it is
+made. A memory pool's own high-water mark would be that of the process, with the warm-up, earlier runs and the renders
+between, and cannot be reset. Scratch of a few MB that Warp takes for scans is left out.
 """
 
 import argparse
 import ast
+import contextlib
 import json
 import platform
 import time
@@ -40,19 +45,61 @@ def samples_per_ray(optimizer, *, wanted_rays: int = 1 << 20) -> np.ndarray:
     return np.array([each.numpy().mean(dtype=np.float64) for each in counts]) / active
 
 
-class Clock:
-    """Seconds since it was made, less the pauses; the device has caught up whenever it is read."""
+class CountedAllocator:
+    """Stands before a device's allocator and counts what arrays hold from now on; `peak` while it is `watching`."""
 
     def __init__(self, device):
-        self.device, self.seconds = device, 0.0
+        self.inner = device.get_allocator()
+        self.memory_kind = self.inner.memory_kind
+        self.deallocate_requires_context_guard = self.inner.deallocate_requires_context_guard
+        self.sizes, self.held, self.peak, self.watching = {}, 0, 0, True
+
+    def allocate(self, size: int) -> int:
+        pointer = self.inner.allocate(size)
+        self.sizes[pointer] = size
+        self.held += size
+        if self.watching:
+            self.peak = max(self.peak, self.held)
+        return pointer
+
+    def deallocate(self, pointer: int, size: int) -> None:
+        self.held -= self.sizes.pop(pointer, 0)  # 0: it is older
+        self.inner.deallocate(pointer, size)
+
+
+@contextlib.contextmanager
+def counted_allocations(device):
+    """A CountedAllocator in the place of a device's own."""
+    counted = CountedAllocator(device)
+    try:
+        if device.is_cuda:
+            wp.set_device_allocator(device, counted)
+        else:  # Warp has no call for it
+            device.default_allocator = counted
+        yield counted
+    finally:
+        if device.is_cuda:
+            wp.set_device_allocator(device, None)
+        else:
+            device.default_allocator = counted.inner
+
+
+class Clock:
+    """Seconds since it was made, and what allocations hold, less the pauses; the device has caught up whenever it is
+    read."""
+
+    def __init__(self, device, allocations: CountedAllocator):
+        self.device, self.allocations, self.seconds = device, allocations, 0.0
         self.go_on()
 
     def pause(self) -> float:
         wp.synchronize_device(self.device)
         self.seconds += time.perf_counter() - self.begin
+        self.allocations.watching = False
         return self.seconds
 
     def go_on(self) -> None:
+        self.allocations.watching = True
         self.begin = time.perf_counter()
 
 
@@ -70,11 +117,15 @@ def measure(scene, test, device, points: int, options: dict) -> dict:
         warm_up.step()
     warm_up.finish()
     del warm_up
+    with counted_allocations(device) as allocations:
+        return measure_fit(scene, test, device, points, options, allocations)
 
-    clock = Clock(device)
+
+def measure_fit(scene, test, device, points: int, options: dict, allocations: CountedAllocator) -> dict:
+    clock = Clock(device, allocations)
     optimizer = FieldOptimizer(scene, device=device, **options)
     setup = clock.pause()
-    image_bytes, held, curve = optimizer.rays.pixels.capacity, 0, []
+    curve = []
     marks = set(np.linspace(0, optimizer.total_steps, points + 1)[1:].astype(int).tolist())
     samples, counted_at = np.zeros(2), 0
     here = samples_per_ray(optimizer)
@@ -92,7 +143,6 @@ def measure(scene, test, device, points: int, options: dict) -> dict:
             before, here = here, samples_per_ray(optimizer)
             samples += 0.5 * (before + here) * (count - counted_at) * optimizer.batch_rays
             counted_at = count
-            held = max(held, array_bytes(device_arrays(optimizer)))
             if count in marks:
                 curve.append(curve_point(optimizer, test, seconds, here))
                 print(curve[-1], flush=True)
@@ -107,14 +157,14 @@ def measure(scene, test, device, points: int, options: dict) -> dict:
         field.render(camera)
         wp.synchronize_device(device)
         times.append(time.perf_counter() - begin)
-    peak = wp.get_mempool_used_mem_high(device) if wp.get_device(device).is_cuda else held
     return {
         "options": options, "seconds": round(spent, 3), "setup_seconds": round(setup, 3), "psnr": mean_psnr(rows),
         "voxels": field.voxel_count, "resolution": field.resolution, "batch_rays": optimizer.batch_rays,
         "rays_per_second": round(optimizer.total_steps * optimizer.batch_rays / spent),
         "samples_marched_per_second": round(samples[0] / spent), "samples_matter_per_second": round(samples[1] / spent),
-        "render_milliseconds": round(1e3 * float(np.median(times)), 3), "peak_device_bytes": peak,
-        "image_bytes": image_bytes, "curve": curve,
+        "render_milliseconds": round(1e3 * float(np.median(times)), 3), "peak_device_bytes": allocations.peak,
+        "image_bytes": array_bytes(device_arrays(optimizer.pictures)), "image_bits": optimizer.pictures.bits,
+        "curve": curve,
     }
 
 

@@ -1,14 +1,14 @@
 """Tiles of the training images that see anything of a field.
 
 A module of its own, as the gradients of field_loss are not compiled where field_loss_warps stands in for them.
-Siblings: grid, rays, volume_render.
+Siblings: grid, grid_rays, rays.
 """
 
 import warp as wp
 
-from .grid import VoxelGrid, empty_distance, grid_position
+from .grid import VoxelGrid, empty_distance
+from .grid_rays import grid_ray, sample_beyond, sample_distance, sample_place
 from .rays import PinholeCamera, pixel_direction
-from .volume_render import exit_distance, grid_span, sample_index_after
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,16 +34,13 @@ def mark_active_tiles(
         row = (tile // columns) % rows * tile_size + n // tile_size
         column = tile % columns * tile_size + n % tile_size
         if found == 0 and row < height and column < width:
-            direction = pixel_direction(camera, column, row)
-            g0 = grid_position(grid, camera.centre)
-            dg = wp.cw_mul(direction, grid.inverse_voxel_size)
-            span = grid_span(grid, camera.centre, direction)
-            k = sample_index_after(span[0], step)
-            while (float(k) + 0.5) * step < span[1] and found == 0:
-                t = (float(k) + 0.5) * step
-                empty = empty_distance(grid, g0 + t * dg)
+            ray = grid_ray(grid, camera.centre, pixel_direction(camera, column, row), step)
+            k = ray.first
+            while sample_distance(ray, k) < ray.far and found == 0:
+                g = sample_place(ray, k)
+                empty = empty_distance(grid, g)
                 if empty > 0:
-                    k = wp.max(k + 1, sample_index_after(t + exit_distance(g0 + t * dg, dg, empty), step))
+                    k = sample_beyond(ray, k, g, empty)
                 else:
                     found = int(1)
     active[tile] = found

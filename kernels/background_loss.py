@@ -3,7 +3,7 @@
 A ray's background is C = sum_l w_l c_l, w_l = T_l (1 - exp(-tau_l)); with g = dL/dC, dL/dc_l = w_l g and
 dL/dtau_l = T_{l+1} c_l . g - sum_{j>l} w_j c_j . g: field_loss's hand-written adjoint with layers for samples
 (Plenoxels 2022, section 3.2). Total variation as there, over the neighbours on a cube's surface (Eq. 3).
-Siblings: background, field_loss, rays.
+Siblings: background, field_loss, pictures, rays.
 """
 
 import warp as wp
@@ -19,7 +19,8 @@ from .background import (
     surface_node,
     surface_place,
 )
-from .field_loss import TrainingRays, batch_pixel
+from .field_loss import TrainingRays, batch_pixel, in_picture
+from .pictures import Pictures, picture_pixel
 from .rays import pixel_direction
 
 wp.set_module_options({"enable_backward": False})
@@ -36,7 +37,7 @@ def gather_background(first: int, layers: BackgroundLayers, rays: TrainingRays, 
     """behind: (rays,) what the layers show each ray of a batch."""
     n = first + wp.tid()
     pixel = batch_pixel(rays, n)
-    if pixel[1] < rays.pixels.shape[1] and pixel[2] < rays.pixels.shape[2]:
+    if in_picture(rays, pixel):
         camera = rays.cameras[pixel[0]]
         behind[n] = background_colour(layers, camera.centre, pixel_direction(camera, pixel[2], pixel[1]))
 
@@ -46,7 +47,7 @@ def compare_surroundings(
     first: int,
     layers: BackgroundLayers,
     rays: TrainingRays,
-    surroundings: wp.array3d(dtype=wp.vec4h),
+    surroundings: Pictures,
     scale: float,
     grad_behind: wp.array(dtype=wp.vec3),
 ):
@@ -58,13 +59,13 @@ def compare_surroundings(
     n = first + wp.tid()
     grad_behind[n] = wp.vec3(0.0, 0.0, 0.0)
     pixel = batch_pixel(rays, n)
-    if pixel[1] < rays.pixels.shape[1] and pixel[2] < rays.pixels.shape[2]:
-        seen = surroundings[pixel[0], pixel[1], pixel[2]]
-        share = float(seen[3])
+    if in_picture(rays, pixel):
+        seen = picture_pixel(surroundings, pixel[0], pixel[1], pixel[2])
+        share = seen[3]
         if share > 0.0:
             camera = rays.cameras[pixel[0]]
             colour = background_colour(layers, camera.centre, pixel_direction(camera, pixel[2], pixel[1]))
-            error = share * colour - wp.vec3(float(seen[0]), float(seen[1]), float(seen[2]))
+            error = share * colour - wp.vec3(seen[0], seen[1], seen[2])
             grad_behind[n] = 2.0 * scale * share * error
 
 
@@ -81,7 +82,7 @@ def accumulate_background_gradient(
     n = first + wp.tid()
     pixel = batch_pixel(rays, n)
     grad_colour = grad_behind[n]
-    if pixel[1] >= rays.pixels.shape[1] or pixel[2] >= rays.pixels.shape[2] or wp.length_sq(grad_colour) == 0.0:
+    if not in_picture(rays, pixel) or wp.length_sq(grad_colour) == 0.0:
         return
     camera = rays.cameras[pixel[0]]
     origin = camera.centre

@@ -1,12 +1,12 @@
 """Emission-absorption ray marching of a deformed sparse voxel grid.
 
-Samples lie at t_k = (k + 1/2) dt from the camera as in volume_render, are traced to canonical space by cage_edits
+Samples lie at t_k = (k + 1/2) dt from the camera as in grid_rays, are traced to canonical space by cage_edits
 ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), and composited. The canonical point of the next sample
 serves the finite difference of this one. Optical depth of a sample is sigma |phi(x + dt d) - phi(x)|, so that matter
 keeps its opacity when it is scaled, or sigma dt as the paper has it. Where the map compresses, a sample stands for a
 longer piece of canonical space than dt; it is then cut into sub-samples about dt apart there, so that nothing thin is
 jumped over.
-Siblings: cage_edits, grid, rays, spherical_harmonics, volume_render.
+Siblings: cage_edits, grid, grid_rays, rays, spherical_harmonics.
 """
 
 from typing import Any
@@ -28,9 +28,9 @@ from .cage_edits import (
     is_folded,
 )
 from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
+from .grid_rays import exit_distance, grid_span, sample_index_after
 from .rays import box_span
 from .spherical_harmonics import sh_basis
-from .volume_render import exit_distance, grid_span, sample_index_after
 
 wp.set_module_options({"enable_backward": False})
 

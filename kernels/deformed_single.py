@@ -5,7 +5,7 @@ of one edit on a lattice. What differs is the order of the work, for a GPU that 
 registers for each: the map is looked up at one place of the program. A sample that holds matter waits for the sample
 after it, whose canonical point completes its finite difference (Eq. 4); where that is no difference of one map, the
 march turns back for one. Where the map compresses, a sample is cut into sub-samples as in deformed_march.
-Siblings: cage_edits, cage_map, deformed_march, deformed_render, grid, rays, spherical_harmonics, volume_render.
+Siblings: cage_edits, cage_map, deformed_march, deformed_render, grid, grid_rays, rays, spherical_harmonics.
 """
 
 import warp as wp
@@ -24,9 +24,9 @@ from .cage_map import CageMap, map_distance, side_position
 from .deformed_march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .deformed_render import Picture, fill_pixel
 from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
+from .grid_rays import grid_span, sample_index_after
 from .rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .spherical_harmonics import sh_basis
-from .volume_render import grid_span, sample_index_after
 
 # small blocks: rays of one end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
@@ -119,7 +119,7 @@ def safe_inverse(rate: wp.vec3):
 
 @wp.func
 def cell_exit(g: wp.vec3, inverse_rate: wp.vec3, reach: int):
-    """volume_render.exit_distance with the divisions done once a ray."""
+    """grid_rays.exit_distance with the divisions done once a ray."""
     leave = float(1.0e30)
     for axis in range(3):
         cell = wp.floor(g[axis])

@@ -4,15 +4,16 @@ Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. W
 background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
 hand-written adjoint of volume_render.march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop
 of unknown length).
-Siblings: grid, rays, spherical_harmonics, volume_render.
+Siblings: grid, grid_rays, pictures, rays, spherical_harmonics.
 """
 
 import warp as wp
 
-from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance, grid_position
+from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance
+from .grid_rays import grid_ray, sample_beyond, sample_distance, sample_place
+from .pictures import Pictures, picture_pixel
 from .rays import PinholeCamera, image_direction
 from .spherical_harmonics import sh_basis, vec9
-from .volume_render import exit_distance, grid_span, sample_index_after
 
 wp.set_module_options({"enable_backward": False})
 
@@ -27,7 +28,9 @@ class TrainingRays:
     """Images cut into square tiles; a batch is a run of tiles in a shuffled order."""
 
     cameras: wp.array(dtype=PinholeCamera)  # (views,)
-    pixels: wp.array3d(dtype=wp.vec4h)  # (views, h, w) premultiplied rgb and alpha
+    pictures: Pictures  # (views, h, w)
+    height: int  # of a picture, pixels
+    width: int
     tiles: wp.array(dtype=wp.int32)  # shuffled flat tile indices: (view * tile rows + tile row) * tile columns + column
     tile_size: int
     first_tile: int  # where this batch begins in `tiles`
@@ -38,14 +41,26 @@ class TrainingRays:
 def batch_pixel(rays: TrainingRays, n: int):
     """(view, row, column) of the n-th ray of a batch; the far tiles' pixels may lie beyond the image."""
     size = rays.tile_size
-    columns = (rays.pixels.shape[2] + size - 1) // size
-    rows = (rays.pixels.shape[1] + size - 1) // size
+    columns = (rays.width + size - 1) // size
+    rows = (rays.height + size - 1) // size
     tile = rays.tiles[(rays.first_tile + n // (size * size)) % rays.tiles.shape[0]]
     within = n % (size * size)
     view = tile // (rows * columns)
     row = (tile // columns) % rows * size + within // size
     column = tile % columns * size + within % size
     return wp.vec3i(view, row, column)
+
+
+@wp.func
+def in_picture(rays: TrainingRays, pixel: wp.vec3i):
+    return pixel[1] < rays.height and pixel[2] < rays.width
+
+
+@wp.func
+def training_colour(rays: TrainingRays, pixel: wp.vec3i, behind: wp.vec3):
+    """What a pixel of the pictures shows before a background."""
+    rgba = picture_pixel(rays.pictures, pixel[0], pixel[1], pixel[2])
+    return wp.vec3(rgba[0], rgba[1], rgba[2]) + (1.0 - rgba[3]) * behind
 
 
 @wp.func
@@ -100,15 +115,13 @@ def accumulate_photometric_gradient(
     if has_background:
         grad_background[n] = wp.vec3()
     pixel = batch_pixel(rays, n)
-    if pixel[1] >= rays.pixels.shape[1] or pixel[2] >= rays.pixels.shape[2]:
+    if not in_picture(rays, pixel):
         return
     camera = rays.cameras[pixel[0]]
     behind = background_behind(background, random_background, seed, n)
     if has_background:
         behind = own_background[n]
-    rgba = rays.pixels[pixel[0], pixel[1], pixel[2]]
-    target = wp.vec3(float(rgba[0]), float(rgba[1]), float(rgba[2])) + (1.0 - float(rgba[3])) * behind
-    g0 = grid_position(grid, camera.centre)
+    target = training_colour(rays, pixel, behind)
 
     subray_count = rays.rays_per_side * rays.rays_per_side
     colours = mat43()
@@ -119,19 +132,17 @@ def accumulate_photometric_gradient(
         subray = march % subray_count
         direction = subray_direction(rays, camera, pixel, subray, seed, n)
         basis = sh_basis(direction)
-        dg = wp.cw_mul(direction, grid.inverse_voxel_size)
-        span = grid_span(grid, camera.centre, direction)
+        ray = grid_ray(grid, camera.centre, direction, step)
         # the part of C . dL/dC that comes from behind the current sample
         later = wp.dot(colours[subray], grad_colour)
         colour = wp.vec3()
         transmittance = float(1.0)
-        k = sample_index_after(span[0], step)
-        while (float(k) + 0.5) * step < span[1] and transmittance > stop:
-            t = (float(k) + 0.5) * step
-            g = g0 + t * dg
+        k = ray.first
+        while sample_distance(ray, k) < ray.far and transmittance > stop:
+            g = sample_place(ray, k)
             empty = empty_distance(grid, g)
             if empty > 0:
-                k = wp.max(k + 1, sample_index_after(t + exit_distance(g, dg, empty), step))
+                k = sample_beyond(ray, k, g, empty)
             else:
                 cell = cell_sample(grid, g)
                 sigma = cell_density(grid, cell)

@@ -4,17 +4,18 @@ The same sums as field_loss.accumulate_photometric_gradient, which says what the
 are looked up at once, one a lane; then the samples that hold matter are taken one by one, and the 27 coefficients of a
 voxel are read, and their gradients added, by 27 neighbouring lanes: a voxel's row is one run of memory instead of 27
 scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
-Siblings: field_loss, field_step, grid, lanes, rays, spherical_harmonics, volume_render. Uses warp shuffles: CUDA only.
+Siblings: field_loss, field_step, grid, grid_rays, lanes, pictures, rays, spherical_harmonics. Uses warp shuffles: CUDA
+only.
 """
 
 import warp as wp
 
-from .field_loss import TrainingRays, background_behind, batch_pixel, subray_direction
+from .field_loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
 from .field_step import COEFFICIENTS, GRADIENT_ROW
-from .grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position
+from .grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from .grid_rays import grid_ray, sample_beyond, sample_distance, sample_place
 from .lanes import ballot, from_lane, lowest_bit, without_lowest_bit
 from .spherical_harmonics import sh_basis
-from .volume_render import exit_distance, grid_span, sample_index_after
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
@@ -86,7 +87,7 @@ def accumulate_photometric_gradient_by_warps(
     lane = item % LANES
     has_background = own_background.shape[0] > 0
     pixel = batch_pixel(rays, n)
-    if pixel[1] >= rays.pixels.shape[1] or pixel[2] >= rays.pixels.shape[2]:
+    if not in_picture(rays, pixel):
         if lane == 0:
             squared_error[n] = 0.0
             if has_background:
@@ -94,13 +95,11 @@ def accumulate_photometric_gradient_by_warps(
         return
     channel = wp.min(lane // 9, 3)
     camera = rays.cameras[pixel[0]]
-    behind = pick(background_behind(background, random_background, seed, n), channel)
+    all_behind = background_behind(background, random_background, seed, n)
     if has_background:
-        behind = pick(own_background[n], channel)
-    rgba = rays.pixels[pixel[0], pixel[1], pixel[2]]
-    seen = wp.vec3(float(rgba[0]), float(rgba[1]), float(rgba[2]))
-    target = pick(seen, channel) + (1.0 - float(rgba[3])) * behind
-    g0 = grid_position(grid, camera.centre)
+        all_behind = own_background[n]
+    behind = pick(all_behind, channel)
+    target = pick(training_colour(rays, pixel, all_behind), channel)
 
     # of this lane's channel
     subray_count = rays.rays_per_side * rays.rays_per_side
@@ -116,25 +115,22 @@ def accumulate_photometric_gradient_by_warps(
         for b in range(9):
             if lane < COEFFICIENTS and lane - 9 * channel == b:
                 basis = all_basis[b]
-        dg = wp.cw_mul(direction, grid.inverse_voxel_size)
-        span = grid_span(grid, camera.centre, direction)
+        ray = grid_ray(grid, camera.centre, direction, step)
         # the part of C . dL/dC that comes from behind the current sample
         later = over_channels(colours[subray] * grad_colour)
         colour = float(0.0)
         transmittance = float(1.0)
-        k = sample_index_after(span[0], step)
-        while (float(k) + 0.5) * step < span[1] and transmittance > stop:
-            t = (float(k) + 0.5) * step
-            g = g0 + t * dg
+        k = ray.first
+        while sample_distance(ray, k) < ray.far and transmittance > stop:
+            g = sample_place(ray, k)
             empty = empty_distance(grid, g)
             if empty > 0:
-                k = wp.max(k + 1, sample_index_after(t + exit_distance(g, dg, empty), step))
+                k = sample_beyond(ray, k, g, empty)
             else:
                 # density of 32 samples, one a lane
-                own_t = (float(k + lane) + 0.5) * step
-                own_g = g0 + own_t * dg
+                own_g = sample_place(ray, k + lane)
                 depth = float(0.0)
-                if own_t < span[1] and empty_distance(grid, own_g) == 0:
+                if sample_distance(ray, k + lane) < ray.far and empty_distance(grid, own_g) == 0:
                     depth = wp.max(cell_density(grid, cell_sample(grid, own_g)), 0.0) * step
                 before = transmittance * wp.exp(-sum_before(depth, lane))
                 alpha = 1.0 - wp.exp(-depth)
@@ -143,7 +139,7 @@ def accumulate_photometric_gradient_by_warps(
                 while matter != 0:
                     j = lowest_bit(matter)
                     matter = without_lowest_bit(matter)
-                    cell = cell_sample(grid, g0 + (float(k + j) + 0.5) * step * dg)
+                    cell = cell_sample(grid, sample_place(ray, k + j))
                     left = from_lane(before, j)
                     weight = left * from_lane(alpha, j)
                     value = float(0.0)

@@ -1,13 +1,13 @@
 """Count the samples that a march takes along the rays of cameras: what a step of a fit has to do.
 
-Marches as volume_render.march does. Siblings: grid, rays, volume_render.
+Marches as volume_render.march does. Siblings: grid, grid_rays, rays.
 """
 
 import warp as wp
 
-from .grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position
+from .grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from .grid_rays import grid_ray, sample_beyond, sample_distance, sample_place
 from .rays import PinholeCamera, pixel_direction
-from .volume_render import exit_distance, grid_span, sample_index_after
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,19 +34,16 @@ def count_samples(
     camera = cameras[n // per_view]
     column = (n % per_view % per_row) * pixel_stride
     direction = pixel_direction(camera, column, (n % per_view // per_row) * pixel_stride)
-    g0 = grid_position(grid, camera.centre)
-    dg = wp.cw_mul(direction, grid.inverse_voxel_size)
-    span = grid_span(grid, camera.centre, direction)
-    k = sample_index_after(span[0], step)
+    ray = grid_ray(grid, camera.centre, direction, step)
+    k = ray.first
     transmittance = float(1.0)
     marched = int(0)
     matter = int(0)
-    while (float(k) + 0.5) * step < span[1] and transmittance > stop:
-        t = (float(k) + 0.5) * step
-        g = g0 + t * dg
+    while sample_distance(ray, k) < ray.far and transmittance > stop:
+        g = sample_place(ray, k)
         empty = empty_distance(grid, g)
         if empty > 0:
-            k = wp.max(k + 1, sample_index_after(t + exit_distance(g, dg, empty), step))
+            k = sample_beyond(ray, k, g, empty)
         else:
             marched += 1
             sigma = cell_density(grid, cell_sample(grid, g))

@@ -18,7 +18,7 @@ def nodes(resolution, bounds):
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def make_field(density, sh, bounds=((-1, -1, -1), (1, 1, 1)), device="cpu", resolution=40, origin=(0, 0, 0)):
+def make_field(density, sh, bounds=((-1, -1, -1), (1, 1, 1)), device=None, resolution=40, origin=(0, 0, 0)):
     """A field from functions of positions relative to `origin`."""
     x = nodes(resolution, bounds)
     bounds = np.asarray(bounds, float) + origin

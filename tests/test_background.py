@@ -16,7 +16,6 @@ from warpcage.background import LayeredBackground, surface_node_count
 from warpcage.background_fit import chosen_background
 from warpcage.bounds import Silhouettes, keep_seen
 from warpcage.cli import main
-from warpcage.devices import resolve_device
 from warpcage.evaluation import mean_psnr
 from warpcage.fit_progress import load_progress, save_progress
 from warpcage.images import read_image
@@ -60,7 +59,7 @@ def test_faces_join_without_a_seam(device):
 def test_bad_backgrounds(change, word):
     given = {"center": (0, 0, 0), "half": 1.0, "side": 2, "values": np.zeros((3, 26, 4))} | change
     with pytest.raises(ValueError, match=word):
-        LayeredBackground(**given, device="cpu")
+        LayeredBackground(**given)
 
 
 def test_gradients_match_finite_differences(device):
@@ -401,14 +400,14 @@ def test_voxels_that_few_cameras_see_stay_empty(device):
     assert 0 < (counts >= 6).sum() < counts.size
 
 
-def test_silhouettes_that_touch_the_border_carve_beyond_it():
+def test_silhouettes_that_touch_the_border_carve_beyond_it(device):
     """A bar that leaves the image on the right: what is beyond the other borders goes, its continuation stays."""
     camera = warpcage.Camera(16.0, 16.0, 8.0, 8.0, 16, 16, np.eye(4))
     alphas = np.zeros((1, 16, 16), np.float32)
     alphas[0, 6:10, 5:] = 1.0
     wide = dataclasses.replace(camera, fx=4.0, fy=4.0)  # opaque all over, so that each voxel is in a picture
     scene = warpcage.Scene(np.ones((2, 16, 16, 3)), np.concatenate([alphas, np.ones_like(alphas)]), [camera, wide])
-    silhouettes = Silhouettes(scene, resolve_device("cpu"))
+    silhouettes = Silhouettes(scene, wp.get_device(device))
     # at depth 16 a voxel is a pixel wide: node (i, j) is at pixel (i - 15.5, j - 15.5)
     kept = silhouettes.carve([[-24, -24, 15.5], [24, 24, 16.5]], (48, 48, 2)).numpy().any(axis=2)
     row, column = np.meshgrid(np.arange(48) - 15.5, np.arange(48) - 15.5)  # [column, row] of the picture

@@ -1,7 +1,10 @@
 """Baked fields against the scenes they were resampled from."""
 
+import inspect
+
 import numpy as np
 import pytest
+from background_oracles import random_background
 from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, rotation, shiny_field, view
 
 from warpcage.bake import bake
@@ -94,6 +97,26 @@ def test_a_deformer_without_lattice_is_baked_from_one(device):
         for resolution in (None, 128)
     )
     np.testing.assert_array_equal(precise.grid.density.numpy(), lattice.grid.density.numpy())
+
+
+def test_a_baked_field_is_viewed_as_its_source(device):
+    """What the constructor takes besides voxels, each other than its default, and a view that depends on it."""
+    layers = random_background(device, center=(0, 0, 0), half=3.0)[0]
+    plain_source = shiny_field(device)
+    grid = plain_source.grid
+    given = {"background": (0.1, 0.2, 0.3), "background_model": layers, "up": (0.0, 0.6, 0.8), "supersampling": 2}
+    assert set(given) == set(inspect.signature(VoxelField).parameters) - {"bounds", "links", "density", "sh", "weights",
+                                                                          "device"}
+    source = VoxelField(plain_source.bounds, grid.links, grid.density, grid.sh, **given, device=device)
+    live = Deformer(source, BOX, coordinates="mean_value", resolution=32).pose(BOX.translate([0.1, 0, 0]))
+    baked = bake(live)
+    np.testing.assert_allclose(baked.background, given["background"], atol=1e-6)
+    assert baked.background_model is layers and baked.supersampling == 2
+    np.testing.assert_array_equal(baked.up, source.up)
+    camera = view(size=24)
+    expected = live.render(camera).rgb
+    like, single = (psnr(baked.render(camera, supersampling=side).rgb, expected) for side in (None, 1))
+    assert like > 35 and like > single + 3
 
 
 @pytest.mark.parametrize(("options", "message"), [

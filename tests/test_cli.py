@@ -23,7 +23,7 @@ def files(tmp_path_factory):
     density = np.where(x**2 + y**2 + z**2 < 0.3, 40.0, 0.0)
     sh = np.zeros((24, 24, 24, 9, 3))
     sh[..., 0, :] = np.where(z[..., None] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])
-    VoxelField.from_dense(density, sh, [[-1, -1, -1], [1, 1, 1]], device="cpu").save(folder / "ball.npz")
+    VoxelField.from_dense(density, sh, [[-1, -1, -1], [1, 1, 1]]).save(folder / "ball.npz")
     cage = Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7), segments=2)
     cage.save(folder / "cage.obj")
     cage.bend(40, axis="x", towards="z").save(folder / "posed.obj")
@@ -35,7 +35,7 @@ def files(tmp_path_factory):
     (folder / "broken.npz").write_bytes(b"no archive")
     (folder / "broken.obj").write_text("v 0 0 zero\n")
     (folder / "empty").mkdir()
-    write_brick_scene(folder / "scene", train_views=6, test_views=2, size=24, device="cpu")
+    write_brick_scene(folder / "scene", train_views=6, test_views=2, size=24)
     return folder
 
 
@@ -167,9 +167,9 @@ def test_interruption_leaves_nothing_and_status_130(files, capsys, monkeypatch):
 # What commands do
 
 
-def test_fit_and_evaluate(files, capsys, tmp_path):
+def test_fit_and_evaluate(files, capsys, tmp_path, device):
     out = tmp_path / "deep" / "field.npz"
-    words = ["--quiet", "--device", "cpu"]
+    words = ["--quiet", "--device", device]
     succeed(files, "fit", "@scene", "-o", out, "--resolution", 32, "--epochs", 6, "--seed", 3, *words)
     capsys.readouterr()
     succeed(files, "evaluate", out, "@scene", "--split", "train", "--json", tmp_path / "psnr.json", *words)
@@ -187,7 +187,7 @@ def test_evaluate_says_where_it_errs(files, capsys, tmp_path):
     from warpcage.scene import load_scene
 
     scene = load_scene(files / "scene", split="test")
-    field = VoxelField.load(files / "ball.npz", device="cpu")
+    field = VoxelField.load(files / "ball.npz")
     folder = tmp_path / "scene"
     (folder / "test").mkdir(parents=True)
     transforms = json.loads((files / "scene" / "transforms_test.json").read_text())
@@ -196,7 +196,7 @@ def test_evaluate_says_where_it_errs(files, capsys, tmp_path):
         rgb[3, 4] = 0 if i == 1 else rgb[3, 4]
         iio.imwrite(folder / "test" / f"r_{i}.png", rgb)
     (folder / "transforms_test.json").write_text(json.dumps(transforms))
-    words = ["--worst", tmp_path / "worst.png", "--json", tmp_path / "psnr.json", "--quiet", "--device", "cpu"]
+    words = ["--worst", tmp_path / "worst.png", "--json", tmp_path / "psnr.json", "--quiet"]
     succeed(files, "evaluate", "@ball.npz", folder, *words)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == ["view", "PSNR", "dB", "SSIM"] and "view r_1" in lines[-1]
@@ -215,7 +215,7 @@ def test_evaluate_says_where_it_errs(files, capsys, tmp_path):
 def test_mesh(files, tmp_path, ending):
     import trimesh
 
-    succeed(files, "mesh", "@ball.npz", "-o", tmp_path / f"ball.{ending}", "--device", "cpu")
+    succeed(files, "mesh", "@ball.npz", "-o", tmp_path / f"ball.{ending}")
     mesh = trimesh.load(tmp_path / f"ball.{ending}", force="mesh")
     radius = np.linalg.norm(mesh.vertices, axis=1)
     assert 0.4 < radius.min() and radius.max() < 0.7
@@ -231,23 +231,23 @@ def test_simple_cages_hold_the_object(files, tmp_path, shape, source):
     ball = np.random.default_rng(0).normal(size=(200, 3))
     points = 0.54 * ball / np.linalg.norm(ball, axis=1, keepdims=True)
     points = Cage.load(files / "posed.obj").vertices if source == "@posed.obj" else points
-    assert cage.contains(points, device="cpu").all()
+    assert cage.contains(points).all()
 
 
 def test_wrapped_cage_holds_the_object(files, tmp_path):
     pytest.importorskip("pymeshlab")
-    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "cage.obj", "--vertices", 60, "--device", "cpu")
+    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "cage.obj", "--vertices", 60)
     cage = Cage.load(tmp_path / "cage.obj")
     cage.require_usable()
     assert 30 <= len(cage.vertices) <= 90
     directions = np.random.default_rng(0).normal(size=(200, 3))
-    assert cage.contains(0.53 * directions / np.linalg.norm(directions, axis=1, keepdims=True), device="cpu").all()
+    assert cage.contains(0.53 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).all()
 
 
 def test_cage_of_a_part_of_a_field(files, tmp_path, capsys):
     words = ["--in-box", -1, -1, 0, 1, 1, 1, "--floaters", 0.1, "--method", "voxel", "--symmetry", "x",
              "--vertices", 60]
-    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "half.glb", *words, "--device", "cpu")
+    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "half.glb", *words)
     assert "left out" in capsys.readouterr().out
     cage = Cage.load(tmp_path / "half.glb")
     cage.require_usable()
@@ -277,7 +277,7 @@ def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
     assert "twist 30.0, taper 0.5" in capsys.readouterr().out
 
 
-SMALL = ("--device", "cpu", "--size", "40", "--coordinates", "mean_value", "--resolution", "24")
+SMALL = ("--size", "40", "--coordinates", "mean_value", "--resolution", "24")
 
 
 def test_render_of_a_plain_field(files, tmp_path):
@@ -312,8 +312,8 @@ def test_a_posed_cage_in_another_order_is_matched(files, tmp_path, capsys):
     assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "shuffled.png").read_bytes()
 
 
-def test_camera_of_a_scene_has_its_size(files, tmp_path):
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "view.png", "--camera", "@scene:3", "--device", "cpu")
+def test_camera_of_a_scene_has_its_size(files, tmp_path, device):
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "view.png", "--camera", "@scene:3", "--device", device)
     assert read_image(tmp_path / "view.png").shape == (24, 24, 3)
 
 
@@ -377,8 +377,7 @@ def test_render_writes_masks_when_asked_and_warns(files, tmp_path, capsys):
 @pytest.mark.parametrize("format", ["warpcage", "svox2"])
 def test_bake_then_render(files, tmp_path, format):
     view = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
-    succeed(files, "bake", "@ball.npz", "-o", tmp_path / "bent.npz", *DEFORMED, "--format", format, "--voxels", 60,
-            "--device", "cpu")
+    succeed(files, "bake", "@ball.npz", "-o", tmp_path / "bent.npz", *DEFORMED, "--format", format, "--voxels", 60)
     succeed(files, "render", tmp_path / "bent.npz", "-o", tmp_path / "baked.png", *view)
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "live.png", *DEFORMED, *view)
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "rest.png", *view)
@@ -411,7 +410,7 @@ def test_info(files, capsys):
     succeed(files, "info")
     text = capsys.readouterr().out
     assert "warp " in text and "cpu" in text
-    succeed(files, "info", "@ball.npz", "--device", "cpu")
+    succeed(files, "info", "@ball.npz")
     assert "24x24x24" in capsys.readouterr().out
     succeed(files, "info", "@cage.obj")
     text = capsys.readouterr().out

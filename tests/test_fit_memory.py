@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import warp as wp
+from background_scenes import room_scene
 from test_fit_edges import around, seen
 
 from warpcage import Scene, fit
@@ -12,6 +13,8 @@ from warpcage.evaluation import evaluate, mean_psnr
 from warpcage.fit_memory import FitMemory, array_bytes, device_arrays, memory_size, scaled_shape
 from warpcage.fit_progress import load_progress, save_progress
 from warpcage.optimize import FieldOptimizer
+from warpcage.synthetic_scenes import synthetic_scene
+from warpcage.training_pictures import PRECISIONS, TrainingPictures, picture_bytes
 
 
 @pytest.fixture(scope="module")
@@ -44,21 +47,23 @@ def test_estimates_match_what_is_allocated(scene, device):
         held = array_bytes(device_arrays(optimizer))
         rows, shape = optimizer.field.voxel_count, optimizer.field.resolution
         own = FitMemory.of(optimizer)
-        assert own.level_bytes(rows, shape) == pytest.approx(held, rel=0.05)
+        tiles = 4 * optimizer.tile_total  # one mark each, and those that count once more
+        passing = max(2 * np.prod(shape) + 4 * optimizer.shards * rows, 2 * tiles)
+        assert own.level_bytes(rows, shape) == pytest.approx(held + passing, rel=0.01)
         if foretold:
             assert shape == foretold[1]
-            assert held <= foretold[0].level_bytes(rows, shape) <= 1.1 * held
+            assert held <= foretold[0].level_bytes(rows, shape) <= 1.1 * (held + passing)
     # by hand: 28 numbers of gradient for each thread and of 16-bit moments, a mark, 28 of the field and 3 of its place
     assert own.row == pytest.approx(28 * 4 * optimizer.shards + 28 * 2 + 1 + 28 * 4 + 12, rel=0.05)
     assert own.node == pytest.approx(4 + 1, rel=0.1)
 
 
 class Allocations:
-    """Bytes that Warp holds on the CPU from now on, and their peak."""
+    """Bytes that Warp's arrays hold on a device from now on, and their peak."""
 
-    def __init__(self, monkeypatch):
+    def __init__(self, monkeypatch, device):
         self.held = self.peak = 0
-        allocator = wp.get_device("cpu").get_allocator()
+        allocator = wp.get_device(device).get_allocator()
         allocate, deallocate = allocator.allocate, allocator.deallocate
 
         def counted_allocate(size):
@@ -74,20 +79,23 @@ class Allocations:
         monkeypatch.setattr(allocator, "deallocate", counted_deallocate)
 
 
-@pytest.mark.parametrize("limit", ["20MB", "7MB", "2MB", "1.3MB"])
-def test_a_limit_is_kept(scene, monkeypatch, limit):
-    """Everything that Warp allocates is counted, masks and scans in between too."""
-    allocations = Allocations(monkeypatch)
-    field = fit(scene, device="cpu", progress=False, max_memory=limit, least_steps=60)
+@pytest.mark.parametrize("pictures, limit, least", [("scene", "20MB", 30), ("scene", "7MB", 30), ("scene", "2MB", 28),
+                                                    ("scene", "1.3MB", 24), ("large_pictures", "4MB", 28),
+                                                    ("large_pictures", "2.2MB", 26)])
+def test_a_limit_is_kept(request, device, monkeypatch, pictures, limit, least):
+    """Every array is counted, masks in between too."""
+    scene = request.getfixturevalue(pictures)
+    allocations = Allocations(monkeypatch, device)
+    field = fit(scene, device=device, progress=False, max_memory=limit, least_steps=60)
     assert allocations.peak <= memory_size(limit)
     assert allocations.peak > 0.4 * min(memory_size(limit), 15e6)  # and made use of
-    assert mean_psnr(evaluate(field, scene)) > {"20MB": 30, "7MB": 30, "2MB": 28, "1.3MB": 24}[limit]
+    assert mean_psnr(evaluate(field, scene)) > least
 
 
-def test_more_memory_is_more_detail(scene):
+def test_more_memory_is_more_detail(scene, device):
     shapes = []
     for limit in (None, "1GB", "7MB", "2MB"):
-        optimizer = FieldOptimizer(scene, device="cpu", max_memory=limit, least_steps=9, epochs=0.1)
+        optimizer = FieldOptimizer(scene, device=device, max_memory=limit, least_steps=9, epochs=0.1)
         while optimizer.step_count < optimizer.total_steps:
             optimizer.step()
         shapes.append(optimizer.field.resolution)
@@ -95,13 +103,103 @@ def test_more_memory_is_more_detail(scene):
     assert shapes[0] == shapes[1] and shapes[1][0] > shapes[2][0] > shapes[3][0]
 
 
-def test_limits_that_cannot_be_kept(scene):
+# Pictures at 8 bits a channel
+
+
+@pytest.fixture(scope="module")
+def large_pictures():
+    return seen(around(12, size=96))
+
+
+@pytest.mark.parametrize("masks", [False, "split"])
+@pytest.mark.parametrize("bits", PRECISIONS)
+def test_pictures_on_the_device(device, bits, masks):
+    scene = room_scene(3, 16, masks=masks)
+    pictures = TrainingPictures(scene, bits, device)
+    assert array_bytes(device_arrays(pictures)) == picture_bytes(scene, bits)
+    assert pictures.spare_bytes == (picture_bytes(scene, 16) - picture_bytes(scene, 8) if bits == 16 else 0)
+    alphas = np.ones((3, 16, 16)) if scene.alphas is None else scene.alphas
+    seen_part = scene.images - (1 - alphas[..., None]) * scene.background, alphas
+    around_part = (scene.surroundings, 1 - alphas) if masks else None
+    for held, part in ((pictures.seen, seen_part), (pictures.surroundings, around_part)):
+        if part is None:
+            assert held is None
+            continue
+        expected = np.concatenate([part[0], part[1][..., None]], axis=-1)
+        found = held.halves.numpy() if bits == 16 else held.bytes.numpy() / 255
+        np.testing.assert_allclose(found, expected, atol=2**-12 + 1e-6 if bits == 16 else 0.5 / 255 + 1e-6)
+
+
+@pytest.mark.parametrize("bits", PRECISIONS)
+@pytest.mark.parametrize("masks", [False, "split"])
+def test_a_loss_compares_with_either_precision(device, bits, masks):
+    """The squared error of a field with nothing in it before a colour: what the pictures hold of another colour."""
+    scene = room_scene(2, 8, masks=masks)
+    optimizer = FieldOptimizer(scene, device=device, resolution=16, levels=1, epochs=1, background_side=4,
+                               **({} if masks else {"background": "constant"}))
+    optimizer.keep_pictures(bits)
+    field = optimizer.field
+    field.grid.density.zero_()
+    optimizer.random_background, optimizer.rays.first_tile = False, 0
+    field.background = np.array([0.2, 0.7, 0.4], np.float32)
+    optimizer._accumulate_gradients()
+    alphas = np.ones((2, 8, 8)) if scene.alphas is None else scene.alphas
+    seen_part = scene.images - (1 - alphas[..., None]) * scene.background
+    errors = ((seen_part - alphas[..., None] * field.background) ** 2).sum(axis=-1)
+    places = (np.indices((2, 4, 4)) * np.array([1, 2, 2])[:, None, None, None]).reshape(3, -1).T
+    expected = [errors[v, r + n // 2, c + n % 2] for v, r, c in places[optimizer.rays.tiles.numpy()] for n in range(4)]
+    found = optimizer.squared_error.numpy()
+    assert len(found) <= len(expected) and np.ptp(found) > 0.1
+    np.testing.assert_allclose(found, expected[: len(found)], atol=2e-3 if bits == 16 else 8e-3)
+
+
+@pytest.mark.parametrize("kind", ["bricks", "thin"])
+def test_8_bits_a_channel_are_enough(device, monkeypatch, kind):
+    """Measured on eight small fits: 0.024 dB worse at most, 0.018 dB better at most."""
+    train, test = synthetic_scene(kind, train_views=32, test_views=16, size=32, samples=2, device=device)
+    found = []
+    for precisions in (PRECISIONS, PRECISIONS[1:]):
+        monkeypatch.setattr("warpcage.optimize.PRECISIONS", precisions)
+        optimizer = FieldOptimizer(train, device=device, resolution=32, levels=2, least_steps=150, batch_rays=4096)
+        assert optimizer.pictures.bits == precisions[0]
+        while optimizer.step_count < optimizer.total_steps:
+            optimizer.step()
+        found.append(mean_psnr(evaluate(optimizer.finish(), test)))
+    assert abs(found[0] - found[1]) < 0.1
+
+
+@pytest.mark.parametrize("limit, bits", [("15MB", 8), ("9MB", 16), ("4MB", 8), ("3MB", 16), ("2.2MB", 8), ("1.2MB", 8)])
+def test_8_bits_are_chosen_where_they_buy_resolution(large_pictures, device, monkeypatch, limit, bits):
+    if wp.get_device(device).is_cpu:
+        monkeypatch.setattr("warpcage.optimize.CPU_THREADS", 2)  # a level takes more memory with more of them
+    shapes, chosen = [], []
+    for precisions in (PRECISIONS, PRECISIONS[:1], PRECISIONS[1:]):
+        for module in ("optimize", "training_pictures"):
+            monkeypatch.setattr(f"warpcage.{module}.PRECISIONS", precisions)
+        try:
+            optimizer = FieldOptimizer(large_pictures, device=device, max_memory=limit, least_steps=9, epochs=0.01)
+        except ValueError as error:
+            assert "images take 1.34 MB" in str(error)
+            shapes.append((0, 0, 0))
+            continue
+        while optimizer.step_count < optimizer.total_steps:
+            optimizer.step()
+        shapes.append(optimizer.field.resolution)
+        chosen.append(optimizer.pictures.bits)
+    either, whole, bytewise = shapes
+    if device == "cpu":
+        assert chosen[0] == bits
+    assert either == whole if chosen[0] == 16 else either > whole
+    assert either >= bytewise
+
+
+def test_limits_that_cannot_be_kept(scene, device):
     with pytest.raises(ValueError, match=r"images take .* MB of device memory .*max_memory.* downscale=\d"):
         FieldOptimizer(scene, max_memory="100kB")
-    images = array_bytes([FieldOptimizer(scene, device="cpu").rays.pixels])
+    images = picture_bytes(scene, 8)
     tables = len(scene) * 49 * 49 * 4
     with pytest.raises(ValueError, match="not possible: the images take"):
-        FieldOptimizer(scene, device="cpu", max_memory=images + tables + 20_000)
+        FieldOptimizer(scene, device=device, max_memory=images + tables + 20_000)
 
 
 def test_a_small_device_is_not_overrun(scene, monkeypatch):
@@ -114,26 +212,30 @@ def test_a_small_device_is_not_overrun(scene, monkeypatch):
     assert optimizer.field.resolution[0] < optimizer.shapes[0][0] * 4
 
 
-def test_a_checkpoint_of_a_limited_fit_goes_on(scene, tmp_path):
-    options = {"max_memory": "7MB", "least_steps": 60, "device": "cpu"}
+@pytest.mark.parametrize("pictures, limit, bits", [("scene", "7MB", 16), ("large_pictures", "4MB", 8)])
+def test_a_checkpoint_of_a_limited_fit_goes_on(request, device, monkeypatch, tmp_path, pictures, limit, bits):
+    if wp.get_device(device).is_cpu:
+        monkeypatch.setattr("warpcage.optimize.CPU_THREADS", 2)
+    scene, options = request.getfixturevalue(pictures), {"max_memory": limit, "least_steps": 60, "device": device}
     optimizer = FieldOptimizer(scene, **options)
     while optimizer.level < 2:
         optimizer.step()
-    assert optimizer.field.resolution[0] < 2 * optimizer.shapes[1][0]
+    assert optimizer.field.resolution[0] < 2 * optimizer.shapes[1][0] and optimizer.pictures.bits == bits
     save_progress(optimizer, tmp_path / "c.npz")
     resumed = FieldOptimizer(scene, **options)
     load_progress(resumed, tmp_path / "c.npz")
+    assert resumed.pictures.bits == bits
     assert resumed.field.resolution == optimizer.field.resolution and resumed.shapes == optimizer.shapes
     for each in (optimizer, resumed):
         each.step()
     np.testing.assert_allclose(resumed.field.grid.density.numpy(), optimizer.field.grid.density.numpy(), atol=1e-4)
 
 
-def test_a_refinement_by_a_fraction_keeps_the_picture(scene):
+def test_a_refinement_by_a_fraction_keeps_the_picture(scene, device):
     """The same field on a grid 1.4 times as fine renders about the same."""
-    field = fit(scene, device="cpu", progress=False, resolution=16, levels=1, least_steps=80)
-    optimizer = FieldOptimizer(scene, device="cpu", resolution=16, levels=1)
+    field = fit(scene, device=device, progress=False, resolution=16, levels=1, least_steps=80)
+    optimizer = FieldOptimizer(scene, device=device, resolution=16, levels=1)
     shape = scaled_shape(field.resolution, 1.4)
-    optimizer._start_level(wp.ones(shape, dtype=wp.uint8, device="cpu"), field)
+    optimizer._start_level(wp.ones(shape, dtype=wp.uint8, device=device), field)
     views = dataclasses.replace(scene, images=np.clip([field.render(c).rgb for c in scene.cameras], 0, 1))
     assert mean_psnr(evaluate(optimizer.field, Scene(views.images, None, scene.cameras))) > 28

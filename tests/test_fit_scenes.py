@@ -19,13 +19,13 @@ SMALL = {"progress": False, "least_steps": 120, "batch_rays": 2048}
 
 
 @functools.cache
-def scenes(kind):
-    return synthetic_scene(kind, train_views=32, test_views=16, size=32, samples=2, device="cpu")
+def scenes(kind, device):
+    return synthetic_scene(kind, train_views=32, test_views=16, size=32, samples=2, device=device)
 
 
 @functools.cache
 def held_out_psnr(kind, device, **options):
-    train, test = scenes(kind)
+    train, test = scenes(kind, device)
     return mean_psnr(evaluate(fit(train, device=device, **SMALL, **options), test))
 
 
@@ -44,7 +44,7 @@ def test_the_place_and_the_size_of_an_object_do_not_matter(device, kind):
 @pytest.mark.parametrize("count, kind, gain", [(8, "bricks", 0.8), (16, "specular", 0.4)])
 def test_few_views_get_more_of_a_prior(device, count, kind, gain):
     """With the regularisers of many views the same fit matches these views better, and others less well."""
-    train, test = scenes(kind)
+    train, test = scenes(kind, device)
     few = slice(None, None, len(train) // count)
     few = Scene(train.images[few], train.alphas[few], train.cameras[few])
     fields = [fit(few, device=device, scarcity=scarce, **SMALL) for scarce in (None, 1.0)]
@@ -71,10 +71,10 @@ def test_shrinking_leaves_the_mean_colour(device):
     np.testing.assert_array_equal(held.numpy(), values)
 
 
-def test_few_pixels_get_steps_enough():
+def test_few_pixels_get_steps_enough(device):
     """Small batches first, then more passes; asked for in passes they are what was asked for."""
-    train, _ = scenes("bricks")
-    default, asked = FieldOptimizer(train, device="cpu"), FieldOptimizer(train, device="cpu", epochs=8.0)
+    train, _ = scenes("bricks", device)
+    default, asked = FieldOptimizer(train, device=device), FieldOptimizer(train, device=device, epochs=8.0)
     assert default.total_steps == pytest.approx(600, abs=3) and default.batch_rays == 4096
     assert asked.batch_rays == 4096 and asked.total_steps == pytest.approx(8 * asked.active_tiles * 4 / 4096, abs=3)
 

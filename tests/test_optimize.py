@@ -22,7 +22,8 @@ def training_rays(cameras, images, alphas, field, device, side=1):
     pixels = np.concatenate([images - (1 - alphas[..., None]), alphas[..., None]], axis=-1).astype(np.float16)
     rays = field_loss.TrainingRays()
     rays.cameras = camera_array(cameras, field.center, device)
-    rays.pixels = wp.array(pixels, dtype=wp.vec4h, device=device)
+    rays.pictures.halves = wp.array(pixels, dtype=wp.vec4h, device=device)
+    rays.height, rays.width = pixels.shape[1:3]
     rays.tile_size = 2
     rays.rays_per_side = side
     rays.tiles = wp.array(np.arange(len(cameras) * 12), dtype=wp.int32, device=device)

@@ -118,13 +118,13 @@ def test_up_is_how_the_cameras_were_held(pictures):
     alone = Scene(np.zeros((1, 28, 28, 3)), None, pictures.cameras[:1])
     np.testing.assert_allclose(alone.up, -pictures.cameras[0].rotation[:, 1], atol=1e-9)
     level = Scene(np.zeros((8, 28, 28, 3)), None, turntable([1, 2, 3], 4.0, 20.0, 8, width=28, height=28))
-    np.testing.assert_array_equal(level.up, [0, 0, 1])
+    np.testing.assert_allclose(level.up, [0, 0, 1], atol=1e-12)
 
 
 def test_a_field_keeps_what_is_up(pictures, fitted, tmp_path, monkeypatch):
     np.testing.assert_allclose(fitted[True].up, np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0]), atol=1e-6)
     fitted[True].save(tmp_path / "field.npz")
-    np.testing.assert_array_equal(VoxelField.load(tmp_path / "field.npz").up, fitted[True].up)
+    np.testing.assert_allclose(VoxelField.load(tmp_path / "field.npz").up, fitted[True].up, atol=1e-12)
     from warpcage import cli
 
     seen = []

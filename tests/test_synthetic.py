@@ -87,7 +87,7 @@ def test_render_mesh_views_refuses(change, message):
     arguments = {"vertices": BOX_VERTICES, "faces": BOX_FACES, "colours": np.ones((12, 3)), "samples": 1,
                  "cameras": [Camera.look_at((0, -3, 0), (0, 0, 0), width=4, height=4)]} | change  # fmt: skip
     with pytest.raises(ValueError, match=message):
-        render_mesh_views(**arguments, device="cpu")
+        render_mesh_views(**arguments)
 
 
 def test_brick_model_is_closed_centred_and_in_the_box():
@@ -111,8 +111,7 @@ def test_brick_model_is_closed_centred_and_in_the_box():
 
 @pytest.fixture(scope="module")
 def brick_scene(tmp_path_factory):
-    return write_brick_scene(tmp_path_factory.mktemp("scene") / "bricks", train_views=5, test_views=2, size=32,
-                             device="cpu")
+    return write_brick_scene(tmp_path_factory.mktemp("scene") / "bricks", train_views=5, test_views=2, size=32)
 
 
 def test_scene_folder_is_nerf_synthetic(brick_scene):
@@ -151,8 +150,8 @@ def test_loaded_cameras_see_the_model_where_the_pictures_show_it(brick_scene):
 
 
 def test_scene_depends_on_the_seed_only(tmp_path, brick_scene):
-    again = write_brick_scene(tmp_path / "again", train_views=5, test_views=2, size=32, device="cpu")
-    other = write_brick_scene(tmp_path / "other", train_views=5, test_views=2, size=32, seed=1, device="cpu")
+    again = write_brick_scene(tmp_path / "again", train_views=5, test_views=2, size=32)
+    other = write_brick_scene(tmp_path / "other", train_views=5, test_views=2, size=32, seed=1)
     first = (brick_scene / "train" / "r_3.png").read_bytes()
     assert (again / "train" / "r_3.png").read_bytes() == first
     assert (other / "train" / "r_3.png").read_bytes() != first
@@ -161,7 +160,7 @@ def test_scene_depends_on_the_seed_only(tmp_path, brick_scene):
 def test_scene_is_complete_or_absent(tmp_path, monkeypatch):
     import warpcage.synthetic as synthetic
 
-    small = {"train_views": 2, "test_views": 1, "size": 8, "device": "cpu"}
+    small = {"train_views": 2, "test_views": 1, "size": 8}
     real = synthetic.write_png
     written = []
 

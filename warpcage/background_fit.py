@@ -68,13 +68,14 @@ class BackgroundOptimizer:
     """RMSProp on the layers behind a field, one step beside each of the field's.
 
     scene: Scene of whole pictures, whose every ray the field and the layers explain together; or of split ones, whose
-    surroundings the layers explain alone. bounds: (2, 3) of the field. options: FitOptions. side: cells along a layer's
-    edge in the end. batch_rays: of a batch.
-    shards: gradient arrays, one a CPU thread. `prepare`, `accumulate` and `apply` make a step.
+    surroundings the layers explain alone. pictures: TrainingPictures of it. bounds: (2, 3) of the field. options:
+    FitOptions. side: cells along a layer's edge in the end. batch_rays: of a batch. shards: gradient arrays, one a CPU
+    thread. `prepare`, `accumulate` and `apply` make a step.
     """
 
-    def __init__(self, scene, bounds, options, side: int, batch_rays: int, shards: int, device):
+    def __init__(self, scene, pictures, bounds, options, side: int, batch_rays: int, shards: int, device):
         self.options, self.device, self.batch_rays, self.shards = options, device, batch_rays, shards
+        self.pictures = pictures
         self.center, self.half = bounds.mean(axis=0), 0.5 * float((bounds[1] - bounds[0]).max())
         self.sides = [max(2, round(side / 2 ** (options.levels - 1 - level))) for level in range(options.levels)]
         self.start = np.empty(4, np.float32)  #: of each node
@@ -82,11 +83,8 @@ class BackgroundOptimizer:
         self.start[3] = -math.log(1.0 - START_OPACITY) / (options.background_layers - 1)
         self.layers = None
         self.start_level(0)
-        self.surroundings = None if scene.surroundings is None else wp.array(
-            np.concatenate([scene.surroundings, 1.0 - scene.alphas[..., None]], axis=-1).astype(np.float16),
-            dtype=wp.vec4h, device=device)
         self.behind = None  #: (rays,) vec3 what each ray of a batch sees behind the field, where the field's march asks
-        if self.surroundings is None:
+        if scene.surroundings is None:
             self.behind = wp.zeros(batch_rays, dtype=wp.vec3, device=device)
         self._grad_behind = wp.zeros(batch_rays, dtype=wp.vec3, device=device)
 
@@ -113,11 +111,11 @@ class BackgroundOptimizer:
 
     def prepare(self, rays) -> None:
         """Before the field's march of a batch: fill `behind`, or compare with the surroundings."""
-        if self.surroundings is None:
+        if self.pictures.surroundings is None:
             launch(background_loss.gather_background, self.batch_rays, [self.layers, rays], [self.behind],
                    device=self.device)
         else:
-            inputs = [self.layers, rays, self.surroundings, 1.0 / (3.0 * self.batch_rays)]
+            inputs = [self.layers, rays, self.pictures.surroundings, 1.0 / (3.0 * self.batch_rays)]
             launch(background_loss.compare_surroundings, self.batch_rays, inputs, [self._grad_behind],
                    device=self.device)
 

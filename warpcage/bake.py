@@ -26,7 +26,8 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds=None) -> Voxe
 
     resolution: voxels along the longest side of `bounds`; None keeps the largest voxel that no side of the field's
     exceeds. bounds: (2, 3) world units to look in; None is all that the field and the deformed cages reach. The new
-    field's bounds are the box of what is found there.
+    field's bounds are the box of what is found there; backgrounds, `up` and supersampling are the source's, and it has
+    no training rays' weights.
 
     Harmonics are turned by the rotation of the map's Jacobian (polar decomposition), which a shear or a stretch leaves
     approximate. density="opacity": a voxel has one density for all directions and takes the root mean square over them
@@ -66,8 +67,8 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds=None) -> Voxe
               int(deformer.density == "opacity")]
     launch(bake_nodes, nodes.size, inputs, [density, sh], device=device)
     corner = lower - 0.5 * side
-    return VoxelField([corner, corner + side * np.array(mask.shape)], links, density, sh, background=field.background,
-                      background_model=field.background_model, up=field.up, device=device)
+    return VoxelField([corner, corner + side * np.array(mask.shape)], links, density, sh, device=device,
+                      **field.view_options())
 
 
 def _lattice_edits(deformer: Deformer) -> LatticeEdits:

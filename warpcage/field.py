@@ -206,9 +206,14 @@ class VoxelField:
         if device == self.device:
             return self
         grid = self.grid
-        return VoxelField(self.bounds, grid.links, grid.density, grid.sh, background=self.background,
-                          background_model=self.background_model, weights=self.weights, up=self.up,
-                          supersampling=self.supersampling, device=device)
+        return VoxelField(self.bounds, grid.links, grid.density, grid.sh, weights=self.weights, device=device,
+                          **self.view_options())
+
+    def view_options(self) -> dict:
+        """What views of the field depend on besides its voxels, by the constructor's names: a field that is made from
+        this one takes it over."""
+        return {"background": self.background, "background_model": self.background_model, "up": self.up,
+                "supersampling": self.supersampling}
 
 
 def field_from_mask(bounds, mask: wp.array, density: float, *, background, device) -> tuple[VoxelField, wp.array]:

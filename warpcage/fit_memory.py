@@ -80,7 +80,7 @@ class FitMemory:
 
     fixed: images and whatever else does not depend on the grid. node: for each node of the box. field_node: the part of
     it that is the field's. row, field_row: for each voxel that holds values. shards: copies of the weights while it
-    prunes.
+    prunes. tiles: one number for each tile of the images.
     """
 
     fixed: int
@@ -89,6 +89,7 @@ class FitMemory:
     row: float
     field_row: float
     shards: int
+    tiles: int
 
     @classmethod
     def of(cls, optimizer) -> FitMemory:
@@ -103,27 +104,35 @@ class FitMemory:
             totals[kind] += array.capacity
             if array.ptr in field_pointers:
                 field_totals[kind] += array.capacity
-        return cls(totals["fixed"], totals["node"] / nodes, field_totals["node"] / nodes, totals["row"] / rows,
-                   field_totals["row"] / rows, optimizer.shards)
+        tiles = 4 * optimizer.tile_total
+        fixed = totals["fixed"] + (tiles if optimizer.rays.tiles is None else 0)  # there will be
+        return cls(fixed, totals["node"] / nodes, field_totals["node"] / nodes, totals["row"] / rows,
+                   field_totals["row"] / rows, optimizer.shards, tiles)
 
-    def first_shapes(self, shapes, rows: int, limit: int) -> tuple[list, bool]:
-        """The levels' shapes, made coarser where the first, of `rows`, would not fit into `limit` bytes, and whether
-        it does. Raises ValueError where nothing worth the name would."""
+    def without(self, size: int) -> FitMemory:
+        """As it were with so many bytes less of what does not depend on the grid."""
+        return dataclasses.replace(self, fixed=self.fixed - size)
+
+    def first_shapes(self, shapes, rows: int, limit: int) -> list | None:
+        """The levels' shapes, made coarser where the first, of `rows`, would not fit into `limit` bytes; None where
+        nothing worth the name would."""
         needed = self.level_bytes(rows, shapes[0])
         if needed <= limit:
-            return list(shapes), True
+            return list(shapes)
         factor = 0.9 * max((limit - self.fixed) / (needed - self.fixed), 0.0) ** (1 / 3)
         coarser = [scaled_shape(shape, factor) for shape in shapes]
-        if max(coarser[0]) < SMALLEST_LEVEL:
-            raise ValueError(f"a fit within {_text(limit)} (max_memory) is not possible: the images take "
-                             f"{_text(self.fixed)}, the coarsest level {_text(needed - self.fixed)}")
-        return coarser, False
+        return None if max(coarser[0]) < SMALLEST_LEVEL else coarser
+
+    def refuse(self, rows: int, shape, limit: int) -> None:
+        """Raise the ValueError of a first level that does not fit."""
+        raise ValueError(f"a fit within {_text(limit)} (max_memory) is not possible: the images take "
+                         f"{_text(self.fixed)}, the coarsest level {_text(self.level_bytes(rows, shape) - self.fixed)}")
 
     def level_bytes(self, rows: int, shape) -> int:
-        """At most what a level takes while it is optimised and pruned."""
+        """At most what a level takes while its tiles are found, and while it is optimised and pruned."""
         nodes = math.prod(shape)
         pruning = 2 * _MASK * nodes + _WEIGHT * self.shards * rows
-        return math.ceil(self.fixed + self.node * nodes + self.row * rows + pruning)
+        return math.ceil(self.fixed + self.node * nodes + self.row * rows + max(pruning, 2 * self.tiles))
 
     def change_bytes(self, rows: int, shape, new_rows: int, new_shape) -> int:
         """At most what is held while a finer field takes another's place: both, and the masks between them."""

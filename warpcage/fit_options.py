@@ -58,7 +58,8 @@ class FitOptions:
     variation_background: float = 0.03  #: total variation of the layers' colours
     variation_background_depth: float = 0.03
     max_memory: int | str | None = None  #: bytes, or "4GB", that the fit may take on its device, images included; None
-    #: is most of what is free. Where it is short the last levels are refined less far
+    #: is most of what is free. Where it is short the images are kept at 8 bits a channel instead of 16, if that leaves
+    #: room for more voxels, and the last levels are refined less far
 
 
 #: What `quality` stands for, over the defaults.

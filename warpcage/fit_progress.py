@@ -13,6 +13,7 @@ import warp as wp
 from .archives import read_npz, require_numbers
 from .files import atomic_path
 from .kernels.spherical_harmonics import vec9
+from .training_pictures import PRECISIONS
 
 VERSION = 2
 
@@ -35,7 +36,7 @@ def save_progress(optimizer, path) -> None:
         "fingerprint": np.array(fingerprint(optimizer)),
         "state": np.array(json.dumps({
             "step_count": optimizer.step_count, "level": optimizer.level, "level_steps": optimizer.level_steps,
-            "shapes": optimizer.shapes,
+            "shapes": optimizer.shapes, "picture_bits": optimizer.pictures.bits,
             "cursor": optimizer.cursor, "random": optimizer.random.bit_generator.state,
         })),
         "resolution": np.array(optimizer.field.resolution, np.int32),
@@ -92,7 +93,11 @@ def _restore(optimizer, contents: dict, path) -> None:
     if not all(np.isfinite(values).all() for values in (density, sh)) or (moments & 0x7F80 == 0x7F80).any():
         raise ValueError("values that are not finite")
     tiles = require_numbers(contents, "tiles", (None,), path)
+    picture_bits = state.get("picture_bits", PRECISIONS[0])
+    if picture_bits not in PRECISIONS:
+        raise ValueError(f"pictures of {picture_bits!r} bits a channel, {PRECISIONS} are known")
 
+    optimizer.keep_pictures(picture_bits)
     optimizer.restore_field(wp.array(occupied.astype(np.uint8), device=optimizer.device))
     if len(tiles) != optimizer.active_tiles or tiles.min() < 0 or tiles.max() >= optimizer.tile_total:
         raise ValueError(f"{len(tiles)} tiles of pixels, {optimizer.active_tiles} expected")

@@ -26,11 +26,13 @@ from .kernels import (
     grid_skip,
     visual_hull,
 )
+from .kernels.pictures import Pictures
 from .kernels.view_dependence import shrink_view_dependence
 from .kernels.volume_render import record_weights
 from .row_views import ROW_NUMBERS, coefficient_rows, gradient_parts
 from .scene import Scene
 from .sparse_grid import mask_count
+from .training_pictures import PRECISIONS, TrainingPictures, picture_bytes
 
 #: A training march ends where less than this share of the light is left, as a render does.
 STOP_TRANSMITTANCE = 1e-3
@@ -63,7 +65,8 @@ class FieldOptimizer:
     finds the object. options: quality, and FitOptions fields by name, which come before it.
 
     Use `fit` unless you need the steps. `.field` is the field so far, `.psnr` of the last measured batch,
-    `.step_count` of `.total_steps`. Raises ValueError for options out of range or a scene with nothing in it.
+    `.step_count` of `.total_steps`, `.shapes` the levels' resolutions and `.pictures.bits` a channel of the pictures
+    what memory allows so far. Raises ValueError for options out of range or a scene with nothing in it.
     """
 
     def __init__(self, scene: Scene, *, device=None, seed: int = 0, bounds=None, **options):
@@ -99,7 +102,8 @@ class FieldOptimizer:
         self._activate_tiles()
         self._plan()
         self.background = None if not self.layered else BackgroundOptimizer(
-            scene, self.bounds, self.options, self.background_side, self.batch_rays, self.shards, self.device)
+            scene, self.pictures, self.bounds, self.options, self.background_side, self.batch_rays, self.shards,
+            self.device)
 
     # Set-up
 
@@ -138,37 +142,55 @@ class FieldOptimizer:
         self.shapes = [tuple(int(n) for n in shape // 2 ** (options.levels - 1 - i)) for i in range(options.levels)]
 
     def _upload_images(self) -> None:
-        scene = self.scene
+        scene, size = self.scene, self.options.tile_size
         count, height, width = scene.images.shape[:3]
-        alphas = np.ones((count, height, width), np.float32) if scene.alphas is None else scene.alphas
-        pixels = np.empty((count, height, width, 4), np.float16)
-
-        def pack(target, image, alpha) -> None:
-            target[..., :3] = image - (1.0 - alpha[..., None]) * scene.background
-            target[..., 3] = alpha
-
-        run_parallel([lambda parts=parts: pack(*parts) for parts in zip(pixels, scene.images, alphas, strict=True)])
-        rays = field_loss.TrainingRays()
+        self.rays = rays = field_loss.TrainingRays()
         rays.cameras = camera_array(scene.cameras, self.bounds.mean(axis=0), self.device)
-        require_image_memory(pixels.nbytes + array_bytes(device_arrays(self)), self.memory_limit)
-        rays.pixels = wp.array(pixels, dtype=wp.vec4h, device=self.device)
-        rays.tile_size = self.options.tile_size
+        rays.height, rays.width = height, width
+        rays.tile_size = size
         rays.rays_per_side = 1
-        self.rays = rays
-        size = self.options.tile_size
         self.tile_total = count * -(-height // size) * -(-width // size)
+        held = array_bytes(device_arrays(self))
+        needed = {bits: held + picture_bytes(scene, bits) for bits in PRECISIONS}
+        require_image_memory(needed[PRECISIONS[-1]], self.memory_limit)
+        self.pictures = TrainingPictures(scene, next(bits for bits in PRECISIONS if needed[bits] <= self.memory_limit),
+                                         self.device)
+        rays.pictures = self.pictures.seen
+
+    def keep_pictures(self, bits: int) -> None:
+        """Go on with the pictures at another precision, one of PRECISIONS."""
+        if bits != self.pictures.bits:
+            self.rays.pictures = Pictures()  # lets go of those before
+            self.pictures.keep(bits)
+            self.rays.pictures = self.pictures.seen
+
+    def _finest(self, memory: FitMemory, choice):
+        """The shape, or shapes, that `choice` makes of what memory there is; None where it makes none.
+
+        Where pictures of the lowest precision leave room for more voxels they are kept so from then on.
+        """
+        shape, finer = (choice(memory.without(spare)) for spare in (0, self.pictures.spare_bytes))
+        if finer is None or (shape is not None and np.prod(finer, dtype=float) <= np.prod(shape, dtype=float)):
+            return shape
+        self.keep_pictures(PRECISIONS[-1])
+        return finer
 
     def _first_mask(self) -> wp.array:
-        """Voxels of the first level, which is made coarser where its memory would not do."""
+        """Voxels of the first level; pictures at 8 bits a channel, then coarser voxels, where memory would not do."""
         silhouettes, self._silhouettes = self._silhouettes, None  # its tables are as large as the images
         self._start_level(wp.ones((2, 2, 2), dtype=wp.uint8, device=self.device), None)
         self._allocate_state()
-        memory = FitMemory.of(self)  # what a node and a row take
         while True:
+            memory = FitMemory.of(self)  # what a node and a row take
             mask = self._possible_voxels(silhouettes)
-            self.shapes, fits = memory.first_shapes(self.shapes, mask_count(mask), self.memory_limit)
-            if fits:
+            rows = mask_count(mask)
+            shapes = self._finest(memory, lambda held, rows=rows: held.first_shapes(self.shapes, rows,
+                                                                                   self.memory_limit))
+            if shapes is None:
+                memory.without(self.pictures.spare_bytes).refuse(rows, self.shapes[0], self.memory_limit)
+            if shapes == self.shapes:
                 return mask
+            self.shapes = shapes
 
     def _possible_voxels(self, silhouettes) -> wp.array:
         """Voxels of the first level that enough cameras see, inside all silhouettes where there are any."""
@@ -281,13 +303,15 @@ class FieldOptimizer:
         return mask
 
     def _refine(self) -> None:
-        """On to the next level: prune, halve the voxels, interpolate; less where the memory would not do."""
+        """On to the next level: prune, halve the voxels, interpolate; pictures at 8 bits a channel, then less fine
+        voxels, where the memory would not do."""
         self.level += 1
         coarse, memory = self.field.resolution, FitMemory.of(self)
         self.gradients = self.moments = None  # one level's state at a time: this is where memory peaks
         pruned = self._pruned_mask(self.options.prune_weight / max(coarse))
-        shape = memory.refinement(self.field.voxel_count, mask_count(pruned), coarse,
-                                  self.shapes[self.level], self.memory_limit)
+        rows, kept = self.field.voxel_count, mask_count(pruned)
+        shape = self._finest(memory, lambda held: held.refinement(rows, kept, coarse, self.shapes[self.level],
+                                                                  self.memory_limit))
         self.shapes[self.level] = coarse if shape is None else shape
         if shape is not None:
             mask = wp.empty(shape, dtype=wp.uint8, device=self.device)
@@ -447,7 +471,8 @@ def fit(scene: Scene, *, quality: str = "standard", device=None, seed: int = 0, 
     last batch. bounds: (2, 3) world units of the object, None finds it (visual hull where the images have alpha).
     checkpoint: file (.npz) that holds the progress, written every checkpoint_seconds, whole or not at all. Where it is
     there already the fit goes on from it; when the fit is done it is removed.
-    options: FitOptions fields by name, e.g. resolution=256, epochs=12.
+    options: FitOptions fields by name, e.g. resolution=256, epochs=12, max_memory="4GB" (for which the precision of the
+    pictures on the device and the resolution are chosen).
 
     Raises ValueError for a scene with nothing in it, options out of range, or a checkpoint of another scene or options.
     """

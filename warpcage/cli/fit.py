@@ -32,7 +32,8 @@ def add_arguments(parser):
                         help="voxels along the longest side (default: after the size of a pixel at the object)")
     parser.add_argument("--max-memory", type=options.memory, metavar="SIZE",
                         help="device memory that the fit may take, pictures included, such as 4GB or 800MiB; where it "
-                             "is short, voxels stay larger (default: most of what is free)")
+                             "is short, pictures are kept at 8 bits a channel and voxels stay larger (default: most of "
+                             "what is free)")
     parser.add_argument("--epochs", type=options.positive_float, metavar="N", help="passes over the pixels that matter")
     parser.add_argument("--variation", type=options.positive_float, metavar="FACTOR",
                         help="on the total variation: more is smoother (default: 1; 30 with masks or layers)")
