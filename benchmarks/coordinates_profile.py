@@ -50,7 +50,8 @@ def main() -> None:
             for turn in range(4):
                 position_map.pose(poses[turn % 2])
             whole = median_seconds(lambda m=position_map: m.pose(poses[0]), device)
-            replay = median_seconds(lambda m=position_map: (m._graph.begin(), m._graph.go_on(), m._graph.finish()), device)
+            graph = position_map._graph
+            replay = median_seconds(lambda g=graph: (g.begin(), g.go_on(), g.finish()), device)
             print(f"{kind} {resolution}: pose {1e6 * whole:.0f} us, of which replay {1e6 * replay:.0f} us, "
                   f"{position_map.cycles} cycles")
             for name, step in (

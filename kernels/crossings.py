@@ -171,8 +171,8 @@ def cross_face(
     a = vertices[face[0]]
     b = vertices[face[1]]
     c = vertices[face[2]]
-    lowest = wp.min(wp.min(component(a, run.column_axis), component(b, run.column_axis)), component(c, run.column_axis))
-    highest = wp.max(wp.max(component(a, run.column_axis), component(b, run.column_axis)), component(c, run.column_axis))
+    lowest = component(wp.min(wp.min(a, b), c), run.column_axis)
+    highest = component(wp.max(wp.max(a, b), c), run.column_axis)
     p0 = wp.float64(run.row)
     own = run.begin + lane
     skipped = wp.max(int(wp.ceil(lowest)) - own + lanes - 1, 0) / lanes

@@ -73,7 +73,8 @@ def list_block_faces(
     near: wp.array2d(dtype=int),
     clear_octants: wp.array(dtype=int),
 ):
-    """shapes: as in LineCrossings. near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,) how many, also beyond m;
+    """shapes: as in LineCrossings. near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,): how
+    many, also beyond m;
     clear_octants (blocks,): bit o is set where the nodes of octant o are at least CLEARANCE cells from the cage; bits
     0, 1, 2 of o: its upper half along the axes. A group of lanes a block, a lane a face."""
     item = first + wp.tid()

@@ -12,7 +12,8 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func_native("""
     const char* begin = reinterpret_cast<const char*>(array.data);
-    return *reinterpret_cast<const wp::vec_t<3, wp::float32>*>(begin + (unsigned long long)(unsigned)i * (unsigned)array.strides[0]);
+    const unsigned long long offset = (unsigned long long)(unsigned)i * (unsigned)array.strides[0];
+    return *reinterpret_cast<const wp::vec_t<3, wp::float32>*>(begin + offset);
 """)
 def vec3_entry(array: wp.array(dtype=wp.vec3), i: int) -> wp.vec3:
     """array[i]"""
@@ -21,7 +22,8 @@ def vec3_entry(array: wp.array(dtype=wp.vec3), i: int) -> wp.vec3:
 
 @wp.func_native("""
     const char* begin = reinterpret_cast<const char*>(array.data);
-    return *reinterpret_cast<const wp::vec_t<3, wp::int32>*>(begin + (unsigned long long)(unsigned)i * (unsigned)array.strides[0]);
+    const unsigned long long offset = (unsigned long long)(unsigned)i * (unsigned)array.strides[0];
+    return *reinterpret_cast<const wp::vec_t<3, wp::int32>*>(begin + offset);
 """)
 def vec3i_entry(array: wp.array(dtype=wp.vec3i), i: int) -> wp.vec3i:
     """array[i]"""

@@ -216,9 +216,10 @@ def green_point(
     touched_target = wp.vec3(0.0, 0.0, 0.0)
     for f in range(faces.shape[0]):
         face = vec3i_entry(faces, f)
-        integrals = face_integrals(
-            vec3_entry(vertices, face[0]) - x, vec3_entry(vertices, face[1]) - x, vec3_entry(vertices, face[2]) - x, size
-        )
+        a = vec3_entry(vertices, face[0]) - x
+        b = vec3_entry(vertices, face[1]) - x
+        c = vec3_entry(vertices, face[2]) - x
+        integrals = face_integrals(a, b, c, size)
         target_a = vec3_entry(targets, face[0])
         target_b = vec3_entry(targets, face[1])
         target_c = vec3_entry(targets, face[2])

@@ -62,8 +62,9 @@ class GapFlags:
         self.launch(sections, rows, values, least)
 
     def launch(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
-        """Launch the search, the count being zero. sections: nodes of each list, or upper bounds; rows: without them, a gap that is narrower
-        than a cell is seen by `nodes.narrow` alone; values: of which a difference above `least` makes a gap."""
+        """Launch the search, the count being zero. sections: nodes of each list, or upper bounds; rows: without them, a
+        gap that is narrower than a cell is seen by `nodes.narrow` alone; values: of which a difference above `least`
+        makes a gap."""
         nodes = self.solver.nodes
         levels, level_count, crossings = nodes.levels, nodes.level_count, nodes.lattice.crossings
         items = int(sections[3 * level_count : 3 * level_count + 2].sum())
