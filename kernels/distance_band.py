@@ -11,7 +11,16 @@ import warp as wp
 
 from .containment import triangle_distance_squared
 from .crossings import LineCrossings, is_inside
-from .lanes import ballot, bit_count, bits_before, lane_count, least_of_lanes
+from .lanes import (
+    ballot,
+    bit_count,
+    bits_before,
+    lane_count,
+    least_of_lanes,
+    lowest_bit,
+    union_of_lanes,
+    without_lowest_bit,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,6 +31,7 @@ BAND = wp.constant(4.0)
 BLOCK = wp.constant(4)
 HALF_DIAGONAL = wp.constant(2.5981)
 OCTANT_DIAGONAL = wp.constant(0.8661)
+_Octants = wp.types.vector(length=8, dtype=float)
 
 #: Cells from the cage from which on a map of closed forms counts as smooth.
 CLEARANCE = wp.constant(7.0)
@@ -43,24 +53,37 @@ def block_count(side: int):
 
 
 @wp.func
-def distance_squared_below(
-    x: wp.vec3,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
-    bound: float,
-    lane: int,
-    lanes: int,
+def octant_centre(centre: wp.vec3, octant: int):
+    """Middle of an octant of a block; bits 0, 1, 2: its upper half along the axes."""
+    return centre + wp.vec3(float(2 * (octant & 1) - 1), float((octant & 2) - 1), float((octant & 4) / 2 - 1))
+
+
+@wp.func
+def clear_octant_bits(
+    centre: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), lane: int, lanes: int
 ):
-    """Squared distance from x to the cage, `bound` where it is above that. All lanes, which share the faces."""
-    nearest = float(bound)
-    for f in range(lane, faces.shape[0], lanes):
-        face = faces[f]
-        a = vertices[face[0]]
-        b = vertices[face[1]]
-        c = vertices[face[2]]
-        if box_gap_squared(x, a, b, c) < nearest:
-            nearest = wp.min(nearest, triangle_distance_squared(x, a, b, c))
-    return least_of_lanes(nearest)
+    """Bit o is set where the nodes of octant o are CLEARANCE cells and more from the cage. The lanes look at as many
+    faces at once, and then each at its octants where a face is near. All lanes."""
+    apart = _Octants()
+    for octant in range(lane, 8, lanes):
+        apart[octant] = (CLEARANCE + OCTANT_DIAGONAL) * (CLEARANCE + OCTANT_DIAGONAL)
+    reach = CLEARANCE + HALF_DIAGONAL
+    for f in range(0, faces.shape[0], lanes):
+        own = faces[wp.min(f + lane, faces.shape[0] - 1)]
+        gap = box_gap_squared(centre, vertices[own[0]], vertices[own[1]], vertices[own[2]])
+        near = ballot(wp.where(f + lane < faces.shape[0] and gap < reach * reach, 1, 0))
+        while near != 0:
+            face = faces[f + lowest_bit(near)]
+            near = without_lowest_bit(near)
+            for octant in range(lane, 8, lanes):
+                x = octant_centre(centre, octant)
+                found = triangle_distance_squared(x, vertices[face[0]], vertices[face[1]], vertices[face[2]])
+                apart[octant] = wp.min(apart[octant], found)
+    bits = int(0)
+    for octant in range(lane, 8, lanes):
+        if apart[octant] >= (CLEARANCE + OCTANT_DIAGONAL) * (CLEARANCE + OCTANT_DIAGONAL):
+            bits = bits | (1 << octant)
+    return union_of_lanes(bits)
 
 
 @wp.kernel
@@ -112,13 +135,7 @@ def list_block_faces(
     apart = wp.sqrt(least_of_lanes(nearest))
     clear = wp.where(apart >= 0.9999 * (CLEARANCE + HALF_DIAGONAL), 255, 0)
     if clear == 0 and apart > CLEARANCE - HALF_DIAGONAL:
-        least = (CLEARANCE + OCTANT_DIAGONAL) * (CLEARANCE + OCTANT_DIAGONAL)
-        o = int(0)
-        while o < 8:
-            x = centre + wp.vec3(float(2 * (o & 1) - 1), float((o & 2) - 1), float((o & 4) / 2 - 1))
-            if distance_squared_below(x, vertices, faces, least, lane, lanes) == least:
-                clear = clear | (1 << o)
-            o += 1
+        clear = clear_octant_bits(centre, vertices, faces, lane, lanes)
     if lane == 0:
         counts[block] = count
         clear_octants[block] = clear

@@ -96,6 +96,18 @@ def sum_of_octet(value: wp.float32) -> wp.float32:
     ...
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int reach = 16; reach > 0; reach >>= 1)
+        bits |= __shfl_xor_sync(0xffffffffu, bits, reach);
+#endif
+    return bits;
+""")
+def union_of_lanes(bits: wp.int32) -> wp.int32:
+    """The bits that any of the lanes has set. All lanes."""
+    ...
+
+
 @wp.func
 def largest_of_lanes(value: float):
     """The largest of the lanes' values, in each of them. All lanes."""
