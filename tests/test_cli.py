@@ -5,6 +5,7 @@ import json
 import imageio.v3 as iio
 import numpy as np
 import pytest
+import warp as wp
 
 from warpcage.cage import Cage
 from warpcage.cli import COMMANDS, main
@@ -214,7 +215,6 @@ def test_evaluate_says_where_it_errs(files, capsys, tmp_path):
 @pytest.mark.parametrize("ending", ["obj", "ply", "stl", "glb"])
 def test_mesh(files, tmp_path, ending):
     import trimesh
-import warp as wp
 
     succeed(files, "mesh", "@ball.npz", "-o", tmp_path / f"ball.{ending}")
     mesh = trimesh.load(tmp_path / f"ball.{ending}", force="mesh")

@@ -77,6 +77,7 @@ class CageLattice:
         vertex_count, face_count, levels = len(cage.vertices), len(cage.faces), self.level_count
         self.constants = PoseConstants(
             {
+                "flags": (FLAGS, int),  # sent as zeros
                 "scales": (1, float),  # world units a cell
                 "shapes": (levels, wp.vec3i),
                 "first_node": (levels + 1, int),
@@ -97,7 +98,7 @@ class CageLattice:
         self.vertices = self.constants.arrays["vertices"]
         self.faces = wp.array(cage.faces, dtype=wp.vec3i, device=self.device)
         self._line_capacity = LINE_CAPACITY
-        self.flags = wp.zeros(FLAGS, dtype=int, device=self.device)
+        self.flags = self.constants.arrays["flags"]
         self.overflow = self.flags[:1]
         self.side = SideStream(self.device)
         self._views: dict = {}
@@ -122,6 +123,7 @@ class CageLattice:
         self.first_node, self.first_column, self.sizes = layout.first_node, layout.first_column, layout.sizes
         scaled = (cage.vertices - self.lower) / self.spacing
         host = self.constants.host
+        host["flags"][:] = 0
         host["scales"][0] = self.spacing
         host["shapes"][:] = layout.shapes
         host["first_node"][:] = layout.first_node

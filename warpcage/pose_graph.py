@@ -105,7 +105,6 @@ class PoseGraph:
     def _launch_lattice(self) -> None:
         lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
         lattice.constants.send()
-        lattice.flags.zero_()
         with lattice.side.fork():
             solver.clear(self._node_sizes)
         lattice.launch_geometry(self._lattice_sizes)
