@@ -68,15 +68,10 @@ def module_block_dim(kernel: wp.Kernel) -> int:
 
 
 def load_modules(modules, device) -> None:
-    """Compile and load modules of kernels (Python modules) side by side; launched one by one they would wait for each
-    other. Costs nothing where they are loaded."""
-    groups: dict[int, list[wp.Module]] = {}
-    for module in modules:
-        warp_module = wp.get_module(module.__name__)
-        groups.setdefault(warp_module.options["block_dim"], []).append(warp_module)
-    for block_dim, group in groups.items():
-        wp.force_load(device, group, block_dim=None if wp.get_device(device).is_cpu else block_dim,
-                      max_workers=min(len(group), CPU_THREADS))
+    """Compile and load modules of kernels (Python modules) side by side, each for the block size that it names;
+    launched one by one they would wait for each other. Costs nothing where they are loaded."""
+    warp_modules = [wp.get_module(module.__name__) for module in modules]
+    wp.force_load(device, warp_modules, max_workers=min(len(warp_modules), CPU_THREADS))
 
 
 def run_parallel(tasks, threads: int | None = None) -> list:
