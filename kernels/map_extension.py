@@ -86,17 +86,28 @@ def is_known(code: int, rings: int):
 
 @wp.func
 def with_direction(
-    sums: Extrapolation, levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int, direction: int
+    sums: Extrapolation,
+    levels: NodeLevels,
+    values: wp.array(dtype=wp.vec3),
+    node: int,
+    rings: int,
+    towards: wp.vec3,
+    direction: int,
 ):
     """The sums with what direction 0 .. 26 of the lattice says at a node, from inside nodes and the first `rings`
-    rings; the middle one says nothing."""
+    rings; the middle one says nothing, nor do those that lead away from `towards`, where that is not zero."""
     result = sums
     shape = levels.shapes[0]
-    step = ((direction / 9 - 1) * shape[1] + (direction / 3) % 3 - 1) * shape[2] + direction % 3 - 1
+    i = direction / 9 - 1
+    j = (direction / 3) % 3 - 1
+    k = direction % 3 - 1
+    step = (i * shape[1] + j) * shape[2] + k
+    ahead = wp.vec3(float(i), float(j), float(k))
+    leads = wp.dot(ahead, towards) > 0.0 or wp.dot(towards, towards) == 0.0
     # without branches around the codes, so that they are read at once
     code = levels.codes[node + step]
     far_code = levels.codes[wp.clamp(node + 2 * step, 0, levels.codes.shape[0] - 1)]
-    if step != 0 and is_known(code, rings):
+    if step != 0 and leads and is_known(code, rings):
         value = values[node + step]
         result.nearby += value
         result.nearby_count += 1.0
@@ -111,16 +122,18 @@ def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), n
     """What the 26 directions of the lattice say at a node."""
     result = Extrapolation()
     for direction in range(27):
-        result = with_direction(result, levels, values, node, rings, direction)
+        result = with_direction(result, levels, values, node, rings, wp.vec3(0.0, 0.0, 0.0), direction)
     return result
 
 
 @wp.func
-def shared_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int, lane: int):
-    """The same by a group of lanes, the directions shared out among them. All lanes."""
+def shared_extrapolation(
+    levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int, towards: wp.vec3, lane: int
+):
+    """The same, of the directions that lead `towards` a side, by a group of lanes that share them out. All lanes."""
     own = Extrapolation()
     for direction in range(lane, 27, lane_count()):
-        own = with_direction(own, levels, values, node, rings, direction)
+        own = with_direction(own, levels, values, node, rings, towards, direction)
     result = Extrapolation()
     result.linear_count = sum_of_lanes(own.linear_count)
     result.nearby_count = sum_of_lanes(own.nearby_count)
@@ -181,6 +194,18 @@ def extend_through_cage(
 
 
 @wp.func
+def distance_slope(levels: NodeLevels, distance: wp.array(dtype=float), node: int):
+    """Differences of the signed distance over a node, which point away from the nearest part of the cage."""
+    row = levels.shapes[0][2]
+    slab = levels.shapes[0][1] * row
+    return wp.vec3(
+        distance[node + slab] - distance[node - slab],
+        distance[node + row] - distance[node - row],
+        distance[node + 1] - distance[node - 1],
+    )
+
+
+@wp.func
 def value_on_cage(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),
@@ -201,10 +226,11 @@ def extend_outwards(
     faces: wp.array(dtype=wp.vec3i),
     levels: NodeLevels,
     vertex_values: wp.array(dtype=wp.vec3),
+    distance: wp.array(dtype=float),
     values: wp.array(dtype=wp.vec3),
 ):
-    """Values of a ring from the inside nodes and the rings before it. vertices (v,) in node units. A group of lanes a
-    node."""
+    """Values of a ring from the inside nodes and the rings before it. vertices (v,) in node units; distance (nodes,)
+    signed. A group of lanes a node."""
     item = first + wp.tid()
     lane = item % lane_count()
     n = item / lane_count()
@@ -212,10 +238,16 @@ def extend_outwards(
     if n >= levels.starts[section + 1] - levels.starts[section]:
         return
     node = levels.nodes[levels.starts[section] + n]
-    # nodes of ring 1 have an inside node next to them; nodes of ring 0 that are near may belong to another part
-    found = shared_extrapolation(levels, values, node, wp.where(ring == 1, 0, ring), lane)
-    if found.linear_count == 0.0:
-        found = shared_extrapolation(levels, values, node, ring, lane)
+    # nodes of ring 0 that are near may belong to another part of the cage: inside nodes first, which rings 0 and 1 have
+    # next to them, then what lies towards the nearest part
+    anywhere = wp.vec3(0.0, 0.0, 0.0)
+    found = Extrapolation()
+    if ring < 2:
+        found = shared_extrapolation(levels, values, node, 0, anywhere, lane)
+    if ring > 0 and found.linear_count == 0.0:
+        found = shared_extrapolation(levels, values, node, ring, -distance_slope(levels, distance, node), lane)
+        if found.linear_count == 0.0:
+            found = shared_extrapolation(levels, values, node, ring, anywhere, lane)
     if lane == 0:
         if found.linear_count > 0.0:
             values[node] = found.linear / found.linear_count

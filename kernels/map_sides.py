@@ -26,6 +26,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 2})
 #: Difference of the remainder of a map over a gap, as a share of the rest cage's size, from which on sides are kept.
 GAP_JUMP = wp.constant(1.0e-2)
 
+#: Sides of a cell that there is room for in its entry of side_index.
+MOST_SIDES = wp.constant(7)
+
 #: Least distance, in cells, between two crossings that a value beyond the second is continued from.
 SHORTEST_CHORD = wp.constant(0.1)
 
@@ -229,6 +232,17 @@ def mark_narrow_cells(first: int, levels: NodeLevels, rows: CutRows, side_index:
             side_index[node - ((corner >> 2) * shape[1] + ((corner >> 1) & 1)) * shape[2] - (corner & 1)] = -1
 
 
+@wp.func
+def side_count(levels: NodeLevels, rows: CutRows, cell: int):
+    """Sides that the inside corners of a cell make."""
+    count = int(0)
+    left = inside_corners(levels, cell)
+    while left != 0:
+        left = left & ~side_corners(levels, rows, cell, left)
+        count += 1
+    return count
+
+
 @wp.kernel
 def count_column_sides(
     first: int, levels: NodeLevels, rows: CutRows, side_index: wp.array(dtype=int), counts: wp.array(dtype=int)
@@ -239,11 +253,35 @@ def count_column_sides(
     count = int(0)
     for cell in range(column * depth, (column + 1) * depth):
         if side_index[cell] == -1:
-            left = inside_corners(levels, cell)
-            while left != 0:
-                left = left & ~side_corners(levels, rows, cell, left)
-                count += 1
+            own = side_count(levels, rows, cell)
+            if own == 0:
+                for direction in range(6):
+                    own += side_count(levels, rows, cell + node_step(levels, direction))
+            count += wp.min(own, MOST_SIDES)
     counts[column] = count
+
+
+@wp.func
+def list_sides(
+    levels: NodeLevels,
+    rows: CutRows,
+    cell: int,
+    origin: int,
+    row: int,
+    end: int,
+    side_cells: wp.array(dtype=int),
+    side_masks: wp.array(dtype=int),
+):
+    """Write the sides of a cell to rows from `row` up to `end`; the row after them."""
+    at = int(row)
+    left = inside_corners(levels, cell)
+    while left != 0 and at < end:
+        side = side_corners(levels, rows, cell, left)
+        side_cells[at] = cell
+        side_masks[at] = side | (origin << 8)
+        left = left & ~side
+        at += 1
+    return at
 
 
 @wp.kernel
@@ -256,20 +294,24 @@ def list_column_sides(
     side_cells: wp.array(dtype=int),
     side_masks: wp.array(dtype=int),
 ):
-    """side_index: 8 * first row + number of sides of each cell that has any, else 0; cell and corners of each row."""
+    """side_index: 8 * first row + number of sides of each cell that has any, else 0; cell and corners of each row.
+
+    A cell without inside corners may hold a tip of the cage all the same: it has the sides of the six cells beside it,
+    whose rows are marked (above the corners' bits) with one plus the direction in which they lie.
+    """
     column = first + wp.tid()
     depth = levels.shapes[0][2]
     row = offsets[column]
     for cell in range(column * depth, (column + 1) * depth):
         if side_index[cell] == -1:
             begin = row + 0
-            left = inside_corners(levels, cell)
-            while left != 0:
-                side = side_corners(levels, rows, cell, left)
-                side_cells[row] = cell
-                side_masks[row] = side
-                left = left & ~side
-                row += 1
+            row = list_sides(levels, rows, cell, 0, begin, begin + MOST_SIDES, side_cells, side_masks)
+            if row == begin:
+                for direction in range(6):
+                    beside = cell + node_step(levels, direction)
+                    row = list_sides(
+                        levels, rows, beside, direction + 1, row, begin + MOST_SIDES, side_cells, side_masks
+                    )
             side_index[cell] = wp.where(row > begin, 8 * begin + row - begin, 0)
 
 
@@ -351,6 +393,22 @@ def continued(
     return wp.vec4(position[0], position[1], position[2], wp.max(-height * ratio, 0.0))
 
 
+@wp.func
+def move_side(sides: wp.array2d(dtype=wp.vec4), row: int, direction: int):
+    """Corner values of a cell continued to the cell that it lies beside, seen from there in a direction."""
+    bit = 4 >> (direction / 2)
+    for corner in range(8):
+        if corner & bit == 0:
+            low = sides[row, corner]
+            high = sides[row, corner | bit]
+            if direction % 2 == 1:
+                sides[row, corner] = 2.0 * low - high
+                sides[row, corner | bit] = low
+            else:
+                sides[row, corner] = high
+                sides[row, corner | bit] = 2.0 * high - low
+
+
 @wp.kernel
 def fill_sides(
     first: int,
@@ -372,7 +430,7 @@ def fill_sides(
     """
     row = first + wp.tid()
     cell = side_cells[row]
-    known = side_masks[row]
+    known = side_masks[row] & 255
     for corner in range(8):
         if (known >> corner) & 1 == 1:
             node = corner_node(levels, cell, corner)
@@ -414,3 +472,5 @@ def fill_sides(
             if count > 0.0:
                 sides[row, corner] = total / count
                 found = found | (1 << corner)
+    if side_masks[row] > 255:
+        move_side(sides, row, (side_masks[row] >> 8) - 1)

@@ -112,27 +112,29 @@ def points_beside_slot(width, cells, turn, count=3000):
     return np.column_stack(points) @ turn.T
 
 
-@pytest.mark.parametrize("degrees", [0, 17])
+@pytest.mark.parametrize("degrees", [0, 17, 33])
 @pytest.mark.parametrize(("cells", "bound"), [(4, 1e-3), (2, 5e-3), (1, 2e-2)])
 @pytest.mark.parametrize("kind", ["harmonic", "mean_value", "green"])
 def test_slot_between_two_arms_that_a_pose_opens(kind, cells, bound, degrees, device):
     """Points next to the slot, against the closed form, or the map on a lattice with three times as many cells."""
     if kind == "mean_value" and cells == 4:
-        bound = 2e-3  # the formula sees the other wall: it bends within these cells more than they resolve
+        # the formula sees the other wall: it bends within these cells more than they resolve
+        bound = {0: 1e-3, 17: 1.5e-3, 33: 2e-3}[degrees]
     resolution = 64
     narrow, wide, turn = slot_cages(cells / resolution, degrees)
-    points = points_beside_slot(cells / resolution, resolution, turn)
+    points = points_beside_slot(cells / resolution, resolution, turn, 20_000)  # few cells at the mouth hold tips alone
     position_map = PositionMap(wide, coordinates=kind, resolution=resolution, device=device).pose(narrow)
     if kind == "harmonic":
         expected = look_up(PositionMap(wide, resolution=3 * resolution, device=device).pose(narrow), points)
     else:
         expected = deform_points(points, narrow, wide, kind, device=device)
+    bound *= narrow.size
     assert np.abs(look_up(position_map, points) - expected).max() < bound
     if cells == 1:
         assert position_map.thin_nodes > 100
         # what one value an outside node would give
         position_map.data.side_index = wp.empty(0, dtype=int, device=device)
-        assert np.abs(look_up(position_map, points) - expected).max() > bound
+        assert np.abs(look_up(position_map, points) - expected).max() > 2e-2  # a fifth of what the pose opens
 
 
 @pytest.mark.parametrize("kind", ["harmonic", "mean_value", "green"])

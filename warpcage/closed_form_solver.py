@@ -160,7 +160,7 @@ class GreenSolver(ClosedFormSolver):
         """Launch what continues the map to the rings."""
         lattice = self.lattice
         for ring in range(RINGS):
-            inputs = [ring, lattice.vertices, lattice.faces, self.nodes.levels, vertex_values]
+            inputs = [ring, lattice.vertices, lattice.faces, self.nodes.levels, vertex_values, lattice.flat_distance]
             self._launch(extend_outwards, lane_count(self.device) * int(sections[3 + ring]), inputs, [values])
 
     def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:

@@ -144,7 +144,7 @@ def launch_rings(solver, sections: np.ndarray, vertex_values: wp.array, values: 
     items = int(rings[0]) if solver.device.is_cpu else -(-int(rings[0]) // 4) * lane_count(solver.device)
     launch(extend_through_cage, items, inputs, device=solver.device)
     for ring in range(1, RINGS):
-        inputs = [ring, lattice.vertices, lattice.faces, nodes.levels, vertex_values, values]
+        inputs = [ring, lattice.vertices, lattice.faces, nodes.levels, vertex_values, lattice.flat_distance, values]
         launch(extend_outwards, lane_count(solver.device) * int(rings[ring]), inputs, device=solver.device)
 
 
