@@ -8,9 +8,9 @@ cell from the crossing, and u_back the one behind it,
     g + (g - u_back) (1 - theta) / (1 + theta)        else,
 
 averaged over the grid edges; the other rings take the mean of 2 u_1 - u_2 along the 26 directions of the lattice,
-ring 1 from inside nodes alone where it can. All of it is linear in the values and exact for linear functions; where a
-part of the cage is too thin for that (no second value), the mean of the neighbours or the value at the nearest point of
-the cage stands in.
+ring 1 from inside nodes alone where it can, else from what lies towards the nearest part of the cage. All of it is
+linear in the values and exact for linear functions; where a part of the cage is too thin for that (no second value),
+the mean of the neighbours or the value at the nearest point of the cage stands in.
 Siblings: lanes, node_levels, harmonic_rows.
 """
 

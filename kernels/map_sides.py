@@ -5,7 +5,8 @@ there get eight corner values for each side instead: a side is a set of inside c
 the cage; its other corners are continued from it alone, along a link through the boundary value at the crossing (see
 map_extension), then by parallelograms, u_1 + u_2 - u_12. All of it is linear in the values and exact for linear
 functions. A fourth channel continues the signed distance alike, negative on the side itself: a point belongs to the
-side where that is lowest.
+side where that is lowest. A cell without inside corners may hold a tip of the cage: it has the sides of the six cells
+beside it, continued once more.
 
 Gaps are found at outside nodes next to the inside, where the inside nodes among the 26 neighbours are not joined by
 links that do not cross the cage, and at links that leave the cage and enter it again: gaps narrower than a cell. They
@@ -272,7 +273,8 @@ def list_sides(
     side_cells: wp.array(dtype=int),
     side_masks: wp.array(dtype=int),
 ):
-    """Write the sides of a cell to rows from `row` up to `end`; the row after them."""
+    """Write the sides of a cell to rows from `row`, before `end`; the row after them. origin: 0, or 1 plus the
+    direction in which the cell lies from the one that gets its sides."""
     at = int(row)
     left = inside_corners(levels, cell)
     while left != 0 and at < end:
@@ -296,8 +298,8 @@ def list_column_sides(
 ):
     """side_index: 8 * first row + number of sides of each cell that has any, else 0; cell and corners of each row.
 
-    A cell without inside corners may hold a tip of the cage all the same: it has the sides of the six cells beside it,
-    whose rows are marked (above the corners' bits) with one plus the direction in which they lie.
+    Rows hold the cell whose corners make the side; above the corners' bits stands 1 plus the direction in which that
+    cell lies, where it is not the one that gets the side.
     """
     column = first + wp.tid()
     depth = levels.shapes[0][2]
@@ -426,7 +428,8 @@ def fill_sides(
     """sides (rows, 8): position and signed distance at the corners of a cell as one side sees them.
 
     boundary (rows of level 0, 6): values of the map, less the affine part, where links cross the cage.
-    values, distance (nodes,): positions (the affine part added) and signed distances at nodes.
+    values, distance (nodes,): positions (the affine part added) and signed distances at nodes. side_cells, side_masks
+    (rows,): see list_column_sides.
     """
     row = first + wp.tid()
     cell = side_cells[row]

@@ -38,7 +38,7 @@ class FitOptions:
     variation_density: float = 3e-6  #: total variation of density (per half extent) a voxel of the box
     variation_sh: float = 3e-4
     variation: float | None = None  #: factor on both; None is what the number of pixels that see a voxel asks for, and
-    #: CAPTURED_VARIATION at least with layers behind the field or where the scene's opacity comes from mask files
+    #: fit_plan.CAPTURED_VARIATION at least with layers behind the field or where opacity comes from mask files
     shrink_sh: float = 0.06  #: decay of SH of degree 1 and up, relative to a step of rate_sh, where views are scarce
     variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
     prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution

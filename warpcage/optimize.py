@@ -11,11 +11,12 @@ import warp as wp
 
 from .background_fit import BackgroundOptimizer, chosen_background, layers_that_fit
 from .bounds import Silhouettes, camera_array, keep_seen, scene_box
-from .devices import CPU_THREADS, launch, load_modules, module_block_dim, resolve_device, run_parallel
+from .devices import CPU_THREADS, lane_count, launch, load_modules, module_block_dim, resolve_device, run_parallel
 from .field import VoxelField, checked_bounds, field_from_mask
-from .fit_defaults import DENSITY_POWER, SH_POWER, directional_rate, pixel_size, scarcity
+from .fit_defaults import directional_rate
 from .fit_memory import FitMemory, array_bytes, device_arrays, memory_limit, require_image_memory
-from .fit_options import MAX_LEVELS, checked_options, checked_seed
+from .fit_options import checked_options, checked_seed
+from .fit_plan import plan_batches, plan_grid
 from .kernels import (
     active_tiles,
     field_loss,
@@ -37,20 +38,8 @@ from .training_pictures import PRECISIONS, TrainingPictures, picture_bytes
 #: A training march ends where less than this share of the light is left, as a render does.
 STOP_TRANSMITTANCE = 1e-3
 
-#: Threads a ray of the photometric gradient on CUDA.
-WARP_LANES = 32
-
-#: Pictures that were taken are fewer and less exact than rendered ones: so much more total variation suits them.
-CAPTURED_VARIATION = 30.0
-
 #: Steps from one pass over the SH coefficients that shrinks them to the next.
 SHRINK_EVERY = 4
-
-#: Rays of a batch that is made smaller for the sake of more steps, at least.
-SMALLEST_BATCH = 4096
-
-#: Without silhouettes, fine voxels turn to fog before the cameras unless a coarse fit has told them where matter is.
-COARSE_SIDE = 24
 
 #: A CPU thread's own gradients are worth their memory up to this many.
 MAX_SHARDS = 8
@@ -95,7 +84,10 @@ class FieldOptimizer:
         if self.layered:
             self.background_side, layer_bytes = layers_that_fit(scene, self.options, self.shards, self.memory_limit)
             self.memory_limit -= layer_bytes
-        self._choose_grid(checked_bounds(bounds), coarse_start=self.layered and scene.alphas is None)
+        grid = plan_grid(scene, self.options, checked_bounds(bounds), self.layered)
+        self.options = dataclasses.replace(self.options, levels=grid.levels)
+        self.bounds, self.shapes, self.scarcity = grid.bounds, grid.shapes, grid.scarcity
+        self.variation_density, self.variation_sh = grid.variation
         self._upload_images()
         self._start_level(self._first_mask(), None)
         self._allocate_state()
@@ -106,40 +98,6 @@ class FieldOptimizer:
             self.device)
 
     # Set-up
-
-    def _choose_grid(self, box: np.ndarray, coarse_start: bool) -> None:
-        """Cubic voxels that halve `levels - 1` times: the final shape, and bounds grown around the box to fit it.
-
-        coarse_start: as many more levels as the first needs to have COARSE_SIDE voxels a side at most.
-        """
-        options = self.options
-        extent = box[1] - box[0]
-        longest = float(extent.max())
-        resolution = options.resolution
-        if resolution is None:
-            pixel = pixel_size(self.scene.cameras, box.mean(axis=0))
-            resolution = int(np.clip(math.ceil(longest / (options.footprint * pixel)), 32, options.max_resolution))
-        if coarse_start:
-            needed = 1 + math.ceil(math.log2(max(1.0, resolution / COARSE_SIDE)))
-            self.options = options = dataclasses.replace(options, levels=max(options.levels, min(needed, MAX_LEVELS)))
-        unit = 2 ** (options.levels - 1)
-        voxel = longest / resolution
-        shape = np.maximum(1, np.ceil(extent / voxel / unit - 1e-6).astype(int)) * unit
-        scarce = options.scarcity
-        if scarce is None:
-            scarce = scarcity(self.scene.cameras, box.mean(axis=0), voxel, options.supersampling)
-        self.scarcity = scarce
-        factors = self.scarcity**DENSITY_POWER, self.scarcity**SH_POWER
-        if options.variation is not None:
-            factors = options.variation, options.variation
-        elif self.layered or self.scene.captured:
-            factors = tuple(max(CAPTURED_VARIATION, factor) for factor in factors)
-        self.variation_density, self.variation_sh = (
-            weight * factor for weight, factor in zip((options.variation_density, options.variation_sh), factors,
-                                                      strict=True))
-        half = 0.5 * shape * voxel
-        self.bounds = np.stack([box.mean(axis=0) - half, box.mean(axis=0) + half])
-        self.shapes = [tuple(int(n) for n in shape // 2 ** (options.levels - 1 - i)) for i in range(options.levels)]
 
     def _upload_images(self) -> None:
         scene, size = self.scene, self.options.tile_size
@@ -208,19 +166,10 @@ class FieldOptimizer:
 
     def _plan(self) -> None:
         options = self.options
-        pixels = self.active_tiles * options.tile_size**2
-        batch = options.batch_rays
-        if batch is None:
-            batch = np.clip(math.prod(self.scene.images.shape[:3]) // 128, 4096, 65536)
-            if options.least_steps:
-                batch = min(batch, max(SMALLEST_BATCH, options.epochs * pixels / options.least_steps))
-        self.batch_tiles = min(max(1, int(batch) // options.tile_size**2), self.active_tiles)
+        self.batch_tiles, self.level_steps = plan_batches(options, math.prod(self.scene.images.shape[:3]),
+                                                          self.active_tiles)
         self.batch_rays = self.batch_tiles * options.tile_size**2
         self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
-        shares = options.level_growth ** np.arange(options.levels)
-        shares = shares / shares.sum()
-        steps = max(options.epochs * self.active_tiles / self.batch_tiles, options.least_steps)
-        self.level_steps = [max(1, round(float(share) * steps)) for share in shares]
         self.total_steps = sum(self.level_steps)
         self.directional = directional_rate(self.total_steps) if options.directional is None else options.directional
 
@@ -390,7 +339,7 @@ class FieldOptimizer:
         unit = 1.0 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
         coefficients = coefficient_rows(field.grid.sh)
         if not self.device.is_cpu:
-            launch(field_loss_warps.accumulate_photometric_gradient_by_warps, WARP_LANES * self.batch_rays,
+            launch(field_loss_warps.accumulate_photometric_gradient_by_warps, lane_count(self.device) * self.batch_rays,
                    [field.grid, coefficients, *photometric],
                    [self.gradients[0], self.touched, self.squared_error, grad_behind],
                    device=self.device)

@@ -85,10 +85,10 @@ class PositionMap:
     def pose(self, deformed) -> PositionMap:
         """Compute the map from `deformed`, a Cage with the faces of the rest cage. Buffers of the last pose are reused.
 
-        Raises ValueError for faces that differ, an unusable cage, or too little memory.
+        Raises ValueError for faces that differ or an unusable cage (the map then stays that of the last pose), or too
+        little memory.
         """
         require_same_faces(self.rest, deformed)
-        # the same checks on both ways: one before all else, one while the device is at work
         if self._graph is not None and self._data is not None and self._replay(deformed):
             return self
         deformed.require_usable("deformed cage")
