@@ -2,13 +2,14 @@
 
     python examples/kernel_alone.py
 
-Copy kernels/mean_value.py and kernels/triangle.py next to a program of your own and it works the same: nothing of the
-library but these two files is used here.
+Copy kernels/mean_value.py and the siblings that it names (entries, face_fans, triangle) next to a program of your own
+and it works the same: nothing else of the library is used here.
 """
 
 import numpy as np
 import warp as wp
 
+from warpcage.kernels.face_fans import prepare_fans
 from warpcage.kernels.mean_value import mean_value_position
 
 
@@ -17,13 +18,14 @@ def move_points(
     points: wp.array(dtype=wp.vec3),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     size: float,
     moved: wp.array(dtype=wp.vec3),
 ):
     """The device function runs inside any kernel: here one point a thread."""
     tid = wp.tid()
-    moved[tid] = mean_value_position(points[tid], vertices, faces, targets, size)
+    moved[tid] = mean_value_position(points[tid], vertices, faces, fans, targets, size)
 
 
 def main():
@@ -38,9 +40,12 @@ def main():
     vertices, points = wp.array(corners, dtype=wp.vec3, device=device), wp.array(cloud, dtype=wp.vec3, device=device)
     faces = wp.array(triangles, dtype=wp.vec3i, device=device)
     moved = wp.empty_like(points)
+    fans = wp.empty(2 * len(triangles), dtype=wp.vec4, device=device)
+    wp.launch(prepare_fans, dim=len(triangles), inputs=[0, vertices, faces, 2.0], outputs=[fans], device=device)
 
     def move(targets):
-        inputs = [points, vertices, faces, wp.array(targets.astype(np.float32), dtype=wp.vec3, device=device), 2.0]
+        there = wp.array(targets.astype(np.float32), dtype=wp.vec3, device=device)
+        inputs = [points, vertices, faces, fans, there, 2.0]
         wp.launch(move_points, dim=len(cloud), inputs=inputs, outputs=[moved], device=device)
         return moved.numpy()
 

@@ -10,7 +10,7 @@ Two kinds of edit share these functions: LatticeEdit looks the map and the signe
 ClosedFormEdit evaluates mean value or Green coordinates and winding numbers at the point itself; tables over lattice
 cells tell it where the answer is the same for a whole cell. A module compiles only the kind that its kernels take. All
 positions are relative to one origin that the caller keeps to.
-Siblings: cage_map, containment, green, mean_value.
+Siblings: cage_map, containment, face_fans, green, mean_value.
 """
 
 from typing import Any
@@ -77,6 +77,7 @@ class ClosedFormEdit:
     rest_vertices: wp.array(dtype=wp.vec3)
     rest_normals: wp.array(dtype=wp.vec3)  # (f,) stretched, for Green coordinates
     faces: wp.array(dtype=wp.vec3i)
+    fans: wp.array(dtype=wp.vec4)  # of the deformed cage, for mean value coordinates: see face_fans
     deformed_cells: CellTable
     rest_cells: CellTable  # its `skip` is not used
     size: float  # longest side of the deformed cage
@@ -222,7 +223,9 @@ def edit_position(edit: ClosedFormEdit, x: wp.vec3):
         return green_position(
             x, edit.deformed_vertices, edit.faces, edit.rest_vertices, edit.rest_normals, edit.size
         )
-    return mean_value_position(x, edit.deformed_vertices, edit.faces, edit.rest_vertices, edit.size)
+    return mean_value_position(
+        x, edit.deformed_vertices, edit.faces, edit.fans, edit.rest_vertices, edit.size
+    )
 
 
 @wp.func

@@ -26,16 +26,18 @@ def map_nodes_mean_value(
     levels: NodeLevels,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     size: float,
     values: wp.array(dtype=wp.vec3),
 ):
-    """values[node] = sum_j w_j targets_j at inside nodes that are not interpolated. One item a node; one level."""
+    """values[node] = sum_j w_j targets_j at inside nodes that are not interpolated. fans: see face_fans. One item a
+    node; one level."""
     n = first + wp.tid()
     if n >= levels.starts[1]:
         return
     node = levels.nodes[n]
-    values[node] = mean_value_position(centred_place(levels, node), vertices, faces, targets, size)
+    values[node] = mean_value_position(centred_place(levels, node), vertices, faces, fans, targets, size)
 
 
 @wp.kernel

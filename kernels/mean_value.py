@@ -15,23 +15,19 @@ where the contributions of its near and far side cancel, a second pass takes eve
 Defined everywhere but on the cage, where it tends to the linear interpolation on the face: points within SNAP of the
 size take that. Shapes: points (n,), vertices and targets (v,), faces (f,); one unit of length for points, vertices and
 size, which is the longest side of the vertices' bounding box. Keep coordinates near the origin (float32).
-Siblings: entries, triangle.
+Siblings: entries, face_fans, triangle.
 """
 
 import warp as wp
 
-from .entries import reciprocal_root, vec3_entry, vec3i_entry
+from .entries import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
+from .face_fans import near_plane_limit
 from .triangle import nearest_barycentric
 
 # so many registers a thread that larger blocks fill a GPU worse
 wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
 
-#: Faces whose plane passes closer than this share of the size take the float64 path.
-PLANE_BAND = wp.constant(1.0e-3)
-#: So do faces lower than about the square root of this share of their length: their normal has few digits in float32.
-SLIVER = wp.constant(1.0e-6)
-#: And every face where the weights sum to less than CANCELLED / size, as they do well outside.
-WIDE_BAND = wp.constant(1.0e4)
+#: Every face takes the float64 path where the weights sum to less than CANCELLED / size, as they do well outside.
 CANCELLED = wp.constant(10.0)
 #: Points this close to a face, as a share of the size, count as on it.
 SNAP = wp.constant(wp.float64(1.0e-6))
@@ -89,78 +85,92 @@ def near_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
     return result
 
 
-@wp.func
-def positive_angle(sine: float, cosine: float):
-    """atan2(sine, cosine) for sine > 0, to 2e-7, without branches or special cases.
+@wp.struct
+class FaceEdge:
+    """The edge from b to c of a face, seen from the point."""
 
-    atan t = t + t^3 p(t^2) on [0, 1], p interpolated at Chebyshev nodes.
-    """
-    across = wp.abs(cosine)
-    t = wp.min(sine, across) / wp.max(sine, across)
-    s = t * t
-    p = 0.003866739 * s - 0.020026748
-    p = p * s + 0.048914322
-    p = p * s - 0.080096817
-    p = p * s + 0.108657591
-    p = p * s - 0.142570449
-    p = p * s + 0.199986812
-    p = p * s - 0.333333231
-    angle = t + t * s * p
-    angle = wp.where(sine > across, 1.5707963267948966 - angle, angle)
-    return wp.where(cosine < 0.0, 3.141592653589793 - angle, angle)
+    cross: wp.vec3  # C = b x c
+    mean: wp.vec3  # beta C / |C|, with beta the angle that b and c span
 
 
 @wp.func
-def far_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, edge_b: wp.vec3, edge_c: wp.vec3, det: float):
-    """Corner weights of a face clear of the origin's plane; edge_b = b - a, edge_c = c - a, det = det(a, b, c)."""
-    cross_a = wp.cross(b, c - b)
-    cross_b = wp.cross(edge_c, c)
-    cross_c = wp.cross(a, edge_b)
-    squared_a = wp.dot(cross_a, cross_a)
-    squared_b = wp.dot(cross_b, cross_b)
-    squared_c = wp.dot(cross_c, cross_c)
-    inverse_a = reciprocal_root(squared_a)
-    inverse_b = reciprocal_root(squared_b)
-    inverse_c = reciprocal_root(squared_c)
-    mean = (
-        cross_a * (positive_angle(squared_a * inverse_a, wp.dot(b, c)) * inverse_a)
-        + cross_b * (positive_angle(squared_b * inverse_b, wp.dot(c, a)) * inverse_b)
-        + cross_c * (positive_angle(squared_c * inverse_c, wp.dot(a, b)) * inverse_c)
+def angle_over_sine(cosine: float):
+    """acos(t) / sqrt(1 - t^2) for t in [0, 1], to 2e-7: a polynomial, interpolated at Chebyshev nodes."""
+    p = 0.0171853692 * cosine - 0.0960763046
+    p = p * cosine + 0.2501265289
+    p = p * cosine - 0.4218957183
+    p = p * cosine + 0.5557489579
+    p = p * cosine - 0.6607586189
+    p = p * cosine + 0.7848538133
+    p = p * cosine - 0.9999801696
+    return p * cosine + 1.5707962051
+
+
+@wp.func
+def face_edge(b: wp.vec3, c: wp.vec3):
+    """The edge from b to c, without division or branch: beta / |C| is angle_over_sine(|cos beta|) / (|b| |c|), and for
+    obtuse angles, whose sine the cosine does not tell, pi / |C| less that."""
+    edge = FaceEdge()
+    edge.cross = wp.cross(b, c - b)
+    squared = wp.dot(edge.cross, edge.cross)
+    product = wp.dot(b, c)
+    inverse = reciprocal_root(squared + product * product)
+    acute = inverse * angle_over_sine(wp.abs(product) * inverse)
+    obtuse = 3.1415926536 * reciprocal_root(squared) - acute
+    edge.mean = edge.cross * wp.where(product < 0.0, obtuse, acute)
+    return edge
+
+
+@wp.func
+def far_face_weights(edge_ba: FaceEdge, edge_bc: FaceEdge, edge_ca: FaceEdge, det: float):
+    """Weights of the corners a, b, c of a face clear of the origin's plane; det = det(a, b, c). The first edge is as
+    the face across it has it."""
+    mean = edge_bc.mean + edge_ca.mean - edge_ba.mean
+    return wp.vec3(wp.dot(edge_bc.cross, mean), wp.dot(edge_ca.cross, mean), -wp.dot(edge_ba.cross, mean)) * (
+        0.5 * (1.0 / det)
     )
-    return wp.vec3(wp.dot(cross_a, mean), wp.dot(cross_b, mean), wp.dot(cross_c, mean)) * (0.5 / det)
 
 
 @wp.func
-def near_plane(a: wp.vec3, normal: wp.vec3, edge_b: wp.vec3, edge_c: wp.vec3, det: float, band: float):
-    """Whether a face with corner a, edges edge_b and edge_c from there, and their cross product `normal` is one for
-    float64: its plane passes within `band` of the origin, or its normal has few digits."""
-    squared = wp.dot(normal, normal)
-    edges = wp.dot(edge_b, edge_b) + wp.dot(edge_c, edge_c)
-    return det * det <= band * band * squared or squared <= SLIVER * edges * edges
-
-
-@wp.func
-def face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float, share: float):
-    """Corner weights of the face a, b, c as seen from the origin, and whether the origin lies on it.
-
-    share: of the size, the height above the plane up to which float64 is used.
-    """
+def face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
+    """Corner weights of the face a, b, c as seen from the origin, and whether the origin lies on it."""
     edge_b = b - a
     edge_c = c - a
     normal = wp.cross(edge_b, edge_c)
     det = wp.dot(normal, a)
     result = NearFace()
-    if near_plane(a, normal, edge_b, edge_c, det, share * size):
+    if det * det <= near_plane_limit(normal, edge_b, edge_c, size):
         result = near_face_weights(a, b, c, size)
     else:
-        result.weights = far_face_weights(a, b, c, edge_b, edge_c, det)
+        result.weights = far_face_weights(face_edge(b, a), face_edge(b, c), face_edge(c, a), det)
     return result
 
 
 @wp.func
-def needs_wide_band(total: float, size: float, share: float):
-    """Whether the weights, of this sum, came from a first pass and cancelled; they are negative outside the cage."""
-    return share < WIDE_BAND and total * size > -CANCELLED and total <= 0.0
+def has_cancelled(total: float, size: float):
+    """Whether the weights, of this sum, cancel, as they do well outside the cage, where they are negative: all faces
+    are for float64 then."""
+    return total * size > -CANCELLED and total <= 0.0
+
+
+@wp.func(inline=False)
+def position_in_double(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+):
+    """`mean_value_position` of a point that is not on the cage, with each face in float64."""
+    total = float(0.0)
+    position = wp.vec3(0.0, 0.0, 0.0)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        near = near_face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
+        total += near.weights[0] + near.weights[1] + near.weights[2]
+        for k in range(3):
+            position += near.weights[k] * targets[face[k]]
+    return position * wp.where(total == 0.0, 0.0, 1.0 / total)
 
 
 @wp.func
@@ -168,63 +178,63 @@ def mean_value_position(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`.
+    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`. fans: see prepare_fans.
 
     Faces for float64 wait until the others are done: the points of a warp rarely meet theirs at the same face.
     """
     total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
-    share = float(PLANE_BAND)
-    waiting = wp.uint64(0)  # up to four faces, 16 bits each: their number plus one
-    going = int(1)
-    while going == 1:
-        band = share * size
-        f = int(0)
-        while f < faces.shape[0] or waiting != wp.uint64(0):
-            # the float32 faces up to the next that must be looked at in float64 now: the waiting ones have no room or
-            # all others are done
-            number = int(-1)
-            while f < faces.shape[0] and number < 0:
-                face = vec3i_entry(faces, f)
-                a = vec3_entry(vertices, face[0]) - x
-                b = vec3_entry(vertices, face[1]) - x
-                c = vec3_entry(vertices, face[2]) - x
-                edge_b = b - a
-                edge_c = c - a
-                normal = wp.cross(edge_b, edge_c)
-                det = wp.dot(normal, a)
-                if not near_plane(a, normal, edge_b, edge_c, det, band):
-                    w = far_face_weights(a, b, c, edge_b, edge_c, det)
+    waiting = int(-1)  # faces for float64
+    next_waiting = int(-1)
+    f = int(0)
+    while f < faces.shape[0] or waiting >= 0:
+        if f < faces.shape[0]:
+            face = vec3i_entry(faces, f)
+            a = vec3_entry(vertices, face[0]) - x
+            b = vec3_entry(vertices, face[1]) - x
+            target_a = vec3_entry(targets, face[0])
+            target_b = vec3_entry(targets, face[1])
+            edge_ba = face_edge(b, a)
+            index = int(0)
+            while index >= 0 and next_waiting < 0:
+                corner = vec4_entry(fans, 2 * f)
+                plane = vec4_entry(fans, 2 * f + 1)
+                index = wp.cast(corner[3], int)
+                c = wp.vec3(corner[0], corner[1], corner[2]) - x
+                target_c = vec3_entry(targets, wp.where(index < 0, -1 - index, index))
+                edge_bc = face_edge(b, c)
+                edge_ca = face_edge(c, a)
+                det = plane[0] * c[0] + plane[1] * c[1] + plane[2] * c[2]
+                if det * det > plane[3]:
+                    w = far_face_weights(edge_ba, edge_bc, edge_ca, det)
                     total += w[0] + w[1] + w[2]
-                    position += w[0] * vec3_entry(targets, face[0])
-                    position += w[1] * vec3_entry(targets, face[1])
-                    position += w[2] * vec3_entry(targets, face[2])
-                elif f < 0xFFFF and (waiting >> wp.uint64(48)) == wp.uint64(0):
-                    waiting = (waiting << wp.uint64(16)) | wp.uint64(f + 1)
+                    position += w[0] * target_a
+                    position += w[1] * target_b
+                    position += w[2] * target_c
                 else:
-                    number = f
+                    next_waiting = waiting
+                    waiting = f
+                b = c
+                target_b = target_c
+                edge_ba = edge_ca
                 f += 1
-            if number < 0 and waiting != wp.uint64(0):
-                number = int(waiting & wp.uint64(0xFFFF)) - 1
-                waiting = waiting >> wp.uint64(16)
-            if number >= 0:
-                face = faces[number]
-                near = near_face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
-                w = near.weights
-                along = w[0] * targets[face[0]] + w[1] * targets[face[1]] + w[2] * targets[face[2]]
-                if near.touching == 1:
-                    return along
-                total += w[0] + w[1] + w[2]
-                position += along
-        going = 0
-        if needs_wide_band(total, size, share):
-            share = WIDE_BAND
-            total = 0.0
-            position = wp.vec3(0.0, 0.0, 0.0)
-            going = 1
+        if waiting >= 0 and (next_waiting >= 0 or f >= faces.shape[0]):
+            face = faces[waiting]
+            waiting = next_waiting
+            next_waiting = -1
+            near = near_face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
+            w = near.weights
+            along = w[0] * targets[face[0]] + w[1] * targets[face[1]] + w[2] * targets[face[2]]
+            if near.touching == 1:
+                return along
+            total += w[0] + w[1] + w[2]
+            position += along
+    if has_cancelled(total, size):
+        return position_in_double(x, vertices, faces, targets, size)
     return position * wp.where(total == 0.0, 0.0, 1.0 / total)
 
 
@@ -234,13 +244,14 @@ def map_mean_value(
     points: wp.array(dtype=wp.vec3),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     size: float,
     positions: wp.array(dtype=wp.vec3),
 ):
     """positions (n,) = sum_j w_j(points) targets_j."""
     n = first + wp.tid()
-    positions[n] = mean_value_position(points[n], vertices, faces, targets, size)
+    positions[n] = mean_value_position(points[n], vertices, faces, fans, targets, size)
 
 
 @wp.func
@@ -269,7 +280,7 @@ def weigh_mean_value(
     n = first + wp.tid()
     x = points[n]
     total = float(0.0)
-    share = float(PLANE_BAND)
+    in_double = int(0)
     touched = int(-1)
     f = int(0)
     while f < faces.shape[0]:
@@ -277,19 +288,26 @@ def weigh_mean_value(
             total = 0.0
             clear_row(weights, n)
         face = faces[f]
-        near = face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size, share)
+        a = vertices[face[0]] - x
+        b = vertices[face[1]] - x
+        c = vertices[face[2]] - x
+        near = NearFace()
+        if in_double == 1:
+            near = near_face_weights(a, b, c, size)
+        else:
+            near = face_weights(a, b, c, size)
         if near.touching == 1:
             touched = f
             break
         add_corners(weights, n, face, near.weights)
         total += near.weights[0] + near.weights[1] + near.weights[2]
         f += 1
-        if f == faces.shape[0] and needs_wide_band(total, size, share):
-            share = WIDE_BAND
+        if f == faces.shape[0] and in_double == 0 and has_cancelled(total, size):
+            in_double = 1
             f = 0
     if touched >= 0:
         face = faces[touched]
-        near = face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size, share)
+        near = near_face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
         clear_row(weights, n)
         add_corners(weights, n, face, near.weights)
         total = 1.0

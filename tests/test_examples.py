@@ -34,7 +34,7 @@ def test_every_example_is_tested():
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
 def test_small_examples(name, tmp_path):
-    assert len((EXAMPLES / name).read_text().splitlines()) < 60
+    assert len((EXAMPLES / name).read_text().splitlines()) < 65
     run(name, cwd=tmp_path)
     assert list(tmp_path.iterdir()) == []
 
@@ -42,7 +42,8 @@ def test_small_examples(name, tmp_path):
 def test_kernel_alone_uses_no_class_of_the_library():
     lines = [line for line in (EXAMPLES / "kernel_alone.py").read_text().splitlines() if "import" in line]
     assert lines[:2] == ["import numpy as np", "import warp as wp"]
-    assert lines[2:] == ["from warpcage.kernels.mean_value import mean_value_position"]
+    assert lines[2:] == ["from warpcage.kernels.face_fans import prepare_fans",
+                         "from warpcage.kernels.mean_value import mean_value_position"]  # fmt: skip
 
 
 def test_cage_contact_sheet(tmp_path):

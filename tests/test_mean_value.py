@@ -6,6 +6,7 @@ import pytest
 import warp as wp
 
 from warpcage.devices import launch
+from warpcage.face_fans import prepared_fans
 from warpcage.kernels import mean_value
 
 NAMES = list(oracles.CAGES)
@@ -90,8 +91,9 @@ def test_map_is_the_weighted_sum(device):
     targets = np.random.default_rng(3).normal(size=vertices.shape)
     positions = wp.empty(len(points), dtype=wp.vec3, device=device)
     arrays = on_device(points, vertices, faces, device)
+    targets_there = wp.array(targets, dtype=wp.vec3, device=device)
     launch(mean_value.map_mean_value, len(points),
-           [*arrays, wp.array(targets, dtype=wp.vec3, device=device), 1.0], [positions], device=device)
+           [*arrays, prepared_fans(*arrays[1:], 1.0), targets_there, 1.0], [positions], device=device)
     weights = weigh(points, vertices, faces, device)
     assert np.abs(positions.numpy() - weights @ targets).max() < 1e-5
 

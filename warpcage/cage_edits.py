@@ -10,6 +10,7 @@ import warp as wp
 
 from .cage import SURFACE_TOLERANCE, Cage
 from .devices import launch, load_modules
+from .face_fans import prepared_fans
 from .kernels.cage_edits import CellTable, ClosedFormEdit, LatticeEdit
 from .kernels.cage_map import CageMap
 from .kernels.deformed_points import map_points
@@ -215,7 +216,10 @@ class ClosedFormEdits:
 
             normals = stretched_normals(deformed, rest).astype(np.float32)
             struct.rest_normals = wp.array(normals, dtype=wp.vec3, device=self.device)
-        struct.faces = wp.array(rest.faces, dtype=wp.vec3i, device=self.device)
+            struct.faces = wp.array(rest.faces, dtype=wp.vec3i, device=self.device)
+        else:
+            struct.faces = wp.array(rest.topology.fans, dtype=wp.vec3i, device=self.device)
+            struct.fans = prepared_fans(struct.deformed_vertices, struct.faces, deformed.size)
         struct.size = deformed.size
         struct.tolerance = SURFACE_TOLERANCE * deformed.size
         struct.slack = CLOSED_FORM_SLACK * rest.size

@@ -6,6 +6,8 @@ import functools
 
 import numpy as np
 
+from .face_fans import fan_order
+
 
 class CageTopology:
     """Edges and connected parts of triangles; depends on the faces only, so every pose of a cage shares it.
@@ -23,7 +25,7 @@ class CageTopology:
     """
 
     def __init__(self, vertex_count: int, faces: np.ndarray):
-        faces = np.asarray(faces, dtype=np.int64)
+        self._faces = faces = np.asarray(faces, dtype=np.int64)
         face_count = len(faces)
         starts = faces.reshape(-1)
         ends = np.roll(faces, -1, axis=1).reshape(-1)
@@ -82,6 +84,11 @@ class CageTopology:
             return (f"is wound inconsistently: the two faces at {len(self.clashing_edges)} edges clash, the first from "
                     f"vertex {a} to {b}: flip faces until all are anticlockwise seen from outside")
         return ""
+
+    @functools.cached_property
+    def fans(self) -> np.ndarray:
+        """The faces (f, 3) int32 in fans, as `fan_order` has them. For usable cages."""
+        return fan_order(self._faces).astype(np.int32)
 
     @property
     def closed(self) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from .devices import lane_count, launch
+from .face_fans import prepared_fans
 from .kernels.closed_form_map import interpolate_nodes, map_crossings_green, map_nodes_green, map_nodes_mean_value
 from .kernels.green import weigh_green
 from .kernels.lattice_weights import place_nodes
@@ -104,12 +105,23 @@ class MeanValueSolver(ClosedFormSolver):
     """Mean value maps. Their formula holds outside the cage as well, but bends at its edges and, in gaps, from one side
     to the other, so that the rings continue the inside values through the cage instead, as harmonic maps do."""
 
+    def __init__(self, lattice):
+        super().__init__(lattice)
+        # indices of faces stay in here: all others mean the lattice's
+        self._faces = wp.array(lattice.cage.topology.fans, dtype=wp.vec3i, device=self.device)
+        self._fans = wp.empty(2 * self._faces.size, dtype=wp.vec4, device=self.device)
+
+    def clear(self, sizes: dict) -> None:
+        """Launch what prepares a solution."""
+        super().clear(sizes)
+        prepared_fans(self._vertices, self._faces, self._size(), out=self._fans)
+
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
         """Launch the map at the inside nodes that are not interpolated."""
         self._launch(
             map_nodes_mean_value,
             int(sections[0]),
-            [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, self._size()],
+            [self.nodes.levels, self._vertices, self._faces, self._fans, vertex_values, self._size()],
             [values],
         )
 

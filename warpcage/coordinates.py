@@ -15,6 +15,7 @@ import warp as wp
 from .arrays import as_host_points, as_points, is_device_array
 from .cage import SURFACE_TOLERANCE, Cage, require_same_faces
 from .devices import launch, resolve_device
+from .face_fans import prepared_fans
 from .face_geometry import column_cross, column_dot, face_edges
 from .kernels import cage_map, green, local_points, mean_value
 from .memory import require_memory
@@ -123,13 +124,15 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
     targets = wp.array(targets, dtype=wp.vec3, device=local.device)
     moved = wp.empty(local.count, dtype=wp.vec3, device=local.device)
     vertices, faces = _cage_arrays(rest, local)
-    inputs, outputs = [local.points, vertices, faces, targets], [moved]
     if coordinates == "green":
         normals = stretched_normals(rest, deformed).astype(np.float32)
-        inputs.append(wp.array(normals, dtype=wp.vec3, device=local.device))
-        outputs.append(local.bad)
-    kernel = mean_value.map_mean_value if coordinates == "mean_value" else green.map_green_inside
-    launch(kernel, local.count, [*inputs, 1.0], outputs, device=local.device)
+        normals = wp.array(normals, dtype=wp.vec3, device=local.device)
+        inputs = [local.points, vertices, faces, targets, normals, 1.0]
+        launch(green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device)
+    else:
+        faces = wp.array(rest.topology.fans, dtype=wp.vec3i, device=local.device)
+        inputs = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0), targets, 1.0]
+        launch(mean_value.map_mean_value, local.count, inputs, [moved], device=local.device)
     world = _restore(moved, local, centre, rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)
