@@ -5,7 +5,7 @@ digits where the cage is; `size` is the cage's size in them.
 
 Both maps are harmonic or nearly so, and smooth at CLEARANCE cells from the cage and more: there they are evaluated at
 every second node along each axis, and the others take the polynomial of degree five through three nodes either side,
-axis after axis. That errs by 2e-7 of the size in poses that bend or twist, by 2e-5 in wild ones.
+axis after axis. That errs by 1e-6 of the size in poses that bend or twist, by 4e-5 in wild ones.
 Siblings: mean_value, green, node_levels, harmonic_rows.
 """
 

@@ -34,7 +34,7 @@ OCTANT_DIAGONAL = wp.constant(0.8661)
 _Octants = wp.types.vector(length=8, dtype=float)
 
 #: Cells from the cage from which on a map of closed forms counts as smooth.
-CLEARANCE = wp.constant(7.0)
+CLEARANCE = wp.constant(6.0)
 
 
 @wp.func

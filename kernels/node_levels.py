@@ -138,30 +138,24 @@ def ring_code(shape: wp.vec3i, distance: wp.array(dtype=float), p: wp.vec3i):
     return wp.where(beside < 0.0, RING, wp.where(around < 0.0, RING - 1, RING - 2))
 
 
-@wp.kernel
-def classify_nodes(
-    first: int,
+@wp.func
+def node_code(
     crossings: LineCrossings,
     distance: wp.array(dtype=float),
-    scales: wp.array(dtype=float),
+    scale: float,
     clear_octants: wp.array(dtype=int),
     levels: NodeLevels,
+    level: int,
+    p: wp.vec3i,
     narrow: wp.array(dtype=int),
 ):
-    """Codes of all nodes; cut nodes get 0 until list_columns numbers them. distance (nodes of level 0,): signed, and
-    scales[0] its units a cell. clear_octants (blocks,): see distance_band. narrow (1,) becomes 1 where the
-    cage has gaps narrower than a cell: links that leave the cage and enter it again."""
-    node = first + wp.tid()
-    if node >= levels.first_node[levels.shapes.shape[0]]:
-        return
-    level = level_of(levels.first_node, node)
+    """Code of the node at place p (lattice numbering) of a level; the arguments are those of classify_columns."""
     reach = 1 << level
-    p = node_place(levels, level, node) * reach
     shape = levels.shapes[0]
     code = OUTSIDE
     cells = float(0.0)
     if p[0] < shape[0] and p[1] < shape[1] and p[2] < shape[2]:
-        cells = distance[(p[0] * shape[1] + p[1]) * shape[2] + p[2]] / scales[0]
+        cells = distance[(p[0] * shape[1] + p[1]) * shape[2] + p[2]] / scale
     if cells < 0.0:
         code = REGULAR
         # no link is cut where the cage is farther than its length; farther than 4 cells `distance` does not know
@@ -176,7 +170,7 @@ def classify_nodes(
                 code = INTERPOLATED
     elif level == 0 and cells < CELL_DIAGONAL:
         code = ring_code(shape, distance, p)
-    levels.codes[node] = code
+    return code
 
 
 @wp.func
@@ -220,9 +214,23 @@ def column_code(levels: NodeLevels, begin: int, count: int, k: int):
 
 
 @wp.kernel
-def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
-    """Nodes of each section in each column; counts lie section after section, a column of its level an entry. A group
-    of lanes a column, a lane a node."""
+def classify_columns(
+    first: int,
+    crossings: LineCrossings,
+    distance: wp.array(dtype=float),
+    scales: wp.array(dtype=float),
+    clear_octants: wp.array(dtype=int),
+    levels: NodeLevels,
+    narrow: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+):
+    """Codes of all nodes, and how many of each section each column has. A group of lanes a column, a lane a node.
+
+    Cut nodes get 0 until list_columns numbers them. distance (nodes of level 0,): signed, and scales[0] its units a
+    cell. clear_octants (blocks,): see distance_band. narrow (1,) becomes 1 where the cage has gaps narrower than a
+    cell: links that leave the cage and enter it again. counts lie section after section, a column of its level an
+    entry.
+    """
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes
@@ -234,7 +242,8 @@ def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
     shape = levels.shapes[level]
     local = column - levels.first_column[level]
     begin = levels.first_node[level] + local * shape[2]
-    parity = local / shape[1] + local % shape[1]
+    place = wp.vec3i(local / shape[1], local % shape[1], 0)
+    parity = place[0] + place[1]
     one = int(0)
     other = int(0)
     cut = int(0)
@@ -242,7 +251,12 @@ def count_columns(first: int, levels: NodeLevels, counts: wp.array(dtype=int)):
     ring_1 = int(0)
     ring_2 = int(0)
     for k in range(0, shape[2], lanes):
-        code = column_code(levels, begin, shape[2], k + lane)
+        code = OUTSIDE
+        if k + lane < shape[2]:
+            place[2] = k + lane
+            p = place * (1 << level)
+            code = node_code(crossings, distance, scales[0], clear_octants, levels, level, p, narrow)
+            levels.codes[begin + k + lane] = code
         if ballot(wp.where(code != OUTSIDE, 1, 0)) != 0:
             flags = section_flags(levels, code, parity + k + lane)
             one += bit_count(ballot(flags.one))
@@ -279,31 +293,14 @@ def scan_entry(levels: NodeLevels, section: int):
     return 3 * columns + (section - 3 * level_count) * levels.first_column[1]
 
 
-@wp.kernel
-def find_starts(
-    first: int,
-    levels: NodeLevels,
-    offsets: wp.array(dtype=int),
-    limits: wp.array(dtype=int),
-    overflow: wp.array(dtype=int),
-):
-    """starts from the scanned counts. One group of lanes, a lane a section.
-
-    limits (sections,): entries that there is room for. Where one is exceeded, overflow (1,) becomes 1 and all sections
-    are empty.
-    """
-    item = first + wp.tid()
-    lanes = lane_count()
-    section_count = limits.shape[0]
+@wp.func
+def lists_have_room(levels: NodeLevels, offsets: wp.array(dtype=int), limits: wp.array(dtype=int), lane: int):
+    """Whether no section is longer than its limit. All lanes."""
     exceeded = int(0)
-    for s in range(item, section_count, lanes):
+    for s in range(lane, limits.shape[0], lane_count()):
         if offsets[scan_entry(levels, s + 1)] - offsets[scan_entry(levels, s)] > limits[s]:
             exceeded = 1
-    exceeded = ballot(exceeded)
-    for s in range(item, section_count + 1, lanes):
-        levels.starts[s] = wp.where(exceeded == 0, offsets[scan_entry(levels, s)], 0)
-    if exceeded != 0 and item == 0:
-        overflow[0] = 1
+    return ballot(exceeded) == 0
 
 
 @wp.func
@@ -316,15 +313,33 @@ def list_node(levels: NodeLevels, flag: int, slot: int, node: int, lane: int):
 
 
 @wp.kernel
-def list_columns(first: int, levels: NodeLevels, offsets: wp.array(dtype=int)):
-    """Write the nodes of each column to their sections, and the rows of cut nodes to their codes. A group of lanes a
-    column, a lane a node."""
+def list_columns(
+    first: int,
+    levels: NodeLevels,
+    offsets: wp.array(dtype=int),
+    limits: wp.array(dtype=int),
+    overflow: wp.array(dtype=int),
+):
+    """Write the nodes of each column to their sections, the rows of cut nodes to their codes, and starts. A group of
+    lanes a column, a lane a node.
+
+    offsets: the scanned counts. limits (sections,): entries that there is room for; where one is exceeded, overflow
+    (1,) becomes 1 and all sections are empty.
+    """
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes
     column = item / lanes
     level_count = levels.shapes.shape[0]
-    if column >= levels.first_column[level_count] or levels.starts[3 * level_count + RINGS] == 0:
+    if column >= levels.first_column[level_count]:
+        return
+    has_room = lists_have_room(levels, offsets, limits, lane)
+    if column == 0:
+        for s in range(lane, limits.shape[0] + 1, lanes):
+            levels.starts[s] = wp.where(has_room, offsets[scan_entry(levels, s)], 0)
+        if lane == 0 and not has_room:
+            overflow[0] = 1
+    if not has_room:
         return
     level = level_of(levels.first_column, column)
     shape = levels.shapes[level]

@@ -65,8 +65,11 @@ class Cage:
             used = self.vertices
             if len(self.topology.unused_vertices):
                 used = used[self.topology.used_vertices]
-            self._bounds = np.stack([used.min(axis=0), used.max(axis=0)])
-            self._bounds.setflags(write=False)
+            bounds = np.empty((2, 3))
+            used.min(axis=0, out=bounds[0])
+            used.max(axis=0, out=bounds[1])
+            bounds.setflags(write=False)
+            self._bounds = bounds
         return self._bounds
 
     @property

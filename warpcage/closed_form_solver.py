@@ -53,11 +53,12 @@ class ClosedFormSolver:
             self.describe(sections)
         self.launch_map(sections, vertex_values, face_values, values)
         side.join()
-        with side.fork():  # farther inside than the rings look
+        with side.fork():  # none of this looks at the rings, nor they at it
+            self.gaps.launch(sections, self.rows, values)
             for axis in range(3):
                 self._launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values])
         self.continue_map(sections, vertex_values, values)
-        self.gaps.launch(sections, self.rows, values)  # joins
+        side.join()
 
     def find_gaps(self, sections: np.ndarray) -> None:
         """Launch the search for narrow gaps."""

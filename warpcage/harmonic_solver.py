@@ -141,8 +141,10 @@ class HarmonicSolver:
         bounds."""
         self._launch_start(sections, vertex_values)
         wp.capture_while(self.going, lambda: self._cycle(sections))
+        with self.lattice.side.fork():  # it does not look at the rings
+            self.gaps.launch(sections, self.rows, self.system.values)
         launch_rings(self, sections, vertex_values, self.system.values)
-        self.gaps.launch(sections, self.rows, self.system.values)
+        self.lattice.side.join()
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
         """Launch the description of the cut rows. sizes, sections: of this pose, or upper bounds."""

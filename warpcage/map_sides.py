@@ -63,18 +63,16 @@ class GapFlags:
 
     def launch(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
         """Launch the search, the count being zero. sections: nodes of each list, or upper bounds; rows: without them, a
-        gap that is narrower than a cell is seen by `nodes.narrow` alone; values: of which a difference above `least`
-        makes a gap."""
+        gap that is narrower than a cell is seen by `nodes.narrow` alone; values: of which a difference between inside nodes
+        above `least` makes a gap."""
         nodes = self.solver.nodes
         levels, level_count, crossings = nodes.levels, nodes.level_count, nodes.lattice.crossings
         items = int(sections[3 * level_count : 3 * level_count + 2].sum())
         self.flags = nodes.lattice.buffers.get("gap_flags", items, int)
-        with nodes.lattice.side.fork():
-            cut = int(sections[2 * level_count])
-            launch(confirm_narrow, cut, [crossings, levels, values], [nodes.narrow], device=self.device)
+        cut = int(sections[2 * level_count])
+        launch(confirm_narrow, cut, [crossings, levels, values], [nodes.narrow], device=self.device)
         inputs = [levels, CutRows() if rows is None else rows, values, float(least)]
         launch(find_gap_nodes, items, inputs, [self.flags, self.count], device=self.device)
-        nodes.lattice.side.join()
 
     def found(self) -> bool:
         """Whether there are any, also such that hold no node; waits for the device."""

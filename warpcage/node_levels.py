@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from .devices import lane_count, launch
-from .kernels.node_levels import RINGS, NodeLevels, classify_nodes, count_columns, find_starts, list_columns
+from .kernels.node_levels import RINGS, NodeLevels, classify_columns, list_columns
 
 NO_LIMIT = np.iinfo(np.int32).max
 
@@ -37,7 +37,7 @@ class LatticeNodes:
         self.overflow.zero_()
         self.narrow.zero_()
         self.launch_classes(self.sizes)
-        self.take_sections(np.diff(self.levels.starts.numpy().astype(np.int64)))
+        self.take_sections(np.diff(self._offsets.numpy()[self._section_entries()].astype(np.int64)))
         self.launch_lists(self.sizes, int(self.sections.sum()))
         return self
 
@@ -83,17 +83,23 @@ class LatticeNodes:
         levels.codes = buffers.get("codes", sizes["nodes"], int)
         levels.starts = buffers.get("starts", self.section_count + 1, int)
         levels.interpolates = int(self.interpolates)
-        inputs = [lattice.crossings, lattice.flat_distance, arrays["scales"], lattice.clear_octants, levels]
-        launch(classify_nodes, sizes["nodes"], inputs, [self.narrow], device=device)
         counts = buffers.get("column_counts", sizes["entries"], int)
         self._offsets = buffers.get("column_offsets", sizes["entries"], int)
-        launch(count_columns, lane_count(device) * sizes["columns"], [levels], [counts], device=device)
+        inputs = [lattice.crossings, lattice.flat_distance, arrays["scales"], lattice.clear_octants, levels]
+        items = lane_count(device) * sizes["columns"]
+        launch(classify_columns, items, inputs, [self.narrow, counts], device=device)
         wp.utils.array_scan(counts, self._offsets, inclusive=False)
-        inputs = [levels, self._offsets, self._limits, self.overflow]
-        launch(find_starts, lane_count(device), inputs, device=device)
 
     def launch_lists(self, sizes: dict, room: int) -> None:
         """Launch what writes the lists, of at most `room` nodes."""
         self.levels.nodes = self.lattice.buffers.get("nodes", room, int)
         device = self.lattice.device
-        launch(list_columns, lane_count(device) * sizes["columns"], [self.levels, self._offsets], device=device)
+        inputs = [self.levels, self._offsets, self._limits, self.overflow]
+        launch(list_columns, lane_count(device) * sizes["columns"], inputs, device=device)
+
+    def _section_entries(self) -> np.ndarray:
+        """Entries of the scanned counts at which the sections begin, and the last one's end."""
+        first = self.lattice.first_column[: self.level_count + 1]
+        width, columns = np.diff(first), first[-1]
+        inside = np.stack([2 * first[:-1], 2 * first[:-1] + width], axis=1).reshape(-1)
+        return np.concatenate([inside, 2 * columns + first[:-1], 3 * columns + np.arange(RINGS + 1) * width[0]])

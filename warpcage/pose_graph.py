@@ -117,8 +117,10 @@ class PoseGraph:
         arrays = lattice.map_constants.arrays
         lattice.map_constants.send()
         solver.launch_solution(self._node_sizes, self._sections, arrays["vertex_values"], arrays["face_values"])
+        with lattice.side.fork():
+            inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.narrow, nodes.levels]
+            launch(gather_status, self._status.size, inputs, [self._status], device=self.device)
         values = lattice.buffers.get("values", self._node_sizes["nodes"], wp.vec3)
         inputs = [nodes.levels, self.scale, arrays["affine"]]
         launch(add_affine, self._lattice_sizes["nodes"], inputs, [values], device=self.device)
-        inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.narrow, nodes.levels]
-        launch(gather_status, self._status.size, inputs, [self._status], device=self.device)
+        lattice.side.join()
