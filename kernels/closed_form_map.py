@@ -101,6 +101,8 @@ def map_crossings_green(
     item = first + wp.tid()
     row = item / 6
     direction = item % 6
+    if row >= levels.starts[3] - levels.starts[2]:
+        return
     if rows.faces[row, direction] >= 0:
         x = centred_place(levels, levels.nodes[levels.starts[2] + row])
         away = rows.fractions[row, direction]

@@ -12,13 +12,14 @@ Gaps are found at outside nodes next to the inside, where the inside nodes among
 links that do not cross the cage, and at links that leave the cage and enter it again: gaps narrower than a cell. They
 count where the map differs by more than GAP_JUMP from one side to the other; grooves that a pose does not open do not
 make sides necessary.
-Siblings: map_extension, harmonic_rows, node_levels, crossings.
+Siblings: map_extension, harmonic_rows, lanes, node_levels, crossings.
 """
 
 import warp as wp
 
 from .crossings import LineCrossings, exit_distance
 from .harmonic_rows import DOUBLE_CUT, CutRows, crossing_value
+from .lanes import ballot, bit_count, bits_before, lane_count, sum_of_lanes
 from .map_extension import is_steady, node_step
 from .node_levels import OUTSIDE, NodeLevels, node_place
 
@@ -221,12 +222,19 @@ def mark_gap_cells(first: int, levels: NodeLevels, flags: wp.array(dtype=int), s
             side_index[node - ((corner >> 2) * shape[1] + ((corner >> 1) & 1)) * shape[2] - (corner & 1)] = -1
 
 
+@wp.func
+def cut_row_count(levels: NodeLevels):
+    """Rows of level 0."""
+    section = 2 * levels.shapes.shape[0]
+    return levels.starts[section + 1] - levels.starts[section]
+
+
 @wp.kernel
 def mark_narrow_cells(first: int, levels: NodeLevels, rows: CutRows, side_index: wp.array(dtype=int)):
     """side_index (nodes,): -1 for the cells around cut nodes with a link that crosses the cage twice. One item a row of
     level 0."""
     row = first + wp.tid()
-    if (rows.links[row] & DOUBLE_CUT) != 0:
+    if row < cut_row_count(levels) and (rows.links[row] & DOUBLE_CUT) != 0:
         node = levels.nodes[levels.starts[2 * levels.shapes.shape[0]] + row]
         shape = levels.shapes[0]
         for corner in range(8):
@@ -244,22 +252,50 @@ def side_count(levels: NodeLevels, rows: CutRows, cell: int):
     return count
 
 
+@wp.func
+def entry_length(levels: NodeLevels, rows: CutRows, cell: int):
+    """Sides that a marked cell gets: its own, or those of the six cells beside it."""
+    count = side_count(levels, rows, cell)
+    if count == 0:
+        for direction in range(6):
+            count += side_count(levels, rows, cell + node_step(levels, direction))
+    return wp.min(count, MOST_SIDES)
+
+
+@wp.func
+def is_marked(side_index: wp.array(dtype=int), column: int, k: int, depth: int):
+    """Whether cell k of a column of `depth` cells is marked; none is beyond its end."""
+    return k < depth and side_index[column * depth + wp.min(k, depth - 1)] == -1
+
+
 @wp.kernel
 def count_column_sides(
     first: int, levels: NodeLevels, rows: CutRows, side_index: wp.array(dtype=int), counts: wp.array(dtype=int)
 ):
-    """counts (columns,): sides of the cells marked -1 in each column of level 0."""
-    column = first + wp.tid()
-    depth = levels.shapes[0][2]
+    """counts (columns of level 0 or more,): sides of the cells marked -1 in each column, 0 beyond the last. A group of
+    lanes a column, a lane a cell."""
+    item = first + wp.tid()
+    lanes = lane_count()
+    lane = item % lanes
+    column = item / lanes
+    if column >= counts.shape[0]:
+        return
+    shape = levels.shapes[0]
     count = int(0)
-    for cell in range(column * depth, (column + 1) * depth):
-        if side_index[cell] == -1:
-            own = side_count(levels, rows, cell)
-            if own == 0:
-                for direction in range(6):
-                    own += side_count(levels, rows, cell + node_step(levels, direction))
-            count += wp.min(own, MOST_SIDES)
-    counts[column] = count
+    if column < shape[0] * shape[1]:
+        for k in range(lane, shape[2], lanes):
+            if is_marked(side_index, column, k, shape[2]):
+                count += entry_length(levels, rows, column * shape[2] + k)
+    total = sum_of_lanes(float(count))
+    if lane == 0:
+        counts[column] = int(total)
+
+
+@wp.func
+def table_length(offsets: wp.array(dtype=int), counts: wp.array(dtype=int)):
+    """Rows of the table, from the counts of its columns and their scan."""
+    last = counts.shape[0] - 1
+    return offsets[last] + counts[last]
 
 
 @wp.func
@@ -291,35 +327,53 @@ def list_column_sides(
     first: int,
     levels: NodeLevels,
     rows: CutRows,
+    counts: wp.array(dtype=int),
     offsets: wp.array(dtype=int),
     side_index: wp.array(dtype=int),
     side_cells: wp.array(dtype=int),
     side_masks: wp.array(dtype=int),
 ):
     """side_index: 8 * first row + number of sides of each cell that has any, else 0; cell and corners of each row.
+    Nothing where the table is longer than side_cells. A group of lanes a column, a lane a cell.
 
     Rows hold the cell whose corners make the side; above the corners' bits stands 1 plus the direction in which that
     cell lies, where it is not the one that gets the side.
     """
-    column = first + wp.tid()
-    depth = levels.shapes[0][2]
+    item = first + wp.tid()
+    lanes = lane_count()
+    lane = item % lanes
+    column = item / lanes
+    shape = levels.shapes[0]
+    if column >= shape[0] * shape[1] or table_length(offsets, counts) > side_cells.shape[0]:
+        return
     row = offsets[column]
-    for cell in range(column * depth, (column + 1) * depth):
-        if side_index[cell] == -1:
+    for k in range(0, shape[2], lanes):
+        marked = is_marked(side_index, column, k + lane, shape[2])
+        if ballot(wp.where(marked, 1, 0)) != 0:
+            cell = column * shape[2] + k + lane
+            length = int(0)
+            if marked:
+                length = entry_length(levels, rows, cell)
             begin = row + 0
-            row = list_sides(levels, rows, cell, 0, begin, begin + MOST_SIDES, side_cells, side_masks)
-            if row == begin:
-                for direction in range(6):
-                    beside = cell + node_step(levels, direction)
-                    row = list_sides(
-                        levels, rows, beside, direction + 1, row, begin + MOST_SIDES, side_cells, side_masks
-                    )
-            side_index[cell] = wp.where(row > begin, 8 * begin + row - begin, 0)
+            for bit in range(3):  # MOST_SIDES is below 8
+                lengths = ballot((length >> bit) & 1)
+                begin += bit_count(bits_before(lengths, lane)) << bit
+                row += bit_count(lengths) << bit
+            if marked:
+                end = list_sides(levels, rows, cell, 0, begin, begin + length, side_cells, side_masks)
+                if end == begin:
+                    for direction in range(6):
+                        beside = cell + node_step(levels, direction)
+                        end = list_sides(
+                            levels, rows, beside, direction + 1, end, begin + length, side_cells, side_masks
+                        )
+                side_index[cell] = wp.where(length > 0, 8 * begin + length, 0)
 
 
 @wp.kernel
 def set_boundary_values(
     first: int,
+    levels: NodeLevels,
     rows: CutRows,
     faces: wp.array(dtype=wp.vec3i),
     vertex_values: wp.array(dtype=wp.vec3),
@@ -327,6 +381,8 @@ def set_boundary_values(
 ):
     """boundary (rows of level 0, 6): values where links cross the cage, of a map that is linear on its faces."""
     row = first + wp.tid()
+    if row >= cut_row_count(levels):
+        return
     for direction in range(6):
         if rows.faces[row, direction] >= 0:
             boundary[row, direction] = crossing_value(rows, faces, vertex_values, row, direction)
@@ -334,19 +390,16 @@ def set_boundary_values(
 
 @wp.kernel
 def measure_jumps(
-    first: int, levels: NodeLevels, rows: CutRows, boundary: wp.array2d(dtype=wp.vec3), jumps: wp.array(dtype=float)
+    first: int, levels: NodeLevels, rows: CutRows, boundary: wp.array2d(dtype=wp.vec3), jump: wp.array(dtype=float)
 ):
-    """jumps (rows of level 0,): how far `boundary` jumps over the links of a node that leave the cage and enter it
-    again; 0 where there are none."""
+    """jump (1,) is raised to the largest that `boundary` makes over a link that leaves the cage and enters it again."""
     row = first + wp.tid()
-    jump = float(0.0)
-    if (rows.links[row] & DOUBLE_CUT) != 0:
+    if row < cut_row_count(levels) and (rows.links[row] & DOUBLE_CUT) != 0:
         node = levels.nodes[levels.starts[2 * levels.shapes.shape[0]] + row]
         for direction in range(6):
             other = levels.codes[node + node_step(levels, direction)]
             if rows.faces[row, direction] >= 0 and other >= 0:
-                jump = wp.max(jump, wp.length(boundary[other, direction ^ 1] - boundary[row, direction]))
-    jumps[row] = jump
+                wp.atomic_max(jump, 0, wp.length(boundary[other, direction ^ 1] - boundary[row, direction]))
 
 
 @wp.func
@@ -421,17 +474,21 @@ def fill_sides(
     affine: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
     distance: wp.array(dtype=float),
+    counts: wp.array(dtype=int),
+    offsets: wp.array(dtype=int),
     side_cells: wp.array(dtype=int),
     side_masks: wp.array(dtype=int),
     sides: wp.array2d(dtype=wp.vec4),
 ):
-    """sides (rows, 8): position and signed distance at the corners of a cell as one side sees them.
+    """sides (rows or more, 8): position and signed distance at the corners of a cell as one side sees them.
 
     boundary (rows of level 0, 6): values of the map, less the affine part, where links cross the cage.
     values, distance (nodes,): positions (the affine part added) and signed distances at nodes. side_cells, side_masks
     (rows,): see list_column_sides.
     """
     row = first + wp.tid()
+    if row >= table_length(offsets, counts) or table_length(offsets, counts) > side_cells.shape[0]:
+        return
     cell = side_cells[row]
     known = side_masks[row] & 255
     for corner in range(8):
@@ -477,3 +534,16 @@ def fill_sides(
                 found = found | (1 << corner)
     if side_masks[row] > 255:
         move_side(sides, row, (side_masks[row] >> 8) - 1)
+
+
+@wp.kernel
+def gather_side_status(
+    first: int,
+    counts: wp.array(dtype=int),
+    offsets: wp.array(dtype=int),
+    jump: wp.array(dtype=float),
+    status: wp.array(dtype=float),
+):
+    """status (2,): rows of the table, and the largest jump over a gap narrower than a cell. One item."""
+    status[0] = float(table_length(offsets, counts))
+    status[1] = jump[0]

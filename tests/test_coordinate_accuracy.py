@@ -14,7 +14,8 @@ from warpcage.cage import Cage
 from warpcage.coordinates import deform_points, green_coordinates, harmonic_coordinates, mean_value_coordinates
 from warpcage.devices import launch
 from warpcage.kernels.cage_map import sample_map
-from warpcage.map_sides import SIDE_BUFFERS
+from warpcage.map_sides import MapSides
+from warpcage.pose_graph import PoseGraph
 from warpcage.position_map import PositionMap
 from warpcage.synthetic import brick_model
 
@@ -163,8 +164,37 @@ def test_memory_for_the_sides_of_gaps_is_refused_before_it_is_taken(device, monk
     free[:] = [most]
     position_map.pose(narrow)
     assert position_map.thin_nodes > 0
-    assert 0 < position_map.lattice.buffers.bytes_of(SIDE_BUFFERS) < most - least
-    assert position_map.lattice.buffers.bytes < most
+    tables = position_map._sides.buffers.bytes
+    assert 0 < tables < most - least
+    assert position_map.lattice.buffers.bytes + tables < most
+
+
+@pytest.mark.parametrize("kind", ["harmonic", "mean_value", "green"])
+def test_sides_of_replayed_poses_are_the_same(kind, device, monkeypatch):
+    """Tables in the launches of a graph, with room for other poses, against those found step by step."""
+    narrow, wide, turn = slot_cages(1.2 / 32, 17)
+    options = dict(coordinates=kind, resolution=32, device=device)
+    points = points_beside_slot(1.2 / 32, 32, turn)
+    # as it was, larger, with more cells at gaps as its lattice lies otherwise, without gaps, and again
+    poses = [narrow, narrow.scale(1.01), narrow.rotate(30), narrow.scale((1, 0.7, 1)), wide, narrow.rotate(-10), narrow]
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
+    fresh = [PositionMap(wide, **options).pose(pose) for pose in poses]
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
+    found, replays = [], []
+    find, find_sides = MapSides.find, PoseGraph.find_sides
+    monkeypatch.setattr(MapSides, "find", lambda self: found.append(self) or find(self))
+    monkeypatch.setattr(PoseGraph, "find_sides", lambda *both: replays.append(find_sides(*both)) or replays[-1])
+    kept = PositionMap(wide, **options)
+    for _turn in range(2):
+        for pose, expected in zip(poses, fresh, strict=True):
+            kept.pose(pose)
+            assert (kept.thin_nodes, kept.gap_jump) == (expected.thin_nodes, expected.gap_jump)
+            inside = points[pose.contains(points)]
+            assert len(inside) > 1000
+            assert np.array_equal(look_up(kept, inside), look_up(expected, inside))
+    assert sum(replays) >= 6
+    assert len(found) + sum(replays) == 2 * sum(expected.thin_nodes > 0 for expected in fresh)
+    assert len({expected.thin_nodes for expected in fresh}) >= 4
 
 
 def test_sides_of_a_slot_are_exact_for_affine_poses(device):

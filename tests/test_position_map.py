@@ -184,6 +184,24 @@ def test_replayed_poses_are_the_same(kind, device, monkeypatch):
     assert sum(replays) >= 2
 
 
+def test_poses_that_take_turns_share_a_graph(device, monkeypatch):
+    """Whichever is larger: the first two are not captured with the room that both need."""
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
+    captures = []
+    capture = PoseGraph._capture
+    monkeypatch.setattr(PoseGraph, "_capture", lambda self: captures.append(self) or capture(self))
+    rest = cage_named("icosphere")
+    large, small = rest.scale((1, 1, 0.9)), rest.scale((1, 0.5, 0.6))
+    for poses in ([large, small], [small, large]):
+        position_map = PositionMap(rest, coordinates="mean_value", resolution=16, device=device)
+        for pose in 2 * poses:
+            position_map.pose(pose)
+        captures.clear()
+        for pose in 3 * poses:
+            position_map.pose(pose)
+        assert captures == []
+
+
 @pytest.mark.parametrize("graphs", [False, True])
 def test_a_refused_pose_leaves_the_last_one(graphs, device, monkeypatch):
     """Graphs start on a pose before its cage is checked."""

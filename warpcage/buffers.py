@@ -39,9 +39,4 @@ class Buffers:
     @property
     def bytes(self) -> int:
         """Bytes held on the device."""
-        return self.bytes_of(self._arrays)
-
-    def bytes_of(self, names) -> int:
-        """Bytes held on the device for some names."""
-        arrays = (self._arrays.get(name) for name in names)
-        return sum(array.capacity for array in arrays if array is not None)
+        return sum(array.capacity for array in self._arrays.values() if array is not None)

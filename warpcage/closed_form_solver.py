@@ -13,7 +13,7 @@ from .kernels.lattice_weights import place_nodes
 from .kernels.map_extension import extend_outwards
 from .kernels.mean_value import weigh_mean_value
 from .kernels.node_levels import RINGS
-from .map_sides import GapFlags, boundary_buffer, described_rows, launch_rings, linear_boundary
+from .map_sides import GapFlags, described_rows, launch_linear_boundary, launch_rings
 from .node_levels import LatticeNodes
 
 
@@ -134,9 +134,9 @@ class MeanValueSolver(ClosedFormSolver):
         """Launch what continues the map to the rings."""
         launch_rings(self, sections, vertex_values, values)
 
-    def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
-        """The map's remainder where links cross the cage."""
-        return linear_boundary(self, vertex_values)
+    def launch_boundary(self, cut_count: int, vertex_values: wp.array, face_values, buffers, boundary) -> None:
+        """Launch the map's remainder (rows, 6) where links cross the cage."""
+        launch_linear_boundary(self, cut_count, vertex_values, boundary)
 
     def weigh(self, begin: int, count: int) -> tuple[wp.array, None]:
         """Weights (count, v) of the nodes listed from `begin` on; no weights of faces."""
@@ -176,15 +176,13 @@ class GreenSolver(ClosedFormSolver):
             inputs = [ring, lattice.vertices, lattice.faces, self.nodes.levels, vertex_values, lattice.flat_distance]
             self._launch(extend_outwards, lane_count(self.device) * int(sections[3 + ring]), inputs, [values])
 
-    def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
-        """The limit of the map's remainder, from inside, where links cross the cage."""
-        cut_count = int(self.nodes.sections[2])
-        self.rows = described_rows(self.lattice, self.nodes, cut_count, cut_count)
-        boundary = boundary_buffer(self)
+    def launch_boundary(self, cut_count: int, vertex_values: wp.array, face_values, buffers, boundary) -> None:
+        """Launch the limit (rows, 6) of the map's remainder, from inside, where links cross the cage; the cut nodes are
+        described first, in `buffers`."""
         lattice = self.lattice
+        self.rows = described_rows(lattice, self.nodes, cut_count, cut_count, buffers)
         inputs = [self.nodes.levels, self.rows, self._vertices, lattice.faces, vertex_values, face_values, self._size()]
         self._launch(map_crossings_green, boundary.size, inputs, [boundary])
-        return boundary
 
     def weigh(self, begin: int, count: int) -> tuple[wp.array, wp.array]:
         """Weights (count, v) of vertices and (count, f) of faces at the nodes listed from `begin` on."""

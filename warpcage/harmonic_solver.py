@@ -21,7 +21,7 @@ from .kernels.harmonic import (
 )
 from .kernels.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
 from .kernels.harmonic_rows import set_sources
-from .map_sides import GapFlags, described_rows, launch_rings, linear_boundary
+from .map_sides import GapFlags, described_rows, launch_linear_boundary, launch_rings
 from .node_levels import LatticeNodes
 
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)
@@ -127,9 +127,9 @@ class HarmonicSolver:
         """Launch the search for narrow gaps."""
         self.gaps.search(sections, self.rows, self.system.values)
 
-    def boundary_at_gaps(self, vertex_values: wp.array, face_values) -> wp.array:
-        """The map's remainder where links cross the cage."""
-        return linear_boundary(self, vertex_values)
+    def launch_boundary(self, cut_count: int, vertex_values: wp.array, face_values, buffers, boundary) -> None:
+        """Launch the map's remainder (rows of level 0, 6) where links cross the cage."""
+        launch_linear_boundary(self, cut_count, vertex_values, boundary)
 
     def clear(self, sizes: dict) -> None:
         """Launch what clears the values and the count of gaps, before a solution."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from .buffers import Buffers
 from .devices import lane_count, launch
 from .kernels.harmonic_rows import CutRows, describe_rows
 from .kernels.map_extension import extend_outwards, extend_through_cage
@@ -14,6 +15,7 @@ from .kernels.map_sides import (
     count_column_sides,
     fill_sides,
     find_gap_nodes,
+    gather_side_status,
     list_column_sides,
     mark_gap_cells,
     mark_narrow_cells,
@@ -22,18 +24,17 @@ from .kernels.map_sides import (
 )
 from .kernels.node_levels import RINGS
 
-#: Buffers of the tables, and what they take: of each node, and at most of each square cell of the cage's surface.
-SIDE_BUFFERS = ("side_index", "side_counts", "side_offsets", "side_cells", "side_masks", "sides", "jumps", "boundary")
+#: Bytes that the tables take of each node, at most of each square cell of the cage's surface, and some that all share.
 SIDE_NODE_BYTES, SIDE_SURFACE_BYTES, SIDE_FIXED_BYTES = 5, 700, 1 << 16
 
 #: A jump of the map over less than a cell that is larger than this share of the rest cage's size is reported.
 REPORTED_JUMP = 2e-2
 
 
-def described_rows(lattice, nodes, row_count: int, finest: int) -> CutRows:
+def described_rows(lattice, nodes, row_count: int, finest: int, buffers: Buffers | None = None) -> CutRows:
     """Launch the description of the cut nodes of all listed levels (kernels/harmonic_rows.py). row_count, finest: rows
-    of all levels and of level 0, or upper bounds."""
-    buffers = lattice.buffers
+    of all levels and of level 0, or upper bounds. buffers: that hold it, the lattice's unless given."""
+    buffers = lattice.buffers if buffers is None else buffers
     rows = CutRows()
     rows.links = buffers.get("links", row_count, int)
     rows.diagonals = buffers.get("diagonals", row_count, float)
@@ -63,8 +64,8 @@ class GapFlags:
 
     def launch(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
         """Launch the search, the count being zero. sections: nodes of each list, or upper bounds; rows: without them, a
-        gap that is narrower than a cell is seen by `nodes.narrow` alone; values: of which a difference between inside nodes
-        above `least` makes a gap."""
+        gap that is narrower than a cell is seen by `nodes.narrow` alone; values: of which a difference above `least`
+        between inside nodes makes a gap."""
         nodes = self.solver.nodes
         levels, level_count, crossings = nodes.levels, nodes.level_count, nodes.lattice.crossings
         items = int(sections[3 * level_count : 3 * level_count + 2].sum())
@@ -89,47 +90,84 @@ def side_bytes(node_count: int, surface: float) -> int:
 
 
 class MapSides:
-    """The tables of a map's cells at narrow gaps.
+    """The tables of a map's cells at narrow gaps, kept from pose to pose.
 
-    solver: after its solution, with `rows`. boundary (rows of level 0, 6): the map's remainder
-    where links cross the cage. scale, affine: its positions are scale times the remainder plus an affine part.
+    solver: whose maps have the gaps. scale: a map's positions are this times the remainder plus an affine part.
+    constants: the arrays of the lattice's map_constants.
 
     Attributes: index and table, side_index and sides of CageMap; jump, the largest that the remainder makes over
-    a gap narrower than a cell.
+    a gap narrower than a cell; buffers, all that is held on the device.
     """
 
-    def __init__(self, solver, boundary: wp.array, scale: float, affine: wp.array):
-        self.device, buffers = solver.device, solver.lattice.buffers
-        lattice, nodes, rows = solver.lattice, solver.nodes, solver.rows
-        levels, cut_count = nodes.levels, boundary.shape[0]
-        columns = lattice.shape[0] * lattice.shape[1]
+    def __init__(self, solver, scale: float, constants: dict):
+        self.solver, self.device, self._scale, self._constants = solver, solver.device, scale, constants
+        self.buffers = Buffers(self.device)
+        # written by the device where the host reads it
+        self._host_status = wp.zeros(2, dtype=float, device="cpu", pinned=self.device.is_cuda)
+        self._status = wp.array(ptr=self._host_status.ptr, dtype=float, shape=2, device=self.device)
+        self.jump, self.length = 0.0, 0
+
+    def find(self) -> None:
+        """Fill the tables of the map that the solver's values hold, affine part included. Waits twice."""
+        nodes, lattice = self.solver.nodes, self.solver.lattice
+        self._launch_count(lattice.node_count, lattice.shape[0] * lattice.shape[1], nodes.sections)
+        self.length = int(self._offsets[-1:].numpy()[0] + self._counts[-1:].numpy()[0])
+        self._launch_tables(self.length)
+        self.take()
+
+    def launch(self, node_count: int, column_count: int, sections: np.ndarray, room: int) -> None:
+        """Launch the same, for a CUDA graph: counts of this pose or upper bounds, and `room`, rows of the table. `take`
+        tells whether that was enough."""
+        self._launch_count(node_count, column_count, sections)
+        self._launch_tables(room)
+
+    def take(self) -> bool:
+        """Wait for the tables and note what they hold; False where they had no room."""
+        if self.device.is_cuda:
+            wp.synchronize_stream(self.device.stream)
+        status = self._host_status.numpy()
+        self.length, self.jump = int(status[0]), float(status[1])
+        return self.length <= self.table.shape[0]
+
+    def _launch_count(self, node_count: int, column_count: int, sections: np.ndarray) -> None:
+        """Launch what finds the cells and how long the table will be."""
+        solver, buffers = self.solver, self.buffers
+        levels, cut = solver.nodes.levels, solver.nodes.level_count * 2
+        self._cut_count = int(sections[cut])
+        self._boundary = buffers.get("boundary", (self._cut_count, 6), wp.vec3)
+        values, face_values = self._constants["vertex_values"], self._constants["face_values"]
+        solver.launch_boundary(self._cut_count, values, face_values, buffers, self._boundary)
         # where there are sides at all, all gaps get theirs
-        solver.gaps.search(nodes.sections, rows, solver.values, 0.0)
-        self.index = buffers.get("side_index", lattice.node_count, int)
+        solver.gaps.search(sections, solver.rows, solver.values, 0.0)
+        self.index = buffers.get("side_index", node_count, int)
         self.index.zero_()
         flags = solver.gaps.flags
         self._launch(mark_gap_cells, flags.size, [levels, flags], [self.index], threads=1)
-        self._launch(mark_narrow_cells, cut_count, [levels, rows], [self.index], threads=1)
-        counts, offsets = (buffers.get(name, columns, int) for name in ("side_counts", "side_offsets"))
-        self._launch(count_column_sides, columns, [levels, rows, self.index], [counts])
-        wp.utils.array_scan(counts, offsets, inclusive=False)
-        total = int(offsets[-1:].numpy()[0] + counts[-1:].numpy()[0])
-        cells, masks = (buffers.get(name, total, int) for name in ("side_cells", "side_masks"))
-        self._launch(list_column_sides, columns, [levels, rows, offsets], [self.index, cells, masks])
-        self.table = buffers.get("sides", (total, 8), wp.vec4)
-        inputs = [levels, rows, boundary, scale, affine, solver.values, lattice.flat_distance, cells, masks]
-        self._launch(fill_sides, total, inputs, [self.table])
-        jumps = buffers.get("jumps", cut_count, float)
-        self._launch(measure_jumps, cut_count, [levels, rows, boundary], [jumps])
-        self.jump = float(jumps.numpy().max()) if cut_count else 0.0
+        self._launch(mark_narrow_cells, self._cut_count, [levels, solver.rows], [self.index], threads=1)
+        self._counts, self._offsets = (buffers.get(name, column_count, int) for name in ("counts", "offsets"))
+        items = lane_count(self.device) * column_count
+        self._launch(count_column_sides, items, [levels, solver.rows, self.index], [self._counts])
+        wp.utils.array_scan(self._counts, self._offsets, inclusive=False)
+
+    def _launch_tables(self, room: int) -> None:
+        """Launch what fills the tables, of at most `room` rows."""
+        solver, buffers = self.solver, self.buffers
+        lattice, levels, rows = solver.lattice, solver.nodes.levels, solver.rows
+        cells, masks = (buffers.get(name, room, int) for name in ("cells", "masks"))
+        self.table = buffers.get("sides", (room, 8), wp.vec4)
+        items = lane_count(self.device) * self._counts.size
+        inputs = [levels, rows, self._counts, self._offsets]
+        self._launch(list_column_sides, items, inputs, [self.index, cells, masks])
+        values = [self._scale, self._constants["affine"], solver.values, lattice.flat_distance]
+        inputs = [levels, rows, self._boundary, *values, self._counts, self._offsets, cells, masks]
+        self._launch(fill_sides, room, inputs, [self.table])
+        jump = buffers.get("jump", 1, float)
+        jump.zero_()
+        self._launch(measure_jumps, self._cut_count, [levels, rows, self._boundary], [jump], threads=1)
+        self._launch(gather_side_status, 1, [self._counts, self._offsets, jump], [self._status])
 
     def _launch(self, kernel, count: int, inputs, outputs, threads: int | None = None) -> None:
         launch(kernel, count, inputs, outputs, device=self.device, threads=threads)
-
-
-def boundary_buffer(solver) -> wp.array:
-    """(rows of level 0, 6) vec3, to be filled with the map's remainder where links cross the cage."""
-    return solver.lattice.buffers.get("boundary", (int(solver.nodes.counts["cut"][0]), 6), wp.vec3)
 
 
 def launch_rings(solver, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
@@ -146,9 +184,8 @@ def launch_rings(solver, sections: np.ndarray, vertex_values: wp.array, values: 
         launch(extend_outwards, lane_count(solver.device) * int(rings[ring]), inputs, device=solver.device)
 
 
-def linear_boundary(solver, vertex_values: wp.array) -> wp.array:
-    """The same of a map that is linear on the cage's faces."""
-    boundary = boundary_buffer(solver)
-    inputs = [solver.rows, solver.lattice.faces, vertex_values]
-    launch(set_boundary_values, boundary.shape[0], inputs, [boundary], device=solver.device)
-    return boundary
+def launch_linear_boundary(solver, cut_count: int, vertex_values: wp.array, boundary: wp.array) -> None:
+    """Launch the values (rows of level 0, 6) vec3 of a map that is linear on the cage's faces, where links cross it.
+    cut_count: rows, or an upper bound."""
+    inputs = [solver.nodes.levels, solver.rows, solver.lattice.faces, vertex_values]
+    launch(set_boundary_values, cut_count, inputs, [boundary], device=solver.device)

@@ -39,15 +39,14 @@ class PoseGraph:
         self._lattice_sizes: dict = {}
         self._node_sizes: dict = {}
         self._sections = np.zeros(solver.nodes.section_count, dtype=np.int64)
+        self._sides_graph, self._sides_generation, self._sides_room = None, 0, 0
+        self._make_room()
 
     def fits(self) -> bool:
         """Whether the pose that the lattice was laid over has room; a first one that has is captured."""
         lattice, nodes = self.lattice, self.solver.nodes
         if self._graph is None:
-            # no less than before, or poses that take turns would each be too long for the other's graph
-            for held, sizes in ((self._lattice_sizes, lattice.sizes), (self._node_sizes, nodes.sizes)):
-                held.update({name: max(held.get(name, 0), size + size // 16) for name, size in sizes.items()})
-            self._sections = np.maximum(self._sections, roomier(nodes.sections))
+            self._make_room()
             self._capture()
         return (
             self._generation == lattice.buffers.generation
@@ -56,8 +55,9 @@ class PoseGraph:
         )
 
     def release(self) -> None:
-        """Capture anew at the next pose: buffers have moved, or a pose had no room."""
-        self._graph = None
+        """Capture anew at the next pose, with room for the one at hand: it had none, or buffers have moved."""
+        self._make_room()
+        self._graph = self._sides_graph = None
 
     def begin(self) -> None:
         """Start on the pose that the lattice's constants hold; they stay as they are until `finish`."""
@@ -79,6 +79,32 @@ class PoseGraph:
         self.lattice.take_distance()
         self.has_gaps = status[4] > 0.0
         return True
+
+    def find_sides(self, sides) -> bool:
+        """Fill the tables of a MapSides for the pose that was finished; False where they must be found step by step."""
+        if sides.length == 0:  # nobody knows how long they are
+            return False
+        if self._sides_graph is None or self._sides_generation != sides.buffers.generation:
+            self._sides_room = max(self._sides_room, sides.length + sides.length // 4 + 32)
+            launches = functools.partial(self._launch_sides, sides)
+            launches()  # once outside, so that all buffers and modules are there
+            self._sides_generation = sides.buffers.generation
+            self._sides_graph = self._captured(launches) if self.device.is_cuda else launches
+        if self.device.is_cuda:
+            wp.capture_launch(self._sides_graph)
+        else:
+            self._sides_graph()
+        has_room = sides.take()
+        if not has_room:
+            self._sides_graph = None
+        return has_room
+
+    def _make_room(self) -> None:
+        """Have room for the pose at hand, and no less than before: poses that take turns fit the same graph."""
+        lattice, nodes = self.lattice, self.solver.nodes
+        for held, sizes in ((self._lattice_sizes, lattice.sizes), (self._node_sizes, nodes.sizes)):
+            held.update({name: max(held.get(name, 0), size + size // 16) for name, size in sizes.items()})
+        self._sections = np.maximum(self._sections, roomier(nodes.sections))
 
     def _capture(self) -> None:
         lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
@@ -111,6 +137,10 @@ class PoseGraph:
         nodes.launch_classes(self._node_sizes)
         nodes.launch_lists(self._node_sizes, int(self._sections.sum()))
         solver.launch_rows(self._node_sizes, self._sections)
+
+    def _launch_sides(self, sides) -> None:
+        columns = self._node_sizes["columns"]  # of all levels
+        sides.launch(self._lattice_sizes["nodes"], columns, self._sections, self._sides_room)
 
     def _launch_map(self) -> None:
         lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes

@@ -16,7 +16,7 @@ from .kernels.cage_map import CageMap
 from .kernels.map_extension import add_affine
 from .lattice import CageLattice, lattice_frame, require_resolution
 from .lattice_weights import LatticeWeights, harmonic_weights
-from .map_sides import REPORTED_JUMP, SIDE_BUFFERS, MapSides, side_bytes
+from .map_sides import REPORTED_JUMP, MapSides, side_bytes
 from .memory import require_memory
 from .pose_graph import PoseGraph
 
@@ -80,6 +80,7 @@ class PositionMap:
         self._weights: LatticeWeights | None = None
         self._data: CageMap | None = None
         self._graph: PoseGraph | None = None
+        self._sides: MapSides | None = None
         self.gap_jump = 0.0
 
     def pose(self, deformed) -> PositionMap:
@@ -150,6 +151,7 @@ class PositionMap:
         rest.require_usable("rest cage")
         require_same_faces(rest, self._posed_lattice().cage)
         self._take_rest(rest)
+        self._sides = None  # of the other cage's size
         self._map_positions()
         return self
 
@@ -254,15 +256,18 @@ class PositionMap:
 
     def _take_sides(self, data: CageMap) -> None:
         """Give the map the sides of narrow gaps, and report those that its lattice smears."""
-        lattice, solver, arrays = self.lattice, self._solver, self.lattice.map_constants.arrays
+        lattice = self.lattice
+        if self._sides is None:
+            self._sides = MapSides(self._solver, self.rest.size, lattice.map_constants.arrays)
+        sides = self._sides
         require_memory(
             side_bytes(lattice.node_count, _area(lattice.cage) / lattice.spacing**2),
             self.device,
             f"tables for sides of narrow gaps at resolution {self.resolution} need {{size}}: take a lower resolution",
-            held=lattice.buffers.bytes_of(SIDE_BUFFERS),
+            held=sides.buffers.bytes,
         )
-        boundary = solver.boundary_at_gaps(arrays["vertex_values"], arrays["face_values"])
-        sides = MapSides(solver, boundary, self.rest.size, arrays["affine"])
+        if self._graph is None or not self._graph.find_sides(sides):
+            sides.find()
         data.side_index, data.sides = sides.index, sides.table
         self.gap_jump = sides.jump
         if self.gap_jump > REPORTED_JUMP:
@@ -270,7 +275,7 @@ class PositionMap:
                 f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose "
                 f"opens by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there, take a "
                 f"resolution above {self.resolution} or open the gaps",
-                stacklevel=4,
+                stacklevel=5,
             )
 
     def _face_values(self, matrix: np.ndarray) -> np.ndarray:
