@@ -77,7 +77,7 @@ class ClosedFormEdit:
     rest_vertices: wp.array(dtype=wp.vec3)
     rest_normals: wp.array(dtype=wp.vec3)  # (f,) stretched, for Green coordinates
     faces: wp.array(dtype=wp.vec3i)
-    fans: wp.array(dtype=wp.vec4)  # of the deformed cage, for mean value coordinates: see face_fans
+    fans: wp.array(dtype=wp.vec4)  # of the deformed cage: see face_fans
     deformed_cells: CellTable
     rest_cells: CellTable  # its `skip` is not used
     size: float  # longest side of the deformed cage
@@ -221,7 +221,7 @@ def edit_position(edit: ClosedFormEdit, x: wp.vec3):
     """The map of an edit, from its deformed into its rest cage."""
     if edit.is_green == 1:
         return green_position(
-            x, edit.deformed_vertices, edit.faces, edit.rest_vertices, edit.rest_normals, edit.size
+            x, edit.deformed_vertices, edit.faces, edit.fans, edit.rest_vertices, edit.rest_normals, edit.size
         )
     return mean_value_position(
         x, edit.deformed_vertices, edit.faces, edit.fans, edit.rest_vertices, edit.size

@@ -46,6 +46,7 @@ def map_nodes_green(
     levels: NodeLevels,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     target_normals: wp.array(dtype=wp.vec3),
     size: float,
@@ -57,7 +58,7 @@ def map_nodes_green(
     if n >= levels.starts[1]:
         return
     node = levels.nodes[n]
-    values[node] = green_position(centred_place(levels, node), vertices, faces, targets, target_normals, size)
+    values[node] = green_position(centred_place(levels, node), vertices, faces, fans, targets, target_normals, size)
 
 
 @wp.kernel
@@ -92,6 +93,7 @@ def map_crossings_green(
     rows: CutRows,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     target_normals: wp.array(dtype=wp.vec3),
     size: float,
@@ -108,4 +110,4 @@ def map_crossings_green(
         away = rows.fractions[row, direction]
         axis = direction / 2
         x[axis] = x[axis] + wp.where(direction % 2 == 1, away, -away)
-        boundary[row, direction] = green_position(x, vertices, faces, targets, target_normals, size)
+        boundary[row, direction] = green_position(x, vertices, faces, fans, targets, target_normals, size)

@@ -17,21 +17,20 @@ functions at that place of the cage. Farther outside the sum of phi is zero, and
 Shapes: points (n,), vertices and targets (v,), faces (f,), target_normals (f,): unit normals of the target times the
 stretch of each face. One unit of length for points, vertices and size, which is the longest side of the vertices'
 bounding box; psi is a length. Keep coordinates near the origin (float32).
-Siblings: entries, triangle.
+Siblings: entries, face_fans, triangle.
 """
 
 import warp as wp
 
-from .entries import reciprocal_root, vec3_entry, vec3i_entry
+from .entries import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
+from .face_fans import INFINITE, PLANE_BAND, near_plane_limit
 from .triangle import nearest_barycentric
 
 # so many registers a thread that larger blocks fill a GPU worse
 wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
 
-#: Faces whose plane passes closer than this share of the size, and that are seen wide, take the float64 path.
-PLANE_BAND = wp.constant(2.0e-3)
-#: So do faces lower than about the square root of this share of their length: their normal has few digits in float32.
-SLIVER = wp.constant(1.0e-6)
+#: Faces whose plane passes closer than so many of face_fans' bands, and that are seen wide, take the float64 path.
+BANDS = wp.constant(2.0)
 #: Points this close to a face, as a share of the size, and not clearly in front of it, take the limit from inside.
 SURFACE = wp.constant(wp.float64(1.05e-5))
 IN_FRONT = wp.constant(wp.float64(1.0e-7))
@@ -82,7 +81,7 @@ def near_edge_integral(p: wp.vec3d, q: wp.vec3d, cross: wp.vec3d):
     return wp.log(_ONE + z) / edge
 
 
-@wp.func
+@wp.func(inline=False)
 def near_face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
     """phi and psi of a face next to the origin, in float64."""
     p = wp.vec3d(a)
@@ -139,6 +138,94 @@ def near_face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
     return result
 
 
+@wp.struct
+class FaceEdge:
+    """The edge from b to c of a face, seen from the point."""
+
+    cross: wp.vec3  # C = b x c
+    cosine: float  # b . c
+    integral: float  # K
+
+
+@wp.func
+def face_edge(b: wp.vec3, c: wp.vec3, r: float, s: float):
+    """The edge from b to c; r, s: their lengths."""
+    along = c - b
+    edge = FaceEdge()
+    edge.cross = wp.cross(b, along)
+    edge.cosine = wp.dot(b, c)
+    edge.integral = edge_integral(r, s, edge.cosine, wp.dot(edge.cross, edge.cross), wp.dot(along, along))
+    return edge
+
+
+@wp.func
+def half_solid_angle(det: float, below: float):
+    """atan2(det, below), to 2e-7 of it, without branches or special cases: atan t = t + t^3 p(t^2) on [0, 1], p
+    interpolated at Chebyshev nodes."""
+    sine = wp.abs(det)
+    across = wp.abs(below)
+    t = wp.min(sine, across) / wp.max(sine, across)
+    s = t * t
+    p = 0.003866739 * s - 0.020026748
+    p = p * s + 0.048914322
+    p = p * s - 0.080096817
+    p = p * s + 0.108657591
+    p = p * s - 0.142570449
+    p = p * s + 0.199986812
+    p = p * s - 0.333333231
+    angle = t + t * s * p
+    angle = wp.where(sine > across, 1.5707963267948966 - angle, angle)
+    angle = wp.where(below < 0.0, 3.141592653589793 - angle, angle)
+    return wp.where(det < 0.0, -angle, angle)
+
+
+@wp.func
+def is_near(limit: float, det: float, below: float, volume: float, shortest: float, size: float):
+    """Whether a face is for float64: it is a sliver, or its plane passes near and it is seen wide. limit: its
+    near_plane_limit; volume: product of the distances of its corners; shortest: the least of these."""
+    # det and `below` both vanish on the triangle's rim, so their quotient has no digits there in float32
+    rim = below <= 0.1 * volume or shortest <= BANDS * PLANE_BAND * size
+    return limit >= INFINITE or (rim and det * det <= BANDS * BANDS * limit)
+
+
+@wp.func
+def far_face_integrals(
+    edge_a: wp.vec3,
+    edge_b: wp.vec3,
+    edge_c: wp.vec3,
+    bc: FaceEdge,
+    ca: FaceEdge,
+    ba: FaceEdge,
+    normal: wp.vec3,
+    det: float,
+    below: float,
+):
+    """phi and psi of a face clear of the origin. edge_a, edge_b, edge_c: opposite to a, b, c; bc, ca, ba: the same seen
+    from the origin, the last as the face across it has it; normal: cross product of two edges; det, below: sine and
+    cosine, times the same, of half the solid angle."""
+    inverse_area = reciprocal_root(wp.dot(normal, normal))
+    unit = normal * inverse_area
+    height = det * inverse_area
+    area_a = wp.dot(unit, bc.cross)
+    area_b = wp.dot(unit, ca.cross)
+    area_c = -wp.dot(unit, ba.cross)
+    solid_angle = 2.0 * half_solid_angle(det, below)
+    pull = edge_a * bc.integral + edge_b * ca.integral + edge_c * ba.integral
+    scale = _INVERSE_FOUR_PI * inverse_area
+    turned = scale * solid_angle
+    pulled = (scale * height) * pull
+    result = FaceIntegrals()
+    result.phi = wp.vec3(
+        area_a * turned + wp.dot(edge_a, pulled),
+        area_b * turned + wp.dot(edge_b, pulled),
+        area_c * turned + wp.dot(edge_c, pulled),
+    )
+    result.psi = _INVERSE_FOUR_PI * (
+        area_a * bc.integral + area_b * ca.integral + area_c * ba.integral - height * solid_angle
+    )
+    return result
+
+
 @wp.func
 def face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
     """phi and psi of the face a, b, c as seen from the origin."""
@@ -146,44 +233,21 @@ def face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
     edge_b = a - c
     edge_c = b - a
     normal = wp.cross(edge_b, edge_c)
-    normal_squared = wp.dot(normal, normal)
     det = wp.dot(normal, a)
     length_a = wp.length(a)
     length_b = wp.length(b)
     length_c = wp.length(c)
-    cosine_a = wp.dot(b, c)
-    cosine_b = wp.dot(c, a)
-    cosine_c = wp.dot(a, b)
+    bc = face_edge(b, c, length_b, length_c)
+    ca = face_edge(c, a, length_c, length_a)
+    ba = face_edge(b, a, length_b, length_a)
     volume = length_a * length_b * length_c
-    below = volume + cosine_a * length_a + cosine_b * length_b + cosine_c * length_c
-    band = PLANE_BAND * size
+    below = volume + bc.cosine * length_a + ca.cosine * length_b + ba.cosine * length_c
+    shortest = wp.min(wp.min(length_a, length_b), length_c)
     result = FaceIntegrals()
-    # det and `below` both vanish on the triangle's rim, so their quotient has no digits there in float32
-    rim = below <= 0.1 * volume or wp.min(wp.min(length_a, length_b), length_c) <= band
-    edges = wp.dot(edge_b, edge_b) + wp.dot(edge_c, edge_c)
-    sliver = normal_squared <= SLIVER * edges * edges
-    if sliver or (rim and det * det <= band * band * normal_squared):
+    if is_near(near_plane_limit(normal, edge_c, -edge_b, size), det, below, volume, shortest, size):
         result = near_face_integrals(a, b, c, size)
     else:
-        cross_a = wp.cross(b, edge_a)
-        cross_b = wp.cross(c, edge_b)
-        cross_c = wp.cross(a, edge_c)
-        k_a = edge_integral(length_b, length_c, cosine_a, wp.dot(cross_a, cross_a), wp.dot(edge_a, edge_a))
-        k_b = edge_integral(length_c, length_a, cosine_b, wp.dot(cross_b, cross_b), wp.dot(edge_b, edge_b))
-        k_c = edge_integral(length_a, length_b, cosine_c, wp.dot(cross_c, cross_c), wp.dot(edge_c, edge_c))
-        solid_angle = 2.0 * wp.atan2(det, below)
-        inverse_area = reciprocal_root(normal_squared)
-        normal *= inverse_area
-        height = det * inverse_area
-        area_a = wp.dot(normal, cross_a)
-        area_b = wp.dot(normal, cross_b)
-        area_c = wp.dot(normal, cross_c)
-        pull = edge_a * k_a + edge_b * k_b + edge_c * k_c
-        result.phi = (_INVERSE_FOUR_PI * inverse_area) * (
-            wp.vec3(area_a, area_b, area_c) * solid_angle
-            + height * wp.vec3(wp.dot(edge_a, pull), wp.dot(edge_b, pull), wp.dot(edge_c, pull))
-        )
-        result.psi = _INVERSE_FOUR_PI * (area_a * k_a + area_b * k_b + area_c * k_c - height * solid_angle)
+        result = far_face_integrals(edge_a, edge_b, edge_c, bc, ca, ba, normal, det, below)
     return result
 
 
@@ -204,40 +268,65 @@ def green_point(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     target_normals: wp.array(dtype=wp.vec3),
     size: float,
 ):
     """green_position, and whether it is one: the sum of phi is the winding number."""
-    result = GreenPoint()
     position = wp.vec3(0.0, 0.0, 0.0)
     winding = float(0.0)
-    touched = int(0)
-    touched_target = wp.vec3(0.0, 0.0, 0.0)
-    for f in range(faces.shape[0]):
+    touched = int(-1)
+    f = int(0)
+    while f < faces.shape[0]:
         face = vec3i_entry(faces, f)
         a = vec3_entry(vertices, face[0]) - x
         b = vec3_entry(vertices, face[1]) - x
-        c = vec3_entry(vertices, face[2]) - x
-        integrals = face_integrals(a, b, c, size)
+        length_a = wp.length(a)
+        length_b = wp.length(b)
         target_a = vec3_entry(targets, face[0])
         target_b = vec3_entry(targets, face[1])
-        target_c = vec3_entry(targets, face[2])
-        phi = integrals.phi
-        position += phi[0] * target_a
-        position += phi[1] * target_b
-        position += phi[2] * target_c
-        position += integrals.psi * vec3_entry(target_normals, f)
-        winding += phi[0] + phi[1] + phi[2]
-        if integrals.touching == 1:
-            touched = 1
-            nearest = integrals.nearest
-            touched_target = nearest[0] * target_a + nearest[1] * target_b + nearest[2] * target_c
-    if touched == 1:
-        position += missing_winding(winding) * touched_target
-    result.position = position
-    if touched == 1 or winding > 0.5:
+        ba = face_edge(b, a, length_b, length_a)
+        index = int(0)
+        while index >= 0:
+            corner = vec4_entry(fans, 2 * f)
+            plane = vec4_entry(fans, 2 * f + 1)
+            index = wp.cast(corner[3], int)
+            c = wp.vec3(corner[0], corner[1], corner[2]) - x
+            normal = wp.vec3(plane[0], plane[1], plane[2])
+            target_c = vec3_entry(targets, wp.where(index < 0, -1 - index, index))
+            length_c = wp.length(c)
+            bc = face_edge(b, c, length_b, length_c)
+            ca = face_edge(c, a, length_c, length_a)
+            det = wp.dot(normal, c)
+            volume = length_a * length_b * length_c
+            below = volume + bc.cosine * length_a + ca.cosine * length_b + ba.cosine * length_c
+            shortest = wp.min(wp.min(length_a, length_b), length_c)
+            integrals = far_face_integrals(c - b, a - c, b - a, bc, ca, ba, normal, det, below)
+            if is_near(plane[3], det, below, volume, shortest, size):
+                integrals = near_face_integrals(a, b, c, size)
+                if integrals.touching == 1:
+                    touched = f
+            phi = integrals.phi
+            position += phi[0] * target_a
+            position += phi[1] * target_b
+            position += phi[2] * target_c
+            position += integrals.psi * vec3_entry(target_normals, f)
+            winding += phi[0] + phi[1] + phi[2]
+            b = c
+            length_b = length_c
+            target_b = target_c
+            ba = ca
+            f += 1
+    result = GreenPoint()
+    if touched >= 0:
+        face = faces[touched]
+        near = near_face_integrals(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
+        missing = missing_winding(winding) * near.nearest
+        position += missing[0] * targets[face[0]] + missing[1] * targets[face[1]] + missing[2] * targets[face[2]]
+    if touched >= 0 or winding > 0.5:
         result.inside = 1
+    result.position = position
     return result
 
 
@@ -246,12 +335,14 @@ def green_position(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     target_normals: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """sum_i phi_i(x) targets_i + sum_f psi_f(x) target_normals_f with phi, psi of the cage `vertices`."""
-    return green_point(x, vertices, faces, targets, target_normals, size).position
+    """sum_i phi_i(x) targets_i + sum_f psi_f(x) target_normals_f with phi, psi of the cage `vertices`. fans: see
+    face_fans."""
+    return green_point(x, vertices, faces, fans, targets, target_normals, size).position
 
 
 @wp.kernel
@@ -260,6 +351,7 @@ def map_green(
     points: wp.array(dtype=wp.vec3),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     target_normals: wp.array(dtype=wp.vec3),
     size: float,
@@ -267,7 +359,7 @@ def map_green(
 ):
     """positions (n,) = sum_i phi_i(points) targets_i + sum_f psi_f(points) target_normals_f."""
     n = first + wp.tid()
-    positions[n] = green_position(points[n], vertices, faces, targets, target_normals, size)
+    positions[n] = green_position(points[n], vertices, faces, fans, targets, target_normals, size)
 
 
 @wp.kernel
@@ -276,6 +368,7 @@ def map_green_inside(
     points: wp.array(dtype=wp.vec3),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
     targets: wp.array(dtype=wp.vec3),
     target_normals: wp.array(dtype=wp.vec3),
     size: float,
@@ -284,7 +377,7 @@ def map_green_inside(
 ):
     """The same; outside (1,) becomes 1 where a point is not inside."""
     n = first + wp.tid()
-    point = green_point(points[n], vertices, faces, targets, target_normals, size)
+    point = green_point(points[n], vertices, faces, fans, targets, target_normals, size)
     positions[n] = point.position
     if point.inside == 0:
         outside[0] = 1

@@ -7,6 +7,7 @@ import trimesh
 import warp as wp
 
 from warpcage.devices import launch
+from warpcage.face_fans import prepared_fans
 from warpcage.kernels import green
 
 NAMES = list(oracles.CAGES)
@@ -99,7 +100,8 @@ def test_map_is_the_weighted_sum(device):
     random = np.random.default_rng(3)
     targets, normals = random.normal(size=vertices.shape), random.normal(size=faces.shape)
     positions = wp.empty(len(points), dtype=wp.vec3, device=device)
-    inputs = [*on_device(points, vertices, faces, device),
+    arrays = on_device(points, vertices, faces, device)
+    inputs = [*arrays, prepared_fans(*arrays[1:], 1.0),
               *(wp.array(a, dtype=wp.vec3, device=device) for a in (targets, normals)), 1.0]
     launch(green.map_green, len(points), inputs, [positions], device=device)
     phi, psi = weigh(points, vertices, faces, device)

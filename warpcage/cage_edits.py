@@ -211,15 +211,14 @@ class ClosedFormEdits:
         struct = ClosedFormEdit()
         struct.deformed_vertices = self._local(deformed.vertices)
         struct.rest_vertices = self._local(rest.vertices)
+        fans = rest.topology.fans
+        struct.faces = wp.array(fans.faces, dtype=wp.vec3i, device=self.device)
+        struct.fans = prepared_fans(struct.deformed_vertices, struct.faces, deformed.size)
         if self._is_green:
             from .coordinates import stretched_normals
 
-            normals = stretched_normals(deformed, rest).astype(np.float32)
+            normals = stretched_normals(deformed, rest)[fans.order].astype(np.float32)
             struct.rest_normals = wp.array(normals, dtype=wp.vec3, device=self.device)
-            struct.faces = wp.array(rest.faces, dtype=wp.vec3i, device=self.device)
-        else:
-            struct.faces = wp.array(rest.topology.fans, dtype=wp.vec3i, device=self.device)
-            struct.fans = prepared_fans(struct.deformed_vertices, struct.faces, deformed.size)
         struct.size = deformed.size
         struct.tolerance = SURFACE_TOLERANCE * deformed.size
         struct.slack = CLOSED_FORM_SLACK * rest.size

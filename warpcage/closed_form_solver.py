@@ -28,6 +28,9 @@ class ClosedFormSolver:
         self.status = wp.zeros(2, dtype=float, device=self.device)
         self.gaps = GapFlags(self)
         self.rows = None  # of cut nodes, once the map is continued through the cage
+        # indices of these faces stay in here: all others mean the lattice's
+        self._faces = wp.array(lattice.cage.topology.fans.faces, dtype=wp.vec3i, device=self.device)
+        self._fans = wp.empty(2 * self._faces.size, dtype=wp.vec4, device=self.device)
 
     def prepare(self) -> None:
         """Set up for the pose that the lattice was filled with."""
@@ -39,9 +42,10 @@ class ClosedFormSolver:
         return self.lattice.buffers.get("values", self.lattice.node_count, wp.vec3)
 
     def clear(self, sizes: dict) -> None:
-        """Launch what clears the values and the count of gaps, before a solution."""
+        """Launch what clears the values and the count of gaps and prepares the faces, before a solution."""
         self.gaps.count.zero_()
         self.lattice.buffers.get("values", sizes["nodes"], wp.vec3).zero_()
+        prepared_fans(self._vertices, self._faces, self._size(), out=self._fans)
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
         """Nothing: what needs the cut nodes described does so beside the map."""
@@ -74,7 +78,7 @@ class ClosedFormSolver:
 
     def solve(self, vertex_values: wp.array, face_values=None) -> None:
         """Values at inside nodes and rings for vertex_values (v,) and, for green, face_values (f,) vec3: what psi in
-        node units multiplies."""
+        node units multiplies, of the faces as fans have them."""
         self.clear(self.nodes.sizes)
         self.launch_solution(self.nodes.sizes, self.nodes.sections, vertex_values, face_values)
 
@@ -105,17 +109,6 @@ class ClosedFormSolver:
 class MeanValueSolver(ClosedFormSolver):
     """Mean value maps. Their formula holds outside the cage as well, but bends at its edges and, in gaps, from one side
     to the other, so that the rings continue the inside values through the cage instead, as harmonic maps do."""
-
-    def __init__(self, lattice):
-        super().__init__(lattice)
-        # indices of faces stay in here: all others mean the lattice's
-        self._faces = wp.array(lattice.cage.topology.fans, dtype=wp.vec3i, device=self.device)
-        self._fans = wp.empty(2 * self._faces.size, dtype=wp.vec4, device=self.device)
-
-    def clear(self, sizes: dict) -> None:
-        """Launch what prepares a solution."""
-        super().clear(sizes)
-        prepared_fans(self._vertices, self._faces, self._size(), out=self._fans)
 
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
         """Launch the map at the inside nodes that are not interpolated."""
@@ -161,7 +154,7 @@ class GreenSolver(ClosedFormSolver):
         self._launch(
             map_nodes_green,
             int(sections[0]),
-            [self.nodes.levels, self._vertices, self.lattice.faces, vertex_values, face_values, self._size()],
+            [self.nodes.levels, self._vertices, self._faces, self._fans, vertex_values, face_values, self._size()],
             [values],
         )
 
@@ -181,18 +174,19 @@ class GreenSolver(ClosedFormSolver):
         described first, in `buffers`."""
         lattice = self.lattice
         self.rows = described_rows(lattice, self.nodes, cut_count, cut_count, buffers)
-        inputs = [self.nodes.levels, self.rows, self._vertices, lattice.faces, vertex_values, face_values, self._size()]
-        self._launch(map_crossings_green, boundary.size, inputs, [boundary])
+        inputs = [self.nodes.levels, self.rows, self._vertices, self._faces, self._fans, vertex_values, face_values]
+        self._launch(map_crossings_green, boundary.size, [*inputs, self._size()], [boundary])
 
     def weigh(self, begin: int, count: int) -> tuple[wp.array, wp.array]:
-        """Weights (count, v) of vertices and (count, f) of faces at the nodes listed from `begin` on."""
+        """Weights (count, v) of vertices and (count, f) of faces, as fans have them, at the nodes listed from `begin`
+        on."""
         lattice = self.lattice
         vertex_weights = wp.empty((count, lattice.vertices.size), dtype=float, device=self.device)
-        face_weights = wp.empty((count, lattice.faces.size), dtype=float, device=self.device)
+        face_weights = wp.empty((count, self._faces.size), dtype=float, device=self.device)
         self._launch(
             weigh_green,
             count,
-            [self._place(begin, count), self._vertices, lattice.faces, self._size()],
+            [self._place(begin, count), self._vertices, self._faces, self._size()],
             [vertex_weights, face_weights],
         )
         return vertex_weights, face_weights

@@ -123,16 +123,16 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
     targets = ((deformed.vertices - centre) / rest.size).astype(np.float32)
     targets = wp.array(targets, dtype=wp.vec3, device=local.device)
     moved = wp.empty(local.count, dtype=wp.vec3, device=local.device)
-    vertices, faces = _cage_arrays(rest, local)
+    vertices, _ = _cage_arrays(rest, local)
+    fans = rest.topology.fans
+    faces = wp.array(fans.faces, dtype=wp.vec3i, device=local.device)
+    inputs = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0), targets]
     if coordinates == "green":
-        normals = stretched_normals(rest, deformed).astype(np.float32)
-        normals = wp.array(normals, dtype=wp.vec3, device=local.device)
-        inputs = [local.points, vertices, faces, targets, normals, 1.0]
+        normals = stretched_normals(rest, deformed)[fans.order].astype(np.float32)
+        inputs += [wp.array(normals, dtype=wp.vec3, device=local.device), 1.0]
         launch(green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device)
     else:
-        faces = wp.array(rest.topology.fans, dtype=wp.vec3i, device=local.device)
-        inputs = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0), targets, 1.0]
-        launch(mean_value.map_mean_value, local.count, inputs, [moved], device=local.device)
+        launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device)
     world = _restore(moved, local, centre, rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)

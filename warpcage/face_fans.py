@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -11,19 +12,27 @@ from .devices import launch
 from .kernels.face_fans import prepare_fans
 
 
-def fan_order(faces: np.ndarray) -> np.ndarray:
-    """The triangles (f, 3) of a usable cage, turned and in an order in which most begin with an edge of the one before.
+@dataclass(frozen=True)
+class FaceFans:
+    """Triangles turned and in an order in which most begin with an edge of the one before: around a vertex a, (a, b, c)
+    is followed by (a, c, d), and so on.
 
-    Around a vertex a, (a, b, c) is followed by (a, c, d), and so on: a fan. Vertices with most faces left come first,
-    so that there are few fans: about f / 4 on closed cages.
+    faces (f, 3) int32; order (f,) int: which face of the cage each of them is.
     """
+
+    faces: np.ndarray
+    order: np.ndarray
+
+
+def face_fans(faces: np.ndarray) -> FaceFans:
+    """The triangles (f, 3) of a usable cage in few fans: about f / 4, as vertices with most faces left come first."""
     faces = np.asarray(faces)
-    following = [{} for _ in range(int(faces.max()) + 1)]  # c by b, of the faces left around a
-    for a, b, c in faces.tolist():
-        following[a][b], following[b][c], following[c][a] = c, a, b
+    following = [{} for _ in range(int(faces.max()) + 1)]  # c and the face by b, of the faces left around a
+    for f, (a, b, c) in enumerate(faces.tolist()):
+        following[a][b], following[b][c], following[c][a] = (c, f), (a, f), (b, f)
     heap = [(-len(around), hub) for hub, around in enumerate(following) if around]
     heapq.heapify(heap)
-    ordered = []
+    turned, order = [], []
     while heap:
         count, hub = heapq.heappop(heap)
         around = following[hub]
@@ -31,20 +40,21 @@ def fan_order(faces: np.ndarray) -> np.ndarray:
             if around:
                 heapq.heappush(heap, (-len(around), hub))
             continue
-        starts = set(around) - set(around.values())
+        starts = set(around) - {c for c, _ in around.values()}
         while around:
             b = min(starts) if starts else min(around)
             starts.discard(b)
             while b in around:
-                c = around.pop(b)
+                c, f = around.pop(b)
                 del following[b][c], following[c][hub]
-                ordered.append((hub, b, c))
+                turned.append((hub, b, c))
+                order.append(f)
                 b = c
-    return np.array(ordered, dtype=faces.dtype)
+    return FaceFans(np.array(turned, dtype=np.int32), np.array(order))
 
 
 def prepared_fans(vertices: wp.array, faces: wp.array, size: float, out: wp.array | None = None) -> wp.array:
-    """What `mean_value_position` reads of faces (f,) vec3i over vertices (v,) vec3, on their device; see the kernel.
+    """What closed forms read of faces (f,) vec3i over vertices (v,) vec3, on their device; see the kernel.
 
     size: of the cage, in the vertices' units. out: (2 f,) vec4 to be filled instead of a new array.
     """

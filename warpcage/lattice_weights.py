@@ -36,7 +36,7 @@ class LatticeWeights:
     def solve(self, vertex_values: wp.array, face_values=None) -> None:
         """The solver's `solve`, from the weights: values at inside nodes and the rings around them."""
         values, levels = self.solver.values, self.solver.nodes.levels
-        values.zero_()
+        self.solver.clear(self.solver.nodes.sizes)
         for begin, vertex_weights, face_weights in self.blocks:
             for weights, targets in ((vertex_weights, vertex_values), (face_weights, face_values)):
                 if weights is not None:

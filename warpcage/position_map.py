@@ -229,7 +229,7 @@ class PositionMap:
         host["affine"][:3] = matrix.T * lattice.spacing
         host["affine"][3] = matrix @ lattice.lower + offset - self.origin
         if self.coordinates == "green":
-            host["face_values"][:] = self._face_values(matrix)
+            host["face_values"][:] = self._face_values(matrix)[deformed.topology.fans.order]
 
     def _map_positions(self) -> None:
         """Fill the positions: remainder of the map, plus its affine part."""
