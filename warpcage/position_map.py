@@ -138,7 +138,7 @@ class PositionMap:
             raise
         if not has_room or not self._graph.finish():
             return False
-        self._take_map(self._graph.has_gaps)
+        self._take_map(self._graph.has_gaps, self._graph)
         return True
 
     def rebind(self, rest) -> PositionMap:
@@ -243,7 +243,8 @@ class PositionMap:
         launch(add_affine, lattice.node_count, inputs, [self._solver.values], device=self.device)
         self._take_map(self._solver.gaps.found())
 
-    def _take_map(self, has_gaps: bool) -> None:
+    def _take_map(self, has_gaps: bool, graph: PoseGraph | None = None) -> None:
+        """Let `data` be what was computed. graph: that had room for it."""
         lattice = self.lattice
         data = self._data = CageMap()
         data.lower, data.spacing, data.inverse_spacing = lattice.local_lower, lattice.spacing, 1.0 / lattice.spacing
@@ -252,9 +253,9 @@ class PositionMap:
         self.gap_jump = 0.0
         self._has_gaps = has_gaps
         if has_gaps:
-            self._take_sides(data)
+            self._take_sides(data, graph)
 
-    def _take_sides(self, data: CageMap) -> None:
+    def _take_sides(self, data: CageMap, graph: PoseGraph | None) -> None:
         """Give the map the sides of narrow gaps, and report those that its lattice smears."""
         lattice = self.lattice
         if self._sides is None:
@@ -266,7 +267,7 @@ class PositionMap:
             f"tables for sides of narrow gaps at resolution {self.resolution} need {{size}}: take a lower resolution",
             held=sides.buffers.bytes,
         )
-        if self._graph is None or not self._graph.find_sides(sides):
+        if graph is None or not graph.find_sides(sides):
             sides.find()
         data.side_index, data.sides = sides.index, sides.table
         self.gap_jump = sides.jump
