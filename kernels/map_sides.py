@@ -20,7 +20,7 @@ import warp as wp
 from .crossings import LineCrossings, exit_distance
 from .harmonic_rows import DOUBLE_CUT, CutRows, crossing_value
 from .lanes import ballot, bit_count, bits_before, lane_count, sum_of_lanes
-from .map_extension import is_open_link, is_steady, node_step
+from .map_extension import is_known, is_open_link, is_steady, node_step
 from .node_levels import OUTSIDE, NodeLevels, node_place
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 2})
@@ -552,6 +552,14 @@ def fill_sides(
         if count > 0.0:
             sides[row, corner] = total / count
             found = found | (1 << corner)
+    if known == inside_corners(levels, cell):
+        for corner in range(8):
+            node = corner_node(levels, cell, corner)
+            if (found >> corner) & 1 == 0 and is_known(levels.codes[node], 1):
+                if far_side(levels, rows, node)[0] == 0:  # a corner that serves this side alone
+                    v = values[node]
+                    sides[row, corner] = wp.vec4(v[0], v[1], v[2], distance[node])
+                    found = found | (1 << corner)
     for _step in range(2):
         known = found
         for corner in range(8):
