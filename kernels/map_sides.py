@@ -2,8 +2,9 @@
 
 Where two sheets of a cage pass within a cell or two, one outside node cannot continue the map of both sides. Cells
 there get eight corner values for each side instead: a side is a set of inside corners joined by links that do not cross
-the cage; its other corners are continued from it alone, along a link through the boundary value at the crossing (see
-map_extension), then by parallelograms, u_1 + u_2 - u_12. All of it is linear in the values and exact for linear
+the cage, of the cell or one layer behind a face of it; its other corners are continued from it alone, along a link
+through the boundary value at the crossing (see map_extension), or have their ring's value where they serve no other,
+then by parallelograms, u_1 + u_2 - u_12. All of it is linear in the values and exact for linear
 functions. A fourth channel continues the signed distance alike, negative on the side itself: a point belongs to the
 side where that is lowest. A cell without inside corners may hold a tip of the cage: it has the sides of the six cells
 beside it, continued once more.
