@@ -36,6 +36,13 @@ def node_step(levels: NodeLevels, direction: int):
 
 
 @wp.func
+def is_open_link(levels: NodeLevels, rows: CutRows, node: int, direction: int):
+    """Whether the link from an inside node does not cross the cage."""
+    code = levels.codes[node]
+    return code < 0 or ((rows.links[code] >> direction) & 1) == 1
+
+
+@wp.func
 def is_steady(rows: CutRows, row: int, direction: int):
     """Whether the value beyond the crossing in a direction follows without much amplification.
 

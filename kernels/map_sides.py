@@ -2,8 +2,9 @@
 
 Where two sheets of a cage pass within a cell or two, one outside node cannot continue the map of both sides. Cells
 there get eight corner values for each side instead: a side is a set of inside corners joined by links that do not cross
-the cage; its other corners are continued from it alone, along a link through the boundary value at the crossing (see
-map_extension), then by parallelograms, u_1 + u_2 - u_12. All of it is linear in the values and exact for linear
+the cage, of the cell or one layer behind a face of it; its other corners are continued from it alone, along a link
+through the boundary value at the crossing (see map_extension), or have their ring's value where they serve no other,
+then by parallelograms, u_1 + u_2 - u_12. All of it is linear in the values and exact for linear
 functions. A fourth channel continues the signed distance alike, negative on the side itself: a point belongs to the
 side where that is lowest. A cell without inside corners may hold a tip of the cage: it has the sides of the six cells
 beside it, continued once more.
@@ -20,7 +21,7 @@ import warp as wp
 from .crossings import LineCrossings, exit_distance
 from .harmonic_rows import DOUBLE_CUT, CutRows, crossing_value
 from .lanes import ballot, bit_count, bits_before, lane_count, sum_of_lanes
-from .map_extension import is_steady, node_step
+from .map_extension import is_known, is_open_link, is_steady, node_step
 from .node_levels import OUTSIDE, NodeLevels, node_place
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 2})
@@ -49,13 +50,6 @@ def grown(mask: int):
     result = mask | (below_k << 1) | ((mask & _ABOVE_K) >> 1)
     result = result | (below_j << 3) | ((mask & _ABOVE_J) >> 3)
     return (result | (mask << 9) | (mask >> 9)) & _ALL
-
-
-@wp.func
-def is_open_link(levels: NodeLevels, rows: CutRows, node: int, direction: int):
-    """Whether the link from an inside node does not cross the cage."""
-    code = levels.codes[node]
-    return code < 0 or ((rows.links[code] >> direction) & 1) == 1
 
 
 @wp.func(inline=False)  # rare: only next to a link that crosses the cage twice
@@ -196,6 +190,34 @@ def inside_corners(levels: NodeLevels, cell: int):
 
 
 @wp.func
+def link_direction(corner: int, bit: int):
+    """Direction of the edge of a cell that leads from a corner to the one that differs in a bit."""
+    return 2 * (2 - bit) + (((corner ^ (1 << bit)) >> bit) & 1)
+
+
+@wp.func
+def is_joined_behind(levels: NodeLevels, rows: CutRows, cell: int, corner: int, other: int):
+    """Whether links that do not cross the cage join two inside corners across a face of a cell one layer behind it."""
+    across = corner ^ other
+    bit = wp.where(across == 3, 2, wp.where(across == 5, 1, 0))
+    out = link_direction(corner, bit) ^ 1
+    one = corner_node(levels, cell, corner)
+    two = corner_node(levels, cell, other)
+    if not (is_open_link(levels, rows, one, out) and is_open_link(levels, rows, two, out)):
+        return False
+    joined = bool(False)
+    for b in range(3):
+        if b != bit:
+            there = link_direction(corner, b)
+            middle = one + node_step(levels, out) + node_step(levels, there)
+            if levels.codes[middle] > OUTSIDE:
+                on = link_direction(corner, 3 - bit - b)
+                if is_open_link(levels, rows, middle, there ^ 1) and is_open_link(levels, rows, middle, on):
+                    joined = True
+    return joined
+
+
+@wp.func
 def side_corners(levels: NodeLevels, rows: CutRows, cell: int, inside: int):
     """Bits of the corners joined to the lowest of `inside` (not 0)."""
     side = inside & (-inside)
@@ -205,8 +227,12 @@ def side_corners(levels: NodeLevels, rows: CutRows, cell: int, inside: int):
                 for b in range(3):
                     other = corner ^ (1 << b)
                     if (inside >> other) & 1 == 1 and (side >> other) & 1 == 0:
-                        direction = 2 * (2 - b) + ((other >> b) & 1)
-                        if is_open_link(levels, rows, corner_node(levels, cell, corner), direction):
+                        if is_open_link(levels, rows, corner_node(levels, cell, corner), link_direction(corner, b)):
+                            side = side | (1 << other)
+                    # an edge of the cage between two corners across a face leaves them one side
+                    other = corner ^ (7 - (1 << b))
+                    if (inside >> other) & 1 == 1 and (side >> other) & 1 == 0:
+                        if is_joined_behind(levels, rows, cell, corner, other):
                             side = side | (1 << other)
     return side
 
@@ -409,6 +435,14 @@ def affine_position(affine: wp.array(dtype=wp.vec3), x: wp.vec3):
 
 
 @wp.func
+def correction_of(corrections: wp.array(dtype=wp.vec3), code: int):
+    """Correction that is in the value of an inside node of this code (see map_corrections)."""
+    if code >= 0 and corrections.shape[0] > 0:
+        return corrections[code]
+    return wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.func
 def continued(
     levels: NodeLevels,
     rows: CutRows,
@@ -416,6 +450,7 @@ def continued(
     scale: float,
     affine: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
+    corrections: wp.array(dtype=wp.vec3),
     distance: wp.array(dtype=float),
     node: int,
     direction: int,
@@ -430,13 +465,13 @@ def continued(
     sign = wp.where(direction % 2 == 1, 1.0, -1.0)
     place[axis] = place[axis] + sign * theta
     g = scale * boundary[row, direction] + affine_position(affine, place)
-    position = values[node]
+    position = values[node] - scale * correction_of(corrections, row)
     height = distance[node]
     ratio = (1.0 - theta) / wp.max(theta, 0.5)
     if theta < 0.5:
         if (rows.links[row] >> back) & 1 == 1:
             behind = node + node_step(levels, back)
-            position = values[behind]
+            position = values[behind] - scale * correction_of(corrections, levels.codes[behind])
             height = distance[behind]
             ratio = (1.0 - theta) / (1.0 + theta)
         else:  # the cage is crossed again behind the node
@@ -473,6 +508,7 @@ def fill_sides(
     scale: float,
     affine: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
+    corrections: wp.array(dtype=wp.vec3),
     distance: wp.array(dtype=float),
     counts: wp.array(dtype=int),
     offsets: wp.array(dtype=int),
@@ -483,7 +519,8 @@ def fill_sides(
     """sides (rows or more, 8): position and signed distance at the corners of a cell as one side sees them.
 
     boundary (rows of level 0, 6): values of the map, less the affine part, where links cross the cage.
-    values, distance (nodes,): positions (the affine part added) and signed distances at nodes. side_cells, side_masks
+    values, distance (nodes,): positions (the affine part added) and signed distances at nodes. corrections: those that
+    are in the values of cut nodes, row by row, less the scale (see map_corrections), or (0,). side_cells, side_masks
     (rows,): see list_column_sides.
     """
     row = first + wp.tid()
@@ -494,7 +531,7 @@ def fill_sides(
     for corner in range(8):
         if (known >> corner) & 1 == 1:
             node = corner_node(levels, cell, corner)
-            v = values[node]
+            v = values[node] - scale * correction_of(corrections, levels.codes[node])
             sides[row, corner] = wp.vec4(v[0], v[1], v[2], distance[node])
     found = known
     for corner in range(8):
@@ -510,12 +547,20 @@ def fill_sides(
                     # values that amplify what they come from count only where there are no others
                     weight = wp.where(is_steady(rows, row_of_node, direction), 1.0, 1.0e-6)
                     total += weight * continued(
-                        levels, rows, boundary, scale, affine, values, distance, node, direction
+                        levels, rows, boundary, scale, affine, values, corrections, distance, node, direction
                     )
                     count += weight
         if count > 0.0:
             sides[row, corner] = total / count
             found = found | (1 << corner)
+    if known == inside_corners(levels, cell):
+        for corner in range(8):
+            node = corner_node(levels, cell, corner)
+            if (found >> corner) & 1 == 0 and is_known(levels.codes[node], 1):
+                if far_side(levels, rows, node)[0] == 0:  # a corner that serves this side alone
+                    v = values[node]
+                    sides[row, corner] = wp.vec4(v[0], v[1], v[2], distance[node])
+                    found = found | (1 << corner)
     for _step in range(2):
         known = found
         for corner in range(8):

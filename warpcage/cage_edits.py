@@ -264,12 +264,17 @@ def _modules(coordinates: str, render_kernel) -> list:
         harmonic,
         harmonic_coarse,
         harmonic_rows,
+        map_corrections,
         map_extension,
         map_sides,
         node_levels,
     )
 
-    solver = [harmonic, harmonic_coarse, harmonic_rows, map_sides] if coordinates == "harmonic" else [closed_form_map]
+    solver = {
+        "harmonic": [harmonic, harmonic_coarse, harmonic_rows, map_sides],
+        "mean_value": [closed_form_map, harmonic_rows, map_corrections],
+        "green": [closed_form_map],
+    }[coordinates]
     names = [] if render_kernel is None else [sys.modules[render_kernel.module.name]]
     return [crossings, distance_band, node_levels, map_extension, edit_cells, grid_skip, *solver, *names]
 

@@ -10,10 +10,11 @@ from .face_fans import prepared_fans
 from .kernels.closed_form_map import interpolate_nodes, map_crossings_green, map_nodes_green, map_nodes_mean_value
 from .kernels.green import weigh_green
 from .kernels.lattice_weights import place_nodes
+from .kernels.map_corrections import correct_values, measure_corrections
 from .kernels.map_extension import extend_outwards
 from .kernels.mean_value import weigh_mean_value
 from .kernels.node_levels import RINGS
-from .map_sides import GapFlags, described_rows, launch_linear_boundary, launch_rings
+from .map_sides import GapFlags, described_rows, launch_linear_boundary, launch_ring
 from .node_levels import LatticeNodes
 
 
@@ -28,6 +29,7 @@ class ClosedFormSolver:
         self.status = wp.zeros(2, dtype=float, device=self.device)
         self.gaps = GapFlags(self)
         self.rows = None  # of cut nodes, once the map is continued through the cage
+        self.corrections = wp.empty(0, dtype=wp.vec3, device=self.device)  # that are in values at the cage
         # indices of these faces stay in here: all others mean the lattice's
         self._faces = wp.array(lattice.cage.topology.fans.faces, dtype=wp.vec3i, device=self.device)
         self._fans = wp.empty(2 * self._faces.size, dtype=wp.vec4, device=self.device)
@@ -124,8 +126,18 @@ class MeanValueSolver(ClosedFormSolver):
         self.rows = described_rows(self.lattice, self.nodes, int(sections[2]), int(sections[2]))
 
     def continue_map(self, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
-        """Launch what continues the map to the rings."""
-        launch_rings(self, sections, vertex_values, values)
+        """Launch what continues the map to the rings, and corrects it next to the cage."""
+        lattice, nodes, side = self.lattice, self.nodes, self.lattice.side
+        count = int(sections[2:5].sum())
+        corrections = self.corrections = lattice.buffers.get("corrections", count, wp.vec3)
+        for ring in range(2):
+            launch_ring(self, ring, sections, vertex_values, values)
+        with side.fork():  # looks at rings 0 and 1 only
+            inputs = [nodes.levels, self.rows, *lattice.block_faces, lattice.vertices, lattice.faces]
+            self._launch(measure_corrections, count, [*inputs, vertex_values, values], [corrections])
+        launch_ring(self, 2, sections, vertex_values, values)
+        side.join()
+        self._launch(correct_values, count, [nodes.levels, corrections], [values])
 
     def launch_boundary(self, cut_count: int, vertex_values: wp.array, face_values, buffers, boundary) -> None:
         """Launch the map's remainder (rows, 6) where links cross the cage."""

@@ -75,6 +75,7 @@ class HarmonicSolver:
         self.going = wp.zeros(1, dtype=int, device=self.device)
         self.status = wp.zeros(2, dtype=float, device=self.device)  # cycles, residual
         self.gaps = GapFlags(self)
+        self.corrections = wp.empty(0, dtype=wp.vec3, device=self.device)  # none
         self._graph, self._graph_key, self._graph_sections = None, None, None
         self.launch_rows(self.nodes.sizes, self.nodes.sections)
 

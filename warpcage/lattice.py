@@ -57,6 +57,7 @@ class CageLattice:
     Attributes: shape (3,) node counts; lower (3,) float64, world position of node (0, 0, 0); spacing, world units;
     origin (3,) float64; distance, array3d float: signed distance in world units, negative inside, exact nearer than 4
     cells and clamped to that; crossings, where lattice lines cross the cage; vertices (v,) vec3 in node units; faces;
+    block_faces, how many faces are near each block of nodes and which (kernels/distance_band.py);
     constants and map_constants, what a pose sends to the device, for the lattice and for the map on it; sizes, how many
     nodes, lines and blocks of nodes there are.
 
@@ -158,7 +159,7 @@ class CageLattice:
         self._launch_crossings(sizes)
         self.side.join()
         self.flat_distance = self.buffers.get("distance", sizes["nodes"], float)
-        inputs = [self.crossings, self.vertices, self.faces, *self._block_faces, self.constants.arrays["scales"]]
+        inputs = [self.crossings, self.vertices, self.faces, *self.block_faces, self.constants.arrays["scales"]]
         launch(measure_band, BLOCK**3 * sizes["blocks"], [*inputs, self.flat_distance], device=self.device)
 
     def _launch_crossings(self, sizes: dict) -> None:
@@ -180,7 +181,7 @@ class CageLattice:
         counts = self.buffers.get("block_counts", blocks, int)
         near = self.buffers.get("block_faces", (blocks, BLOCK_FACES), int)
         self.clear_octants = self.buffers.get("clear_octants", blocks, int)
-        self._block_faces = counts, near
+        self.block_faces = counts, near
         inputs = [self.constants.arrays["shapes"], self.vertices, self.faces, counts, near]
         launch(list_block_faces, lane_count(self.device) * blocks, [*inputs, self.clear_octants], device=self.device)
 

@@ -158,7 +158,7 @@ class MapSides:
         items = lane_count(self.device) * self._counts.size
         inputs = [levels, rows, self._counts, self._offsets]
         self._launch(list_column_sides, items, inputs, [self.index, cells, masks])
-        values = [self._scale, self._constants["affine"], solver.values, lattice.flat_distance]
+        values = [self._scale, self._constants["affine"], solver.values, solver.corrections, lattice.flat_distance]
         inputs = [levels, rows, self._boundary, *values, self._counts, self._offsets, cells, masks]
         self._launch(fill_sides, room, inputs, [self.table])
         jump = buffers.get("jump", 1, float)
@@ -173,15 +173,22 @@ class MapSides:
 def launch_rings(solver, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
     """Launch the continuation of a map that is linear on the cage's faces from inside nodes to the rings around them
     (kernels/map_extension.py)."""
-    lattice, nodes = solver.lattice, solver.nodes
-    rings = sections[3 * nodes.level_count :]
-    inputs = [nodes.levels, solver.rows, lattice.faces, vertex_values, values]
-    # an octet of lanes a node, in whole warps
-    items = int(rings[0]) if solver.device.is_cpu else -(-int(rings[0]) // 4) * lane_count(solver.device)
-    launch(extend_through_cage, items, inputs, device=solver.device)
-    for ring in range(1, RINGS):
+    for ring in range(RINGS):
+        launch_ring(solver, ring, sections, vertex_values, values)
+
+
+def launch_ring(solver, ring: int, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
+    """Launch the continuation to one ring; those before it come first."""
+    lattice, nodes, device = solver.lattice, solver.nodes, solver.device
+    count = int(sections[3 * nodes.level_count + ring])
+    if ring == 0:
+        inputs = [nodes.levels, solver.rows, lattice.faces, vertex_values, values]
+        # an octet of lanes a node, in whole warps
+        items = count if device.is_cpu else -(-count // 4) * lane_count(device)
+        launch(extend_through_cage, items, inputs, device=device)
+    else:
         inputs = [ring, lattice.vertices, lattice.faces, nodes.levels, vertex_values, lattice.flat_distance, values]
-        launch(extend_outwards, lane_count(solver.device) * int(rings[ring]), inputs, device=solver.device)
+        launch(extend_outwards, lane_count(device) * count, inputs, device=device)
 
 
 def launch_linear_boundary(solver, cut_count: int, vertex_values: wp.array, boundary: wp.array) -> None:
