@@ -260,6 +260,7 @@ def _modules(coordinates: str, render_kernel) -> list:
         crossings,
         distance_band,
         edit_cells,
+        face_fans,
         grid_skip,
         harmonic,
         harmonic_coarse,
@@ -272,8 +273,8 @@ def _modules(coordinates: str, render_kernel) -> list:
 
     solver = {
         "harmonic": [harmonic, harmonic_coarse, harmonic_rows, map_sides],
-        "mean_value": [closed_form_map, harmonic_rows, map_corrections],
-        "green": [closed_form_map],
+        "mean_value": [closed_form_map, face_fans, harmonic_rows, map_corrections, map_sides],
+        "green": [closed_form_map, face_fans, map_sides],
     }[coordinates]
     names = [] if render_kernel is None else [sys.modules[render_kernel.module.name]]
     return [crossings, distance_band, node_levels, map_extension, edit_cells, grid_skip, *solver, *names]

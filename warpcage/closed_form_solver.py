@@ -59,12 +59,14 @@ class ClosedFormSolver:
             self.describe(sections)
         self.launch_map(sections, vertex_values, face_values, values)
         side.join()
-        with side.fork():  # none of this looks at the rings, nor they at it
+        with side.fork():  # neither of these looks at the rings, nor they at them
             self.gaps.launch(sections, self.rows, values)
+        with self.lattice.other_side.fork():
             for axis in range(3):
                 self._launch(interpolate_nodes, int(sections[1]), [axis, self.nodes.levels], [values])
         self.continue_map(sections, vertex_values, values)
         side.join()
+        self.lattice.other_side.join()
 
     def find_gaps(self, sections: np.ndarray) -> None:
         """Launch the search for narrow gaps."""

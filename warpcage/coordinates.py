@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from . import face_geometry
 from .arrays import as_host_points, as_points, is_device_array
 from .cage import SURFACE_TOLERANCE, Cage, require_same_faces
 from .devices import launch, resolve_device
 from .face_fans import prepared_fans
-from .face_geometry import column_cross, column_dot, face_edges
 from .kernels import cage_map, green, local_points, mean_value
 from .memory import require_memory
 
@@ -143,26 +143,11 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
 def stretched_normals(source: Cage, target: Cage) -> np.ndarray:
     """Unit normals of `target`'s faces times how much each is stretched from `source`'s: (f, 3) float64.
 
-    What green face weights computed on `source` multiply. Stretch (Lipman et al. 2008, 3-D), with u, v two edges of a
-    face of area A in the source and u', v' the same in the target:
-    sqrt(|u'|^2 |v|^2 - 2 (u'.v')(u.v) + |v'|^2 |u|^2) / (sqrt(8) A).
-    A target face without area has no normal and gives zero. Raises ValueError for cages whose faces differ.
+    What green face weights computed on `source` multiply; see face_geometry for the formula. A target face without area
+    has no normal and gives zero. Raises ValueError for cages whose faces differ.
     """
     require_same_faces(source, target)
-    return stretched_columns(face_edges(source), face_edges(target))[0].T
-
-
-def stretched_columns(source, target) -> tuple[np.ndarray, np.ndarray]:
-    """`stretched_normals` of the target and unit normals of the source, (3, f) each, from the edges of both cages."""
-    (u, v), (s, t) = source, target
-    normal, source_normal = column_cross(s, t), column_cross(u, v)
-    length = np.sqrt(column_dot(normal, normal))
-    double_area = np.sqrt(column_dot(source_normal, source_normal))
-    energy = (column_dot(s, s) * column_dot(v, v) - 2.0 * column_dot(s, t) * column_dot(u, v)
-              + column_dot(t, t) * column_dot(u, u))
-    stretch = np.sqrt(np.maximum(0.5 * energy, 0.0)) / double_area
-    normal *= np.divide(stretch, length, out=np.zeros_like(length), where=length > 0.0)
-    return normal, source_normal / double_area
+    return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target))[0].T
 
 
 @dataclass

@@ -101,7 +101,7 @@ class CageLattice:
         self._line_capacity = LINE_CAPACITY
         self.flags = self.constants.arrays["flags"]
         self.overflow = self.flags[:1]
-        self.side = SideStream(self.device)
+        self.side, self.other_side = SideStream(self.device), SideStream(self.device)
         self._views: dict = {}
         self.fill(cage)
 

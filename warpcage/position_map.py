@@ -10,7 +10,7 @@ import warp as wp
 from .cage import require_same_faces
 from .closed_form_solver import GreenSolver, MeanValueSolver
 from .devices import launch, resolve_device
-from .face_geometry import column_cross, column_dot, face_edges
+from .face_geometry import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
 from .harmonic_solver import HarmonicSolver, require_tolerance
 from .kernels.cage_map import CageMap
 from .kernels.map_extension import add_affine
@@ -202,7 +202,7 @@ class PositionMap:
         return int(total)
 
     def _take_rest(self, rest) -> None:
-        self.rest, self._rest_edges = rest, face_edges(rest)
+        self.rest, self._rest_faces = rest, StretchTarget.of(rest)
 
     def _posed_lattice(self) -> CageLattice:
         if self._data is None:
@@ -229,7 +229,7 @@ class PositionMap:
         host["affine"][:3] = matrix.T * lattice.spacing
         host["affine"][3] = matrix @ lattice.lower + offset - self.origin
         if self.coordinates == "green":
-            host["face_values"][:] = self._face_values(matrix)[deformed.topology.fans.order]
+            host["face_values"][:] = self._face_values(matrix)
 
     def _map_positions(self) -> None:
         """Fill the positions: remainder of the map, plus its affine part."""
@@ -280,15 +280,14 @@ class PositionMap:
             )
 
     def _face_values(self, matrix: np.ndarray) -> np.ndarray:
-        """(f, 3) float32: stretched target normals less the affine part's, for psi in node units.
+        """(f, 3): stretched target normals less the affine part's, for psi in node units, of the faces in fans.
 
         As x = sum phi v + sum psi n, an affine map A x + b is sum phi (A v + b) + sum psi A n.
         """
-        from .coordinates import stretched_columns
-
-        normals, source_normals = stretched_columns(face_edges(self.lattice.cage), self._rest_edges)
+        cage = self.lattice.cage
+        normals, source_normals = stretched_normals(cage, self._rest_faces)
         normals -= matrix @ source_normals
-        return (normals.T * (self.lattice.spacing / self.rest.size)).astype(np.float32)
+        return (normals * (self.lattice.spacing / self.rest.size)).T[cage.topology.fans.order]
 
 
 def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
