@@ -1,6 +1,8 @@
 """The command line: what it writes, what it says, how it ends."""
 
 import json
+import subprocess
+import sys
 
 import imageio.v3 as iio
 import numpy as np
@@ -50,6 +52,14 @@ def succeed(files, *words):
 
 
 # Help and wrong input
+
+
+def test_the_package_runs_as_a_module():
+    words = [sys.executable, "-m", "warpcage"]
+    helped = subprocess.run([*words, "--help"], capture_output=True, text=True)
+    assert helped.returncode == 0 and helped.stdout.startswith("usage: warpcage ")
+    wrong = subprocess.run([*words, "info", "nowhere.npz"], capture_output=True, text=True)
+    assert wrong.returncode == 2 and "nowhere.npz" in wrong.stderr and wrong.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", NAMES)

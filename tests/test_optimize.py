@@ -308,6 +308,7 @@ def test_transparent_scene_is_refused():
 def test_psnr_by_hand():
     assert psnr(np.full((2, 2, 3), 0.5), np.full((2, 2, 3), 0.6)) == pytest.approx(20.0)
     assert psnr(np.full((1, 1, 3), 1.7), np.ones((1, 1, 3))) == float("inf")  # clamped
+    assert psnr(np.full((1, 1, 3), 1.7), np.full((1, 1, 3), 1.2)) == float("inf")  # both: renders reach above one
 
 
 def test_ssim_and_error_image():

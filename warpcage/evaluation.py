@@ -6,8 +6,9 @@ import numpy as np
 
 
 def psnr(image, reference) -> float:
-    """Peak signal-to-noise ratio in dB of an image clamped to [0, 1] against a reference; inf where they are equal."""
-    error = float(np.mean((np.clip(np.asarray(image, np.float64), 0, 1) - np.asarray(reference, np.float64)) ** 2))
+    """Peak signal-to-noise ratio in dB of an image and a reference, both clamped to [0, 1]; inf where they agree."""
+    image, reference = np.clip(np.asarray(image, np.float64), 0, 1), np.clip(np.asarray(reference, np.float64), 0, 1)
+    error = float(np.mean((image - reference) ** 2))
     return float("inf") if error == 0 else -10.0 * np.log10(error)
 
 
