@@ -87,6 +87,37 @@ def interpolate_nodes(first: int, axis: int, levels: NodeLevels, values: wp.arra
 
 
 @wp.kernel
+def stretch_normals(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    rest_normals: wp.array(dtype=wp.vec3),
+    rest_products: wp.array(dtype=wp.vec3),
+    affine: wp.array(dtype=wp.vec3),
+    rest_size: float,
+    values: wp.array(dtype=wp.vec3),
+):
+    """values (f,): what psi in node units multiplies for the remainder of a map after its affine part A x + b, as a
+    share of the rest cage's size: stretched normals of the rest cage less A n, as x = sum phi v + sum psi n.
+
+    rest_normals: unit normals; rest_products: |s|^2, s.t, |t|^2 of the edges from the first corner of each face, over
+    the rest cage's size squared; affine: as in add_affine. Stretch (Lipman et al. 2008, 3-D) from a face of area A with
+    edges u, v: sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
+    """
+    f = first + wp.tid()
+    face = faces[f]
+    u = vertices[face[1]] - vertices[face[0]]
+    v = vertices[face[2]] - vertices[face[0]]
+    normal = wp.cross(u, v)
+    double_area = wp.length(normal)
+    normal = normal / (double_area * rest_size)
+    rest = rest_products[f]
+    energy = rest[0] * wp.dot(v, v) - 2.0 * rest[1] * wp.dot(u, v) + rest[2] * wp.dot(u, u)
+    stretch = wp.sqrt(wp.max(0.5 * energy, 0.0)) / double_area
+    values[f] = stretch * rest_normals[f] - (normal[0] * affine[0] + normal[1] * affine[1] + normal[2] * affine[2])
+
+
+@wp.kernel
 def map_crossings_green(
     first: int,
     levels: NodeLevels,

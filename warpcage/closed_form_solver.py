@@ -7,7 +7,14 @@ import warp as wp
 
 from .devices import lane_count, launch
 from .face_fans import prepared_fans
-from .kernels.closed_form_map import interpolate_nodes, map_crossings_green, map_nodes_green, map_nodes_mean_value
+from .face_geometry import StretchTarget
+from .kernels.closed_form_map import (
+    interpolate_nodes,
+    map_crossings_green,
+    map_nodes_green,
+    map_nodes_mean_value,
+    stretch_normals,
+)
 from .kernels.green import weigh_green
 from .kernels.lattice_weights import place_nodes
 from .kernels.map_corrections import correct_values, measure_corrections
@@ -51,6 +58,10 @@ class ClosedFormSolver:
 
     def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
         """Nothing: what needs the cut nodes described does so beside the map."""
+
+    def face_values(self, rest, affine: wp.array):
+        """What psi multiplies: nothing."""
+        return None
 
     def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
         """Launch what fills the cleared values. sizes, sections: of this pose, or upper bounds."""
@@ -162,6 +173,25 @@ class MeanValueSolver(ClosedFormSolver):
 class GreenSolver(ClosedFormSolver):
     """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly. Cut nodes are
     described where there are gaps only."""
+
+    def __init__(self, lattice):
+        super().__init__(lattice)
+        self._rest = None
+
+    def face_values(self, rest, affine: wp.array) -> wp.array:
+        """Launch what psi in node units multiplies (f,), of the faces in fans, for the remainder of the map to a rest
+        cage after its affine part; see the kernel."""
+        if self._rest is not rest:
+            target = StretchTarget.of(rest, rest.topology.fans.faces)
+            products = np.stack([target.ss, target.st, target.tt]) / rest.size**2
+            self._rest_faces = [
+                wp.array(np.ascontiguousarray(columns.T, dtype=np.float32), dtype=wp.vec3, device=self.device)
+                for columns in (target.normals, products)
+            ]
+            self._rest, self._face_values = rest, wp.empty(self._faces.size, dtype=wp.vec3, device=self.device)
+        inputs = [self._vertices, self._faces, *self._rest_faces, affine, rest.size]
+        self._launch(stretch_normals, self._faces.size, inputs, [self._face_values])
+        return self._face_values
 
     def launch_map(self, sections: np.ndarray, vertex_values: wp.array, face_values, values: wp.array) -> None:
         """Launch the map at the inside nodes that are not interpolated."""

@@ -147,7 +147,7 @@ def stretched_normals(source: Cage, target: Cage) -> np.ndarray:
     has no normal and gives zero. Raises ValueError for cages whose faces differ.
     """
     require_same_faces(source, target)
-    return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target))[0].T
+    return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target)).T
 
 
 @dataclass

@@ -9,11 +9,12 @@ import numpy as np
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 
 
-def face_edges(cage) -> tuple[np.ndarray, np.ndarray]:
-    """From the first corner of each face to its second and third: (3, f) float64 each, world units."""
+def face_edges(cage, faces=None) -> tuple[np.ndarray, np.ndarray]:
+    """From the first corner of each face to its second and third: (3, f) float64 each, world units. faces (f, 3):
+    instead of the cage's own."""
     lower, upper = cage.bounds
     vertices = (cage.vertices - 0.5 * (lower + upper)).T
-    first, second, third = cage.faces.T
+    first, second, third = (cage.faces if faces is None else faces).T
     a = vertices[:, first]
     return vertices[:, second] - a, vertices[:, third] - a
 
@@ -39,22 +40,21 @@ class StretchTarget:
     tt: np.ndarray
 
     @classmethod
-    def of(cls, cage) -> StretchTarget:
-        s, t = face_edges(cage)
+    def of(cls, cage, faces=None) -> StretchTarget:
+        """faces (f, 3): instead of the cage's own."""
+        s, t = face_edges(cage, faces)
         normals = column_cross(s, t)
         length = np.sqrt(column_dot(normals, normals))
         normals *= np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
         return cls(normals, column_dot(s, s), column_dot(s, t), column_dot(t, t))
 
 
-def stretched_normals(source, target: StretchTarget) -> tuple[np.ndarray, np.ndarray]:
-    """The target's unit normals times how much each face is stretched from the Cage `source`, and unit normals of the
-    source: (3, f) each. Stretch (Lipman et al. 2008, 3-D), with u, v two edges of a face of area A in the source and
-    s, t the same in the target: sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
+def stretched_normals(source, target: StretchTarget) -> np.ndarray:
+    """The target's unit normals times how much each face is stretched from the Cage `source`: (3, f). Stretch (Lipman
+    et al. 2008, 3-D), with u, v two edges of a face of area A in the source and s, t the same in the target:
+    sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
     """
     u, v = face_edges(source)
-    normals = column_cross(u, v)
-    double_area = np.sqrt(column_dot(normals, normals))
+    cross = column_cross(u, v)
     energy = target.ss * column_dot(v, v) - 2.0 * target.st * column_dot(u, v) + target.tt * column_dot(u, u)
-    stretch = np.sqrt(np.maximum(0.5 * energy, 0.0)) / double_area
-    return target.normals * stretch, normals / double_area
+    return target.normals * np.sqrt(np.maximum(0.5 * energy, 0.0) / column_dot(cross, cross))

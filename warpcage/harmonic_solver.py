@@ -128,6 +128,10 @@ class HarmonicSolver:
         """Launch the search for narrow gaps."""
         self.gaps.search(sections, self.rows, self.system.values)
 
+    def face_values(self, rest, affine: wp.array):
+        """Nothing: harmonic maps have values at vertices only."""
+        return None
+
     def launch_boundary(self, cut_count: int, vertex_values: wp.array, face_values, buffers, boundary) -> None:
         """Launch the map's remainder (rows of level 0, 6) where links cross the cage."""
         launch_linear_boundary(self, cut_count, vertex_values, boundary)

@@ -75,7 +75,7 @@ class CageLattice:
         self.level_count = 1
         while self.resolution >> self.level_count >= COARSEST_RESOLUTION:
             self.level_count += 1
-        vertex_count, face_count, levels = len(cage.vertices), len(cage.faces), self.level_count
+        vertex_count, levels = len(cage.vertices), self.level_count
         self.constants = PoseConstants(
             {
                 "flags": (FLAGS, int),  # sent as zeros
@@ -92,7 +92,6 @@ class CageLattice:
             {
                 "affine": (4, wp.vec3),
                 "vertex_values": (vertex_count, wp.vec3),  # what a map takes at the vertices
-                "face_values": (face_count, wp.vec3),
             },
             self.device,
         )

@@ -92,15 +92,14 @@ def side_bytes(node_count: int, surface: float) -> int:
 class MapSides:
     """The tables of a map's cells at narrow gaps, kept from pose to pose.
 
-    solver: whose maps have the gaps. scale: a map's positions are this times the remainder plus an affine part.
-    constants: the arrays of the lattice's map_constants.
+    solver: whose maps, to the cage `rest`, have the gaps. constants: the arrays of the lattice's map_constants.
 
     Attributes: index and table, side_index and sides of CageMap; jump, the largest that the remainder makes over
     a gap narrower than a cell; buffers, all that is held on the device.
     """
 
-    def __init__(self, solver, scale: float, constants: dict):
-        self.solver, self.device, self._scale, self._constants = solver, solver.device, scale, constants
+    def __init__(self, solver, rest, constants: dict):
+        self.solver, self.device, self._rest, self._constants = solver, solver.device, rest, constants
         self.buffers = Buffers(self.device)
         # written by the device where the host reads it
         self._host_status = wp.zeros(2, dtype=float, device="cpu", pinned=self.device.is_cuda)
@@ -135,7 +134,8 @@ class MapSides:
         levels, cut = solver.nodes.levels, solver.nodes.level_count * 2
         self._cut_count = int(sections[cut])
         self._boundary = buffers.get("boundary", (self._cut_count, 6), wp.vec3)
-        values, face_values = self._constants["vertex_values"], self._constants["face_values"]
+        face_values = solver.face_values(self._rest, self._constants["affine"])
+        values = self._constants["vertex_values"]
         solver.launch_boundary(self._cut_count, values, face_values, buffers, self._boundary)
         # where there are sides at all, all gaps get theirs
         solver.gaps.search(sections, solver.rows, solver.values, 0.0)
@@ -158,7 +158,7 @@ class MapSides:
         items = lane_count(self.device) * self._counts.size
         inputs = [levels, rows, self._counts, self._offsets]
         self._launch(list_column_sides, items, inputs, [self.index, cells, masks])
-        values = [self._scale, self._constants["affine"], solver.values, solver.corrections, lattice.flat_distance]
+        values = [self._rest.size, self._constants["affine"], solver.values, solver.corrections, lattice.flat_distance]
         inputs = [levels, rows, self._boundary, *values, self._counts, self._offsets, cells, masks]
         self._launch(fill_sides, room, inputs, [self.table])
         jump = buffers.get("jump", 1, float)

@@ -15,9 +15,10 @@ from .kernels.map_extension import add_affine, gather_status
 class PoseGraph:
     """The launches of a pose, captured with somewhat more room than the pose at hand needs.
 
-    lattice, solver: of a PositionMap that has just been posed. The first graph uploads the lattice's constants and lays
-    it out, with the lists of nodes; the second uploads the map's constants, which the host works out meanwhile, solves
-    until the tolerance is met and downloads the outcome. A pose costs the host two launches and one wait.
+    lattice, solver, rest: of a PositionMap that has just been posed. The first graph uploads the lattice's constants
+    and lays it out, with the lists of nodes; the second uploads the map's constants, which the host works out
+    meanwhile, solves until the tolerance is met and downloads the outcome. A pose costs the host two launches and one
+    wait.
 
     Attribute: has_gaps, whether the solver flagged nodes at narrow gaps.
     """
@@ -27,8 +28,8 @@ class PoseGraph:
         """Whether the device can decide in a graph how often a part of it runs (CUDA 12.4)."""
         return device.is_cuda and wp.is_conditional_graph_supported()
 
-    def __init__(self, lattice, solver, scale: float):
-        self.lattice, self.solver, self.scale, self.device = lattice, solver, scale, lattice.device
+    def __init__(self, lattice, solver, rest):
+        self.lattice, self.solver, self.rest, self.device = lattice, solver, rest, lattice.device
         # overflow of lines and lists, cycles, residual, nodes at gaps, then the length of each section
         words = 5 + solver.nodes.section_count
         # written by the device where the host reads it
@@ -146,11 +147,12 @@ class PoseGraph:
         lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
         arrays = lattice.map_constants.arrays
         lattice.map_constants.send()
-        solver.launch_solution(self._node_sizes, self._sections, arrays["vertex_values"], arrays["face_values"])
+        face_values = solver.face_values(self.rest, arrays["affine"])
+        solver.launch_solution(self._node_sizes, self._sections, arrays["vertex_values"], face_values)
         with lattice.side.fork():
             inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.narrow, nodes.levels]
             launch(gather_status, self._status.size, inputs, [self._status], device=self.device)
         values = lattice.buffers.get("values", self._node_sizes["nodes"], wp.vec3)
-        inputs = [nodes.levels, self.scale, arrays["affine"]]
+        inputs = [nodes.levels, self.rest.size, arrays["affine"]]
         launch(add_affine, self._lattice_sizes["nodes"], inputs, [values], device=self.device)
         lattice.side.join()

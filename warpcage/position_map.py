@@ -10,7 +10,7 @@ import warp as wp
 from .cage import require_same_faces
 from .closed_form_solver import GreenSolver, MeanValueSolver
 from .devices import launch, resolve_device
-from .face_geometry import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
+from .face_geometry import column_cross, column_dot, face_edges
 from .harmonic_solver import HarmonicSolver, require_tolerance
 from .kernels.cage_map import CageMap
 from .kernels.map_extension import add_affine
@@ -70,7 +70,7 @@ class PositionMap:
             raise ValueError(f"store must be one of {', '.join(STORES)}, got {store!r}")
         rest.require_usable("rest cage")
         self.coordinates, self.store = coordinates, store
-        self._take_rest(rest)
+        self.rest = rest
         self.resolution = require_resolution(resolution)
         self.tolerance = require_tolerance(tolerance)
         self.device = resolve_device(device)
@@ -112,7 +112,7 @@ class PositionMap:
         if self._graph is not None:
             self._graph.release()
         elif self._weights is None and PoseGraph.is_supported(self.device):
-            self._graph = PoseGraph(self.lattice, self._solver, self.rest.size)
+            self._graph = PoseGraph(self.lattice, self._solver, self.rest)
         return self
 
     def _replay(self, deformed) -> bool:
@@ -150,8 +150,7 @@ class PositionMap:
             raise ValueError('rebind needs the weights: make the PositionMap with store="weights"')
         rest.require_usable("rest cage")
         require_same_faces(rest, self._posed_lattice().cage)
-        self._take_rest(rest)
-        self._sides = None  # of the other cage's size
+        self.rest, self._sides = rest, None  # its tables were of the other cage
         self._map_positions()
         return self
 
@@ -201,9 +200,6 @@ class PositionMap:
             total += LatticeWeights.row_bytes(self.coordinates, deformed) * (inside + 4 * surface)
         return int(total)
 
-    def _take_rest(self, rest) -> None:
-        self.rest, self._rest_faces = rest, StretchTarget.of(rest)
-
     def _posed_lattice(self) -> CageLattice:
         if self._data is None:
             raise ValueError("the PositionMap has no pose yet: call pose(deformed) first")
@@ -228,8 +224,6 @@ class PositionMap:
         host["vertex_values"][:] = (rest.vertices - (deformed.vertices @ matrix.T + offset)) / rest.size
         host["affine"][:3] = matrix.T * lattice.spacing
         host["affine"][3] = matrix @ lattice.lower + offset - self.origin
-        if self.coordinates == "green":
-            host["face_values"][:] = self._face_values(matrix)
 
     def _map_positions(self) -> None:
         """Fill the positions: remainder of the map, plus its affine part."""
@@ -238,7 +232,7 @@ class PositionMap:
         lattice.map_constants.send()
         arrays = lattice.map_constants.arrays
         solver = self._solver if self._weights is None else self._weights
-        solver.solve(arrays["vertex_values"], arrays["face_values"])
+        solver.solve(arrays["vertex_values"], self._solver.face_values(self.rest, arrays["affine"]))
         inputs = [self._solver.nodes.levels, self.rest.size, arrays["affine"]]
         launch(add_affine, lattice.node_count, inputs, [self._solver.values], device=self.device)
         self._take_map(self._solver.gaps.found())
@@ -259,7 +253,7 @@ class PositionMap:
         """Give the map the sides of narrow gaps, and report those that its lattice smears."""
         lattice = self.lattice
         if self._sides is None:
-            self._sides = MapSides(self._solver, self.rest.size, lattice.map_constants.arrays)
+            self._sides = MapSides(self._solver, self.rest, lattice.map_constants.arrays)
         sides = self._sides
         require_memory(
             side_bytes(lattice.node_count, _area(lattice.cage) / lattice.spacing**2),
@@ -278,16 +272,6 @@ class PositionMap:
                 f"resolution above {self.resolution} or open the gaps",
                 stacklevel=5,
             )
-
-    def _face_values(self, matrix: np.ndarray) -> np.ndarray:
-        """(f, 3): stretched target normals less the affine part's, for psi in node units, of the faces in fans.
-
-        As x = sum phi v + sum psi n, an affine map A x + b is sum phi (A v + b) + sum psi A n.
-        """
-        cage = self.lattice.cage
-        normals, source_normals = stretched_normals(cage, self._rest_faces)
-        normals -= matrix @ source_normals
-        return (normals * (self.lattice.spacing / self.rest.size)).T[cage.topology.fans.order]
 
 
 def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
