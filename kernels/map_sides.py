@@ -4,10 +4,12 @@ Where two sheets of a cage pass within a cell or two, one outside node cannot co
 there get eight corner values for each side instead: a side is a set of inside corners joined by links that do not cross
 the cage, of the cell or one layer behind a face of it; its other corners are continued from it alone, along a link
 through the boundary value at the crossing (see map_extension), or have their ring's value where they serve no other,
-then by parallelograms, u_1 + u_2 - u_12. All of it is linear in the values and exact for linear
-functions. A fourth channel continues the signed distance alike, negative on the side itself: a point belongs to the
-side where that is lowest. A cell without inside corners may hold a tip of the cage: it has the sides of the six cells
-beside it, continued once more.
+then by parallelograms, u_1 + u_2 - u_12. All of it is linear in the values and exact for linear functions.
+
+A fourth channel holds the distance to the side: the signed distance at its own corners, at the others their largest
+height over the cage faces that its links cross. A point belongs to the side where that is lowest. A cell may hold a tip
+of the cage without a corner inside it: besides its own it has the sides of the six cells beside it that have no inside
+corner in common with it, continued once more; they come second where both could be meant.
 
 Gaps are found at outside nodes next to the inside, where the inside nodes among the 26 neighbours are not joined by
 links that do not cross the cage, and at links that leave the cage and enter it again: gaps narrower than a cell. They
@@ -31,6 +33,12 @@ GAP_JUMP = wp.constant(1.0e-2)
 
 #: Sides of a cell that there is room for in its entry of side_index.
 MOST_SIDES = wp.constant(7)
+
+#: Below all heights of a corner of a cell over faces that cross it, in cells.
+FARTHEST_INSIDE = wp.constant(-4.0)
+
+#: Cells by which a point must be deeper in a side of a cell beside its own to belong to it.
+HANDICAP = wp.constant(0.25)
 
 #: Least distance, in cells, between two crossings that a value beyond the second is continued from.
 SHORTEST_CHORD = wp.constant(0.1)
@@ -279,12 +287,37 @@ def side_count(levels: NodeLevels, rows: CutRows, cell: int):
 
 
 @wp.func
+def is_detached(side: int, direction: int):
+    """Whether a side of the cell that lies in a direction has no inside corner on the face towards the cell it is seen
+    from, so that it is none of that cell's own."""
+    bit = 2 - direction / 2
+    facing = int(0)
+    for corner in range(8):
+        if (corner >> bit) & 1 != direction % 2:
+            facing = facing | (1 << corner)
+    return side & facing == 0
+
+
+@wp.func
+def detached_count(levels: NodeLevels, rows: CutRows, cell: int, direction: int):
+    """Sides of the cell beside one in a direction that are none of its own."""
+    beside = cell + node_step(levels, direction)
+    count = int(0)
+    left = inside_corners(levels, beside)
+    while left != 0:
+        side = side_corners(levels, rows, beside, left)
+        left = left & ~side
+        if is_detached(side, direction):
+            count += 1
+    return count
+
+
+@wp.func
 def entry_length(levels: NodeLevels, rows: CutRows, cell: int):
-    """Sides that a marked cell gets: its own, or those of the six cells beside it."""
+    """Sides that a marked cell gets: its own, and those of the six cells beside it that are none of them."""
     count = side_count(levels, rows, cell)
-    if count == 0:
-        for direction in range(6):
-            count += side_count(levels, rows, cell + node_step(levels, direction))
+    for direction in range(6):
+        count += detached_count(levels, rows, cell, direction)
     return wp.min(count, MOST_SIDES)
 
 
@@ -336,15 +369,16 @@ def list_sides(
     side_masks: wp.array(dtype=int),
 ):
     """Write the sides of a cell to rows from `row`, before `end`; the row after them. origin: 0, or 1 plus the
-    direction in which the cell lies from the one that gets its sides."""
+    direction in which the cell lies from the one that gets its detached sides."""
     at = int(row)
     left = inside_corners(levels, cell)
     while left != 0 and at < end:
         side = side_corners(levels, rows, cell, left)
-        side_cells[at] = cell
-        side_masks[at] = side | (origin << 8)
         left = left & ~side
-        at += 1
+        if origin == 0 or is_detached(side, wp.max(origin - 1, 0)):
+            side_cells[at] = cell
+            side_masks[at] = side | (origin << 8)
+            at += 1
     return at
 
 
@@ -387,12 +421,11 @@ def list_column_sides(
                 row += bit_count(lengths) << bit
             if marked:
                 end = list_sides(levels, rows, cell, 0, begin, begin + length, side_cells, side_masks)
-                if end == begin:
-                    for direction in range(6):
-                        beside = cell + node_step(levels, direction)
-                        end = list_sides(
-                            levels, rows, beside, direction + 1, end, begin + length, side_cells, side_masks
-                        )
+                for direction in range(6):
+                    beside = cell + node_step(levels, direction)
+                    end = list_sides(
+                        levels, rows, beside, direction + 1, end, begin + length, side_cells, side_masks
+                    )
                 side_index[cell] = wp.where(length > 0, 8 * begin + length, 0)
 
 
@@ -484,8 +517,9 @@ def continued(
 
 
 @wp.func
-def move_side(sides: wp.array2d(dtype=wp.vec4), row: int, direction: int):
-    """Corner values of a cell continued to the cell that it lies beside, seen from there in a direction."""
+def move_side(sides: wp.array2d(dtype=wp.vec4), row: int, direction: int, handicap: float):
+    """Corner values of a cell continued to the cell that it lies beside, seen from there in a direction. handicap: is
+    added to the distances, so that sides of the cell itself come first where both could be meant."""
     bit = 4 >> (direction / 2)
     for corner in range(8):
         if corner & bit == 0:
@@ -497,6 +531,39 @@ def move_side(sides: wp.array2d(dtype=wp.vec4), row: int, direction: int):
             else:
                 sides[row, corner] = high
                 sides[row, corner | bit] = 2.0 * high - low
+    for corner in range(8):
+        side = sides[row, corner]
+        sides[row, corner] = wp.vec4(side[0], side[1], side[2], side[3] + handicap)
+
+
+@wp.func
+def distance_beyond(
+    levels: NodeLevels,
+    rows: CutRows,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    cell: int,
+    own: int,
+    corner: int,
+):
+    """Cells from a side, the corners `own` of a cell, to another corner: its largest height over the cage faces that
+    links of the side cross within the cell; below FARTHEST_INSIDE where they cross none."""
+    p = node_place(levels, 0, corner_node(levels, cell, corner))
+    x = wp.vec3(float(p[0]), float(p[1]), float(p[2]))
+    result = float(2.0 * FARTHEST_INSIDE)
+    for a in range(8):
+        if (own >> a) & 1 == 1:
+            row = levels.codes[corner_node(levels, cell, a)]
+            for b in range(3):
+                direction = link_direction(a, b)
+                if row >= 0:
+                    f = rows.faces[row, direction]
+                    if f >= 0:
+                        face = faces[f]
+                        origin = vertices[face[0]]
+                        normal = wp.cross(vertices[face[1]] - origin, vertices[face[2]] - origin)
+                        result = wp.max(result, wp.dot(wp.normalize(normal), x - origin))
+    return result
 
 
 @wp.kernel
@@ -510,6 +577,9 @@ def fill_sides(
     values: wp.array(dtype=wp.vec3),
     corrections: wp.array(dtype=wp.vec3),
     distance: wp.array(dtype=float),
+    scales: wp.array(dtype=float),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
     counts: wp.array(dtype=int),
     offsets: wp.array(dtype=int),
     side_cells: wp.array(dtype=int),
@@ -519,9 +589,9 @@ def fill_sides(
     """sides (rows or more, 8): position and signed distance at the corners of a cell as one side sees them.
 
     boundary (rows of level 0, 6): values of the map, less the affine part, where links cross the cage.
-    values, distance (nodes,): positions (the affine part added) and signed distances at nodes. corrections: those that
-    are in the values of cut nodes, row by row, less the scale (see map_corrections), or (0,). side_cells, side_masks
-    (rows,): see list_column_sides.
+    values, distance (nodes,): positions (the affine part added) and signed distances at nodes, scales[0] units a cell.
+    corrections: those that are in the values of cut nodes, row by row, less the scale (see map_corrections), or (0,).
+    vertices in node units. side_cells, side_masks (rows,): see list_column_sides.
     """
     row = first + wp.tid()
     if row >= table_length(offsets, counts) or table_length(offsets, counts) > side_cells.shape[0]:
@@ -577,8 +647,15 @@ def fill_sides(
             if count > 0.0:
                 sides[row, corner] = total / count
                 found = found | (1 << corner)
+    own = side_masks[row] & 255
+    for corner in range(8):
+        if (own >> corner) & 1 == 0:
+            away = distance_beyond(levels, rows, vertices, faces, cell, own, corner)
+            if away > FARTHEST_INSIDE:
+                side = sides[row, corner]
+                sides[row, corner] = wp.vec4(side[0], side[1], side[2], away * scales[0])
     if side_masks[row] > 255:
-        move_side(sides, row, (side_masks[row] >> 8) - 1)
+        move_side(sides, row, (side_masks[row] >> 8) - 1, HANDICAP * scales[0])
 
 
 @wp.kernel

@@ -145,6 +145,18 @@ def test_slot_of_a_mean_value_map_turned_about_other_axes(degrees, axis, device)
     assert np.abs(look_up(position_map, points) - expected).max() < 1e-3 * narrow.size
 
 
+@pytest.mark.parametrize(("degrees", "axis"), [(40, (-0.3, 1, 0.5)), (70, (1, 0.2, -0.6)), (20, (0.5, -1, 0.3))])
+@pytest.mark.parametrize("kind", ["mean_value", "green"])
+def test_one_cell_slots_turned_so_that_cells_hold_tips_alone(kind, degrees, axis, device):
+    """Each has a point of 20,000, in a cell with a corner of one arm, that errs by 0.02 to 0.07 if it takes the side
+    whose corners are nearer inside, or if the cell has the other arm's side only."""
+    narrow, wide, turn = slot_cages(1 / 64, degrees, axis)
+    points = points_beside_slot(1 / 64, 64, turn, 20_000)
+    position_map = PositionMap(wide, coordinates=kind, resolution=64, device=device).pose(narrow)
+    expected = deform_points(points, narrow, wide, kind, device=device)
+    assert np.abs(look_up(position_map, points) - expected).max() < 1.5e-2 * narrow.size
+
+
 @pytest.mark.parametrize("kind", ["harmonic", "mean_value", "green"])
 def test_gaps_narrower_than_a_cell_are_reported(kind, device):
     narrow, wide, turn = slot_cages(0.6 / 32, 17)

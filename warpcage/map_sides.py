@@ -159,6 +159,7 @@ class MapSides:
         inputs = [levels, rows, self._counts, self._offsets]
         self._launch(list_column_sides, items, inputs, [self.index, cells, masks])
         values = [self._rest.size, self._constants["affine"], solver.values, solver.corrections, lattice.flat_distance]
+        values += [lattice.constants.arrays["scales"], lattice.vertices, lattice.faces]
         inputs = [levels, rows, self._boundary, *values, self._counts, self._offsets, cells, masks]
         self._launch(fill_sides, room, inputs, [self.table])
         jump = buffers.get("jump", 1, float)
