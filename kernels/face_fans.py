@@ -1,4 +1,4 @@
-"""Faces of a cage as `mean_value_position` reads them: in fans, with what all points have in common worked out.
+"""Faces of a cage as the closed forms read them: in fans, with what all points have in common worked out.
 
 A face that begins with the edge a, c of the face before it, (a, b, c), goes on with a fan around a: what its first two
 corners and their edge give is there already. So faces may come in any order, but cost least in long fans
@@ -35,7 +35,7 @@ def prepare_fans(
     size: float,
     fans: wp.array(dtype=wp.vec4),
 ):
-    """What `mean_value_position` reads of each face. fans (2 f,): corner c and its index, as bits; the cross product of
+    """What the closed forms read of each face. fans (2 f,): corner c and its index, as bits; the cross product of
     two edges, and `near_plane_limit`. The last face of a fan has its index inverted. size: of the cage."""
     f = first + wp.tid()
     face = faces[f]
