@@ -6,10 +6,11 @@ the cage, of the cell or one layer behind a face of it; its other corners are co
 through the boundary value at the crossing (see map_extension), or have their ring's value where they serve no other,
 then by parallelograms, u_1 + u_2 - u_12. All of it is linear in the values and exact for linear functions.
 
-A fourth channel holds the distance to the side: the signed distance at its own corners, at the others their largest
-height over the cage faces that its links cross. A point belongs to the side where that is lowest. A cell may hold a tip
-of the cage without a corner inside it: besides its own it has the sides of the six cells beside it that have no inside
-corner in common with it, continued once more; they come second where both could be meant.
+A fourth channel holds the distance to the side: the signed distance at its own corners, at the others the mean of what
+continues it alike, which is right at folds of the cage, and their largest height over the faces that the side's links
+cross, which is right at its edges. A point belongs to the side where that is lowest. A cell may hold a tip of the cage
+without a corner inside it: besides its own it has the sides of the six cells beside it that have no inside corner in
+common with it, continued once more; they come second where both could be meant.
 
 Gaps are found at outside nodes next to the inside, where the inside nodes among the 26 neighbours are not joined by
 links that do not cross the cage, and at links that leave the cage and enter it again: gaps narrower than a cell. They
@@ -653,7 +654,7 @@ def fill_sides(
             away = distance_beyond(levels, rows, vertices, faces, cell, own, corner)
             if away > FARTHEST_INSIDE:
                 side = sides[row, corner]
-                sides[row, corner] = wp.vec4(side[0], side[1], side[2], away * scales[0])
+                sides[row, corner] = wp.vec4(side[0], side[1], side[2], 0.5 * (side[3] + away * scales[0]))
     if side_masks[row] > 255:
         move_side(sides, row, (side_masks[row] >> 8) - 1, HANDICAP * scales[0])
 
