@@ -10,7 +10,7 @@ from test_position_map import inside_points, look_up, pose_noisily
 
 from warpcage.cage import Cage
 from warpcage.closed_form_solver import MeanValueSolver
-from warpcage.map_sides import launch_rings
+from warpcage.map_extension import launch_rings
 from warpcage.position_map import PositionMap
 
 STEPS = np.array(list(itertools.product((0, 1), repeat=3)))

@@ -261,6 +261,7 @@ def _modules(coordinates: str, render_kernel) -> list:
         distance_band,
         edit_cells,
         face_fans,
+        gap_sides,
         grid_skip,
         harmonic,
         harmonic_coarse,
@@ -268,16 +269,18 @@ def _modules(coordinates: str, render_kernel) -> list:
         map_corrections,
         map_extension,
         map_sides,
+        narrow_gaps,
         node_levels,
     )
 
     solver = {
-        "harmonic": [harmonic, harmonic_coarse, harmonic_rows, map_sides],
-        "mean_value": [closed_form_map, face_fans, harmonic_rows, map_corrections, map_sides],
-        "green": [closed_form_map, face_fans, map_sides],
+        "harmonic": [harmonic, harmonic_coarse, harmonic_rows],
+        "mean_value": [closed_form_map, face_fans, harmonic_rows, map_corrections],
+        "green": [closed_form_map, face_fans],
     }[coordinates]
+    gaps = [narrow_gaps, gap_sides, map_sides]
     names = [] if render_kernel is None else [sys.modules[render_kernel.module.name]]
-    return [crossings, distance_band, node_levels, map_extension, edit_cells, grid_skip, *solver, *names]
+    return [crossings, distance_band, node_levels, map_extension, edit_cells, grid_skip, *solver, *gaps, *names]
 
 
 def _distance_map(lattice: CageLattice) -> CageMap:

@@ -21,7 +21,9 @@ from .kernels.map_corrections import correct_values, measure_corrections
 from .kernels.map_extension import extend_outwards
 from .kernels.mean_value import weigh_mean_value
 from .kernels.node_levels import RINGS
-from .map_sides import GapFlags, described_rows, launch_linear_boundary, launch_ring
+from .map_extension import described_rows, launch_ring
+from .map_sides import launch_linear_boundary
+from .narrow_gaps import GapFlags
 from .node_levels import LatticeNodes
 
 

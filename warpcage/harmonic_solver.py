@@ -21,7 +21,9 @@ from .kernels.harmonic import (
 )
 from .kernels.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
 from .kernels.harmonic_rows import set_sources
-from .map_sides import GapFlags, described_rows, launch_linear_boundary, launch_rings
+from .map_extension import described_rows, launch_rings
+from .map_sides import launch_linear_boundary
+from .narrow_gaps import GapFlags
 from .node_levels import LatticeNodes
 
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)

@@ -7,81 +7,14 @@ import warp as wp
 
 from .buffers import Buffers
 from .devices import lane_count, launch
-from .kernels.harmonic_rows import CutRows, describe_rows
-from .kernels.map_extension import extend_outwards, extend_through_cage
-from .kernels.map_sides import (
-    GAP_JUMP,
-    confirm_narrow,
-    count_column_sides,
-    fill_sides,
-    find_gap_nodes,
-    gather_side_status,
-    list_column_sides,
-    mark_gap_cells,
-    mark_narrow_cells,
-    measure_jumps,
-    set_boundary_values,
-)
-from .kernels.node_levels import RINGS
+from .kernels.gap_sides import count_column_sides, list_column_sides, mark_gap_cells, mark_narrow_cells
+from .kernels.map_sides import fill_sides, gather_side_status, measure_jumps, set_boundary_values
 
 #: Bytes that the tables take of each node, at most of each square cell of the cage's surface, and some that all share.
 SIDE_NODE_BYTES, SIDE_SURFACE_BYTES, SIDE_FIXED_BYTES = 5, 700, 1 << 16
 
 #: A jump of the map over less than a cell that is larger than this share of the rest cage's size is reported.
 REPORTED_JUMP = 2e-2
-
-
-def described_rows(lattice, nodes, row_count: int, finest: int, buffers: Buffers | None = None) -> CutRows:
-    """Launch the description of the cut nodes of all listed levels (kernels/harmonic_rows.py). row_count, finest: rows
-    of all levels and of level 0, or upper bounds. buffers: that hold it, the lattice's unless given."""
-    buffers = lattice.buffers if buffers is None else buffers
-    rows = CutRows()
-    rows.links = buffers.get("links", row_count, int)
-    rows.diagonals = buffers.get("diagonals", row_count, float)
-    rows.fractions = buffers.get("fractions", (row_count, 6), float)
-    rows.faces = buffers.get("cut_faces", (finest, 6), int)
-    rows.corners = buffers.get("cut_corners", (finest, 6), wp.vec3)
-    inputs = [lattice.crossings, lattice.flat_distance, lattice.vertices, lattice.faces, nodes.levels, rows]
-    launch(describe_rows, row_count, inputs, device=lattice.device)
-    return rows
-
-
-class GapFlags:
-    """Which outside nodes next to the inside lie at gaps narrower than about two cells over which the map jumps.
-
-    solver: whose nodes are listed and whose values are the remainder of a map. Attributes: flags, one int for each node
-    of rings 0 and 1; count (1,), above zero where any is set (on a CPU not how many: see `total`).
-    """
-
-    def __init__(self, solver):
-        self.solver, self.device = solver, solver.lattice.device
-        self.count = solver.lattice.flags[3:4]
-
-    def search(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
-        """Clear the count, and launch."""
-        self.count.zero_()
-        self.launch(sections, rows, values, least)
-
-    def launch(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
-        """Launch the search, the count being zero. sections: nodes of each list, or upper bounds; rows: without them, a
-        gap that is narrower than a cell is seen by `nodes.narrow` alone; values: of which a difference above `least`
-        between inside nodes makes a gap."""
-        nodes = self.solver.nodes
-        levels, level_count, crossings = nodes.levels, nodes.level_count, nodes.lattice.crossings
-        items = int(sections[3 * level_count : 3 * level_count + 2].sum())
-        self.flags = nodes.lattice.buffers.get("gap_flags", items, int)
-        cut = int(sections[2 * level_count])
-        launch(confirm_narrow, cut, [crossings, levels, values], [nodes.narrow], device=self.device)
-        inputs = [levels, CutRows() if rows is None else rows, values, float(least)]
-        launch(find_gap_nodes, items, inputs, [self.flags, self.count], device=self.device)
-
-    def found(self) -> bool:
-        """Whether there are any, also such that hold no node; waits for the device."""
-        return int(self.count.numpy()[0]) > 0 or int(self.solver.nodes.narrow.numpy()[0]) == 2
-
-    def total(self) -> int:
-        """How many nodes are flagged."""
-        return int(self.flags.numpy().sum())
 
 
 def side_bytes(node_count: int, surface: float) -> int:
@@ -169,27 +102,6 @@ class MapSides:
 
     def _launch(self, kernel, count: int, inputs, outputs, threads: int | None = None) -> None:
         launch(kernel, count, inputs, outputs, device=self.device, threads=threads)
-
-
-def launch_rings(solver, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
-    """Launch the continuation of a map that is linear on the cage's faces from inside nodes to the rings around them
-    (kernels/map_extension.py)."""
-    for ring in range(RINGS):
-        launch_ring(solver, ring, sections, vertex_values, values)
-
-
-def launch_ring(solver, ring: int, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
-    """Launch the continuation to one ring; those before it come first."""
-    lattice, nodes, device = solver.lattice, solver.nodes, solver.device
-    count = int(sections[3 * nodes.level_count + ring])
-    if ring == 0:
-        inputs = [nodes.levels, solver.rows, lattice.faces, vertex_values, values]
-        # an octet of lanes a node, in whole warps
-        items = count if device.is_cpu else -(-count // 4) * lane_count(device)
-        launch(extend_through_cage, items, inputs, device=device)
-    else:
-        inputs = [ring, lattice.vertices, lattice.faces, nodes.levels, vertex_values, lattice.flat_distance, values]
-        launch(extend_outwards, lane_count(device) * count, inputs, device=device)
 
 
 def launch_linear_boundary(solver, cut_count: int, vertex_values: wp.array, boundary: wp.array) -> None:
