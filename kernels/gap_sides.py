@@ -16,7 +16,7 @@ from .node_levels import OUTSIDE, NodeLevels
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 2})
 
-#: Sides of a cell that there is room for in its entry of side_index.
+#: Sides of a cell that there is room for in its entry of side_index, and the bits that hold their count there.
 MOST_SIDES = wp.constant(7)
 
 
@@ -67,23 +67,58 @@ def is_joined_behind(levels: NodeLevels, rows: CutRows, cell: int, corner: int, 
 
 
 @wp.func
-def side_corners(levels: NodeLevels, rows: CutRows, cell: int, inside: int):
-    """Bits of the corners joined to the lowest of `inside` (not 0)."""
-    side = inside & (-inside)
-    for _step in range(7):
+def cell_links(levels: NodeLevels, rows: CutRows, cell: int):
+    """Bits of the inside corners of a cell, and of the edges of it that do not cross the cage: 8 b + corner for the one
+    from a corner whose bit b is 0."""
+    inside = int(0)
+    links = int(0)
+    for corner in range(8):
+        code = levels.codes[corner_node(levels, cell, corner)]
+        if code > OUTSIDE:
+            inside = inside | (1 << corner)
+            is_open = int(63)
+            if code >= 0:
+                is_open = rows.links[code]
+            for b in range(3):
+                if (corner >> b) & 1 == 0 and (is_open >> link_direction(corner, b)) & 1 == 1:
+                    links = links | (1 << (8 * b + corner))
+    return inside, links
+
+
+@wp.func
+def joined_along_edges(links: int, some: int):
+    """Bits of the corners of a cell that its links, bits as cell_links has them, join to any of `some`."""
+    joined = int(some)
+    before = int(0)
+    while joined != before:
+        before = joined + 0
+        for b in range(3):
+            along = (links >> (8 * b)) & 255
+            joined = joined | ((joined & along) << (1 << b)) | ((joined >> (1 << b)) & along)
+    return joined
+
+
+@wp.func
+def joined_corners(levels: NodeLevels, rows: CutRows, cell: int, inside: int, links: int, some: int):
+    """Bits of the corners of a cell, of `inside`, that are joined to any of `some`. links: of the cell."""
+    joined = joined_along_edges(links, some)
+    before = int(0)
+    while joined != before and inside & ~joined != 0:
+        before = joined + 0
         for corner in range(8):
-            if (side >> corner) & 1 == 1:
-                for b in range(3):
-                    other = corner ^ (1 << b)
-                    if (inside >> other) & 1 == 1 and (side >> other) & 1 == 0:
-                        if is_open_link(levels, rows, corner_node(levels, cell, corner), link_direction(corner, b)):
-                            side = side | (1 << other)
-                    # an edge of the cage between two corners across a face leaves them one side
-                    other = corner ^ (7 - (1 << b))
-                    if (inside >> other) & 1 == 1 and (side >> other) & 1 == 0:
-                        if is_joined_behind(levels, rows, cell, corner, other):
-                            side = side | (1 << other)
-    return side
+            for b in range(3):
+                # an edge of the cage between two corners across a face leaves them one side
+                other = corner ^ (7 - (1 << b))
+                if (joined >> corner) & 1 == 1 and ((inside & ~joined) >> other) & 1 == 1:
+                    if is_joined_behind(levels, rows, cell, corner, other):
+                        joined = joined_along_edges(links, joined | (1 << other))
+    return joined
+
+
+@wp.func
+def lowest_side(levels: NodeLevels, rows: CutRows, cell: int, inside: int, links: int):
+    """Bits of the corners joined to the lowest of `inside`, which are whole sides (not 0)."""
+    return joined_corners(levels, rows, cell, inside, links, inside & (-inside))
 
 
 @wp.kernel
@@ -117,63 +152,57 @@ def mark_narrow_cells(first: int, levels: NodeLevels, rows: CutRows, side_index:
 
 
 @wp.func
-def side_count(levels: NodeLevels, rows: CutRows, cell: int):
-    """Sides that the inside corners of a cell make."""
+def side_count(levels: NodeLevels, rows: CutRows, cell: int, inside: int, links: int):
+    """Sides that some of the corners of a cell make, whole sides."""
     count = int(0)
-    left = inside_corners(levels, cell)
+    left = int(inside)
     while left != 0:
-        left = left & ~side_corners(levels, rows, cell, left)
+        left = left & ~lowest_side(levels, rows, cell, left, links)
         count += 1
     return count
 
 
 @wp.func
-def is_detached(side: int, direction: int):
-    """Whether a side of the cell that lies in a direction has no inside corner on the face towards the cell it is seen
-    from, so that it is none of that cell's own."""
+def detached_corners(levels: NodeLevels, rows: CutRows, cell: int, direction: int, inside: int, links: int):
+    """Bits of the inside corners of a cell whose sides have none on the face towards the cell that sees it in a
+    direction, so that they are none of that one's own."""
     bit = 2 - direction / 2
     facing = int(0)
     for corner in range(8):
         if (corner >> bit) & 1 != direction % 2:
             facing = facing | (1 << corner)
-    return side & facing == 0
-
-
-@wp.func
-def detached_count(levels: NodeLevels, rows: CutRows, cell: int, direction: int):
-    """Sides of the cell beside one in a direction that are none of its own."""
-    beside = cell + node_step(levels, direction)
-    count = int(0)
-    left = inside_corners(levels, beside)
-    while left != 0:
-        side = side_corners(levels, rows, beside, left)
-        left = left & ~side
-        if is_detached(side, direction):
-            count += 1
-    return count
+    return inside & ~joined_corners(levels, rows, cell, inside, links, inside & facing)
 
 
 @wp.func
 def entry_length(levels: NodeLevels, rows: CutRows, cell: int):
-    """Sides that a marked cell gets: its own, and those of the six cells beside it that are none of them."""
-    count = side_count(levels, rows, cell)
+    """Sides that a marked cell gets, its own and those of the six cells beside it that are none of them, and above
+    their count's 3 bits one for each direction in which there are such."""
+    inside, links = cell_links(levels, rows, cell)
+    count = side_count(levels, rows, cell, inside, links)
+    directions = int(0)
     for direction in range(6):
-        count += detached_count(levels, rows, cell, direction)
-    return wp.min(count, MOST_SIDES)
+        beside = cell + node_step(levels, direction)
+        inside_there, links_there = cell_links(levels, rows, beside)
+        loose = detached_corners(levels, rows, beside, direction, inside_there, links_there)
+        if loose != 0:
+            count += side_count(levels, rows, beside, loose, links_there)
+            directions = directions | (8 << direction)
+    return wp.min(count, MOST_SIDES) | directions
 
 
 @wp.func
 def is_marked(side_index: wp.array(dtype=int), column: int, k: int, depth: int):
     """Whether cell k of a column of `depth` cells is marked; none is beyond its end."""
-    return k < depth and side_index[column * depth + wp.min(k, depth - 1)] == -1
+    return k < depth and side_index[column * depth + wp.min(k, depth - 1)] < 0
 
 
 @wp.kernel
 def count_column_sides(
-    first: int, levels: NodeLevels, rows: CutRows, side_index: wp.array(dtype=int), counts: wp.array(dtype=int)
+    first: int, levels: NodeLevels, rows: CutRows, counts: wp.array(dtype=int), side_index: wp.array(dtype=int)
 ):
-    """counts (columns of level 0 or more,): sides of the cells marked -1 in each column, 0 beyond the last. A group of
-    lanes a column, a lane a cell."""
+    """counts (columns of level 0 or more,): sides of the marked cells in each column, 0 beyond the last. side_index:
+    from -1, a mark, to -1 less entry_length. A group of lanes a column, a lane a cell."""
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes
@@ -185,7 +214,9 @@ def count_column_sides(
     if column < shape[0] * shape[1]:
         for k in range(lane, shape[2], lanes):
             if is_marked(side_index, column, k, shape[2]):
-                count += entry_length(levels, rows, column * shape[2] + k)
+                entry = entry_length(levels, rows, column * shape[2] + k)
+                side_index[column * shape[2] + k] = -1 - entry
+                count += entry & MOST_SIDES
     total = sum_of_lanes(float(count))
     if lane == 0:
         counts[column] = int(total)
@@ -203,23 +234,24 @@ def list_sides(
     levels: NodeLevels,
     rows: CutRows,
     cell: int,
+    inside: int,
+    links: int,
     origin: int,
     row: int,
     end: int,
     side_cells: wp.array(dtype=int),
     side_masks: wp.array(dtype=int),
 ):
-    """Write the sides of a cell to rows from `row`, before `end`; the row after them. origin: 0, or 1 plus the
-    direction in which the cell lies from the one that gets its detached sides."""
+    """Write the sides that some corners of a cell make, whole sides, to rows from `row`, before `end`; the row after
+    them. origin: 0, or 1 plus the direction in which the cell lies from the one that gets its detached sides."""
     at = int(row)
-    left = inside_corners(levels, cell)
+    left = int(inside)
     while left != 0 and at < end:
-        side = side_corners(levels, rows, cell, left)
+        side = lowest_side(levels, rows, cell, left, links)
         left = left & ~side
-        if origin == 0 or is_detached(side, wp.max(origin - 1, 0)):
-            side_cells[at] = cell
-            side_masks[at] = side | (origin << 8)
-            at += 1
+        side_cells[at] = cell
+        side_masks[at] = side | (origin << 8)
+        at += 1
     return at
 
 
@@ -234,8 +266,9 @@ def list_column_sides(
     side_cells: wp.array(dtype=int),
     side_masks: wp.array(dtype=int),
 ):
-    """side_index: 8 * first row + number of sides of each cell that has any, else 0; cell and corners of each row.
-    Nothing where the table is longer than side_cells. A group of lanes a column, a lane a cell.
+    """side_index: from what count_column_sides leaves to 8 * first row + number of sides of each cell, 0 where it has
+    none; side_cells, side_masks: cell and corners of each row. Nothing where the table is longer than they are. A group
+    of lanes a column, a lane a cell.
 
     Rows hold the cell whose corners make the side; above the corners' bits stands 1 plus the direction in which that
     cell lies, where it is not the one that gets the side.
@@ -252,19 +285,24 @@ def list_column_sides(
         marked = is_marked(side_index, column, k + lane, shape[2])
         if ballot(wp.where(marked, 1, 0)) != 0:
             cell = column * shape[2] + k + lane
-            length = int(0)
+            entry = int(0)
             if marked:
-                length = entry_length(levels, rows, cell)
+                entry = -1 - side_index[cell]
+            length = entry & MOST_SIDES
             begin = row + 0
             for bit in range(3):  # MOST_SIDES is below 8
                 lengths = ballot((length >> bit) & 1)
                 begin += bit_count(bits_before(lengths, lane)) << bit
                 row += bit_count(lengths) << bit
             if marked:
-                end = list_sides(levels, rows, cell, 0, begin, begin + length, side_cells, side_masks)
+                end = begin + length
+                inside, links = cell_links(levels, rows, cell)
+                at = list_sides(levels, rows, cell, inside, links, 0, begin, end, side_cells, side_masks)
                 for direction in range(6):
-                    beside = cell + node_step(levels, direction)
-                    end = list_sides(
-                        levels, rows, beside, direction + 1, end, begin + length, side_cells, side_masks
-                    )
+                    if (entry >> (3 + direction)) & 1 == 1:
+                        beside = cell + node_step(levels, direction)
+                        inside, links = cell_links(levels, rows, beside)
+                        inside = detached_corners(levels, rows, beside, direction, inside, links)
+                        origin = direction + 1
+                        at = list_sides(levels, rows, beside, inside, links, origin, at, end, side_cells, side_masks)
                 side_index[cell] = wp.where(length > 0, 8 * begin + length, 0)

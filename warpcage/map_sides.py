@@ -79,7 +79,7 @@ class MapSides:
         self._launch(mark_narrow_cells, self._cut_count, [levels, solver.rows], [self.index], threads=1)
         self._counts, self._offsets = (buffers.get(name, column_count, int) for name in ("counts", "offsets"))
         items = lane_count(self.device) * column_count
-        self._launch(count_column_sides, items, [levels, solver.rows, self.index], [self._counts])
+        self._launch(count_column_sides, items, [levels, solver.rows], [self._counts, self.index])
         wp.utils.array_scan(self._counts, self._offsets, inclusive=False)
 
     def _launch_tables(self, room: int) -> None:
