@@ -149,6 +149,38 @@ def is_clear(shape: wp.vec3i, clear_octants: wp.array(dtype=int), i: int, j: int
     return (clear_octants[block] >> octant) & 1 == 1
 
 
+@wp.func
+def nearest_face(
+    x: wp.vec3,
+    block: int,
+    counts: wp.array(dtype=int),
+    near: wp.array2d(dtype=int),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+):
+    """Squared distance from a node x to the cage, at most BAND^2, and the face that is nearest, -1 where none is within
+    BAND. block: the one that the node lies in; counts, near: see list_block_faces."""
+    count = counts[block]
+    listed = count <= near.shape[1]
+    if not listed:
+        count = faces.shape[0]
+    nearest = float(BAND * BAND)
+    found = int(-1)
+    for m in range(count):
+        f = int(m)
+        if listed:
+            f = near[block, m]
+        face = faces[f]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        if box_gap_squared(x, a, b, c) < nearest:
+            apart = triangle_distance_squared(x, a, b, c)
+            found = wp.where(apart < nearest, f, found)
+            nearest = wp.min(nearest, apart)
+    return nearest, found
+
+
 @wp.kernel
 def measure_band(
     first: int,
@@ -173,21 +205,7 @@ def measure_band(
     k = (block % nz) * BLOCK + local % BLOCK
     if i >= shape[0] or j >= shape[1] or k >= shape[2]:
         return
-    count = counts[block]
-    listed = count <= near.shape[1]
-    if not listed:
-        count = faces.shape[0]
     x = wp.vec3(float(i), float(j), float(k))
-    nearest = float(BAND * BAND)
-    for m in range(count):
-        f = int(m)
-        if listed:
-            f = near[block, m]
-        face = faces[f]
-        a = vertices[face[0]]
-        b = vertices[face[1]]
-        c = vertices[face[2]]
-        if box_gap_squared(x, a, b, c) < nearest:
-            nearest = wp.min(nearest, triangle_distance_squared(x, a, b, c))
+    nearest, _face = nearest_face(x, block, counts, near, vertices, faces)
     found = wp.max(wp.sqrt(nearest) * scales[0], 1.0e-30)  # a node on the cage keeps its side
     distance[(i * shape[1] + j) * shape[2] + k] = wp.where(is_inside(crossings, i, j, k), -found, found)

@@ -19,7 +19,7 @@ import warp as wp
 
 from .cage_map import corner_share
 from .containment import closest_point_on_triangle
-from .distance_band import BLOCK, block_count, box_gap_squared
+from .distance_band import BLOCK, block_count, nearest_face
 from .harmonic_rows import CutRows, barycentric, crossing_value
 from .map_extension import is_known, is_open_link, node_step
 from .node_levels import OUTSIDE, NodeLevels, node_place
@@ -90,41 +90,6 @@ def is_between(levels: NodeLevels, node: int):
 
 
 @wp.func
-def near_face(
-    levels: NodeLevels,
-    p: wp.vec3i,
-    counts: wp.array(dtype=int),
-    near: wp.array2d(dtype=int),
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
-):
-    """The cage face nearest to a node of level 0 in the band (see distance_band)."""
-    shape = levels.shapes[0]
-    block = ((p[0] / BLOCK) * block_count(shape[1]) + p[1] / BLOCK) * block_count(shape[2]) + p[2] / BLOCK
-    count = counts[block]
-    listed = count <= near.shape[1]
-    if not listed:
-        count = faces.shape[0]
-    x = wp.vec3(float(p[0]), float(p[1]), float(p[2]))
-    nearest = float(1.0e30)
-    found = int(0)
-    for m in range(count):
-        f = int(m)
-        if listed:
-            f = near[block, m]
-        face = faces[f]
-        a = vertices[face[0]]
-        b = vertices[face[1]]
-        c = vertices[face[2]]
-        if box_gap_squared(x, a, b, c) < nearest:
-            apart = wp.length_sq(x - closest_point_on_triangle(x, a, b, c))
-            if apart < nearest:
-                nearest = apart
-                found = f
-    return found
-
-
-@wp.func
 def misfit(
     levels: NodeLevels,
     counts: wp.array(dtype=int),
@@ -138,16 +103,21 @@ def misfit(
     """What trilinear look-up misses of the map's value at the point of the cage nearest to a node of rings 0 and 1;
     zero where its cell has other outside corners than those."""
     p = node_place(levels, 0, node)
-    face = faces[near_face(levels, p, counts, near, vertices, faces)]
+    shape = levels.shapes[0]
+    block = ((p[0] / BLOCK) * block_count(shape[1]) + p[1] / BLOCK) * block_count(shape[2]) + p[2] / BLOCK
+    node_at = wp.vec3(float(p[0]), float(p[1]), float(p[2]))
+    _apart, f = nearest_face(node_at, block, counts, near, vertices, faces)
+    if f < 0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    face = faces[f]
     a = vertices[face[0]]
     b = vertices[face[1]]
     c = vertices[face[2]]
-    x = closest_point_on_triangle(wp.vec3(float(p[0]), float(p[1]), float(p[2])), a, b, c)
+    x = closest_point_on_triangle(node_at, a, b, c)
     weight = barycentric(x, a, b, c)
     result = (
         weight[0] * vertex_values[face[0]] + weight[1] * vertex_values[face[1]] + weight[2] * vertex_values[face[2]]
     )
-    shape = levels.shapes[0]
     i = int(wp.floor(x[0]))
     j = int(wp.floor(x[1]))
     k = int(wp.floor(x[2]))
