@@ -68,19 +68,22 @@ def checked_edits(rest) -> list[CageEdit]:
 class LatticeEdits:
     """Edits whose maps and signed distances are looked up on lattices of `resolution` cells, and the cells to skip.
 
-    origin: (3,) world point that device positions are relative to. renders: whether frames will be asked for.
+    origin: (3,) world point that device positions are relative to. render_modules: kernels (Python modules) that frames
+    will need, if not those of this class's own.
     """
 
     map_kernel = map_points
 
     def __init__(self, edits: list[CageEdit], coordinates: str, resolution: int, origin, device,
-                 store: str = "map", *, renders: bool = True):
+                 store: str = "map", *, render_modules: list | None = None):
         from .position_map import PositionMap
 
         self.device = device
         self._edits = edits
         self.render_kernel = render_edit if len(edits) == 1 else render_edits
-        load_modules(_modules(coordinates, self.render_kernel if renders else None), device)
+        if render_modules is None:
+            render_modules = [sys.modules[self.render_kernel.module.name]]
+        load_modules(_pose_modules(coordinates) + render_modules, device)
         self._rests = [CageLattice(edit.cage, resolution, origin=origin, device=device) for edit in edits]
         self._maps = [
             None if edit.remove
@@ -176,23 +179,19 @@ class ClosedFormEdits:
     """
 
     def __init__(self, edits: list[CageEdit], coordinates: str, origin, device):
-        from .kernels.deformed_precise import (
-            map_points_precisely,
-            render_precisely,
-            settle_deformed_cells,
-            settle_rest_cells,
-        )
+        from .kernels import precise_points, precise_render, settled_cells
 
-        self.map_kernel, self.render_kernel = map_points_precisely, render_precisely
-        self._settle_cells = settle_deformed_cells
+        self.map_kernel, self.render_kernel = precise_points.map_points_precisely, precise_render.render_precisely
+        self._settle_cells = settled_cells.settle_deformed_cells
         self.device = device
         self._edits, self._origin, self._is_green = edits, origin, coordinates == "green"
-        self._guide = LatticeEdits(edits, coordinates, GUIDE_RESOLUTION, origin, device, renders=False)
+        self._guide = LatticeEdits(edits, coordinates, GUIDE_RESOLUTION, origin, device,
+                                   render_modules=[precise_render, settled_cells])
         self._rest_cells = []
         for edit, rest in zip(edits, self._guide.rest_maps(), strict=True):
             table = _cell_table(rest, device)
             slack = CLOSED_FORM_SLACK * edit.cage.size
-            launch(settle_rest_cells, table.flags.size, [rest, slack], [table.flags], device=device)
+            launch(settled_cells.settle_rest_cells, table.flags.size, [rest, slack], [table.flags], device=device)
             self._rest_cells.append(table)
         self.array: wp.array | None = None  #: (edit_count,) ClosedFormEdit
 
@@ -253,8 +252,8 @@ def _cell_table(cage_map: CageMap, device) -> CellTable:
     return table
 
 
-def _modules(coordinates: str, render_kernel) -> list:
-    """Modules of the kernels that posing edits launches, and of that of their frames."""
+def _pose_modules(coordinates: str) -> list:
+    """Modules of the kernels that posing edits launches."""
     from .kernels import (
         closed_form_map,
         crossings,
@@ -279,8 +278,7 @@ def _modules(coordinates: str, render_kernel) -> list:
         "green": [closed_form_map, face_fans],
     }[coordinates]
     gaps = [narrow_gaps, gap_sides, map_sides]
-    names = [] if render_kernel is None else [sys.modules[render_kernel.module.name]]
-    return [crossings, distance_band, node_levels, map_extension, edit_cells, grid_skip, *solver, *gaps, *names]
+    return [crossings, distance_band, node_levels, map_extension, edit_cells, grid_skip, *solver, *gaps]
 
 
 def _distance_map(lattice: CageLattice) -> CageMap:

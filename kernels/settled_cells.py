@@ -1,34 +1,16 @@
-"""Points and views of a deformed scene without a lattice: mean value or Green coordinates evaluated at every sample.
+"""Lattice cells that lie on one side of a cage as a whole, and show that closed forms need not be evaluated there.
 
-The "precise" mode of "Deforming Radiance Fields with Cages" (ECCV 2022), section 5.3. The same functions as in
-deformed_points and deformed_render on ClosedFormEdit; a module of its own, so that it is compiled only when it is used.
-
-Positions are exact everywhere. Lattices help only to do without work whose result is known: which cells are certainly
-inside or outside a cage, and which certainly show nothing.
-Siblings: cage_edits, cage_map, deformed_march, deformed_points, deformed_render, edit_cells, grid, rays.
+What a "precise" march (see precise_render) looks up before it evaluates coordinates or winding numbers.
+Siblings: cage_edits, cage_map, edit_cells.
 """
 
 import warp as wp
 
-from .cage_edits import (
-    CELL_FOLDED,
-    CELL_INSIDE,
-    CELL_OUTSIDE,
-    CELL_STAYS,
-    CELL_STEEP,
-    ClosedFormEdit,
-    LatticeEdit,
-)
+from .cage_edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, LatticeEdit
 from .cage_map import CageMap, cell_sides
-from .deformed_march import MarchOptions, march_deformed
-from .deformed_points import canonical_ray
-from .deformed_render import Picture, fill_pixel
 from .edit_cells import jacobian_spread, largest_stretch, mat83, mean_jacobian
-from .grid import VoxelGrid
-from .rays import PinholeCamera, pixel_direction, tile_pixel
 
-# small blocks: rays of one end at very different times
-wp.set_module_options({"enable_backward": False, "block_dim": 64})
+wp.set_module_options({"enable_backward": False})
 
 #: Half the diagonal of a cell: no point in it is farther from the nearest corner.
 HALF_DIAGONAL = wp.constant(0.8661)
@@ -89,42 +71,3 @@ def settle_deformed_cells(first: int, edit: LatticeEdit, flags: wp.array3d(dtype
         if cell_sides(edit.deformed, i, j, k) != 0 or wp.determinant(jacobian) <= 6.0 * stretch * stretch * spread:
             case = case | CELL_FOLDED
     flags[i, j, k] = wp.uint8(case)
-
-
-@wp.kernel
-def map_points_precisely(
-    first: int,
-    edits: wp.array(dtype=ClosedFormEdit),
-    origin: wp.vec3,
-    points: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
-    dt: float,
-    canonical_points: wp.array(dtype=wp.vec3),
-    canonical_directions: wp.array(dtype=wp.vec3),
-    region: wp.array(dtype=wp.int32),
-    outside: wp.array(dtype=wp.uint8),
-):
-    """As deformed_points.map_points."""
-    n = first + wp.tid()
-    ray = canonical_ray(edits, points[n] - origin, directions[n], dt)
-    canonical_points[n] = ray.point + origin
-    canonical_directions[n] = ray.direction
-    region[n] = ray.region
-    outside[n] = wp.uint8(ray.outside)
-
-
-@wp.kernel
-def render_precisely(
-    first: int,
-    grid: VoxelGrid,
-    edits: wp.array(dtype=ClosedFormEdit),
-    camera: PinholeCamera,
-    background: wp.vec3,
-    options: MarchOptions,
-    picture: Picture,
-):
-    """As deformed_render.render_edits."""
-    column, row = tile_pixel(first + wp.tid(), camera.width)
-    if column < camera.width and row < camera.height:
-        seen = march_deformed(edits, grid, camera.centre, pixel_direction(camera, column, row), options)
-        fill_pixel(picture, row * camera.width + column, seen, background)
