@@ -36,11 +36,17 @@ def make_scene(pictures, scale, shift, alpha):
     return Scene(images, alphas if alpha else None, placed(pictures.cameras, scale, shift))
 
 
+def short_fit(scene):
+    """A field after a few steps. Without alphas nothing is pruned: matter is still fog then, and which voxels reach a
+    threshold is up to rounding, on a GPU from run to run."""
+    kept = {} if scene.alphas is not None else {"prune_weight": 0.0, "keep_weight": 0.0}
+    return fit(scene, resolution=24, epochs=2, progress=False, **kept)
+
+
 @pytest.fixture(scope="module")
 def fitted(pictures):
     """The field of the scene where it is, with and without alphas."""
-    return {alpha: fit(make_scene(pictures, 1.0, 0 * FAR, alpha), resolution=24, epochs=2, progress=False)
-            for alpha in (True, False)}
+    return {alpha: short_fit(make_scene(pictures, 1.0, 0 * FAR, alpha)) for alpha in (True, False)}
 
 
 @pytest.mark.parametrize("alpha", [True, False])
@@ -48,13 +54,13 @@ def fitted(pictures):
 def test_a_fit_is_the_same_anywhere(pictures, fitted, world, alpha):
     scale, shift = WORLDS[world]
     scene = make_scene(pictures, scale, shift, alpha)
-    field, expected = fit(scene, resolution=24, epochs=2, progress=False), fitted[alpha]
+    field, expected = short_fit(scene), fitted[alpha]
     np.testing.assert_allclose((field.bounds - shift) / scale, expected.bounds, atol=1e-9)
     assert field.resolution == expected.resolution
     for camera, here in list(zip(scene.cameras, pictures.cameras, strict=True))[::5]:
         frame, plain = field.render(camera), expected.render(here)
         # other factors round otherwise, and so do the sums of a GPU from run to run; optimising magnifies that
-        tolerance = 1e-6 if world == "1024 times" and field.device.is_cpu else 3e-3 if alpha else 5e-3
+        tolerance = 1e-6 if world == "1024 times" and field.device.is_cpu else 3e-3
         assert np.abs(frame.rgb - plain.rgb).mean() < tolerance
         assert np.abs(frame.alpha - plain.alpha).mean() < tolerance
         seen = plain.alpha > 0.5
@@ -65,7 +71,7 @@ def test_a_fit_is_the_same_anywhere(pictures, fitted, world, alpha):
 @pytest.mark.parametrize("world", ["1000 times", "far"])
 def test_an_edit_is_the_same_anywhere(pictures, fitted, world):
     scale, shift = WORLDS[world]
-    field = fit(make_scene(pictures, scale, shift, True), resolution=24, epochs=2, progress=False)
+    field = short_fit(make_scene(pictures, scale, shift, True))
     rest = Cage.box(*fitted[True].bounds, segments=2)
     posed = rest.bend(30, axis="x", towards="z")
     frames = []
