@@ -6,7 +6,9 @@
 For each scene a field is fitted to pictures of the model at rest. Its PSNR, SSIM and depth error on test views at rest
 are the ceiling: a deformed field can hardly be better than the field. Then the same for each pose, kind of coordinates
 and lattice resolution ("null" is precise), against pictures of the posed model; what that is, and how it is lit, is in
-truth_scenes.py. Depth errors are means over pixels that truth and field both cover, as a share of the cage's size.
+truth_scenes.py. "fit of the pose" is a field fitted to as many pictures of the pose itself, which tells what any field
+can show of this very scene. Depth errors are means over pixels that truth and field both cover, as a share of the
+cage's size.
 
 Against the harmonic truth also: other truths of the light, half the march step, the paper's density; and what the
 shortcuts of shortcuts.py cost, at 128 cells. "march" rows are composited by this script, so that they check the
@@ -24,7 +26,7 @@ import numpy as np
 import shortcuts
 import warp as wp
 from results import write_jpeg, write_results
-from truth_scenes import SCENES, TRUTHS, TruthScene, View, pose_cages
+from truth_scenes import POSES, SCENES, TRUTHS, TruthScene, View, pose_cages
 
 import warpcage
 from warpcage.evaluation import ssim
@@ -71,6 +73,7 @@ def parse_arguments():
     parser.add_argument("--resolution", type=int, nargs="*", default=[64, 128, 256])
     parser.add_argument("--middle", type=int, default=128, help="resolution of the extra rows")
     parser.add_argument("--extra", nargs="*", default=["bend"], help="poses of march and nearest-voxel rows")
+    parser.add_argument("--refit", nargs="*", default=list(POSES), help="poses that a field of their own is fitted to")
     parser.add_argument("--size", type=int, default=400, help="pixels a side")
     parser.add_argument("--train-views", type=int, default=120)
     parser.add_argument("--test-views", type=int, default=6)
@@ -86,7 +89,7 @@ def parse_arguments():
     if args.quick:
         args.device, args.size, args.train_views, args.test_views, args.samples = "cpu", 64, 40, 2, 2
         args.scenes, args.poses, args.resolution, args.middle = ["animal"], ["rigid", "bend"], [32], 32
-        args.edge, args.cuts, args.quality = 0.15, 1, "fast"
+        args.edge, args.cuts, args.quality, args.refit = 0.15, 1, "fast", ["bend"]
     return args
 
 
@@ -112,6 +115,10 @@ def measure_scene(scene, field, ceiling: float, args):
                 frames = [deformer.render(view.camera) for view in views]
                 report(frames, resolution=resolution, **facts)
                 if kind == "harmonic" and resolution == args.middle:
+                    if pose in args.refit:
+                        own = warpcage.fit(scene.posed_training(posed, kind), device=deformer.field.device,
+                                           quality=args.quality, progress=False)
+                        report([own.render(view.camera) for view in views], "fit of the pose", resolution=resolution)
                     pictures[pose] = picture_line(scene, views[0], frames[0])
                     report_more(deformer, posed, views, truths, frames, report, args, pose in args.extra)
     return rows, pictures

@@ -128,6 +128,7 @@ def ground_truth(files) -> list[str]:
                         f"(pictures/ground_truth_{name}.jpg)\n" for name in ceilings),
               "From left to right: truth at rest, truth of the pose, deformed field (harmonic, "
               f"{middle}³), five times their difference on white. Made by the commands above with `--figures`.\n",
+              OWN_FITS, own_fits(rows, middle),
               CAUSES, differences(rows, middle, ["frame", "truth turned", "truth relit", "half step",
                                                  "density paper"]),
               SHORTCUTS, costs(rows, middle)]
@@ -164,6 +165,13 @@ cast pictures of the posed model. What the posed model is:
   paper's Eq. 4. Two other truths stand further below.
 """
 
+OWN_FITS = """### Against fields of the poses themselves
+
+The ceiling above is of other pictures than those of a pose. Here a field is fitted to as many pictures of the pose
+itself, from around it, and shown from the same test views: what a field can show of this very scene at all. PSNR in dB,
+harmonic coordinates.
+"""
+
 CAUSES = """### What the rest of the difference is made of
 
 Harmonic coordinates; dB relative to the ceiling, mean over the scenes that were measured. "turned": highlights go along
@@ -187,6 +195,21 @@ lies between the object and the origin, an opaque shell.
 COSTS = {"nearest voxel": "frame", "weight sum 0.98": "frame", "weight sum 0.5": "frame",
          "march, plain directions": "march"}
 
+
+
+def own_fits(rows, middle: int) -> str:
+    """Deformed fields beside fields fitted to the pose, harmonic, at the middle resolution."""
+    found = {(row["scene"], row["pose"], row["what"]): row for row in rows
+             if row["kind"] == "harmonic" and row["resolution"] == middle}
+    lines = []
+    for (scene, pose, what), own in found.items():
+        if what == "fit of the pose":
+            frame = found[scene, pose, "frame"]
+            ceiling = frame["psnr"] - frame["to_ceiling"]
+            lines.append([scene, pose, f"{ceiling:.2f}", f"{own['psnr']:.2f}", f"{frame['psnr']:.2f}",
+                          f"{frame['psnr'] - own['psnr']:+.2f}"])
+    head = ["scene", "pose", "field at rest", "field of the pose", "deformed field", "deformed less field of the pose"]
+    return table(head, lines)
 
 
 def difference(row) -> str:

@@ -25,6 +25,7 @@ from warpcage.scene import Scene
 from warpcage.synthetic_shapes import subdivided_model
 
 SCENES = ("bricks", "animal", "chair")
+POSES = ("rigid", "twist", "bend", "stretch", "local")
 TRUTHS = ("carried", "turned", "relit")
 CAGES = pathlib.Path(__file__).parent / "cages"
 FOV_DEGREES, DISTANCE = 39.6, 4.0
@@ -63,6 +64,15 @@ class View:
     depth: np.ndarray
 
 
+@dataclasses.dataclass
+class Place:
+    """Vertices of a posed model (v, 3), the Jacobians there of the map back to rest (v, 3, 3), and the middle."""
+
+    points: np.ndarray
+    jacobians: np.ndarray
+    middle: np.ndarray
+
+
 class TruthScene:
     """A model, its cage, its training pictures, and its views at rest and in any pose."""
 
@@ -73,6 +83,7 @@ class TruthScene:
         self.mesh = CarriedMesh(*subdivided_model(name, longest_edge), device=device)
         self.cage = warpcage.Cage.load(CAGES / f"{name}.obj")
         self.train_views = train_views
+        self._placed = None
 
     def training(self) -> Scene:
         """The pictures at rest that the field is fitted to, with alpha."""
@@ -80,22 +91,36 @@ class TruthScene:
         rgba, _ = self.mesh.render(views, samples=self.samples)
         return Scene(images=_on_white(rgba), cameras=views, alphas=rgba[..., 3])
 
+    def posed_training(self, posed: warpcage.Cage, kind: str) -> Scene:
+        """As many pictures of a pose, "carried", from around it: what a field of the pose itself is fitted to."""
+        place = self._place(posed, kind)
+        views = cameras(place.middle, self.train_views, self.size, sphere=True)
+        rgba, _ = self.mesh.render(views, posed=place.points, view_matrices=place.jacobians, samples=self.samples)
+        return Scene(images=_on_white(rgba), cameras=views, alphas=rgba[..., 3])
+
     def rest_views(self) -> list[View]:
         return self._views(np.zeros(3), None, None, False)
 
     def posed_views(self, posed: warpcage.Cage, kind: str, truths=("carried",)) -> tuple[dict[str, list[View]], dict]:
         """Views of each of `truths`, and facts about the pose. Raises ValueError where a vertex has no place."""
-        found = InverseMap(self.cage, posed, kind, cuts=self.cuts, device=self.device).invert(self.mesh.vertices)
-        lost = int((found.residuals > 1e-8 * self.cage.size).sum())
-        if lost:
-            raise ValueError(f"{lost} vertices of {self.name} have no place in the {kind} pose")
-        target = (found.points.min(axis=0) + found.points.max(axis=0)) / 2
-        u, stretch, v = np.linalg.svd(found.jacobians)
-        matrices = {"carried": found.jacobians, "turned": u @ v, "relit": None}
-        views = {truth: self._views(target, found.points, matrices[truth], truth == "relit") for truth in truths}
-        facts = {"largest_move": float(np.linalg.norm(found.points - self.mesh.vertices, axis=1).max()),
+        place = self._place(posed, kind)
+        u, stretch, v = np.linalg.svd(place.jacobians)
+        matrices = {"carried": place.jacobians, "turned": u @ v, "relit": None}
+        views = {truth: self._views(place.middle, place.points, matrices[truth], truth == "relit") for truth in truths}
+        facts = {"largest_move": float(np.linalg.norm(place.points - self.mesh.vertices, axis=1).max()),
                  "stretch": [float(1 / stretch.max()), float(1 / stretch.min())]}
         return views, facts
+
+    def _place(self, posed: warpcage.Cage, kind: str) -> Place:
+        """Where a pose takes the model; the last one is kept."""
+        if self._placed is None or self._placed[0] is not posed or self._placed[1] != kind:
+            found = InverseMap(self.cage, posed, kind, cuts=self.cuts, device=self.device).invert(self.mesh.vertices)
+            lost = int((found.residuals > 1e-8 * self.cage.size).sum())
+            if lost:
+                raise ValueError(f"{lost} vertices of {self.name} have no place in the {kind} pose")
+            middle = (found.points.min(axis=0) + found.points.max(axis=0)) / 2
+            self._placed = posed, kind, Place(found.points, found.jacobians, middle)
+        return self._placed[2]
 
     def _views(self, target, points, matrices, light_stays) -> list[View]:
         places = cameras(target, self.test_views, self.size, sphere=False)
