@@ -29,6 +29,9 @@ FARTHEST_INSIDE = wp.constant(-4.0)
 #: Cells by which a point must be deeper in a side of a cell beside its own to belong to it.
 HANDICAP = wp.constant(0.25)
 
+#: Distance at a corner of which a side says nothing, until the others do.
+UNKNOWN = wp.constant(1.0e30)
+
 #: Least distance, in cells, between two crossings that a value beyond the second is continued from.
 SHORTEST_CHORD = wp.constant(0.1)
 
@@ -121,26 +124,6 @@ def continued(
 
 
 @wp.func
-def move_side(sides: wp.array2d(dtype=wp.vec4), row: int, direction: int, handicap: float):
-    """Corner values of a cell continued to the cell that it lies beside, seen from there in a direction. handicap: is
-    added to the distances, so that sides of the cell itself come first where both could be meant."""
-    bit = 4 >> (direction / 2)
-    for corner in range(8):
-        if corner & bit == 0:
-            low = sides[row, corner]
-            high = sides[row, corner | bit]
-            if direction % 2 == 1:
-                sides[row, corner] = 2.0 * low - high
-                sides[row, corner | bit] = low
-            else:
-                sides[row, corner] = high
-                sides[row, corner | bit] = 2.0 * high - low
-    for corner in range(8):
-        side = sides[row, corner]
-        sides[row, corner] = wp.vec4(side[0], side[1], side[2], side[3] + handicap)
-
-
-@wp.func
 def distance_beyond(
     levels: NodeLevels,
     rows: CutRows,
@@ -170,8 +153,15 @@ def distance_beyond(
     return result
 
 
+@wp.func
+def has_row(row: int, counts: wp.array(dtype=int), offsets: wp.array(dtype=int), side_cells: wp.array(dtype=int)):
+    """Whether a table has a row; it has none where it is longer than side_cells."""
+    length = table_length(offsets, counts)
+    return row < length and length <= side_cells.shape[0]
+
+
 @wp.kernel
-def fill_sides(
+def continue_sides(
     first: int,
     levels: NodeLevels,
     rows: CutRows,
@@ -181,60 +171,73 @@ def fill_sides(
     values: wp.array(dtype=wp.vec3),
     corrections: wp.array(dtype=wp.vec3),
     distance: wp.array(dtype=float),
-    scales: wp.array(dtype=float),
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
     counts: wp.array(dtype=int),
     offsets: wp.array(dtype=int),
     side_cells: wp.array(dtype=int),
     side_masks: wp.array(dtype=int),
     sides: wp.array2d(dtype=wp.vec4),
 ):
-    """sides (rows or more, 8): position and signed distance at the corners of a cell as one side sees them.
+    """sides (rows or more, 8): position and signed distance at the corners of a cell as one side sees them, UNKNOWN for
+    a distance where no link of the side leads. Eight items a row, one a corner.
 
     boundary (rows of level 0, 6): values of the map, less the affine part, where links cross the cage.
-    values, distance (nodes,): positions (the affine part added) and signed distances at nodes, scales[0] units a cell.
+    values, distance (nodes,): positions (the affine part added) and signed distances at nodes, scale the rest cage's.
     corrections: those that are in the values of cut nodes, row by row, less the scale (see map_corrections), or (0,).
-    vertices in node units. side_cells, side_masks (rows,): see list_column_sides.
+    side_cells, side_masks (rows,): see list_column_sides.
     """
-    row = first + wp.tid()
-    if row >= table_length(offsets, counts) or table_length(offsets, counts) > side_cells.shape[0]:
+    item = first + wp.tid()
+    row = item / 8
+    corner = item % 8
+    if not has_row(row, counts, offsets, side_cells):
         return
     cell = side_cells[row]
-    known = side_masks[row] & 255
-    for corner in range(8):
-        if (known >> corner) & 1 == 1:
-            node = corner_node(levels, cell, corner)
-            v = values[node] - scale * correction_of(corrections, levels.codes[node])
+    own = side_masks[row] & 255
+    node = corner_node(levels, cell, corner)
+    if (own >> corner) & 1 == 1:
+        v = values[node] - scale * correction_of(corrections, levels.codes[node])
+        sides[row, corner] = wp.vec4(v[0], v[1], v[2], distance[node])
+        return
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    count = float(0.0)
+    for b in range(3):
+        other = corner ^ (1 << b)
+        if (own >> other) & 1 == 1:
+            beside = corner_node(levels, cell, other)
+            direction = link_direction(other, b)
+            row_beside = levels.codes[beside]
+            if row_beside >= 0:
+                # values that amplify what they come from count only where there are no others
+                weight = wp.where(is_steady(rows, row_beside, direction), 1.0, 1.0e-6)
+                total += weight * continued(
+                    levels, rows, boundary, scale, affine, values, corrections, distance, beside, direction
+                )
+                count += weight
+    if count > 0.0:
+        sides[row, corner] = total / count
+        return
+    sides[row, corner] = wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
+    if is_known(levels.codes[node], 1) and own == inside_corners(levels, cell):
+        if far_side(levels, rows, node)[0] == 0:  # a corner that serves this side alone
+            v = values[node]
             sides[row, corner] = wp.vec4(v[0], v[1], v[2], distance[node])
-    found = known
+
+
+@wp.kernel
+def complete_sides(
+    first: int,
+    counts: wp.array(dtype=int),
+    offsets: wp.array(dtype=int),
+    side_cells: wp.array(dtype=int),
+    sides: wp.array2d(dtype=wp.vec4),
+):
+    """Fill in the corners that are UNKNOWN by parallelograms of those that are not. One item a row."""
+    row = first + wp.tid()
+    if not has_row(row, counts, offsets, side_cells):
+        return
+    found = int(0)
     for corner in range(8):
-        total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        count = float(0.0)
-        for b in range(3):
-            other = corner ^ (1 << b)
-            if (known >> corner) & 1 == 0 and (known >> other) & 1 == 1:
-                node = corner_node(levels, cell, other)
-                direction = 2 * (2 - b) + ((corner >> b) & 1)
-                row_of_node = levels.codes[node]
-                if row_of_node >= 0:
-                    # values that amplify what they come from count only where there are no others
-                    weight = wp.where(is_steady(rows, row_of_node, direction), 1.0, 1.0e-6)
-                    total += weight * continued(
-                        levels, rows, boundary, scale, affine, values, corrections, distance, node, direction
-                    )
-                    count += weight
-        if count > 0.0:
-            sides[row, corner] = total / count
+        if sides[row, corner][3] != UNKNOWN:
             found = found | (1 << corner)
-    if known == inside_corners(levels, cell):
-        for corner in range(8):
-            node = corner_node(levels, cell, corner)
-            if (found >> corner) & 1 == 0 and is_known(levels.codes[node], 1):
-                if far_side(levels, rows, node)[0] == 0:  # a corner that serves this side alone
-                    v = values[node]
-                    sides[row, corner] = wp.vec4(v[0], v[1], v[2], distance[node])
-                    found = found | (1 << corner)
     for _step in range(2):
         known = found
         for corner in range(8):
@@ -251,15 +254,56 @@ def fill_sides(
             if count > 0.0:
                 sides[row, corner] = total / count
                 found = found | (1 << corner)
+
+
+@wp.kernel
+def place_sides(
+    first: int,
+    levels: NodeLevels,
+    rows: CutRows,
+    scales: wp.array(dtype=float),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    counts: wp.array(dtype=int),
+    offsets: wp.array(dtype=int),
+    side_cells: wp.array(dtype=int),
+    side_masks: wp.array(dtype=int),
+    sides: wp.array2d(dtype=wp.vec4),
+):
+    """Distances to sides at corners that are not their own take in the height over the cage, and sides of a cell beside
+    the one that gets them are continued to that one, HANDICAP farther away, so that sides of the cell itself come first
+    where both could be meant. scales[0]: units a cell; vertices in node units. Four items a row, one for each two
+    corners along the axis that the row is continued along."""
+    item = first + wp.tid()
+    row = item / 4
+    if not has_row(row, counts, offsets, side_cells):
+        return
     own = side_masks[row] & 255
-    for corner in range(8):
+    origin = side_masks[row] >> 8
+    bit = int(0)
+    if origin > 0:
+        bit = 2 - (origin - 1) / 2
+    below = (1 << bit) - 1
+    pair = item % 4
+    low = 2 * (pair & ~below) + (pair & below)  # the corner whose bit is 0
+    for end in range(2):
+        corner = low | (end << bit)
         if (own >> corner) & 1 == 0:
-            away = distance_beyond(levels, rows, vertices, faces, cell, own, corner)
+            away = distance_beyond(levels, rows, vertices, faces, side_cells[row], own, corner)
             if away > FARTHEST_INSIDE:
                 side = sides[row, corner]
                 sides[row, corner] = wp.vec4(side[0], side[1], side[2], 0.5 * (side[3] + away * scales[0]))
-    if side_masks[row] > 255:
-        move_side(sides, row, (side_masks[row] >> 8) - 1, HANDICAP * scales[0])
+    if origin > 0:
+        high = low | (1 << bit)
+        one = sides[row, low]
+        two = sides[row, high]
+        aside = wp.vec4(0.0, 0.0, 0.0, HANDICAP * scales[0])
+        if (origin - 1) % 2 == 1:
+            sides[row, low] = 2.0 * one - two + aside
+            sides[row, high] = one + aside
+        else:
+            sides[row, low] = two + aside
+            sides[row, high] = 2.0 * two - one + aside
 
 
 @wp.kernel

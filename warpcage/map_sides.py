@@ -8,7 +8,14 @@ import warp as wp
 from .buffers import Buffers
 from .devices import lane_count, launch
 from .kernels.gap_sides import count_column_sides, list_column_sides, mark_gap_cells, mark_narrow_cells
-from .kernels.map_sides import fill_sides, gather_side_status, measure_jumps, set_boundary_values
+from .kernels.map_sides import (
+    complete_sides,
+    continue_sides,
+    gather_side_status,
+    measure_jumps,
+    place_sides,
+    set_boundary_values,
+)
 
 #: Bytes that the tables take of each node, at most of each square cell of the cage's surface, and some that all share.
 SIDE_NODE_BYTES, SIDE_SURFACE_BYTES, SIDE_FIXED_BYTES = 5, 700, 1 << 16
@@ -91,10 +98,12 @@ class MapSides:
         items = lane_count(self.device) * self._counts.size
         inputs = [levels, rows, self._counts, self._offsets]
         self._launch(list_column_sides, items, inputs, [self.index, cells, masks])
+        table = [self._counts, self._offsets, cells, masks]
         values = [self._rest.size, self._constants["affine"], solver.values, solver.corrections, lattice.flat_distance]
-        values += [lattice.constants.arrays["scales"], lattice.vertices, lattice.faces]
-        inputs = [levels, rows, self._boundary, *values, self._counts, self._offsets, cells, masks]
-        self._launch(fill_sides, room, inputs, [self.table])
+        self._launch(continue_sides, 8 * room, [levels, rows, self._boundary, *values, *table], [self.table])
+        self._launch(complete_sides, room, table[:3], [self.table])
+        heights = [lattice.constants.arrays["scales"], lattice.vertices, lattice.faces]
+        self._launch(place_sides, 4 * room, [levels, rows, *heights, *table], [self.table])
         jump = buffers.get("jump", 1, float)
         jump.zero_()
         self._launch(measure_jumps, self._cut_count, [levels, rows, self._boundary], [jump], threads=1)
