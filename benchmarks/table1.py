@@ -6,9 +6,10 @@
 
 A frame is a new pose, never seen before (checks, coordinates, map, marks), and its picture at 800x800 with 512 samples
 a ray, as the paper counts it: samples are 1/512 of the longest way through the deformed scene's box apart. Median of
-frames of a bend that swings, after one swing on a GPU, device idle before and after each. "precise" evaluates the closed forms at every sample.
-PSNR is that of one pose's picture against precise; harmonic coordinates have no closed form and are compared with the
-finest lattice (512 cells). Without --data the scene is the brick model, as it is with --quick, small and on the CPU.
+frames of a bend that swings, on a GPU after one whole swing, device idle before and after each. "precise" evaluates the
+closed forms at every sample. PSNR is that of one pose's picture against precise; harmonic coordinates have no closed
+form and are compared with the finest lattice (512 cells). Without --data the scene is the brick model, as it is with
+--quick, small and on the CPU.
 """
 
 from __future__ import annotations
