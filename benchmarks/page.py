@@ -146,7 +146,7 @@ def coverage(files) -> list[str]:
 COVERAGE = """### What the pictures themselves change
 
 The ceiling is of other pictures than those of a pose: an object that fills more of them lowers the PSNR by as much as
-its share grows, whatever the field. What is named a loss under stretch is this.
+its share grows, whatever the field.
 """
 
 
