@@ -13,6 +13,7 @@ from warpcage.cage import Cage
 from warpcage.cli import COMMANDS, main
 from warpcage.field import VoxelField
 from warpcage.images import read_image
+from warpcage.notices import warn_caller
 from warpcage.synthetic import write_brick_scene
 
 NAMES = [module.NAME for module in COMMANDS]
@@ -60,6 +61,12 @@ def test_the_package_runs_as_a_module():
     assert helped.returncode == 0 and helped.stdout.startswith("usage: warpcage ")
     wrong = subprocess.run([*words, "info", "nowhere.npz"], capture_output=True, text=True)
     assert wrong.returncode == 2 and "nowhere.npz" in wrong.stderr and wrong.stderr.count("\n") == 1
+
+
+def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatch):
+    monkeypatch.setattr("warpcage.cli.info.run", lambda arguments: warn_caller("the gap\n is narrow"))
+    assert main(["info"]) == 0
+    assert capsys.readouterr().err == "warpcage: warning: the gap is narrow\n"
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import pathlib
-import warnings
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from .background_files import background_contents, read_background
 from .field import BASIS_COUNT, VoxelField
 from .files import atomic_path
 from .memory import free_host_bytes
+from .notices import warn_caller
 
 #: Files with background layers are of version 2, those without stay readable by older releases.
 FORMAT_VERSION = 2
@@ -145,7 +145,7 @@ def _read_own(contents: dict, path) -> tuple:
 
 def _svox2_contents(field: VoxelField) -> dict:
     if field.background_model is not None:
-        warnings.warn("a svox2 file holds the field without its background layers", stacklevel=4)
+        warn_caller("a svox2 file holds the field without its background layers")
     half = 0.5 * (field.bounds[1] - field.bounds[0])
     sh = field.grid.sh.numpy()  # (rows, rgb, basis), as svox2 has it
     return {

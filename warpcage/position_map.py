@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import warp as wp
 
@@ -18,6 +16,7 @@ from .lattice import CageLattice, lattice_frame, require_resolution
 from .lattice_weights import LatticeWeights, harmonic_weights
 from .map_sides import REPORTED_JUMP, MapSides, side_bytes
 from .memory import require_memory
+from .notices import warn_caller
 from .pose_graph import PoseGraph
 
 __all__ = ["PositionMap", "fit_affine", "harmonic_weights"]
@@ -266,11 +265,10 @@ class PositionMap:
         data.side_index, data.sides = sides.index, sides.table
         self.gap_jump = sides.jump
         if self.gap_jump > REPORTED_JUMP:
-            warnings.warn(
+            warn_caller(
                 f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose "
                 f"opens by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there, take a "
-                f"resolution above {self.resolution} or open the gaps",
-                stacklevel=5,
+                f"resolution above {self.resolution} or open the gaps"
             )
 
 

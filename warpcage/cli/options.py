@@ -51,7 +51,7 @@ def add_masks(parser) -> None:
 
 def add_deformation(parser, *, keyframes: bool = False) -> None:
     group = parser.add_argument_group("deformation (leave --cage and --posed out to show the field as it is)")
-    group.add_argument("--cage", metavar="REST", help="cage around the undeformed object (.obj, .ply, .off)")
+    group.add_argument("--cage", metavar="REST", help="cage around the undeformed object (.obj .ply .off .glb .gltf)")
     posed = 'the same cage, vertices moved: a file or a preset such as bend:40:x:z, twist:60 or scale:0.8'
     if keyframes:
         posed += "; several are keyframes one after another"
