@@ -23,6 +23,11 @@ def test_a_frame_converts_once_and_reshapes(device):
     assert frame.reveal is None and frame.outside is None
 
 
+def test_a_frame_is_told_in_one_short_line():
+    frame = Frame(3, 2, np.zeros((2, 3, 3)), np.zeros(6), np.zeros(6), reveal=np.zeros(6))
+    assert repr(frame) == "Frame(3x2: rgb, alpha, depth, reveal)"
+
+
 def test_a_frame_takes_numpy():
     frame = Frame(2, 1, np.zeros((1, 2, 3)), np.zeros((1, 2)), np.ones(2))
     assert frame.depth.shape == (1, 2)

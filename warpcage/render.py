@@ -41,6 +41,9 @@ class Frame:
                 raise ValueError(f"{name} of a {width}x{height} frame holds {expected} numbers, got shape {shape}")
         self._host: dict[str, np.ndarray] = {}
 
+    def __repr__(self) -> str:
+        return f"Frame({self.width}x{self.height}: {', '.join(self.arrays)})"
+
     def _numpy(self, name: str, *channels: int) -> np.ndarray | None:
         if name not in self.arrays:
             return None
