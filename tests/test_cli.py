@@ -403,6 +403,28 @@ def test_bake_then_render(files, tmp_path, format):
     assert np.mean((baked - live) ** 2) < 10**-2.5 < np.mean((rest - live) ** 2)
 
 
+def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):
+    rest, posed = (Cage.load(files / f"{name}.obj") for name in ("cage", "posed"))
+    for name, cage in (("rest", rest), ("posed", posed)):
+        cage.save(tmp_path / f"{name}.obj", up="y")
+    turned = ["--cage", tmp_path / "rest.obj", "--posed", tmp_path / "posed.obj", "--cage-up", "y"]
+    view = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
+    for deformation, name in ((DEFORMED, "z"), (turned, "y")):
+        succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{name}.png", *view, *deformation)
+        succeed(files, "animate", "@ball.npz", "-o", tmp_path / name, *view, *deformation, "--frames", 2, "--quiet")
+        succeed(files, "bake", "@ball.npz", "-o", tmp_path / f"{name}.npz", *deformation, "--voxels", 16)
+    assert "warning" not in capsys.readouterr().err
+    assert np.abs(read_image(tmp_path / "y.png") - read_image(tmp_path / "z.png")).max() < 0.02
+    one, two = (read_image(tmp_path / name / "frame_0001.png") for name in "yz")
+    assert np.abs(one - two).max() < 0.02
+    one, two = (VoxelField.load(tmp_path / f"{name}.npz") for name in "yz")
+    np.testing.assert_allclose(one.bounds, two.bounds, atol=1e-6)
+
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "mixed.png", *view, "--cage", "@cage.obj", "--posed",
+            tmp_path / "posed.obj")
+    assert "with another axis up" in capsys.readouterr().err
+
+
 def test_animate_takes_a_folder_up_where_it_was_left(files, tmp_path, capsys):
     folder = tmp_path / "frames"
     words = ["animate", "@ball.npz", "-o", folder, *SMALL, "--frames", 3, "--quiet"]

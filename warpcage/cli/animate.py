@@ -61,7 +61,7 @@ def run(args):
     if args.show == "masks" and args.cage is None:
         raise ValueError("--show masks needs a deformation: --cage and --posed")
     rest = options.read_rest(args)
-    keyframes = None if rest is None else Keyframes(rest, args.posed, args.interpolation)
+    keyframes = None if rest is None else Keyframes(rest, args.posed, args.interpolation, args.cage_up)
     field = options.read_field(args)
     points = options.visible_points(field) if rest is None else keyframes.vertices
     cameras = _chosen_cameras(args, points)
@@ -180,7 +180,7 @@ def _checked_output(text: str) -> pathlib.Path:
 def _settings(args, cameras) -> dict:
     """What decides how frames look, so that a folder never mixes two films."""
     names = ("frames", "motion", "interpolation", "turn", "show", "overlay", "background", "coordinates", "resolution",
-             "density")
+             "density", "cage_up")
     settings = {name: getattr(args, name) for name in names}
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()

@@ -51,15 +51,15 @@ def is_preset(text: str) -> bool:
     return text.split(":")[0] in PRESETS and not pathlib.Path(text).exists()
 
 
-def read_pose(rest, text: str):
-    """The posed cage that a word of --posed names."""
+def read_pose(rest, text: str, up: str | None = None):
+    """The posed cage that a word of --posed names; up: of --cage-up, the axis that points up in its file."""
     from ..cage import Cage
 
     if is_preset(text):
         preset = Preset(text)
         posed = preset.at(rest, preset.amount)
     else:
-        posed = options.matched(rest, Cage.load(text), text)
+        posed = options.matched(rest, Cage.load(text, up=up), text)
     posed.require_usable(f"cage {text!r}")
     return posed
 
@@ -71,9 +71,9 @@ class Keyframes:
     otherwise each vertex goes its own way from pose to pose.
     """
 
-    def __init__(self, rest, texts: list[str], interpolation: str):
+    def __init__(self, rest, texts: list[str], interpolation: str, up: str | None = None):
         self.rest, self.interpolation = rest, interpolation
-        self.cages = [rest] + [read_pose(rest, text) for text in texts]
+        self.cages = [rest] + [read_pose(rest, text, up) for text in texts]
         self.preset, self.amounts = None, []
         presets = [Preset(text) if is_preset(text) else None for text in texts]
         families = {preset.family for preset in presets if preset and preset.kind != "rest"}
