@@ -82,3 +82,13 @@ def run_parallel(tasks, threads: int | None = None) -> list:
     if _pool is None:
         _pool = ThreadPoolExecutor(CPU_THREADS, thread_name_prefix="warpcage")
     return list(_pool.map(lambda task: task(), tasks))
+
+
+def _forget_pool() -> None:
+    """A forked process has the pool without its threads: tasks would wait in it for ever."""
+    global _pool
+    _pool = None
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
+    os.register_at_fork(after_in_child=_forget_pool)
