@@ -24,6 +24,8 @@ def resolve_device(device=None) -> wp.Device:
     if device is None:
         return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
     try:
+        if str(device).startswith("cuda") and not wp.is_cuda_available():
+            raise ValueError("no CUDA")  # Warp would look for its current context, and print that there is no driver
         return wp.get_device(str(device))
     except Exception as error:
         present = ", ".join(found.alias for found in wp.get_devices())

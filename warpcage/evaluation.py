@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .arrays import require_type
+from .scene import Scene
+
 
 def psnr(image, reference) -> float:
     """Peak signal-to-noise ratio in dB of an image and a reference, both clamped to [0, 1]; inf where they agree."""
@@ -49,7 +52,9 @@ def evaluate(renderer, scene, *, similarity: bool = False, progress: bool = Fals
 
     A renderer with background layers is compared with whole pictures, where the scene has them (its pictures carry no
     opacity, or were split at their masks); otherwise both stand on the scene's background colour.
+    Raises ValueError for what is no Scene.
     """
+    require_type(scene, Scene, "evaluate compares with")
     from tqdm import tqdm
 
     rows = []

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from .cage import require_same_faces
+from .arrays import require_type
+from .cage import Cage, require_same_faces
 from .closed_form_solver import GreenSolver, MeanValueSolver
 from .devices import launch, resolve_device
 from .face_geometry import column_cross, column_dot, face_edges
@@ -67,6 +68,7 @@ class PositionMap:
             raise ValueError(f"coordinates must be one of {', '.join(COORDINATES)}, got {coordinates!r}")
         if store not in STORES:
             raise ValueError(f"store must be one of {', '.join(STORES)}, got {store!r}")
+        require_type(rest, Cage, "the rest cage must be")
         rest.require_usable("rest cage")
         self.coordinates, self.store = coordinates, store
         self.rest = rest
@@ -88,6 +90,7 @@ class PositionMap:
         Raises ValueError for faces that differ or an unusable cage (the map then stays that of the last pose), or too
         little memory.
         """
+        require_type(deformed, Cage, "a pose must be")
         require_same_faces(self.rest, deformed)
         if self._graph is not None and self._data is not None and self._replay(deformed):
             return self
