@@ -14,6 +14,7 @@ from warpcage.cli import COMMANDS, main
 from warpcage.field import VoxelField
 from warpcage.images import read_image
 from warpcage.notices import warn_caller
+from warpcage.pose_file import PoseFile
 from warpcage.synthetic import write_brick_scene
 
 NAMES = [module.NAME for module in COMMANDS]
@@ -401,6 +402,35 @@ def test_bake_then_render(files, tmp_path, format):
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "rest.png", *view)
     baked, live, rest = (read_image(tmp_path / f"{name}.png") for name in ("baked", "live", "rest"))
     assert np.mean((baked - live) ** 2) < 10**-2.5 < np.mean((rest - live) ** 2)
+
+
+def test_poses_come_from_pose_files(files, tmp_path, capsys):
+    rest = Cage.load(files / "cage.obj")
+    path = tmp_path / "pösen.json"
+    PoseFile(rest, {"bent": Cage.load(files / "posed.obj"), "small one": rest.scale(0.8)}).save(path)
+    view = [*SMALL, "--camera", "@scene:test:1"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "file.png", *view, *DEFORMED)
+    words = ["--cage", "@cage.obj", "--posed"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "named.png", *view, *words, f"{path}:bent")
+    assert (tmp_path / "file.png").read_bytes() == (tmp_path / "named.png").read_bytes()
+
+    film = [*view, "--frames", 3, "--motion", "once", "--quiet", *words]
+    for folder, poses in (("whole", [path]), ("single", [f"{path}:bent", f"{path}:small one"])):
+        succeed(files, "animate", "@ball.npz", "-o", tmp_path / folder, *film, *poses)
+    for k in range(3):
+        one, two = ((tmp_path / folder / f"frame_000{k}.png").read_bytes() for folder in ("whole", "single"))
+        assert one == two
+    assert run(files, "animate", "@ball.npz", "-o", tmp_path / "single", *film, f"{path}:bent") == 2  # another film
+    assert "other posed" in capsys.readouterr().err
+
+    for pose in (f"{path}:bent", "bend:40:x:z"):
+        succeed(files, "check", "@cage.obj", "--posed", pose)
+        assert "pose: usable" in capsys.readouterr().out
+    for pose, said in ((path, "holds 2 keyframes: name one"), (f"{path}:no", "no keyframe 'no': bent, small one"),
+                       (tmp_path / "none.json", "is not there")):
+        assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *view, *words, pose) == 2
+        error = capsys.readouterr().err
+        assert said in error and error.count("\n") == 1
 
 
 def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):

@@ -5,7 +5,7 @@ import json
 import pathlib
 
 from . import options, outputs
-from .keyframes import Keyframes, is_preset
+from .keyframes import Keyframes, is_preset, pose_file
 from .render import background_option
 
 NAME = "animate"
@@ -14,6 +14,7 @@ EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
   warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
   warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
+  warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
 
 An output without an ending is a folder of PNG files: run the same command again after an interruption and it renders
@@ -194,7 +195,8 @@ def _fingerprint(text: str | None) -> str | None:
     """What a file holds, or the preset itself."""
     if text is None or is_preset(text):
         return text
-    return hashlib.sha256(pathlib.Path(text).read_bytes()).hexdigest()
+    path, name = pose_file(text) or (text, "")
+    return hashlib.sha256(pathlib.Path(path).read_bytes() + name.encode()).hexdigest()
 
 
 def _write_folder(folder: pathlib.Path, shot: _Shot, frames, settings: dict) -> int:

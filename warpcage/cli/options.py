@@ -52,9 +52,10 @@ def add_masks(parser) -> None:
 def add_deformation(parser, *, keyframes: bool = False) -> None:
     group = parser.add_argument_group("deformation (leave --cage and --posed out to show the field as it is)")
     group.add_argument("--cage", metavar="REST", help="cage around the undeformed object (.obj .ply .off .glb .gltf)")
-    posed = 'the same cage, vertices moved: a file or a preset such as bend:40:x:z, twist:60 or scale:0.8'
+    posed = ("the same cage, vertices moved: a cage file, a keyframe of a pose file (poses.json:NAME) or a preset such "
+             "as bend:40:x:z, twist:60 or scale:0.8")
     if keyframes:
-        posed += "; several are keyframes one after another"
+        posed += "; several, or all of a pose file (poses.json), are keyframes one after another"
     group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes else None, help=posed)
     add_cage_up(group)
     group.add_argument("--coordinates", choices=COORDINATES, default="harmonic", help="kind (default: %(default)s)")
