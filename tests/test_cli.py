@@ -240,6 +240,33 @@ def test_mesh(files, tmp_path, ending):
     assert 0.4 < radius.min() and radius.max() < 0.7
 
 
+def test_gltf_meshes_stand_upright(tmp_path, capsys):
+    import trimesh
+
+    density = np.zeros((24, 24, 24))
+    density[4:8, 6:18, 2:22] = 40.0  # of another size along each axis, off the middle
+    field = VoxelField.from_dense(density, np.zeros((24, 24, 24, 9, 3)), [[-1, -1, -1], [1, 1, 1]])
+    field.save(tmp_path / "slab.npz")
+    bounds = []
+    for ending in ("obj", "glb"):
+        assert main(["mesh", str(tmp_path / "slab.npz"), "-o", str(tmp_path / f"slab.{ending}")]) == 0
+        assert main(["cage", str(tmp_path / f"slab.{ending}"), "-o", str(tmp_path / "box.obj"), "--box"]) == 0
+        bounds.append(Cage.load(tmp_path / "box.obj").bounds)
+    np.testing.assert_allclose(*bounds, atol=1e-6)
+    x, y, z = trimesh.load(tmp_path / "slab.obj", force="mesh").bounds.T
+    there = trimesh.load(tmp_path / "slab.glb", force="mesh").bounds
+    np.testing.assert_allclose(there, np.stack([x, z, -y[::-1]], axis=1), atol=1e-6)  # glTF: y up, z towards us
+    said = [line.split(", from ")[1] for line in capsys.readouterr().out.splitlines() if "slab" in line]
+    assert len(said) == 2 and said[0] == said[1]  # world coordinates in both
+
+
+def test_a_cage_around_a_mesh_says_one_line(files, tmp_path):
+    words = ["cage", files / "posed.obj", "-o", tmp_path / "cage.obj", "--vertices", "30", "--method", "shell",
+             "--quiet"]
+    done = subprocess.run([sys.executable, "-m", "warpcage", *map(str, words)], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("wrote ") and done.stdout.count("\n") == 1
+
+
 @pytest.mark.parametrize("shape", [["--box"], ["--box", "--segments", 2, 3, 1], ["--box", "--margin", 0.2],
                                    ["--cylinder"], ["--cylinder", "--axis", "x", "--sides", 7, "--rings", 2]])
 @pytest.mark.parametrize("source", ["@ball.npz", "@posed.obj"])
