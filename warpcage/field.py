@@ -197,7 +197,9 @@ class VoxelField:
 
     @classmethod
     def load(cls, path, *, scene_scale: float = 1.0, device=None) -> VoxelField:
-        """Read our own .npz or a Plenoxels (svox2) checkpoint; see warpcage.checkpoints.load_field."""
+        """Read our own .npz or a Plenoxels (svox2) checkpoint. scene_scale: the factor that its scene's positions were
+        multiplied by, which bounds are divided by: 2/3 for svox2's NeRF-synthetic scenes, so that they fit the cameras
+        of `load_scene`. See warpcage.checkpoints.load_field."""
         from .checkpoints import load_field
 
         return load_field(path, scene_scale=scene_scale, device=device)
