@@ -1,10 +1,14 @@
-"""warpcage in the processes of a pool, before and after its parent has used it."""
+"""Threads and processes: pools of processes around warpcage, and its own threads when it is interrupted."""
 
+import _thread
 import multiprocessing
 import subprocess
 import sys
+import time
 
 import pytest
+
+from warpcage.devices import run_parallel
 
 PROGRAM = """\
 import multiprocessing
@@ -43,3 +47,25 @@ def test_processes_of_a_pool_compute_what_their_parent_does(method, when, tmp_pa
     done = subprocess.run([sys.executable, "program.py", method, when], cwd=tmp_path, capture_output=True, text=True,
                           timeout=120)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_no_task_goes_on_after_an_interrupt_or_an_error(error):
+    begun, ended = [], []
+
+    def stop():
+        if error is KeyboardInterrupt:
+            _thread.interrupt_main()
+        else:
+            raise error
+
+    def work(k):
+        begun.append(k)
+        time.sleep(0.2)
+        ended.append(k)
+
+    with pytest.raises(error):
+        run_parallel([stop, *(lambda k=k: work(k) for k in range(8))], threads=2)
+        time.sleep(5)  # an interrupt may come late
+    assert sorted(begun) == sorted(ended) and len(begun) < 8
+    assert run_parallel([lambda k=k: k * k for k in range(5)], threads=2) == [0, 1, 4, 9, 16]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import warp as wp
 
@@ -77,13 +77,25 @@ def load_modules(modules, device) -> None:
 
 
 def run_parallel(tasks, threads: int | None = None) -> list:
-    """Run callables on the shared CPU thread pool and return their results in order (the first error is raised)."""
+    """Run callables on the shared CPU thread pool and return their results in order (the first error is raised).
+
+    After an error or an interrupt no task is left running: its arrays may be freed as soon as this returns.
+    """
     global _pool
     if (CPU_THREADS if threads is None else threads) <= 1 or len(tasks) == 1:
         return [task() for task in tasks]
     if _pool is None:
         _pool = ThreadPoolExecutor(CPU_THREADS, thread_name_prefix="warpcage")
-    return list(_pool.map(lambda task: task(), tasks))
+    futures = []
+    try:
+        for task in tasks:
+            futures.append(_pool.submit(task))
+        return [future.result() for future in futures]
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        wait(futures)
+        raise
 
 
 def _forget_pool() -> None:
