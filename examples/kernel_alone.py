@@ -2,8 +2,8 @@
 
     python examples/kernel_alone.py
 
-Copy kernels/mean_value.py and the siblings that it names (entries, face_fans, triangle) next to a program of your own
-and it works the same: nothing else of the library is used here.
+Copy kernels/mean_value.py and the siblings that it names (entries, face_fans, triangle) into a folder beside a program
+of your own, take them from there, and it works the same: nothing else of the library is used here.
 """
 
 import numpy as np

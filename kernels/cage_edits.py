@@ -10,7 +10,7 @@ Two kinds of edit share these functions: LatticeEdit looks the map and the signe
 ClosedFormEdit evaluates mean value or Green coordinates and winding numbers at the point itself; tables over lattice
 cells tell it where the answer is the same for a whole cell. A module compiles only the kind that its kernels take. All
 positions are relative to one origin that the caller keeps to.
-Siblings: cage_map, containment, face_fans, green, mean_value.
+Siblings: cage_map, containment, green, mean_value.
 """
 
 from typing import Any

@@ -2,9 +2,9 @@
 
 The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
 the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Which octants of a block
-are CLEARANCE cells and more from the cage is kept as well. Units: node units (see
-crossings) for vertices, world units for the result. Siblings: containment,
-crossings, lanes.
+are CLEARANCE cells and more from the cage is kept as well. Units: node units (see crossings) for vertices, world units
+for the result.
+Siblings: containment, crossings, lanes.
 """
 
 import warp as wp

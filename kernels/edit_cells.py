@@ -2,7 +2,7 @@
 
 "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. A module of its own,
 so that a pose compiles no march.
-Siblings: cage_edits, cage_map, deformed_march, grid (and, to spread the marks, grid_skip).
+Siblings: cage_edits, cage_map, deformed_march, grid, grid_skip (which also spreads the marks).
 """
 
 import warp as wp

@@ -4,8 +4,7 @@ The same sums as field_loss.accumulate_photometric_gradient, which says what the
 are looked up at once, one a lane; then the samples that hold matter are taken one by one, and the 27 coefficients of a
 voxel are read, and their gradients added, by 27 neighbouring lanes: a voxel's row is one run of memory instead of 27
 scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
-Siblings: field_loss, field_step, grid, grid_rays, lanes, pictures, rays, spherical_harmonics. Uses warp shuffles: CUDA
-only.
+Siblings: field_loss, field_step, grid, grid_rays, lanes, spherical_harmonics. Uses warp shuffles: CUDA only.
 """
 
 import warp as wp

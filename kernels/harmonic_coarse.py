@@ -4,7 +4,7 @@ They hold too few nodes to fill a device, so that a launch each sweep costs more
 block share the nodes of a colour and wait for each other between colours; on a CPU one thread does it all. What bounds
 a half sweep is how long one value takes from memory and back. So where a thread has no more than two nodes of a colour
 it looks their rows up once a level, and a half sweep reads nothing but the neighbours.
-Siblings: harmonic, node_levels.
+Siblings: harmonic.
 """
 
 import warp as wp

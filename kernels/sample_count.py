@@ -1,6 +1,7 @@
 """Count the samples that a march takes along the rays of cameras: what a step of a fit has to do.
 
-Marches as volume_render.march does. Siblings: grid, grid_rays, rays.
+Marches as volume_render.march does.
+Siblings: grid, grid_rays, rays.
 """
 
 import warp as wp

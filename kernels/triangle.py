@@ -1,6 +1,7 @@
 """The point of a triangle nearest to the origin, in float64, for the few faces that lie next to a point.
 
-Christer Ericson, "Real-Time Collision Detection" (2005), section 5.1.5. Siblings: none.
+Christer Ericson, "Real-Time Collision Detection" (2005), section 5.1.5.
+Siblings: none.
 """
 
 import warp as wp

@@ -477,3 +477,13 @@ def test_a_killed_process_leaves_the_previous_file(tmp_path, how, ended):
     assert path.read_bytes() == before
     assert VoxelField.load(path).voxel_count == field.voxel_count
     assert len(list(tmp_path.iterdir())) == 2  # what the dead process had written lies beside it, under another name
+
+
+def test_a_folder_that_takes_no_files_is_named_with_the_file(tmp_path, monkeypatch):
+    def refuse(**names):
+        raise PermissionError(13, "Permission denied", str(tmp_path / ".field-abc.npz"))
+
+    monkeypatch.setattr("tempfile.mkstemp", refuse)
+    with pytest.raises(PermissionError) as error:
+        small_field().save(tmp_path / "field.npz")
+    assert error.value.filename == str(tmp_path / "field.npz")

@@ -102,8 +102,8 @@ def test_bad_poses_are_refused_and_the_last_one_stays():
     flat = BOX.with_vertices(BOX.vertices * [1, 1, 0])
     other = Cage.box([0, 0, 0], [1, 1, 1])
     for pose, message in ((reordered, "order"), (mirrored, "the deformed cage"), (flat, "the deformed cage"),
-                          (other, "vertices"), ([BOX, BOX], "one cage an edit"), (BOX.vertices, "one cage an edit"),
-                          (None, "needs a Cage")):
+                          (other, "vertices"), ([BOX, BOX], "one cage an edit"), (BOX.vertices, "a Cage, got ndarray"),
+                          (None, "a Cage, got NoneType")):
         with pytest.raises(ValueError, match=message):
             deformer.pose(pose)
         np.testing.assert_array_equal(deformer.render(camera).rgb, before)

@@ -58,6 +58,15 @@ def test_obj_with_polygons_negative_indices_and_materials(tmp_path):
     assert cage.faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 3, 2], [4, 2, 1], [4, 1, 0], [0, 1, 4]]
 
 
+@pytest.mark.parametrize("ending", ["obj", "off"])
+def test_a_byte_order_mark_is_no_text(tmp_path, ending):
+    cage = Cage.box((0, 0, 0), (1, 2, 3))
+    cage.save(tmp_path / f"c.{ending}")
+    lines = (tmp_path / f"c.{ending}").read_bytes().replace(b"# cage\n", b"")
+    (tmp_path / f"c.{ending}").write_bytes(b"\xef\xbb\xbf" + lines)
+    assert np.array_equal(Cage.load(tmp_path / f"c.{ending}").vertices, cage.vertices)
+
+
 def test_off_with_comments_and_colours(tmp_path):
     (tmp_path / "c.off").write_text("OFF # head\n# note\n"
                                     "4 2 0\n0 0 0\n1 0 0\n\n1 1 0\n0 1 0\n4 0 1 2 3 255 0 0\n3 0 1 2\n")

@@ -81,8 +81,11 @@ def different():
     d = (set(faces[other].tolist()) - {int(a), int(b)}).pop()
     faces[0], faces[other] = (c, a, d), (d, b, c)
     one_more = Cage(np.concatenate([rest.vertices, [[0, 0, 9]]]), np.concatenate([rest.faces, [[0, 1, 162]]]))
+    cube = Cage.box([5, 5, 5], [6, 6, 6])
+    two_objects = Cage(np.concatenate([cube.vertices, rest.vertices]), np.concatenate([cube.faces, rest.faces + 8]))
     return {
         "163 vertices, the cage 162": one_more,
+        "170 vertices, the cage 162: it has 2 parts, the cage 1: save the cage alone": two_objects,
         "319 faces, the cage 320": Cage(rest.vertices, rest.faces[1:]),
         "turned inside out": Cage(rest.vertices, rest.faces[:, ::-1]),
         "it is another mesh": shuffled(Cage(rest.vertices, faces)),

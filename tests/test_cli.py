@@ -13,6 +13,8 @@ from warpcage.cage import Cage
 from warpcage.cli import COMMANDS, main
 from warpcage.field import VoxelField
 from warpcage.images import read_image
+from warpcage.notices import warn_caller
+from warpcage.pose_file import PoseFile
 from warpcage.synthetic import write_brick_scene
 
 NAMES = [module.NAME for module in COMMANDS]
@@ -60,6 +62,12 @@ def test_the_package_runs_as_a_module():
     assert helped.returncode == 0 and helped.stdout.startswith("usage: warpcage ")
     wrong = subprocess.run([*words, "info", "nowhere.npz"], capture_output=True, text=True)
     assert wrong.returncode == 2 and "nowhere.npz" in wrong.stderr and wrong.stderr.count("\n") == 1
+
+
+def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatch):
+    monkeypatch.setattr("warpcage.cli.info.run", lambda arguments: warn_caller("the gap\n is narrow"))
+    assert main(["info"]) == 0
+    assert capsys.readouterr().err == "warpcage: warning: the gap is narrow\n"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -232,6 +240,33 @@ def test_mesh(files, tmp_path, ending):
     assert 0.4 < radius.min() and radius.max() < 0.7
 
 
+def test_gltf_meshes_stand_upright(tmp_path, capsys):
+    import trimesh
+
+    density = np.zeros((24, 24, 24))
+    density[4:8, 6:18, 2:22] = 40.0  # of another size along each axis, off the middle
+    field = VoxelField.from_dense(density, np.zeros((24, 24, 24, 9, 3)), [[-1, -1, -1], [1, 1, 1]])
+    field.save(tmp_path / "slab.npz")
+    bounds = []
+    for ending in ("obj", "glb"):
+        assert main(["mesh", str(tmp_path / "slab.npz"), "-o", str(tmp_path / f"slab.{ending}")]) == 0
+        assert main(["cage", str(tmp_path / f"slab.{ending}"), "-o", str(tmp_path / "box.obj"), "--box"]) == 0
+        bounds.append(Cage.load(tmp_path / "box.obj").bounds)
+    np.testing.assert_allclose(*bounds, atol=1e-6)
+    x, y, z = trimesh.load(tmp_path / "slab.obj", force="mesh").bounds.T
+    there = trimesh.load(tmp_path / "slab.glb", force="mesh").bounds
+    np.testing.assert_allclose(there, np.stack([x, z, -y[::-1]], axis=1), atol=1e-6)  # glTF: y up, z towards us
+    said = [line.split(", from ")[1] for line in capsys.readouterr().out.splitlines() if "slab" in line]
+    assert len(said) == 2 and said[0] == said[1]  # world coordinates in both
+
+
+def test_a_cage_around_a_mesh_says_one_line(files, tmp_path):
+    words = ["cage", files / "posed.obj", "-o", tmp_path / "cage.obj", "--vertices", "30", "--method", "shell",
+             "--quiet"]
+    done = subprocess.run([sys.executable, "-m", "warpcage", *map(str, words)], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("wrote ") and done.stdout.count("\n") == 1
+
+
 @pytest.mark.parametrize("shape", [["--box"], ["--box", "--segments", 2, 3, 1], ["--box", "--margin", 0.2],
                                    ["--cylinder"], ["--cylinder", "--axis", "x", "--sides", 7, "--rings", 2]])
 @pytest.mark.parametrize("source", ["@ball.npz", "@posed.obj"])
@@ -394,6 +429,57 @@ def test_bake_then_render(files, tmp_path, format):
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "rest.png", *view)
     baked, live, rest = (read_image(tmp_path / f"{name}.png") for name in ("baked", "live", "rest"))
     assert np.mean((baked - live) ** 2) < 10**-2.5 < np.mean((rest - live) ** 2)
+
+
+def test_poses_come_from_pose_files(files, tmp_path, capsys):
+    rest = Cage.load(files / "cage.obj")
+    path = tmp_path / "pösen.json"
+    PoseFile(rest, {"bent": Cage.load(files / "posed.obj"), "small one": rest.scale(0.8)}).save(path)
+    view = [*SMALL, "--camera", "@scene:test:1"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "file.png", *view, *DEFORMED)
+    words = ["--cage", "@cage.obj", "--posed"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "named.png", *view, *words, f"{path}:bent")
+    assert (tmp_path / "file.png").read_bytes() == (tmp_path / "named.png").read_bytes()
+
+    film = [*view, "--frames", 3, "--motion", "once", "--quiet", *words]
+    for folder, poses in (("whole", [path]), ("single", [f"{path}:bent", f"{path}:small one"])):
+        succeed(files, "animate", "@ball.npz", "-o", tmp_path / folder, *film, *poses)
+    for k in range(3):
+        one, two = ((tmp_path / folder / f"frame_000{k}.png").read_bytes() for folder in ("whole", "single"))
+        assert one == two
+    assert run(files, "animate", "@ball.npz", "-o", tmp_path / "single", *film, f"{path}:bent") == 2  # another film
+    assert "other posed" in capsys.readouterr().err
+
+    for pose in (f"{path}:bent", "bend:40:x:z"):
+        succeed(files, "check", "@cage.obj", "--posed", pose)
+        assert "pose: usable" in capsys.readouterr().out
+    for pose, said in ((path, "holds 2 keyframes: name one"), (f"{path}:no", "no keyframe 'no': bent, small one"),
+                       (tmp_path / "none.json", "is not there")):
+        assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *view, *words, pose) == 2
+        error = capsys.readouterr().err
+        assert said in error and error.count("\n") == 1
+
+
+def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):
+    rest, posed = (Cage.load(files / f"{name}.obj") for name in ("cage", "posed"))
+    for name, cage in (("rest", rest), ("posed", posed)):
+        cage.save(tmp_path / f"{name}.obj", up="y")
+    turned = ["--cage", tmp_path / "rest.obj", "--posed", tmp_path / "posed.obj", "--cage-up", "y"]
+    view = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
+    for deformation, name in ((DEFORMED, "z"), (turned, "y")):
+        succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{name}.png", *view, *deformation)
+        succeed(files, "animate", "@ball.npz", "-o", tmp_path / name, *view, *deformation, "--frames", 2, "--quiet")
+        succeed(files, "bake", "@ball.npz", "-o", tmp_path / f"{name}.npz", *deformation, "--voxels", 16)
+    assert "warning" not in capsys.readouterr().err
+    assert np.abs(read_image(tmp_path / "y.png") - read_image(tmp_path / "z.png")).max() < 0.02
+    one, two = (read_image(tmp_path / name / "frame_0001.png") for name in "yz")
+    assert np.abs(one - two).max() < 0.02
+    one, two = (VoxelField.load(tmp_path / f"{name}.npz") for name in "yz")
+    np.testing.assert_allclose(one.bounds, two.bounds, atol=1e-6)
+
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "mixed.png", *view, "--cage", "@cage.obj", "--posed",
+            tmp_path / "posed.obj")
+    assert "with another axis up" in capsys.readouterr().err
 
 
 def test_animate_takes_a_folder_up_where_it_was_left(files, tmp_path, capsys):

@@ -161,8 +161,9 @@ def test_one_cell_slots_turned_so_that_cells_hold_tips_alone(kind, degrees, axis
 def test_gaps_narrower_than_a_cell_are_reported(kind, device):
     narrow, wide, turn = slot_cages(0.6 / 32, 17)
     position_map = PositionMap(wide, coordinates=kind, resolution=32, device=device)
-    with pytest.warns(UserWarning, match="narrower than a cell .* opens by up to 0.0.* resolution above 32"):
+    with pytest.warns(UserWarning, match="narrower than a cell .* opens by up to 0.0.* resolution above 32") as caught:
         position_map.pose(narrow)
+    assert caught[0].filename == __file__  # the caller's line, not one of the package
     assert 0.05 < position_map.gap_jump < 0.15
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -309,6 +309,10 @@ def test_psnr_by_hand():
     assert psnr(np.full((2, 2, 3), 0.5), np.full((2, 2, 3), 0.6)) == pytest.approx(20.0)
     assert psnr(np.full((1, 1, 3), 1.7), np.ones((1, 1, 3))) == float("inf")  # clamped
     assert psnr(np.full((1, 1, 3), 1.7), np.full((1, 1, 3), 1.2)) == float("inf")  # both: renders reach above one
+    with pytest.raises(ValueError, match="one shape, got"):
+        psnr(np.zeros((4, 4, 3)), np.zeros((4, 3)))  # would broadcast
+    with pytest.raises(ValueError, match="divide 8-bit pictures by 255"):
+        psnr(np.zeros((2, 2, 3)), np.full((2, 2, 3), 200, np.uint8))
 
 
 def test_ssim_and_error_image():
@@ -317,6 +321,7 @@ def test_ssim_and_error_image():
     assert ssim(image, image) == pytest.approx(1.0)
     noisy = np.clip(image + random.normal(0, 0.2, image.shape), 0, 1)
     assert ssim(noisy, image) < 0.9
+    assert ssim(2 * image, 2 * image - 0.5 * (image > 0.75)) == pytest.approx(1.0)  # both are clamped
     wrong = image.copy()
     wrong[3, 4] += 0.5
     errors = error_image(wrong, image)

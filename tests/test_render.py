@@ -1,5 +1,8 @@
 """Frames and cameras as kernels take them."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 import warp as wp
@@ -21,6 +24,24 @@ def test_a_frame_converts_once_and_reshapes(device):
     assert frame.arrays["rgb"] is rgb
     np.testing.assert_array_equal(frame.fold, frame.alpha)
     assert frame.reveal is None and frame.outside is None
+
+
+def test_a_frame_is_told_in_one_short_line():
+    frame = Frame(3, 2, np.zeros((2, 3, 3)), np.zeros(6), np.zeros(6), reveal=np.zeros(6))
+    assert repr(frame) == "Frame(3x2: rgb, alpha, depth, reveal)"
+
+
+@pytest.mark.parametrize("again", [lambda frame: pickle.loads(pickle.dumps(frame)), copy.deepcopy])
+def test_a_frame_passes_between_processes(again, device):
+    random = np.random.default_rng(0)
+    rgb, alpha, reveal = random.random((6, 3)), random.random(6), random.random(6)
+    arrays = [wp.array(values.astype(np.float32), dtype=dtype, device=device)
+              for values, dtype in ((rgb, wp.vec3), (alpha, float), (alpha, float), (reveal, float))]
+    frame = Frame(3, 2, *arrays[:3], reveal=arrays[3])
+    other = again(frame)
+    for name in ("rgb", "alpha", "depth", "disparity", "reveal"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(frame, name))
+    assert other.fold is None and (other.width, other.height) == (3, 2)
 
 
 def test_a_frame_takes_numpy():

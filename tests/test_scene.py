@@ -120,6 +120,14 @@ def test_bad_arguments(tmp_path):
         load_scene(tmp_path, format="llff")
 
 
+def test_a_scene_is_told_in_one_short_line():
+    camera = Camera(10, 10, 2, 1.5, 4, 3, np.eye(4))
+    assert repr(warpcage.Scene(np.zeros((1, 3, 4, 3)), None, [camera])) == "Scene(1 pictures of 4x3)"
+    alphas = np.ones((1, 3, 4))
+    split = warpcage.Scene(np.zeros((1, 3, 4, 3)), alphas, [camera], surroundings=np.zeros((1, 3, 4, 3)))
+    assert repr(split) == "Scene(1 pictures of 4x3, alphas, surroundings)"
+
+
 def test_scene_refuses_what_does_not_fit():
     camera = Camera.look_at([3, 0, 0], [0, 0, 0], width=4, height=4)
     with pytest.raises(ValueError, match="finite"):

@@ -6,6 +6,12 @@ import numpy as np
 import warp as wp
 
 
+def require_type(value, kind: type, what: str) -> None:
+    """Raise a ValueError, "`what` a `kind`, got ...", unless `value` is one."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{what} a {kind.__name__}, got {type(value).__name__}")
+
+
 def is_device_array(array) -> bool:
     """Whether `array` is a Warp array or a foreign one (torch, CuPy, JAX) rather than NumPy or a sequence."""
     if isinstance(array, wp.array):
@@ -46,8 +52,13 @@ def as_points(points, device=None, *, name: str = "points") -> tuple[wp.array, b
 
 
 def as_host_points(points, *, name: str = "points") -> np.ndarray:
-    """(n, 3) float64 NumPy copy of `points`. Raises ValueError for another shape or values that are not finite."""
-    host = np.asarray(points.numpy() if isinstance(points, wp.array) else points, dtype=np.float64)
+    """(n, 3) float64 NumPy copy of `points`. Raises ValueError for what are no real numbers, another shape or values
+    that are not finite."""
+    try:
+        host = np.asarray(points.numpy() if isinstance(points, wp.array) else points)
+        host = host.astype(np.float64, casting="unsafe" if host.dtype == object else "same_kind")
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be (n, 3) real numbers, got {type(points).__name__}") from None
     if host.size == 0:
         host = host.reshape(0, 3)
     if host.ndim != 2 or host.shape[1] != 3:

@@ -43,6 +43,8 @@ def cage_around_mesh(mesh, vertex_count: int = 100, *, margin: float | None = No
     cage could be made.
     """
     vertex_count = checked_count(vertex_count)
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise ValueError(f"a mesh must have vertices and faces, as a trimesh.Trimesh, got {type(mesh).__name__}")
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     faces = np.asarray(mesh.faces, dtype=np.int64)
     if not len(vertices) or not len(faces):

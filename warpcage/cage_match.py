@@ -83,6 +83,11 @@ def _used_count(faces) -> int:
     return len(np.unique(faces))
 
 
+def _part_count(faces) -> int:
+    label, _ = connected_parts(int(faces.max()) + 1, faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1))
+    return len(np.unique(label[faces[:, 0]]))
+
+
 def _welded(cage) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and faces with used vertices at exactly one place made one, each at the place of the first."""
     _, first, place = np.unique(cage.vertices + 0.0, axis=0, return_index=True, return_inverse=True)
@@ -94,8 +99,10 @@ def _counts_differ(rest, pose, vertices, faces) -> str:
     if _used_count(faces) != _used_count(rest.faces):
         merged = _used_count(pose.faces) - _used_count(faces)
         hint = f" ({merged} more at the places of others)" if merged else ""
-        return (f"has {_used_count(faces)} vertices{hint}, the cage {_used_count(rest.faces)}: pose the cage itself, "
-                "without adding or removing vertices")
+        parts, own = (_part_count(each) for each in (faces, rest.faces))
+        advice = ("pose the cage itself, without adding or removing vertices" if parts <= own else
+                  f"it has {parts} parts, the cage {own}: save the cage alone, without other objects")
+        return f"has {_used_count(faces)} vertices{hint}, the cage {_used_count(rest.faces)}: {advice}"
     if len(faces) != len(rest.faces):
         return f"has {len(faces)} faces, the cage {len(rest.faces)}: pose the cage itself, without editing faces"
     return ""

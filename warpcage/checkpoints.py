@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import pathlib
-import warnings
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from .background_files import background_contents, read_background
 from .field import BASIS_COUNT, VoxelField
 from .files import atomic_path
 from .memory import free_host_bytes
+from .notices import warn_caller
 
 #: Files with background layers are of version 2, those without stay readable by older releases.
 FORMAT_VERSION = 2
@@ -51,8 +51,9 @@ def load_field(path, *, scene_scale: float = 1.0, device=None) -> VoxelField:
     """Read a field.
 
     scene_scale: the factor by which the scene's positions were multiplied before the field was optimised; bounds are
-    divided and densities multiplied by it. svox2 scales NeRF-synthetic scenes by 2/3. Raises FileNotFoundError, or
-    ValueError for a file that is neither format or whose parts do not fit.
+    divided and densities multiplied by it. svox2 scales NeRF-synthetic scenes by 2/3. Background layers of a svox2 file
+    are left out, with a warning. Raises FileNotFoundError, or ValueError for a file that is neither format or whose
+    parts do not fit.
     """
     if not (np.isfinite(scene_scale) and scene_scale > 0):
         raise ValueError(f"scene_scale must be positive, got {scene_scale}")
@@ -145,7 +146,7 @@ def _read_own(contents: dict, path) -> tuple:
 
 def _svox2_contents(field: VoxelField) -> dict:
     if field.background_model is not None:
-        warnings.warn("a svox2 file holds the field without its background layers", stacklevel=4)
+        warn_caller("a svox2 file holds the field without its background layers")
     half = 0.5 * (field.bounds[1] - field.bounds[0])
     sh = field.grid.sh.numpy()  # (rows, rgb, basis), as svox2 has it
     return {
@@ -162,6 +163,8 @@ def _read_svox2(contents: dict, path) -> tuple:
     basis = int(require_numbers(contents, "basis_type", (), path))
     if basis != SVOX2_BASIS_SH:
         raise ValueError(f"{path} has basis_type {basis}, only spherical harmonics (1) are read")
+    if "background_data" in contents:
+        warn_caller(f"the background layers of {path} are left out: only the field of a svox2 file is read")
     radius, center = (np.broadcast_to(require_numbers(contents, name, None, path).astype(np.float64).ravel(), (3,))
                       if contents[name].size in (1, 3) else require_numbers(contents, name, (3,), path)
                       for name in ("radius", "center"))

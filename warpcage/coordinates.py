@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from . import face_geometry
-from .arrays import as_host_points, as_points, is_device_array
+from .arrays import as_host_points, as_points, is_device_array, require_type
 from .cage import SURFACE_TOLERANCE, Cage, require_same_faces
 from .devices import launch, resolve_device
 from .face_fans import prepared_fans
@@ -39,6 +39,7 @@ def mean_value_coordinates(points, cage: Cage, device=None):
     Raises ValueError for points of another shape or not finite, for a cage that is open, inward or degenerate, and
     where the device has not the memory.
     """
+    require_type(cage, Cage, "the cage must be")
     cage.require_usable()
     local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
     _require_room(local, len(cage.vertices))
@@ -62,6 +63,7 @@ def green_coordinates(points, cage: Cage, device=None, *, outside: str = "raise"
     """
     if outside not in ("raise", "nan"):
         raise ValueError(f"outside must be 'raise' or 'nan', got {outside!r}")
+    require_type(cage, Cage, "the cage must be")
     cage.require_usable()
     local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
     lost = _outside_points(local, cage)
@@ -90,6 +92,7 @@ def harmonic_coordinates(points, cage: Cage, resolution: int = HARMONIC_RESOLUTI
     """
     from .position_map import harmonic_weights
 
+    require_type(cage, Cage, "the cage must be")
     cage.require_usable()
     local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
     _require_inside(local, cage, "harmonic")
@@ -112,6 +115,8 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
     """
     if coordinates not in KINDS:
         raise ValueError(f"coordinates must be one of {', '.join(KINDS)}, got {coordinates!r}")
+    for cage, name in ((rest, "rest"), (deformed, "deformed")):
+        require_type(cage, Cage, f"the {name} cage must be")
     rest.require_usable("rest cage")
     require_same_faces(rest, deformed)
     local = _localise(points, rest.bounds.mean(axis=0), rest.size, device, check=coordinates == "harmonic")

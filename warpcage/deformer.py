@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from .arrays import as_host_points, as_points, is_device_array
+from .arrays import as_host_points, as_points, is_device_array, require_type
 from .cage import Cage, require_same_faces
 from .cage_edits import ClosedFormEdits, LatticeEdits, checked_edits
+from .camera import Camera
 from .devices import launch, resolve_device
 from .field import STOP_TRANSMITTANCE, VoxelField
 from .kernels.deformed_march import MarchOptions
@@ -48,8 +49,7 @@ class Deformer:
 
     def __init__(self, field: VoxelField, rest, *, coordinates: str = "harmonic", resolution: int | None = 128,
                  density: str = "opacity", device=None, store: str = "map"):
-        if not isinstance(field, VoxelField):
-            raise ValueError(f"a Deformer needs a VoxelField, got {type(field).__name__}")
+        require_type(field, VoxelField, "a Deformer needs")
         if coordinates not in COORDINATES:
             raise ValueError(f"coordinates {coordinates!r} are not known: {', '.join(COORDINATES)}")
         if density not in DENSITIES:
@@ -76,15 +76,14 @@ class Deformer:
         Raises ValueError for another count, cages whose faces differ from the rest cage's, or a cage that cannot be
         used (inverted, open, without volume); the pose before stays then.
         """
-        cages = [deformed] if deformed is None or isinstance(deformed, Cage) else list(deformed)
+        cages = list(deformed) if isinstance(deformed, list | tuple) else [deformed]
         if len(cages) != len(self.edits):
             raise ValueError(f"a pose needs one cage an edit, {len(self.edits)}, got {len(cages)}")
         for index, (edit, cage) in enumerate(zip(self.edits, cages, strict=True)):
             if edit.remove:
                 cages[index] = None
                 continue
-            if not isinstance(cage, Cage):
-                raise ValueError(f"a pose needs a Cage for edit {index}, got {type(cage).__name__}")
+            require_type(cage, Cage, f"the pose of edit {index} must be")
             require_same_faces(edit.cage, cage)
             cage.require_usable("the deformed cage")
         self.deformed = None  # should this fail half-way, the next use starts from rest
@@ -147,6 +146,7 @@ class Deformer:
         supersampling: rays a side of a pixel; None takes the field's. Raises ValueError for a background that is not
         known, a step that is not positive, or supersampling out of range.
         """
+        require_type(camera, Camera, "render needs")
         self._require_pose()
         side = checked_supersampling(self.field.supersampling if supersampling is None else supersampling)
         if side > 1:

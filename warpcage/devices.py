@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import warp as wp
 
@@ -24,6 +24,8 @@ def resolve_device(device=None) -> wp.Device:
     if device is None:
         return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
     try:
+        if str(device).startswith("cuda") and not wp.is_cuda_available():
+            raise ValueError("no CUDA")  # Warp would look for its current context, and print that there is no driver
         return wp.get_device(str(device))
     except Exception as error:
         present = ", ".join(found.alias for found in wp.get_devices())
@@ -75,10 +77,32 @@ def load_modules(modules, device) -> None:
 
 
 def run_parallel(tasks, threads: int | None = None) -> list:
-    """Run callables on the shared CPU thread pool and return their results in order (the first error is raised)."""
+    """Run callables on the shared CPU thread pool and return their results in order (the first error is raised).
+
+    After an error or an interrupt no task is left running: its arrays may be freed as soon as this returns.
+    """
     global _pool
     if (CPU_THREADS if threads is None else threads) <= 1 or len(tasks) == 1:
         return [task() for task in tasks]
     if _pool is None:
         _pool = ThreadPoolExecutor(CPU_THREADS, thread_name_prefix="warpcage")
-    return list(_pool.map(lambda task: task(), tasks))
+    futures = []
+    try:
+        for task in tasks:
+            futures.append(_pool.submit(task))
+        return [future.result() for future in futures]
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        wait(futures)
+        raise
+
+
+def _forget_pool() -> None:
+    """A forked process has the pool without its threads: tasks would wait in it for ever."""
+    global _pool
+    _pool = None
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
+    os.register_at_fork(after_in_child=_forget_pool)

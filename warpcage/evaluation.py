@@ -4,24 +4,39 @@ from __future__ import annotations
 
 import numpy as np
 
+from .arrays import require_type
+from .scene import Scene
+
 
 def psnr(image, reference) -> float:
-    """Peak signal-to-noise ratio in dB of an image and a reference, both clamped to [0, 1]; inf where they agree."""
-    image, reference = np.clip(np.asarray(image, np.float64), 0, 1), np.clip(np.asarray(reference, np.float64), 0, 1)
+    """Peak signal-to-noise ratio in dB of an image and a reference of one shape, both clamped to [0, 1]; inf where they
+    agree. Raises ValueError for other shapes, or whole numbers beyond 1 (8-bit pictures, to be divided by 255)."""
+    image, reference = _clamped_pair(image, reference)
     error = float(np.mean((image - reference) ** 2))
     return float("inf") if error == 0 else -10.0 * np.log10(error)
 
 
 def ssim(image, reference) -> float:
-    """Structural similarity (Wang et al. 2004, Gaussian window of 1.5 pixels) of an (h, w, 3) image clamped to [0, 1]
-    against a reference; both sides must be at least 11 pixels (ValueError)."""
+    """Structural similarity (Wang et al. 2004, Gaussian window of 1.5 pixels) of an (h, w, 3) image and a reference,
+    both clamped to [0, 1]. Raises ValueError as `psnr`, and for sides below 11 pixels."""
     from skimage.metrics import structural_similarity
 
-    image, reference = np.clip(np.asarray(image, np.float64), 0, 1), np.asarray(reference, np.float64)
+    image, reference = _clamped_pair(image, reference)
     if min(image.shape[:2]) < 11:
         raise ValueError(f"structural similarity needs images of at least 11x11 pixels, got {image.shape[:2]}")
     return float(structural_similarity(image, reference, channel_axis=-1, data_range=1.0, gaussian_weights=True,
                                        sigma=1.5, use_sample_covariance=False))
+
+
+def _clamped_pair(image, reference) -> tuple[np.ndarray, np.ndarray]:
+    pair = np.asarray(image), np.asarray(reference)
+    if pair[0].shape != pair[1].shape:
+        raise ValueError(f"images to compare must be of one shape, got {pair[0].shape} and {pair[1].shape}")
+    for values in pair:
+        if values.dtype.kind in "iu" and values.size and values.max() > 1:
+            raise ValueError(f"images to compare must hold values in [0, 1], got {values.dtype} up to {values.max()}: "
+                             "divide 8-bit pictures by 255")
+    return tuple(np.clip(values.astype(np.float64), 0, 1) for values in pair)
 
 
 def error_image(image, reference) -> np.ndarray:
@@ -49,7 +64,9 @@ def evaluate(renderer, scene, *, similarity: bool = False, progress: bool = Fals
 
     A renderer with background layers is compared with whole pictures, where the scene has them (its pictures carry no
     opacity, or were split at their masks); otherwise both stand on the scene's background colour.
+    Raises ValueError for what is no Scene.
     """
+    require_type(scene, Scene, "evaluate compares with")
     from tqdm import tqdm
 
     rows = []

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from .arrays import as_host_points, as_points, is_device_array
+from .arrays import as_host_points, as_points, is_device_array, require_type
+from .camera import Camera
 from .devices import launch, resolve_device
 from .kernels.grid import VoxelGrid, sample_field
 from .kernels.spherical_harmonics import vec9
@@ -140,6 +141,7 @@ class VoxelField:
         takes the field's. Opacity, depth and disparity are those of the field itself, whatever is behind it.
         Raises ValueError for a step that is not positive, or supersampling out of range.
         """
+        require_type(camera, Camera, "render needs")
         colour, model = self.chosen_background(background)
         step = self.step if step is None else float(step)
         if not step > 0:
@@ -195,7 +197,9 @@ class VoxelField:
 
     @classmethod
     def load(cls, path, *, scene_scale: float = 1.0, device=None) -> VoxelField:
-        """Read our own .npz or a Plenoxels (svox2) checkpoint; see warpcage.checkpoints.load_field."""
+        """Read our own .npz or a Plenoxels (svox2) checkpoint. scene_scale: the factor that its scene's positions were
+        multiplied by, which bounds are divided by: 2/3 for svox2's NeRF-synthetic scenes, so that they fit the cameras
+        of `load_scene`. See warpcage.checkpoints.load_field."""
         from .checkpoints import load_field
 
         return load_field(path, scene_scale=scene_scale, device=device)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import warp as wp
 
@@ -25,6 +23,7 @@ from .map_extension import described_rows, launch_rings
 from .map_sides import launch_linear_boundary
 from .narrow_gaps import GapFlags
 from .node_levels import LatticeNodes
+from .notices import warn_caller
 
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)
 COARSEST_SWEEPS = 8
@@ -116,10 +115,9 @@ class HarmonicSolver:
         """Note the cycles taken and the residual; warn where it is above the tolerance at the end."""
         self.cycles, self.residual = int(status[0]), float(status[1])
         if self.cycles == MAX_CYCLES and self.residual > self.tolerance:
-            warnings.warn(
+            warn_caller(
                 f"harmonic map: {self.residual:.1e} of the size left after {MAX_CYCLES} cycles, above the tolerance "
-                f"{self.tolerance:.1e}: the cage may cross itself or be too thin for its resolution",
-                stacklevel=2,
+                f"{self.tolerance:.1e}: the cage may cross itself or be too thin for its resolution"
             )
 
     def extend(self, vertex_values: wp.array) -> None:

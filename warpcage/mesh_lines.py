@@ -8,8 +8,9 @@ import numpy as np
 
 
 def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1):
-    """Number and words of each line that holds something, comments left out; a backslash continues a line."""
-    text = (path.read_bytes() if data is None else data).decode("utf-8", errors="replace")
+    """Number and words of each line that holds something, comments left out; a backslash continues a line; a byte
+    order mark, as some editors write it, is none of them."""
+    text = (path.read_bytes() if data is None else data).decode("utf-8-sig", errors="replace")
     held = ""
     for number, line in enumerate(text.splitlines(), start=first):
         line = held + line.split("#", 1)[0].rstrip()

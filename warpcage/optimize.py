@@ -9,6 +9,7 @@ import time
 import numpy as np
 import warp as wp
 
+from .arrays import require_type
 from .background_fit import BackgroundOptimizer, chosen_background, layers_that_fit
 from .bounds import Silhouettes, camera_array, keep_seen, scene_box
 from .devices import CPU_THREADS, lane_count, launch, load_modules, module_block_dim, resolve_device, run_parallel
@@ -59,6 +60,7 @@ class FieldOptimizer:
     """
 
     def __init__(self, scene: Scene, *, device=None, seed: int = 0, bounds=None, **options):
+        require_type(scene, Scene, "a fit needs")
         self.scene = scene
         self.options = checked_options(options)
         self.device = resolve_device(device)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import warp as wp
 
-from .cage import require_same_faces
+from .arrays import require_type
+from .cage import Cage, require_same_faces
 from .closed_form_solver import GreenSolver, MeanValueSolver
 from .devices import launch, resolve_device
 from .face_geometry import column_cross, column_dot, face_edges
@@ -18,6 +17,7 @@ from .lattice import CageLattice, lattice_frame, require_resolution
 from .lattice_weights import LatticeWeights, harmonic_weights
 from .map_sides import REPORTED_JUMP, MapSides, side_bytes
 from .memory import require_memory
+from .notices import warn_caller
 from .pose_graph import PoseGraph
 
 __all__ = ["PositionMap", "fit_affine", "harmonic_weights"]
@@ -68,6 +68,7 @@ class PositionMap:
             raise ValueError(f"coordinates must be one of {', '.join(COORDINATES)}, got {coordinates!r}")
         if store not in STORES:
             raise ValueError(f"store must be one of {', '.join(STORES)}, got {store!r}")
+        require_type(rest, Cage, "the rest cage must be")
         rest.require_usable("rest cage")
         self.coordinates, self.store = coordinates, store
         self.rest = rest
@@ -89,6 +90,7 @@ class PositionMap:
         Raises ValueError for faces that differ or an unusable cage (the map then stays that of the last pose), or too
         little memory.
         """
+        require_type(deformed, Cage, "a pose must be")
         require_same_faces(self.rest, deformed)
         if self._graph is not None and self._data is not None and self._replay(deformed):
             return self
@@ -266,11 +268,10 @@ class PositionMap:
         data.side_index, data.sides = sides.index, sides.table
         self.gap_jump = sides.jump
         if self.gap_jump > REPORTED_JUMP:
-            warnings.warn(
+            warn_caller(
                 f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose "
                 f"opens by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there, take a "
-                f"resolution above {self.resolution} or open the gaps",
-                stacklevel=5,
+                f"resolution above {self.resolution} or open the gaps"
             )
 
 

@@ -41,6 +41,13 @@ class Frame:
                 raise ValueError(f"{name} of a {width}x{height} frame holds {expected} numbers, got shape {shape}")
         self._host: dict[str, np.ndarray] = {}
 
+    def __reduce__(self):
+        """Copies and pickles hold NumPy arrays, so that frames pass between the processes of a pool."""
+        return _host_frame, (self.width, self.height, {name: getattr(self, name) for name in self.arrays})
+
+    def __repr__(self) -> str:
+        return f"Frame({self.width}x{self.height}: {', '.join(self.arrays)})"
+
     def _numpy(self, name: str, *channels: int) -> np.ndarray | None:
         if name not in self.arrays:
             return None
@@ -88,6 +95,10 @@ class Frame:
         """(h, w) float32 number of samples along the ray, before anything opaque, that the map sends out of the
         canonical cage and that are therefore left empty; None for a plain field."""
         return self._numpy("outside")
+
+
+def _host_frame(width: int, height: int, arrays: dict) -> Frame:
+    return Frame(width, height, **arrays)
 
 
 def camera_struct(camera: Camera, origin) -> PinholeCamera:

@@ -99,6 +99,11 @@ class Scene:
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "background", parse_background(self.background))
 
+    def __repr__(self) -> str:
+        count, height, width = self.images.shape[:3]
+        parts = "".join(f", {name}" for name in ("alphas", "surroundings") if getattr(self, name) is not None)
+        return f"Scene({count} pictures of {width}x{height}{parts})"
+
     def __len__(self) -> int:
         return len(self.images)
 

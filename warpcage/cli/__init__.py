@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import warnings
 
 from . import animate, bake, cage, check, evaluate, fit, info, mesh, pose, render
 
@@ -32,7 +33,9 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.command is None:
             build_parser().print_help()
             return 2
-        status = arguments.run(arguments)
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            status = arguments.run(arguments)
         sys.stdout.flush()
     except KeyboardInterrupt:
         print("warpcage: interrupted", file=sys.stderr)
@@ -84,6 +87,11 @@ class _Version(argparse.Action):
 
         print(f"warpcage {package_version()}")
         parser.exit()
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None):
+    """A warning as one line too, without the place in the source."""
+    print(f"warpcage: warning: {_one_line(message)}", file=sys.stderr)
 
 
 def _one_line(error: Exception) -> str:

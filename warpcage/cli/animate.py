@@ -5,7 +5,7 @@ import json
 import pathlib
 
 from . import options, outputs
-from .keyframes import Keyframes, is_preset
+from .keyframes import Keyframes, is_preset, pose_file
 from .render import background_option
 
 NAME = "animate"
@@ -14,6 +14,7 @@ EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
   warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
   warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
+  warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
 
 An output without an ending is a folder of PNG files: run the same command again after an interruption and it renders
@@ -61,7 +62,7 @@ def run(args):
     if args.show == "masks" and args.cage is None:
         raise ValueError("--show masks needs a deformation: --cage and --posed")
     rest = options.read_rest(args)
-    keyframes = None if rest is None else Keyframes(rest, args.posed, args.interpolation)
+    keyframes = None if rest is None else Keyframes(rest, args.posed, args.interpolation, args.cage_up)
     field = options.read_field(args)
     points = options.visible_points(field) if rest is None else keyframes.vertices
     cameras = _chosen_cameras(args, points)
@@ -180,7 +181,7 @@ def _checked_output(text: str) -> pathlib.Path:
 def _settings(args, cameras) -> dict:
     """What decides how frames look, so that a folder never mixes two films."""
     names = ("frames", "motion", "interpolation", "turn", "show", "overlay", "background", "coordinates", "resolution",
-             "density")
+             "density", "cage_up")
     settings = {name: getattr(args, name) for name in names}
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()
@@ -194,7 +195,8 @@ def _fingerprint(text: str | None) -> str | None:
     """What a file holds, or the preset itself."""
     if text is None or is_preset(text):
         return text
-    return hashlib.sha256(pathlib.Path(text).read_bytes()).hexdigest()
+    path, name = pose_file(text) or (text, "")
+    return hashlib.sha256(pathlib.Path(path).read_bytes() + name.encode()).hexdigest()
 
 
 def _write_folder(folder: pathlib.Path, shot: _Shot, frames, settings: dict) -> int:

@@ -60,6 +60,7 @@ def _add_selection(parser):
 def run(args):
     output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
     _check_combination(args)
+    options.quiet_warp()
     is_field = pathlib.Path(args.field).suffix.lower() == ".npz"
     thing = options.read_field(args) if is_field else read_mesh(args.field)
     from ..cage import Cage
@@ -126,10 +127,12 @@ def _surface(field):
 
 
 def read_mesh(path):
-    """A trimesh.Trimesh with its vertices in the file's order."""
+    """A trimesh.Trimesh with its vertices in the file's order, z up: what glTF holds is turned."""
+    import numpy as np
     import trimesh
 
     from ..files import require_file
+    from .mesh import TO_Y_UP
 
     path = require_file(path, "mesh file")
     if path.suffix.lower() not in MESH_ENDINGS:
@@ -140,7 +143,7 @@ def read_mesh(path):
         raise ValueError(f"{path} cannot be read as a mesh: {error}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise ValueError(f"{path} holds no triangles")
-    return mesh
+    return mesh.apply_transform(np.transpose(TO_Y_UP)) if path.suffix.lower() == ".glb" else mesh
 
 
 def _margin(mesh, args) -> float:

@@ -4,6 +4,7 @@ import json
 import pathlib
 
 from . import options
+from .keyframes import is_preset, pose_file, read_pose
 
 NAME = "check"
 HELP = "examine a cage, what it encloses and what a pose does; exit status 1 if it cannot be used"
@@ -19,7 +20,8 @@ def add_arguments(parser):
     parser.add_argument("cage", help=f"cage to examine ({' '.join(options.CAGE_ENDINGS)})")
     parser.add_argument("--object", dest="field", metavar="OBJECT",
                         help="field (.npz) or mesh that ought to be inside")
-    parser.add_argument("--posed", metavar="POSED", help="a pose of the cage: inverted volume, stretch, folds")
+    parser.add_argument("--posed", metavar="POSED",
+                        help="a pose of the cage, a file or a preset: inverted volume, stretch, folds")
     parser.add_argument("--repair", metavar="MENDED",
                         help="mend what can be mended safely, say what was done, write the cage here and examine it")
     parser.add_argument("--json", action="store_true", help="print the report as JSON instead of a table")
@@ -33,7 +35,10 @@ def run(args):
     from ..cage import Cage
 
     cage = Cage.load(args.cage, up=args.cage_up)
-    pose = None if args.posed is None else Cage.load(args.posed, up=args.cage_up)
+    pose = None
+    if args.posed is not None:
+        named = is_preset(args.posed) or pose_file(args.posed)
+        pose = read_pose(cage, args.posed, usable=False) if named else Cage.load(args.posed, up=args.cage_up)
     notes = ()
     if output is not None:
         cage, notes = cage.repair()

@@ -1,4 +1,4 @@
-"""Poses as words: cage files, or presets such as bend:40:x:z."""
+"""Poses as words: cage files, keyframes of pose files (poses.json:wave), or presets such as bend:40:x:z."""
 
 from __future__ import annotations
 
@@ -51,17 +51,41 @@ def is_preset(text: str) -> bool:
     return text.split(":")[0] in PRESETS and not pathlib.Path(text).exists()
 
 
-def read_pose(rest, text: str):
-    """The posed cage that a word of --posed names."""
+def pose_file(text: str) -> tuple[str, str] | None:
+    """File and keyframe ("" for all) of a word that names a pose file, or None for another."""
+    found = re.fullmatch(r"(.+\.json)(?::(.*))?", text, re.IGNORECASE)
+    return (found[1], found[2] or "") if found else None
+
+
+def read_poses(rest, text: str, up: str | None = None, usable: bool = True) -> list:
+    """The posed cages that a word of --posed names, those of a whole pose file in their order; up: of --cage-up, the
+    axis that points up in a cage file. Unusable ones are refused unless `usable` is False."""
     from ..cage import Cage
 
     if is_preset(text):
         preset = Preset(text)
-        posed = preset.at(rest, preset.amount)
+        poses = [preset.at(rest, preset.amount)]
+    elif pose_file(text):
+        from ..pose_file import PoseFile
+
+        path, name = pose_file(text)
+        file = PoseFile.load(path, rest)
+        if not len(file):
+            raise ValueError(f"pose file {path!r} holds no keyframes")
+        poses = [file[name] for name in ([name] if name else file.names)]
     else:
-        posed = options.matched(rest, Cage.load(text), text)
-    posed.require_usable(f"cage {text!r}")
-    return posed
+        poses = [options.matched(rest, Cage.load(text, up=up), text)]
+    for posed in poses if usable else ():
+        posed.require_usable(f"cage {text!r}")
+    return poses
+
+
+def read_pose(rest, text: str, up: str | None = None, usable: bool = True):
+    """The one posed cage that a word of --posed names."""
+    poses = read_poses(rest, text, up, usable)
+    if len(poses) > 1:
+        raise ValueError(f"pose file {text!r} holds {len(poses)} keyframes: name one, as in {text}:NAME")
+    return poses[0]
 
 
 class Keyframes:
@@ -71,9 +95,9 @@ class Keyframes:
     otherwise each vertex goes its own way from pose to pose.
     """
 
-    def __init__(self, rest, texts: list[str], interpolation: str):
+    def __init__(self, rest, texts: list[str], interpolation: str, up: str | None = None):
         self.rest, self.interpolation = rest, interpolation
-        self.cages = [rest] + [read_pose(rest, text) for text in texts]
+        self.cages = [rest] + [pose for text in texts for pose in read_poses(rest, text, up)]
         self.preset, self.amounts = None, []
         presets = [Preset(text) if is_preset(text) else None for text in texts]
         families = {preset.family for preset in presets if preset and preset.kind != "rest"}

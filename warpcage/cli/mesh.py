@@ -11,11 +11,14 @@ EXAMPLE = """\
 
 ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
 
+#: (x, y, z) to (x, z, -y): glTF has y up, in meshes as in cages; the other formats take the numbers as they are.
+TO_Y_UP = ((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1))
+
 
 def add_arguments(parser):
     parser.add_argument("field", help="field file (.npz)")
     parser.add_argument("-o", "--output", required=True, metavar="MESH",
-                        help="mesh to write (.obj .ply .off .stl .glb)")
+                        help="mesh to write (.obj .ply .off .stl .glb; glTF with y up)")
     parser.add_argument("--threshold", type=options.positive_float, metavar="SIGMA",
                         help="density at the surface, per world unit (default: chosen from the field)")
     parser.add_argument("--components", choices=("largest", "all"), default="largest",
@@ -29,8 +32,10 @@ def run(args):
     from ..files import atomic_path
 
     mesh = field.extract_mesh(threshold=args.threshold, components=args.components)
+    low, high = mesh.bounds
+    if output.suffix.lower() == ".glb":
+        mesh.apply_transform(TO_Y_UP)
     with atomic_path(output) as temporary:
         mesh.export(temporary, file_type=output.suffix[1:].lower())
-    low, high = mesh.bounds
     print(f"wrote {output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces, from "
           f"{low.round(3).tolist()} to {high.round(3).tolist()}")

@@ -51,10 +51,11 @@ def add_masks(parser) -> None:
 
 def add_deformation(parser, *, keyframes: bool = False) -> None:
     group = parser.add_argument_group("deformation (leave --cage and --posed out to show the field as it is)")
-    group.add_argument("--cage", metavar="REST", help="cage around the undeformed object (.obj, .ply, .off)")
-    posed = 'the same cage, vertices moved: a file or a preset such as bend:40:x:z, twist:60 or scale:0.8'
+    group.add_argument("--cage", metavar="REST", help="cage around the undeformed object (.obj .ply .off .glb .gltf)")
+    posed = ("the same cage, vertices moved: a cage file, a keyframe of a pose file (poses.json:NAME) or a preset such "
+             "as bend:40:x:z, twist:60 or scale:0.8")
     if keyframes:
-        posed += "; several are keyframes one after another"
+        posed += "; several, or all of a pose file (poses.json), are keyframes one after another"
     group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes else None, help=posed)
     add_cage_up(group)
     group.add_argument("--coordinates", choices=COORDINATES, default="harmonic", help="kind (default: %(default)s)")
@@ -214,7 +215,7 @@ def read_rest(args):
         raise ValueError("--cage and --posed go together: the cage at rest and the same cage posed")
     if args.cage is None:
         return None
-    rest = Cage.load(args.cage)
+    rest = Cage.load(args.cage, up=args.cage_up)
     rest.require_usable(f"cage {args.cage!r}")
     return rest
 
@@ -225,7 +226,7 @@ def read_cages(args):
     from .keyframes import read_pose
 
     rest = read_rest(args)
-    return (None, None) if rest is None else (rest, read_pose(rest, args.posed))
+    return (None, None) if rest is None else (rest, read_pose(rest, args.posed, args.cage_up))
 
 
 def matched(rest, posed, name: str):
@@ -238,7 +239,20 @@ def matched(rest, posed, name: str):
         raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
     if not np.array_equal(posed.faces, rest.faces) or len(posed.vertices) != len(rest.vertices):
         print(f"warpcage: cage {name!r} comes in another order than its rest cage: matched", file=sys.stderr)
+    if lies_on_its_side(rest.vertices, found.vertices):
+        print(f"warpcage: warning: cage {name!r} would lie much nearer to its rest cage with another axis up: write "
+              "both with the same one (see --cage-up)", file=sys.stderr)
     return found
+
+
+def lies_on_its_side(rest, posed) -> bool:
+    """Whether vertices (v, 3) halve their root mean square distance to those at rest when y and z up are exchanged."""
+    import numpy as np
+
+    x, y, z = posed.T
+    exchanged = [np.stack(turned, axis=1) for turned in ((x, -z, y), (x, z, -y))]
+    here, *there = (np.linalg.norm(vertices - rest) for vertices in (posed, *exchanged))
+    return min(there) < 0.5 * here
 
 
 def make_deformer(field, rest, args):

@@ -1,0 +1,71 @@
+"""Threads and processes: pools of processes around warpcage, and its own threads when it is interrupted."""
+
+import _thread
+import multiprocessing
+import subprocess
+import sys
+import time
+
+import pytest
+
+from warpcage.devices import run_parallel
+
+PROGRAM = """\
+import multiprocessing
+import sys
+
+import numpy as np
+
+from warpcage import Cage, deform_points
+from warpcage.devices import run_parallel
+
+CAGE = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
+POINTS = np.random.default_rng(0).uniform(-0.9, 0.9, (5000, 3))
+
+
+def moved(degrees):
+    run_parallel([lambda: None] * 4)
+    return deform_points(POINTS, CAGE, CAGE.twist(degrees), "mean_value", device="cpu")
+
+
+if __name__ == "__main__":
+    turns = [10, 20]
+    expected = [moved(degrees) for degrees in turns] if sys.argv[2] == "after" else None
+    with multiprocessing.get_context(sys.argv[1]).Pool(2) as pool:
+        found = pool.map_async(moved, turns).get(timeout=60)
+    expected = expected or [moved(degrees) for degrees in turns]
+    assert all(np.array_equal(one, two) for one, two in zip(found, expected, strict=True))
+"""
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_processes_of_a_pool_compute_what_their_parent_does(method, when, tmp_path):
+    if method not in multiprocessing.get_all_start_methods():
+        pytest.skip(f"processes do not {method} here")
+    (tmp_path / "program.py").write_text(PROGRAM)
+    done = subprocess.run([sys.executable, "program.py", method, when], cwd=tmp_path, capture_output=True, text=True,
+                          timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_no_task_goes_on_after_an_interrupt_or_an_error(error):
+    begun, ended = [], []
+
+    def stop():
+        if error is KeyboardInterrupt:
+            _thread.interrupt_main()
+        else:
+            raise error
+
+    def work(k):
+        begun.append(k)
+        time.sleep(0.2)
+        ended.append(k)
+
+    with pytest.raises(error):
+        run_parallel([stop, *(lambda k=k: work(k) for k in range(8))], threads=2)
+        time.sleep(5)  # an interrupt may come late
+    assert sorted(begun) == sorted(ended) and len(begun) < 8
+    assert run_parallel([lambda k=k: k * k for k in range(5)], threads=2) == [0, 1, 4, 9, 16]
