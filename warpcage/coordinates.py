@@ -86,7 +86,7 @@ def harmonic_coordinates(points, cage: Cage, resolution: int = HARMONIC_RESOLUTI
 
     points, cage, device and what is returned: as in `mean_value_coordinates`; points farther than 1e-5 of the size
     outside raise a ValueError. resolution: nodes along the longest side of the lattice on which they are solved; errors
-    at 128 are about 1e-3 away from the cage and 1e-2 next to it.
+    at 128 are about 1e-3 away from the cage and 1e-2 next to it. Warns where gaps of the cage are narrower than a cell.
     """
     from .position_map import harmonic_weights
 
@@ -106,7 +106,8 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
     Returns world units: float32 for float32 NumPy, float64 for other NumPy (float32 accuracy relative to the cages),
     a Warp array of vec3 for an array of a device. No (n, v) matrix is held, save by harmonic.
     Raises ValueError for points of another shape, not finite or (green, harmonic) outside, with their number and the
-    first of them; for cages whose faces differ; for a rest cage that is not usable; for another name of coordinates.
+    first of them; for cages whose faces differ; for a rest cage, and with harmonic a deformed cage, that is not usable;
+    for another name of coordinates.
 
     Example: `mesh.vertices = deform_points(mesh.vertices, rest, rest.twist(90))`
     """
@@ -257,11 +258,14 @@ def _as_given(array, local: _Local):
 def _deform_harmonic(local: _Local, rest: Cage, deformed: Cage):
     from .position_map import PositionMap
 
-    # the map runs from the cage it is posed to, here the rest cage, to the one it is made of
-    origin = deformed.bounds.mean(axis=0)
-    position_map = PositionMap(deformed, coordinates="harmonic", resolution=HARMONIC_RESOLUTION, origin=origin,
-                               device=local.device).pose(rest)
-    near = _localise(local.given, origin, 1.0, local.device)
-    moved, distance = wp.empty_like(near.points), wp.empty(local.count, dtype=float, device=local.device)
-    launch(cage_map.sample_map, local.count, [position_map.data, near.points], [moved, distance], device=local.device)
-    return _restore(moved, local, origin, 1.0)
+    deformed.require_usable("deformed cage")
+    # the map runs from the cage it is posed to, here the rest cage, to the one it is made of; both about the origin, as
+    # float32 keeps few digits of a map between cages that are far apart
+    centre = deformed.bounds.mean(axis=0)
+    target = deformed.with_vertices((deformed.vertices - centre) / rest.size)
+    source = rest.with_vertices((rest.vertices - rest.bounds.mean(axis=0)) / rest.size)
+    position_map = PositionMap(target, coordinates="harmonic", resolution=HARMONIC_RESOLUTION, origin=np.zeros(3),
+                               device=local.device).pose(source)
+    moved, distance = wp.empty_like(local.points), wp.empty(local.count, dtype=float, device=local.device)
+    launch(cage_map.sample_map, local.count, [position_map.data, local.points], [moved, distance], device=local.device)
+    return _restore(moved, local, centre, rest.size)
