@@ -192,8 +192,8 @@ def test_points_just_outside_count_as_inside(device):
             coordinates.green_coordinates(beyond, cage, device=device)
 
 
-BAD_POINTS = [(np.zeros((4, 2)), r"\(n, 3\)"), (np.zeros(3), r"\(n, 3\)"), (np.zeros((2, 2, 3)), r"\(n, 3\)"),
-              ([[0, 0, np.nan]], "row 0"), ([[0, 0, 0], [np.inf, 0, 0]], "row 1")]
+BAD_POINTS = [(np.zeros(shape), r"\(n, 3\)") for shape in ((4, 2), (5, 0), (0, 2), 3, (2, 2, 3))] + [
+    ([[0, 0, np.nan]], "row 0"), ([[0, 0, 0], [np.inf, 0, 0]], "row 1")]
 
 
 @pytest.mark.parametrize("points, message", BAD_POINTS)

@@ -48,7 +48,7 @@ def as_points(points, device=None, *, name: str = "points") -> tuple[wp.array, b
 def as_host_points(points, *, name: str = "points") -> np.ndarray:
     """(n, 3) float64 NumPy copy of `points`. Raises ValueError for another shape or values that are not finite."""
     host = np.asarray(points.numpy() if isinstance(points, wp.array) else points, dtype=np.float64)
-    if host.size == 0:
+    if host.shape == (0,):  # an empty list
         host = host.reshape(0, 3)
     if host.ndim != 2 or host.shape[1] != 3:
         raise ValueError(f"{name} must be (n, 3), got {host.shape}")
