@@ -34,6 +34,8 @@ BANDS = wp.constant(2.0)
 #: Points this close to a face, as a share of the size, and not clearly in front of it, take the limit from inside.
 SURFACE = wp.constant(wp.float64(1.05e-5))
 IN_FRONT = wp.constant(wp.float64(1.0e-7))
+ON = wp.constant(1)
+BEHIND = wp.constant(2)
 
 _INVERSE_FOUR_PI = wp.constant(0.07957747154594767)
 _INVERSE_FOUR_PI_64 = wp.constant(wp.float64(0.07957747154594767))
@@ -47,7 +49,7 @@ _TINY = wp.constant(wp.float64(1.0e-24))
 class FaceIntegrals:
     phi: wp.vec3  # of the three corners
     psi: float
-    touching: int  # 1 where the origin lies on the face: then phi lacks the solid angle
+    touching: int  # ON or BEHIND where the origin lies on the face or just behind it: then phi lacks the solid angle
     nearest: wp.vec3  # and this is where, in barycentric coordinates
 
 
@@ -108,8 +110,9 @@ def near_face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
     solid_angle = _ZERO
     if height < IN_FRONT * unit and height > -SURFACE * unit:
         nearest = nearest_barycentric(p, q, r)
-        if wp.length(nearest[0] * p + nearest[1] * q + nearest[2] * r) < SURFACE * unit:
-            result.touching = 1
+        distance = wp.length(nearest[0] * p + nearest[1] * q + nearest[2] * r)
+        if distance < SURFACE * unit:
+            result.touching = wp.where(distance < IN_FRONT * unit, ON, BEHIND)
             result.nearest = wp.vec3(nearest)
     if result.touching == 0:
         length_p = wp.length(p)
@@ -252,9 +255,11 @@ def face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
 
 
 @wp.func
-def missing_winding(winding: float):
-    """What the touched faces would add to the sum of phi just inside the cage: up to the next whole number."""
-    return wp.max(wp.ceil(winding - 1.0e-4), 1.0) - winding
+def missing_winding(winding: float, touching: int):
+    """What the touched faces would add to the sum of phi: just inside them, up to the next whole number; just outside
+    where the point is behind them and in another part of the cage."""
+    whole = wp.ceil(winding - 1.0e-4)
+    return wp.max(wp.where(touching == BEHIND, whole - 1.0, whole), 1.0) - winding
 
 
 @wp.struct
@@ -305,7 +310,7 @@ def green_point(
             integrals = far_face_integrals(c - b, a - c, b - a, bc, ca, ba, normal, det, below)
             if is_near(plane[3], det, below, volume, shortest, size):
                 integrals = near_face_integrals(a, b, c, size)
-                if integrals.touching == 1:
+                if integrals.touching != 0:
                     touched = f
             phi = integrals.phi
             position += phi[0] * target_a
@@ -322,7 +327,7 @@ def green_point(
     if touched >= 0:
         face = faces[touched]
         near = near_face_integrals(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
-        missing = missing_winding(winding) * near.nearest
+        missing = missing_winding(winding, near.touching) * near.nearest
         position += missing[0] * targets[face[0]] + missing[1] * targets[face[1]] + missing[2] * targets[face[2]]
     if touched >= 0 or winding > 0.5:
         result.inside = 1
@@ -400,6 +405,7 @@ def weigh_green(
         vertex_weights[n, j] = 0.0
     winding = float(0.0)
     touched = int(-1)
+    touching = int(0)
     nearest = wp.vec3(0.0, 0.0, 0.0)
     for f in range(faces.shape[0]):
         face = faces[f]
@@ -408,11 +414,12 @@ def weigh_green(
         for k in range(3):
             vertex_weights[n, face[k]] = vertex_weights[n, face[k]] + integrals.phi[k]
             winding += integrals.phi[k]
-        if integrals.touching == 1:
+        if integrals.touching != 0:
             touched = f
+            touching = integrals.touching
             nearest = integrals.nearest
     if touched >= 0:
-        missing = missing_winding(winding)
+        missing = missing_winding(winding, touching)
         face = faces[touched]
         for k in range(3):
             vertex_weights[n, face[k]] = vertex_weights[n, face[k]] + missing * nearest[k]

@@ -2,11 +2,12 @@
 
 weights (m, v): row n belongs to entry begin + n of the node list (see node_levels). A map with values r_j at the cage's
 vertices is sum_j w_j r_j at each node (Joshi et al. 2007, section 3).
-Siblings: node_levels.
+Siblings: cage_map, node_levels.
 """
 
 import warp as wp
 
+from .cage_map import CageMap, map_position
 from .node_levels import NodeLevels, centred_place
 
 wp.set_module_options({"enable_backward": False})
@@ -69,29 +70,14 @@ def apply_weights(
 def sample_weights(
     first: int,
     column: int,
-    shape: wp.vec3i,
+    cage_map: CageMap,
     points: wp.array(dtype=wp.vec3),
-    values: wp.array(dtype=wp.vec3),
     weights: wp.array2d(dtype=float),
 ):
-    """Columns column .. column + 2 of weights (n, v) by trilinear look-up at points (n,), in node units.
-
-    values: at the nodes of a lattice of `shape`, flat.
-    """
+    """Columns column .. column + 2 of weights (n, v) by look-up at points (n,). cage_map: has the weights of three
+    vertices where others have positions."""
     n = first + wp.tid()
-    x = points[n]
-    i = wp.clamp(int(wp.floor(x[0])), 0, shape[0] - 2)
-    j = wp.clamp(int(wp.floor(x[1])), 0, shape[1] - 2)
-    k = wp.clamp(int(wp.floor(x[2])), 0, shape[2] - 2)
-    value = wp.vec3(0.0, 0.0, 0.0)
-    for corner in range(8):
-        di = corner >> 2
-        dj = (corner >> 1) & 1
-        dk = corner & 1
-        wi = wp.where(di == 1, x[0] - float(i), 1.0 - x[0] + float(i))
-        wj = wp.where(dj == 1, x[1] - float(j), 1.0 - x[1] + float(j))
-        wk = wp.where(dk == 1, x[2] - float(k), 1.0 - x[2] + float(k))
-        value += (wi * wj * wk) * values[((i + di) * shape[1] + j + dj) * shape[2] + k + dk]
+    value = map_position(cage_map, points[n])
     for c in range(3):
         if column + c < weights.shape[1]:
             weights[n, column + c] = value[c]

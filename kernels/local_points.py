@@ -8,6 +8,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+#: Along an axis, in sizes of the cage: mean value weights keep four digits so far outside.
+FARTHEST = wp.constant(1.0e3)
+
 
 @wp.kernel
 def localise_points(
@@ -18,12 +21,12 @@ def localise_points(
     local: wp.array(dtype=wp.vec3),
     bad: wp.array(dtype=int),
 ):
-    """local (n,) = (points - centre) / size; bad (1,) becomes 1 where a point is not finite."""
+    """local (n,) = (points - centre) / size; bad (1,) becomes 1 where a point is not finite or FARTHEST away."""
     n = first + wp.tid()
-    x = points[n]
-    if not wp.isfinite(x):
+    x = wp.vec3((wp.vec3d(points[n]) - centre) / size)
+    if not wp.isfinite(x) or wp.max(wp.abs(x)) >= FARTHEST:
         bad[0] = 1
-    local[n] = wp.vec3((wp.vec3d(x) - centre) / size)
+    local[n] = x
 
 
 @wp.kernel

@@ -27,8 +27,9 @@ from .triangle import nearest_barycentric
 # so many registers a thread that larger blocks fill a GPU worse
 wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
 
-#: Every face takes the float64 path where the weights sum to less than CANCELLED / size, as they do well outside.
+#: Every face takes the float64 path where the sum of weights is between these over the size, as it is well outside.
 CANCELLED = wp.constant(10.0)
+LEAST_INSIDE = wp.constant(5.0)
 #: Points this close to a face, as a share of the size, count as on it.
 SNAP = wp.constant(wp.float64(1.0e-6))
 #: A face whose plane is this close, seen from beside it, spans no solid angle.
@@ -36,6 +37,7 @@ FLAT = wp.constant(wp.float64(1.0e-11))
 
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
+_ONE = wp.constant(wp.float64(1.0))
 _TINY = wp.constant(wp.float64(1.0e-200))
 
 
@@ -43,6 +45,37 @@ _TINY = wp.constant(wp.float64(1.0e-200))
 class NearFace:
     weights: wp.vec3  # of the three corners; barycentric coordinates where the point lies on the face
     touching: int
+
+
+@wp.func
+def weights_in_double(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, det: wp.float64):
+    """Weights of the corners p, q, r of a face, det = det(p, q, r) not being zero."""
+    cross_p = wp.cross(q, r - q)
+    cross_q = wp.cross(r, p - r)
+    cross_r = wp.cross(p, q - p)
+    sine_p = wp.length(cross_p) + _TINY
+    sine_q = wp.length(cross_q) + _TINY
+    sine_r = wp.length(cross_r) + _TINY
+    mean = (
+        cross_p * (wp.atan2(sine_p, wp.dot(q, r)) / sine_p)
+        + cross_q * (wp.atan2(sine_q, wp.dot(r, p)) / sine_q)
+        + cross_r * (wp.atan2(sine_r, wp.dot(p, q)) / sine_r)
+    )
+    scale = _HALF / det
+    return wp.vec3d(wp.dot(cross_p, mean) * scale, wp.dot(cross_q, mean) * scale, wp.dot(cross_r, mean) * scale)
+
+
+@wp.func(inline=False)
+def far_face_weights_in_double(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
+    """Weights of the corners a, b, c of a face as seen from x, which is not on it."""
+    p = wp.vec3d(a) - wp.vec3d(x)
+    q = wp.vec3d(b) - wp.vec3d(x)
+    r = wp.vec3d(c) - wp.vec3d(x)
+    normal = wp.cross(q - p, r - p)
+    det = wp.dot(normal, p)
+    if wp.abs(det) <= FLAT * wp.float64(size) * wp.length(normal):
+        return wp.vec3d(_ZERO, _ZERO, _ZERO)
+    return weights_in_double(p, q, r, det)
 
 
 @wp.func(inline=False)
@@ -67,21 +100,7 @@ def near_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
             return result
         if height < FLAT * unit:
             return result
-    cross_p = wp.cross(q, r - q)
-    cross_q = wp.cross(r, p - r)
-    cross_r = wp.cross(p, q - p)
-    sine_p = wp.length(cross_p) + _TINY
-    sine_q = wp.length(cross_q) + _TINY
-    sine_r = wp.length(cross_r) + _TINY
-    mean = (
-        cross_p * (wp.atan2(sine_p, wp.dot(q, r)) / sine_p)
-        + cross_q * (wp.atan2(sine_q, wp.dot(r, p)) / sine_q)
-        + cross_r * (wp.atan2(sine_r, wp.dot(p, q)) / sine_r)
-    )
-    scale = _HALF / det
-    result.weights = wp.vec3(
-        wp.vec3d(wp.dot(cross_p, mean) * scale, wp.dot(cross_q, mean) * scale, wp.dot(cross_r, mean) * scale)
-    )
+    result.weights = wp.vec3(weights_in_double(p, q, r, det))
     return result
 
 
@@ -148,9 +167,9 @@ def face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
 
 @wp.func
 def has_cancelled(total: float, size: float):
-    """Whether the weights, of this sum, cancel, as they do well outside the cage, where they are negative: all faces
-    are for float64 then."""
-    return total * size > -CANCELLED and total <= 0.0
+    """Whether the weights, of this sum, cancel, as they do well outside the cage, where it is negative save for
+    rounding: all faces are for float64 then. Inside it is the integral of 1 / distance, 7 / size or more."""
+    return total * size > -CANCELLED and total * size < LEAST_INSIDE
 
 
 @wp.func(inline=False)
@@ -161,16 +180,52 @@ def position_in_double(
     targets: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """`mean_value_position` of a point that is not on the cage, with each face in float64."""
-    total = float(0.0)
-    position = wp.vec3(0.0, 0.0, 0.0)
+    """`mean_value_position` of a point that is not on the cage, in float64."""
+    total = _ZERO
+    position = wp.vec3d(_ZERO, _ZERO, _ZERO)
     for f in range(faces.shape[0]):
         face = faces[f]
-        near = near_face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
-        total += near.weights[0] + near.weights[1] + near.weights[2]
+        weights = far_face_weights_in_double(x, vertices[face[0]], vertices[face[1]], vertices[face[2]], size)
+        total += weights[0] + weights[1] + weights[2]
         for k in range(3):
-            position += near.weights[k] * targets[face[k]]
-    return position * wp.where(total == 0.0, 0.0, 1.0 / total)
+            position += weights[k] * wp.vec3d(targets[face[k]])
+    return wp.vec3(position * wp.where(total == _ZERO, _ZERO, _ONE / total))
+
+
+@wp.func
+def clear_row(weights: wp.array2d(dtype=wp.float32), n: int):
+    for j in range(weights.shape[1]):
+        weights[n, j] = 0.0
+
+
+@wp.func
+def add_corners(weights: wp.array2d(dtype=wp.float32), n: int, face: wp.vec3i, corner_weights: wp.vec3):
+    """Add to row n, which one item owns, at the corners of a face."""
+    for k in range(3):
+        weights[n, face[k]] = weights[n, face[k]] + corner_weights[k]
+
+
+@wp.func(inline=False)
+def weigh_in_double(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    size: float,
+    weights: wp.array2d(dtype=wp.float32),
+    n: int,
+):
+    """Row n of normalised weights of a point that is not on the cage, each face in float64."""
+    total = _ZERO
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        w = far_face_weights_in_double(x, vertices[face[0]], vertices[face[1]], vertices[face[2]], size)
+        total += w[0] + w[1] + w[2]
+    scale = wp.where(total == _ZERO, _ZERO, _ONE / total)
+    clear_row(weights, n)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        w = far_face_weights_in_double(x, vertices[face[0]], vertices[face[1]], vertices[face[2]], size)
+        add_corners(weights, n, face, wp.vec3(scale * w))
 
 
 @wp.func
@@ -254,19 +309,6 @@ def map_mean_value(
     positions[n] = mean_value_position(points[n], vertices, faces, fans, targets, size)
 
 
-@wp.func
-def clear_row(weights: wp.array2d(dtype=wp.float32), n: int):
-    for j in range(weights.shape[1]):
-        weights[n, j] = 0.0
-
-
-@wp.func
-def add_corners(weights: wp.array2d(dtype=wp.float32), n: int, face: wp.vec3i, corner_weights: wp.vec3):
-    """Add to row n, which one item owns, at the corners of a face."""
-    for k in range(3):
-        weights[n, face[k]] = weights[n, face[k]] + corner_weights[k]
-
-
 @wp.kernel
 def weigh_mean_value(
     first: int,
@@ -280,37 +322,24 @@ def weigh_mean_value(
     n = first + wp.tid()
     x = points[n]
     total = float(0.0)
-    in_double = int(0)
     touched = int(-1)
-    f = int(0)
-    while f < faces.shape[0]:
-        if f == 0:
-            total = 0.0
-            clear_row(weights, n)
+    clear_row(weights, n)
+    for f in range(faces.shape[0]):
         face = faces[f]
-        a = vertices[face[0]] - x
-        b = vertices[face[1]] - x
-        c = vertices[face[2]] - x
-        near = NearFace()
-        if in_double == 1:
-            near = near_face_weights(a, b, c, size)
-        else:
-            near = face_weights(a, b, c, size)
+        near = face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
         if near.touching == 1:
             touched = f
             break
         add_corners(weights, n, face, near.weights)
         total += near.weights[0] + near.weights[1] + near.weights[2]
-        f += 1
-        if f == faces.shape[0] and in_double == 0 and has_cancelled(total, size):
-            in_double = 1
-            f = 0
     if touched >= 0:
         face = faces[touched]
         near = near_face_weights(vertices[face[0]] - x, vertices[face[1]] - x, vertices[face[2]] - x, size)
         clear_row(weights, n)
         add_corners(weights, n, face, near.weights)
-        total = 1.0
-    scale = wp.where(total == 0.0, 0.0, 1.0 / total)
-    for j in range(weights.shape[1]):
-        weights[n, j] = weights[n, j] * scale
+    elif has_cancelled(total, size):
+        weigh_in_double(x, vertices, faces, size, weights, n)
+    else:
+        scale = wp.where(total == 0.0, 0.0, 1.0 / total)
+        for j in range(weights.shape[1]):
+            weights[n, j] = weights[n, j] * scale

@@ -6,6 +6,7 @@ import pytest
 import trimesh
 import warp as wp
 
+from warpcage.cage import Cage
 from warpcage.devices import launch
 from warpcage.kernels.containment import measure_distance, measure_winding_number
 
@@ -73,3 +74,11 @@ def test_inward_cage_has_winding_number_minus_one(device):
     vertices, faces = oracles.cage("box")
     winding = measure(measure_winding_number, np.zeros((1, 3)), vertices, faces[:, ::-1], device)
     assert winding[0] == pytest.approx(-1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-16, 1e-15, 1e13, 1e16, 1e30])
+def test_cages_of_any_size_contain_the_same(scale, device):
+    vertices, faces = oracles.cage("concave")
+    points = points_around(vertices)
+    expected = oracles.winding_numbers(points, vertices, faces) > 0.5
+    assert np.array_equal(Cage(scale * vertices, faces).contains(scale * points, device=device), expected)

@@ -167,6 +167,9 @@ def test_gaps_narrower_than_a_cell_are_reported(kind, device):
     assert 0.05 < position_map.gap_jump < 0.15
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        with pytest.raises(UserWarning):
+            position_map.pose(narrow)
+        assert position_map.thin_nodes > 0  # reported, and there all the same
         position_map.pose(wide)
         assert position_map.gap_jump == 0.0
         PositionMap(narrow, coordinates=kind, resolution=32, device=device).pose(narrow.twist(5))  # nothing opens
@@ -181,6 +184,8 @@ def test_memory_for_the_sides_of_gaps_is_refused_before_it_is_taken(device, monk
     free[:] = [1 << 12, least]  # enough for the map, not for the tables
     with pytest.raises(ValueError, match=r"sides of narrow gaps at resolution 32 .* GiB free: take a lower"):
         position_map.pose(narrow)
+    with pytest.raises(ValueError, match="no pose yet"):
+        _ = position_map.data  # rather than a map without them
     free[:] = [most]
     position_map.pose(narrow)
     assert position_map.thin_nodes > 0

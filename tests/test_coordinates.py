@@ -192,8 +192,8 @@ def test_points_just_outside_count_as_inside(device):
             coordinates.green_coordinates(beyond, cage, device=device)
 
 
-BAD_POINTS = [(np.zeros((4, 2)), r"\(n, 3\)"), (np.zeros(3), r"\(n, 3\)"), (np.zeros((2, 2, 3)), r"\(n, 3\)"),
-              ([[0, 0, np.nan]], "row 0"), ([[0, 0, 0], [np.inf, 0, 0]], "row 1")]
+BAD_POINTS = [(np.zeros(shape), r"\(n, 3\)") for shape in ((4, 2), (5, 0), (0, 2), 3, (2, 2, 3))] + [
+    ([[0, 0, np.nan]], "row 0"), ([[0, 0, 0], [np.inf, 0, 0]], "row 1")]
 
 
 @pytest.mark.parametrize("points, message", BAD_POINTS)
@@ -251,3 +251,22 @@ def test_harmonic_moves_points_and_refuses_those_outside(device, monkeypatch):
         coordinates.deform_points(rest.vertices[:1] + 10.0, rest, deformed, "harmonic", device=device)
     with pytest.raises(ValueError, match="1 of 1 points are outside"):
         coordinates.harmonic_coordinates(rest.vertices[:1] + 10.0, rest, 32, device=device)
+
+
+@pytest.mark.parametrize("kind", coordinates.KINDS)
+def test_points_follow_a_cage_that_goes_far(kind, device, monkeypatch):
+    monkeypatch.setattr(coordinates, "HARMONIC_RESOLUTION", 24)
+    rest, points = cage_and_points("concave")
+    deformed = rest.twist(30)
+    offset = np.array([1e6, -1e6, 1e6])
+    near = coordinates.deform_points(points, rest, deformed, kind, device=device)
+    far = coordinates.deform_points(points, rest, deformed.translate(offset), kind, device=device)
+    assert np.abs(far - offset - near).max() < 1e-6
+
+
+def test_harmonic_names_the_cage_that_cannot_be_used(device, monkeypatch):
+    monkeypatch.setattr(coordinates, "HARMONIC_RESOLUTION", 16)
+    rest, points = cage_and_points("box")
+    mirrored = rest.with_vertices(rest.vertices * [-1, 1, 1])
+    with pytest.raises(ValueError, match="^deformed cage looks inward"):
+        coordinates.deform_points(points, rest, mirrored, "harmonic", device=device)

@@ -6,6 +6,8 @@ import pytest
 import trimesh
 import warp as wp
 
+from warpcage.cage import Cage
+from warpcage.coordinates import deform_points, green_coordinates, stretched_normals
 from warpcage.devices import launch
 from warpcage.face_fans import prepared_fans
 from warpcage.kernels import green
@@ -171,3 +173,21 @@ def test_boundary_elements_solve_laplace():
 
     assert error(2) < 1e-3
     assert error(3) < 0.4 * error(2)
+
+
+@pytest.mark.parametrize("gap", [0.0, 3e-6])
+def test_parts_that_touch_do_not_know_of_each_other(gap, device):
+    """A small box stands on a large one: points next to both belong to the one that they are in."""
+    large, small = Cage.box((0, 0, 0), (1, 1, 1)), Cage.box((0.2, 0.2, 1 + gap), (0.7, 0.8, 1.6))
+    cage = Cage(np.concatenate([large.vertices, small.vertices]), np.concatenate([large.faces, small.faces + 8]))
+    lifted = cage.with_vertices(cage.vertices + np.repeat([[0, 0, 0], [0, 0, 5.0]], 8, axis=0))
+    places = np.random.default_rng(0).uniform((0.21, 0.21), (0.69, 0.79), (20, 2))
+    for depth in (1e-6, 5e-6, 1e-5, 1e-4):
+        below = np.column_stack([places, np.full(20, 1 - depth)])
+        above = np.column_stack([places, np.full(20, 1 + gap + depth)])
+        for points, offset in ((below, 0.0), (above, 5.0)):
+            phi, psi = green_coordinates(points, cage, device=device)
+            assert np.abs(phi.sum(axis=1) - 1).max() < 1e-5
+            assert np.abs(phi @ cage.vertices + psi @ stretched_normals(cage, cage) - points).max() < 2e-5
+            moved = deform_points(points, cage, lifted, "green", device=device)
+            assert np.abs(moved - points - [0, 0, offset]).max() < 2e-5

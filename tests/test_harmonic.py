@@ -1,5 +1,7 @@
 """The harmonic solver: its equations, their solution, and the weights that come of it."""
 
+import warnings
+
 import numpy as np
 import oracles
 import pytest
@@ -7,6 +9,8 @@ import warp as wp
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 from test_containment import reference_distance
+from test_coordinate_accuracy import points_beside_slot, slot_cages
+from trimesh.transformations import rotation_matrix
 
 from warpcage.cage import Cage
 from warpcage.harmonic_solver import HarmonicSolver
@@ -209,6 +213,42 @@ def test_parts_of_a_cage_do_not_know_of_each_other(device):
     assert 0.1 < left.mean() < 0.9
     assert np.abs(weights[left][:, 8:]).max() < 1e-5
     assert np.abs(weights[~left][:, :8]).max() < 1e-5
+
+
+@pytest.mark.parametrize("cells", [0.5, 1.1, 2.0])
+def test_parts_of_a_cage_at_a_narrow_gap_do_not_know_of_each_other(cells, device):
+    resolution, height = 32, 2.4 / 32  # about; points are up to two cells from the gap
+    box, random = Cage.box((0, 0, 0), (1, 1, 1)), np.random.default_rng(0)
+    offset = np.array([1 + cells * height, 0.03, 0.02])
+    depth, across = random.uniform(1e-4, 2 * height, 2000), random.uniform(0.05, 0.95, (2000, 2))
+    points = np.concatenate([np.column_stack([1 - depth, across]), np.column_stack([depth, across]) + offset])
+    turn = rotation_matrix(np.radians(33), (0.3, 0.2, 1))[:3, :3]
+    vertices = np.concatenate([box.vertices, box.vertices + offset])
+    cage = Cage(vertices @ turn.T, np.concatenate([box.faces, box.faces + 8]))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        weights = harmonic_weights(points @ turn.T, cage, resolution, device)
+    assert np.abs(weights[:2000, 8:]).max() < 1e-5
+    assert np.abs(weights[2000:, :8]).max() < 1e-5
+    assert np.abs(weights.astype(float) @ cage.vertices - points @ turn.T).max() < 1e-5 * cage.size
+    assert any("narrower than a cell" in str(warning.message) for warning in caught) == (cells < 1)
+
+
+def test_weights_beside_a_slot_are_those_of_a_finer_lattice(device):
+    narrow, _, turn = slot_cages(1.5 / 32, 33)
+    points = points_beside_slot(1.5 / 32, 32, turn)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # turned, some links cross it whole
+        error = harmonic_weights(points, narrow, 32, device) - harmonic_weights(points, narrow, 96, device)
+    assert np.sqrt((error**2).mean()) < 5e-3  # twice that with one value an outside node
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-15, 1e15, 1e30])
+def test_weights_do_not_depend_on_units(scale, device):
+    vertices, faces = oracles.cage("concave")
+    points = oracles.inside_points(vertices, faces, 100)
+    weights = harmonic_weights(points, Cage(vertices, faces), 16, device)
+    assert np.abs(harmonic_weights(scale * points, Cage(scale * vertices, faces), 16, device) - weights).max() < 1e-5
 
 
 @pytest.mark.parametrize("shift", [1e4, -3e5])

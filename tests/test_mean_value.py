@@ -5,6 +5,8 @@ import oracles
 import pytest
 import warp as wp
 
+from warpcage.cage import Cage
+from warpcage.coordinates import deform_points, green_coordinates, mean_value_coordinates
 from warpcage.devices import launch
 from warpcage.face_fans import prepared_fans
 from warpcage.kernels import mean_value
@@ -120,3 +122,51 @@ def test_slivers_keep_their_weights(height, device):
     points = oracles.single(oracles.inside_points(vertices, faces, 500))
     wanted = oracles.mean_value_weights(points, vertices, faces)
     assert np.abs(weigh(points, vertices, faces, device) - wanted).max() < 2e-5
+
+
+@pytest.mark.parametrize("distance", [0.7, 3.0, 30.0, 900.0])
+@pytest.mark.parametrize("name", ["icosphere", "concave", "two boxes"])
+def test_points_far_outside_follow_the_formula(name, distance, device):
+    """Contributions of the near and the far side cancel there."""
+    vertices, faces = oracles.cage(name)
+    random = np.random.default_rng(0)
+    points = random.normal(size=(200, 3))
+    points = oracles.single(distance * points / np.linalg.norm(points, axis=1, keepdims=True))
+    cage = Cage(vertices, faces)
+    expected = outside_weights(points, vertices, faces)
+    weights = mean_value_coordinates(points, cage, device=device)
+    assert np.abs(weights - expected).max() < 3e-5 * np.abs(expected).max()
+    posed = cage.with_vertices(vertices + 0.1 * random.normal(size=vertices.shape))
+    moved = deform_points(points, cage, posed, device=device)
+    assert np.abs(moved - expected @ posed.vertices).max() < 3e-5 * distance
+
+
+def outside_weights(points, vertices, faces):
+    """The vector form of Floater et al. with face normals, in extended precision: (n, v)."""
+    points, vertices = np.asarray(points, np.longdouble), np.asarray(vertices, np.longdouble)
+    weights = np.zeros((len(points), len(vertices)), np.longdouble)
+    for face in faces:
+        corners = [vertices[i] - points for i in face]
+        across = [np.cross(corners[(k + 1) % 3], corners[(k + 2) % 3] - corners[(k + 1) % 3]) for k in range(3)]
+        length = [np.sqrt((c**2).sum(axis=1)) for c in across]
+        cosine = [(corners[(k + 1) % 3] * corners[(k + 2) % 3]).sum(axis=1) for k in range(3)]
+        mean = sum((np.arctan2(length[k], cosine[k]) / length[k])[:, None] * across[k] for k in range(3)) / 2
+        for k in range(3):
+            weights[:, face[k]] += (across[k] * mean).sum(axis=1) / (across[k] * corners[k]).sum(axis=1)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True), np.float64)
+
+
+@pytest.mark.parametrize("distance", [2e3, 1e20, 1e38])
+@pytest.mark.parametrize("on_device", [False, True])
+def test_points_too_far_for_the_formula_are_refused(distance, on_device, device):
+    cage = Cage(*oracles.cage("box"))
+    points = np.array([[0, 0, 0], [0, -distance, 1], [900, 0, 0]])
+    if on_device:
+        points = wp.array(points.astype(np.float32), dtype=wp.vec3, device=device)
+    for call in (lambda: mean_value_coordinates(points, cage, device=device),
+                 lambda: deform_points(points, cage, cage, device=device)):
+        with pytest.raises(ValueError, match="1 of 3 points are 1000 times .* the first is point 1 at"):
+            call()
+    phi, _ = green_coordinates(points, cage, device=device, outside="nan")
+    phi = np.asarray(phi.numpy() if on_device else phi)
+    assert np.isfinite(phi[0]).all() and np.isnan(phi[1:]).all()

@@ -223,6 +223,29 @@ def test_a_refused_pose_leaves_the_last_one(graphs, device, monkeypatch):
             assert np.array_equal(before[0], after[0]) and np.array_equal(before[1], after[1])
 
 
+@pytest.mark.parametrize("graphs", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_cage_too_far_for_float32_is_refused(kind, graphs, device, monkeypatch):
+    """Beyond, the rounded lattice would lie beside the cage."""
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: graphs))
+    rest = cage_named("box")
+    position_map = PositionMap(rest, coordinates=kind, resolution=64, device=device)
+    with pytest.raises(ValueError, match="from the origin of its lattice, .* resolution below 64"):
+        position_map.pose(rest.translate([1e6, -3e6, 0]))
+    for pose in (rest.bend(30), rest.bend(29)):
+        position_map.pose(pose)
+        points = inside_points(pose, 50)
+        before = look_up(position_map, points)
+        with pytest.raises(ValueError, match="float32"):
+            position_map.pose(rest.translate([1e6, 0, 0]))
+        assert all(np.array_equal(*pair) for pair in zip(before, look_up(position_map, points), strict=True))
+    # where rounding is a third of a cell, all of the cage is still on the lattice
+    far = rest.translate(np.array([3e4, -2e4, 1e4]))
+    lattice = position_map.pose(far).lattice
+    low, high = (far.bounds - lattice.lower) / lattice.spacing
+    assert low.min() >= 2 and (np.array(lattice.shape) - 1 - high).min() >= 2
+
+
 def test_harmonic_map_reports_its_solver(device):
     rest = cage_named("icosphere")
     position_map = PositionMap(rest, resolution=32, device=device)

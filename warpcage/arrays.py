@@ -59,7 +59,7 @@ def as_host_points(points, *, name: str = "points") -> np.ndarray:
         host = host.astype(np.float64, casting="unsafe" if host.dtype == object else "same_kind")
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be (n, 3) real numbers, got {type(points).__name__}") from None
-    if host.size == 0:
+    if host.shape == (0,):  # an empty list
         host = host.reshape(0, 3)
     if host.ndim != 2 or host.shape[1] != 3:
         raise ValueError(f"{name} must be (n, 3), got {host.shape}")

@@ -25,15 +25,17 @@ def inside_cage(points, cage, *, tolerance: float, device=None):
         device = resolve_device(device)
     points = as_host_points(points)
 
-    # float32 relative to the cage's middle, so that a cage far from the origin keeps its digits
-    centre, reach = cage.bounds.mean(axis=0), tolerance * cage.size
+    # float32 relative to the cage's middle, so that a cage far from the origin keeps its digits, and to its size, so
+    # that products of lengths stay in range
+    centre, size = cage.bounds.mean(axis=0), cage.size
     inside = np.zeros(len(points), dtype=bool)
+    reach = tolerance * size
     near = np.flatnonzero(((points >= cage.bounds[0] - reach) & (points <= cage.bounds[1] + reach)).all(axis=1))
-    vertices = wp.array((cage.vertices - centre).astype(np.float32), dtype=wp.vec3, device=device)
+    vertices = wp.array(((cage.vertices - centre) / size).astype(np.float32), dtype=wp.vec3, device=device)
     faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
 
     def measure(kernel, rows):
-        local = wp.array((points[rows] - centre).astype(np.float32), dtype=wp.vec3, device=device)
+        local = wp.array(((points[rows] - centre) / size).astype(np.float32), dtype=wp.vec3, device=device)
         values = wp.empty(len(rows), dtype=wp.float32, device=device)
         launch(kernel, len(rows), [local, vertices, faces], [values], device=device)
         return values.numpy()
@@ -42,5 +44,5 @@ def inside_cage(points, cage, *, tolerance: float, device=None):
         inside[near] = measure(measure_winding_number, near) > 0.5
     outside = near[~inside[near]]
     if len(outside):
-        inside[outside] = measure(measure_distance, outside) <= reach
+        inside[outside] = measure(measure_distance, outside) <= tolerance
     return wp.array(inside, dtype=wp.bool, device=device) if given_on_device else inside

@@ -30,18 +30,20 @@ HARMONIC_RESOLUTION = 128
 def mean_value_coordinates(points, cage: Cage, device=None):
     """Mean value coordinates of points in a cage: (n, v) float32, each row sums to one and reproduces its point.
 
-    points: (n, 3), world units, NumPy or an array of a device (Warp, DLPack); anywhere, inside the cage or out (outside
-    they extend the map smoothly; weights may be negative there, and inside concave cages). On the cage, to 1e-6 of its
-    size, they interpolate the face linearly. cage: usable `Cage` of v vertices. device: None takes that of an array of
-    a device, else the first GPU or the CPU.
+    points: (n, 3), world units, NumPy or an array of a device (Warp, DLPack; in float32 there); inside the cage or out,
+    up to a thousand times its size away (outside they extend the map smoothly; weights may be negative there, and in
+    concave cages; next to where two parts of a cage touch they grow as one over the distance). On the cage, to 1e-6 of
+    its size, they interpolate the face linearly. cage: usable `Cage` of v vertices. device: None takes that of an array
+    of a device, else the first GPU or the CPU.
     Returns NumPy for NumPy, a Warp array on the device for an array of a device. Weights are good to about 1e-6 inside
-    the cage and 1e-5 within a size of it.
-    Raises ValueError for points of another shape or not finite, for a cage that is open, inward or degenerate, and
-    where the device has not the memory.
+    the cage. Outside they grow with the distance, and so does what rounding leaves of their sum: 1e-7 of the largest.
+    Raises ValueError for points of another shape, not finite or farther away, for a cage that is open, inward or
+    degenerate, and where the device has not the memory.
     """
     require_type(cage, Cage, "the cage must be")
     cage.require_usable()
     local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
+    _require_near(local, cage)
     _require_room(local, len(cage.vertices))
     weights = wp.empty((local.count, len(cage.vertices)), dtype=wp.float32, device=local.device)
     vertices, faces = _cage_arrays(cage, local)
@@ -88,7 +90,7 @@ def harmonic_coordinates(points, cage: Cage, resolution: int = HARMONIC_RESOLUTI
 
     points, cage, device and what is returned: as in `mean_value_coordinates`; points farther than 1e-5 of the size
     outside raise a ValueError. resolution: nodes along the longest side of the lattice on which they are solved; errors
-    at 128 are about 1e-3 away from the cage and 1e-2 next to it.
+    at 128 are about 1e-3 away from the cage and 1e-2 next to it. Warns where gaps of the cage are narrower than a cell.
     """
     from .position_map import harmonic_weights
 
@@ -104,12 +106,13 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
     """Move points, the vertices of a mesh say, as the cage around them moves from `rest` to `deformed`: (n, 3).
 
     points: (n, 3), world units, NumPy or an array of a device. rest: usable `Cage`; deformed: the same faces in another
-    pose. coordinates: "mean_value" (points anywhere), "green" or "harmonic" (points inside `rest`, or within 1e-5 of
-    its size; harmonic on a lattice of 128 nodes). device: as in `mean_value_coordinates`.
+    pose. coordinates: "mean_value" (points up to 1000 sizes away), "green" or "harmonic" (points inside `rest`, or
+    within 1e-5 of its size; harmonic on a lattice of 128 nodes). device: as in `mean_value_coordinates`.
     Returns world units: float32 for float32 NumPy, float64 for other NumPy (float32 accuracy relative to the cages),
     a Warp array of vec3 for an array of a device. No (n, v) matrix is held, save by harmonic.
-    Raises ValueError for points of another shape, not finite or (green, harmonic) outside, with their number and the
-    first of them; for cages whose faces differ; for a rest cage that is not usable; for another name of coordinates.
+    Raises ValueError for points of another shape, not finite, outside (green, harmonic) or farther away (mean_value),
+    with their number and the first of them; for cages whose faces differ; for a rest cage, and with harmonic a deformed
+    cage, that is not usable; for another name of coordinates.
 
     Example: `mesh.vertices = deform_points(mesh.vertices, rest, rest.twist(90))`
     """
@@ -141,7 +144,10 @@ def deform_points(points, rest: Cage, deformed: Cage, coordinates: str = "mean_v
     world = _restore(moved, local, centre, rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)
-        _require_inside(local, rest, coordinates)
+        if coordinates == "green":
+            _require_inside(local, rest, coordinates)
+        else:
+            _require_near(local, rest)
     return world
 
 
@@ -163,7 +169,7 @@ class _Local:
     points: wp.array  # (n,) vec3 on device
     on_device: bool  # whether they were given as an array of a device
     single: bool  # whether they were given as float32
-    bad: wp.array  # (1,) int, above 0 where a point is not finite
+    bad: wp.array  # (1,) int, above 0 where a point is not finite or FARTHEST away
 
     @property
     def device(self) -> wp.Device:
@@ -182,14 +188,21 @@ class _Local:
         host = np.asarray(self.given.numpy() if isinstance(self.given, wp.array) else self.given, dtype=np.float64)
         return host.reshape(-1, 3)[rows]
 
+    def place(self, row: int) -> str:
+        """World position of a point, for messages."""
+        return ", ".join(f"{value:.6g}" for value in self.world(row))
+
 
 def _localise(points, centre: np.ndarray, size: float, device, *, check: bool = True) -> _Local:
     """check: refuse points of a device that are not finite at once, which waits for the device."""
     if not is_device_array(points):
         host = as_host_points(points)
         single = isinstance(points, np.ndarray) and points.dtype == np.float32
-        local = wp.array(((host - centre) / size).astype(np.float32), dtype=wp.vec3, device=resolve_device(device))
-        return _Local(host, local, False, single, wp.zeros(1, dtype=int, device=local.device))
+        local = (host - centre) / size
+        bad = not (np.abs(local) < local_points.FARTHEST).all()
+        with np.errstate(over="ignore"):
+            local = wp.array(local.astype(np.float32), dtype=wp.vec3, device=resolve_device(device))
+        return _Local(host, local, False, single, wp.full(1, int(bad), dtype=int, device=local.device))
 
     world, _ = as_points(points, device)
     local = wp.empty(len(world), dtype=wp.vec3, device=world.device)
@@ -204,6 +217,15 @@ def _localise(points, centre: np.ndarray, size: float, device, *, check: bool = 
 
 def _require_finite(local: _Local) -> None:
     as_host_points(local.given)
+
+
+def _require_near(local: _Local, cage: Cage) -> None:
+    """Refuse points so far from the cage that their mean value weights have no digits."""
+    if int(local.bad.numpy()[0]):
+        away = np.abs(local.world(slice(None)) - cage.bounds.mean(axis=0)).max(axis=1) / cage.size
+        lost = np.flatnonzero(away >= local_points.FARTHEST)
+        raise ValueError(f"{len(lost)} of {local.count} points are {local_points.FARTHEST:.0f} times the cage's size "
+                         f"away or more, the first is point {lost[0]} at ({local.place(lost[0])}): leave them out")
 
 
 def _restore(moved: wp.array, local: _Local, centre: np.ndarray, size: float):
@@ -247,9 +269,9 @@ def _require_inside(local: _Local, cage: Cage, kind: str) -> None:
 
 
 def _outside_message(local: _Local, lost: np.ndarray, kind: str) -> str:
-    place = ", ".join(f"{value:.6g}" for value in local.world(lost[:1])[0])
     return (f"{len(lost)} of {local.count} points are outside the cage by more than {SURFACE_TOLERANCE:g} of its size, "
-            f"the first is point {lost[0]} at ({place}): {kind} coordinates are for points inside, mean_value for any")
+            f"the first is point {lost[0]} at ({local.place(lost[0])}): {kind} coordinates are for points inside, "
+            "mean_value for any")
 
 
 def _as_given(array, local: _Local):
@@ -262,11 +284,14 @@ def _as_given(array, local: _Local):
 def _deform_harmonic(local: _Local, rest: Cage, deformed: Cage):
     from .position_map import PositionMap
 
-    # the map runs from the cage it is posed to, here the rest cage, to the one it is made of
-    origin = deformed.bounds.mean(axis=0)
-    position_map = PositionMap(deformed, coordinates="harmonic", resolution=HARMONIC_RESOLUTION, origin=origin,
-                               device=local.device).pose(rest)
-    near = _localise(local.given, origin, 1.0, local.device)
-    moved, distance = wp.empty_like(near.points), wp.empty(local.count, dtype=float, device=local.device)
-    launch(cage_map.sample_map, local.count, [position_map.data, near.points], [moved, distance], device=local.device)
-    return _restore(moved, local, origin, 1.0)
+    deformed.require_usable("deformed cage")
+    # the map runs from the cage it is posed to, here the rest cage, to the one it is made of; both about the origin, as
+    # float32 keeps few digits of a map between cages that are far apart
+    centre = deformed.bounds.mean(axis=0)
+    target = deformed.with_vertices((deformed.vertices - centre) / rest.size)
+    source = rest.with_vertices((rest.vertices - rest.bounds.mean(axis=0)) / rest.size)
+    position_map = PositionMap(target, coordinates="harmonic", resolution=HARMONIC_RESOLUTION, origin=np.zeros(3),
+                               device=local.device).pose(source)
+    moved, distance = wp.empty_like(local.points), wp.empty(local.count, dtype=float, device=local.device)
+    launch(cage_map.sample_map, local.count, [position_map.data, local.points], [moved, distance], device=local.device)
+    return _restore(moved, local, centre, rest.size)

@@ -74,7 +74,8 @@ class Deformer:
         """Move the cages: one Cage, or one an edit in their order (None for an edit that removes). Returns self.
 
         Raises ValueError for another count, cages whose faces differ from the rest cage's, or a cage that cannot be
-        used (inverted, open, without volume); the pose before stays then.
+        used (inverted, open, without volume); the pose before stays then. Also for too little memory, or a cage so far
+        from the field that float32 cannot tell the cells of its lattice apart; the cages are at rest then.
         """
         cages = list(deformed) if isinstance(deformed, list | tuple) else [deformed]
         if len(cages) != len(self.edits):

@@ -29,6 +29,12 @@ def column_dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("in,in->n", a, b)
 
 
+def face_area(cage) -> float:
+    """Area of all faces, world units squared."""
+    cross = column_cross(*face_edges(cage))
+    return 0.5 * float(np.sqrt(column_dot(cross, cross)).sum())
+
+
 @dataclass(frozen=True)
 class StretchTarget:
     """What `stretched_normals` needs of the faces that are stretched to: unit normals (3, f), zero where there is no

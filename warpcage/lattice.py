@@ -34,6 +34,12 @@ FLAGS = 4
 #: Views of buffers that are kept, of poses of different shapes.
 MOST_VIEWS = 64
 
+#: Most that float32 may be apart, in cells, where the lattice is: rounding leaves two cells of the margin.
+MOST_ROUNDING = 0.4
+
+#: Bits of a float32 number's digits.
+FLOAT32_BITS = 24
+
 #: Cells along the longest side at which coarsening ends.
 COARSEST_RESOLUTION = 4
 
@@ -62,7 +68,7 @@ class CageLattice:
     nodes, lines and blocks of nodes there are.
 
     Inside means a winding number above 0.5, exact at nodes. Raises ValueError for a resolution outside 8 .. 1024, an
-    unusable cage, or one without extent.
+    unusable cage, one without extent, or one too far from the origin for float32 numbers to tell its cells apart.
     """
 
     def __init__(self, cage, resolution: int, *, origin=None, device=None):
@@ -116,9 +122,10 @@ class CageLattice:
         return self
 
     def lay(self, cage) -> None:
-        """Work out, on the host, where the nodes are; `constants` take it, still to be sent."""
-        self.cage = cage
+        """Work out, on the host, where the nodes are; `constants` take it, still to be sent. Raises ValueError, before
+        anything is changed, for a cage too far from the origin."""
         self.shape, self.lower, self.spacing = lattice_frame(cage, self.resolution, self.origin)
+        self.cage = cage
         layout = level_layout(self.shape, self.level_count)
         self.first_node, self.first_column, self.sizes = layout.first_node, layout.first_column, layout.sizes
         scaled = (cage.vertices - self.lower) / self.spacing
@@ -202,12 +209,18 @@ class CageLattice:
 def lattice_frame(cage, resolution: int, origin) -> tuple[tuple[int, int, int], np.ndarray, float]:
     """Shape (node counts), lower (3,) float64 and spacing of the lattice over a cage's bounding box.
 
-    Spacing and lower - origin are float32 numbers, so that kernels see exactly the same lattice.
+    Spacing and lower - origin are float32 numbers, so that kernels see exactly the same lattice. Raises ValueError for
+    a cage so far from the origin that float32 numbers are about half a cell apart there.
     """
-    low, high = cage.bounds.tolist()
+    low, high, origin = *cage.bounds.tolist(), np.asarray(origin).tolist()
     spacing = float(np.float32(max(b - a for a, b in zip(low, high, strict=True)) / resolution))
+    far = max(max(abs(a - o), abs(b - o)) for a, b, o in zip(low, high, origin, strict=True))
+    if not math.ldexp(1.0, math.frexp(far)[1] - FLOAT32_BITS) <= MOST_ROUNDING * spacing:
+        raise ValueError(f"the cage reaches {far:.3g} from the origin of its lattice, {far / cage.size:.2g} times its "
+                         f"size: float32 cannot tell cells of {spacing:.2g} apart there, move it nearer or take a "
+                         f"resolution below {resolution}")
     lower = [float(np.float32(a - margin * spacing - o)) + o
-             for a, margin, o in zip(low, MARGIN, np.asarray(origin).tolist(), strict=True)]
+             for a, margin, o in zip(low, MARGIN, origin, strict=True)]
     cells = (math.ceil((b - a) / spacing + 3.0) for a, b in zip(lower, high, strict=True))
     return tuple(side + 1 for side in cells), np.array(lower), spacing
 

@@ -9,7 +9,7 @@ from .arrays import require_type
 from .cage import Cage, require_same_faces
 from .closed_form_solver import GreenSolver, MeanValueSolver
 from .devices import launch, resolve_device
-from .face_geometry import column_cross, column_dot, face_edges
+from .face_geometry import face_area
 from .harmonic_solver import HarmonicSolver, require_tolerance
 from .kernels.cage_map import CageMap
 from .kernels.map_extension import add_affine
@@ -87,20 +87,22 @@ class PositionMap:
     def pose(self, deformed) -> PositionMap:
         """Compute the map from `deformed`, a Cage with the faces of the rest cage. Buffers of the last pose are reused.
 
-        Raises ValueError for faces that differ or an unusable cage (the map then stays that of the last pose), or too
-        little memory.
+        Raises ValueError for faces that differ, an unusable cage, or one farther from `origin` than about
+        3e6 / resolution times its size, where float32 numbers are half a cell apart (the map then stays that of the
+        last pose); and for too little memory (there is no map then, until the next pose).
         """
         require_type(deformed, Cage, "a pose must be")
         require_same_faces(self.rest, deformed)
         if self._graph is not None and self._data is not None and self._replay(deformed):
             return self
         deformed.require_usable("deformed cage")
+        needed = self.memory_bytes(deformed)  # refuses a cage too far away
         self._data = None  # what is in the buffers goes
         if self.lattice is not None:
             self.lattice.lay(deformed)
         self._weights = None  # the last pose's go before this one's come
         held = 0 if self.lattice is None else self.lattice.buffers.bytes
-        require_memory(self.memory_bytes(deformed), self.device, self._too_large(), held=held)
+        require_memory(needed, self.device, self._too_large(), held=held)
         if self.lattice is None:
             self.lattice = CageLattice(deformed, self.resolution, origin=self.origin, device=self.device)
             self._solver = self._new_solver()
@@ -153,6 +155,7 @@ class PositionMap:
         rest.require_usable("rest cage")
         require_same_faces(rest, self._posed_lattice().cage)
         self.rest, self._sides = rest, None  # its tables were of the other cage
+        self._data = None  # what is in the buffers goes
         self._map_positions()
         return self
 
@@ -192,7 +195,7 @@ class PositionMap:
         nx, ny, nz = shape
         nodes, lines = nx * ny * nz, nx * ny + ny * nz + nx * nz
         inside = abs(deformed.volume) / spacing**3
-        surface = _area(deformed) / spacing**2
+        surface = face_area(deformed) / spacing**2
         total = FIXED_BYTES + NODE_BYTES * nodes + LINE_BYTES * lines + SURFACE_BYTES * surface + 5 * inside
         if self.coordinates == "harmonic":
             total += LEVELS_BYTES * nodes
@@ -242,7 +245,7 @@ class PositionMap:
     def _take_map(self, has_gaps: bool, graph: PoseGraph | None = None) -> None:
         """Let `data` be what was computed. graph: that had room for it."""
         lattice = self.lattice
-        data = self._data = CageMap()
+        data = CageMap()
         data.lower, data.spacing, data.inverse_spacing = lattice.local_lower, lattice.spacing, 1.0 / lattice.spacing
         data.positions = lattice.view("values", wp.vec3)
         data.distance = lattice.distance
@@ -250,15 +253,22 @@ class PositionMap:
         self._has_gaps = has_gaps
         if has_gaps:
             self._take_sides(data, graph)
+        self._data = data  # whole: sides that there is no memory for leave none
+        if self.gap_jump > REPORTED_JUMP:
+            warn_caller(
+                f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose "
+                f"opens by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there, take a "
+                f"resolution above {self.resolution} or open the gaps"
+            )
 
     def _take_sides(self, data: CageMap, graph: PoseGraph | None) -> None:
-        """Give the map the sides of narrow gaps, and report those that its lattice smears."""
+        """Give the map the sides of narrow gaps."""
         lattice = self.lattice
         if self._sides is None:
             self._sides = MapSides(self._solver, self.rest, lattice.map_constants.arrays)
         sides = self._sides
         require_memory(
-            side_bytes(lattice.node_count, _area(lattice.cage) / lattice.spacing**2),
+            side_bytes(lattice.node_count, face_area(lattice.cage) / lattice.spacing**2),
             self.device,
             f"tables for sides of narrow gaps at resolution {self.resolution} need {{size}}: take a lower resolution",
             held=sides.buffers.bytes,
@@ -267,12 +277,6 @@ class PositionMap:
             sides.find()
         data.side_index, data.sides = sides.index, sides.table
         self.gap_jump = sides.jump
-        if self.gap_jump > REPORTED_JUMP:
-            warn_caller(
-                f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose "
-                f"opens by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there, take a "
-                f"resolution above {self.resolution} or open the gaps"
-            )
 
 
 def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
@@ -291,8 +295,3 @@ def fit_affine(source, target) -> tuple[np.ndarray, np.ndarray]:
         size = source.size
         matrix = np.linalg.lstsq(a / size, b, rcond=1e-9)[0].T / size
     return matrix, middle - matrix @ centre
-
-
-def _area(cage) -> float:
-    cross = column_cross(*face_edges(cage))
-    return 0.5 * float(np.sqrt(column_dot(cross, cross)).sum())
