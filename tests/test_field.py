@@ -133,15 +133,15 @@ def test_svox2_file_round_trip_and_scene_scale(device, tmp_path):
     np.testing.assert_allclose(scaled.sample(2 * points, d)[1], 0.5 * sigma, atol=1e-2)
 
 
-def test_background_layers_of_a_svox2_file_are_left_out_with_a_warning(tmp_path):
-    field, _, _ = oracle.random_field("cpu")
+def test_background_layers_of_a_svox2_file_are_left_out_with_a_warning(tmp_path, device):
+    field, _, _ = oracle.random_field(device)
     field.save(tmp_path / "p.npz", format="svox2")
     with np.load(tmp_path / "p.npz") as archive:
         contents = dict(archive)
     layers = {"background_links": np.zeros((8, 4), np.int32), "background_data": np.zeros((1, 16, 4), np.float32)}
     np.savez(tmp_path / "layers.npz", **contents, **layers)
     with pytest.warns(UserWarning, match="background layers of .*layers.npz are left out") as caught:
-        again = warpcage.VoxelField.load(tmp_path / "layers.npz", device="cpu")
+        again = warpcage.VoxelField.load(tmp_path / "layers.npz", device=device)
     assert caught[0].filename == __file__
     assert again.background_model is None and again.voxel_count == field.voxel_count
 

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from warpcage.devices import run_parallel
+from warpcage.devices import CPU_THREADS, run_parallel
 
 PROGRAM = """\
 import multiprocessing
@@ -40,7 +40,7 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize("when", ["before", "after"])
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_processes_of_a_pool_compute_what_their_parent_does(method, when, tmp_path):
+def test_processes_on_a_cpu_compute_what_their_parent_does(method, when, tmp_path):
     if method not in multiprocessing.get_all_start_methods():
         pytest.skip(f"processes do not {method} here")
     (tmp_path / "program.py").write_text(PROGRAM)
@@ -51,7 +51,7 @@ def test_processes_of_a_pool_compute_what_their_parent_does(method, when, tmp_pa
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
 def test_no_task_goes_on_after_an_interrupt_or_an_error(error):
-    begun, ended = [], []
+    begun, ended, count = [], [], 4 * CPU_THREADS
 
     def stop():
         if error is KeyboardInterrupt:
@@ -65,7 +65,7 @@ def test_no_task_goes_on_after_an_interrupt_or_an_error(error):
         ended.append(k)
 
     with pytest.raises(error):
-        run_parallel([stop, *(lambda k=k: work(k) for k in range(8))], threads=2)
+        run_parallel([stop, *(lambda k=k: work(k) for k in range(count))], threads=2)
         time.sleep(5)  # an interrupt may come late
-    assert sorted(begun) == sorted(ended) and len(begun) < 8
+    assert sorted(begun) == sorted(ended) and len(begun) < count
     assert run_parallel([lambda k=k: k * k for k in range(5)], threads=2) == [0, 1, 4, 9, 16]

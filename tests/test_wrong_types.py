@@ -29,8 +29,7 @@ WRONG = {
 
 @pytest.fixture(scope="module")
 def field():
-    return warpcage.VoxelField.from_dense(np.full((6, 6, 6), 5.0), np.zeros((6, 6, 6, 9, 3)), [[-1] * 3, [1] * 3],
-                                          device="cpu")
+    return warpcage.VoxelField.from_dense(np.full((6, 6, 6), 5.0), np.zeros((6, 6, 6, 9, 3)), [[-1] * 3, [1] * 3])
 
 
 @pytest.mark.parametrize("name", list(WRONG))
