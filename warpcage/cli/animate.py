@@ -4,7 +4,7 @@ import hashlib
 import json
 import pathlib
 
-from . import options, outputs
+from . import inputs, options, outputs, view
 from .keyframes import Keyframes, is_preset, pose_file
 from .render import background_option
 
@@ -61,12 +61,12 @@ def run(args):
         raise ValueError("--overlay draws a cage: it needs --cage and --posed")
     if args.show == "masks" and args.cage is None:
         raise ValueError("--show masks needs a deformation: --cage and --posed")
-    rest = options.read_rest(args)
+    rest = inputs.read_rest(args)
     keyframes = None if rest is None else Keyframes(rest, args.posed, args.interpolation, args.cage_up)
-    field = options.read_field(args)
-    points = options.visible_points(field) if rest is None else keyframes.vertices
+    field = inputs.read_field(args)
+    points = inputs.visible_points(field) if rest is None else keyframes.vertices
     cameras = _chosen_cameras(args, points)
-    renderer = field if rest is None else options.make_deformer(field, rest, args)
+    renderer = field if rest is None else inputs.make_deformer(field, rest, args)
     shot = _Shot(renderer, keyframes, cameras, args)
 
     from tqdm import tqdm
@@ -136,15 +136,15 @@ class _Shot:
 def _chosen_cameras(args, points) -> list:
     """One camera a frame."""
     if args.cameras is None:
-        camera, pivot = options.chosen_camera(args, points), options.chosen_target(args, points)
+        camera, pivot = view.chosen_camera(args, points), view.chosen_target(args, points)
         return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)
     if any(given is not None for given in (args.turn, args.camera, args.eye, args.target)):
         raise ValueError("--cameras and --turn, --camera, --eye or --target exclude each other")
     from ..animation import cameras_along
 
-    cameras, size = options.scene_cameras(args.cameras), options.image_size(args)
+    cameras, size = view.scene_cameras(args.cameras), view.image_size(args)
     if size is not None:
-        cameras = [options.fitted(camera, *size) for camera in cameras]
+        cameras = [view.fitted(camera, *size) for camera in cameras]
     return cameras_along(cameras, args.frames, args.interpolation)
 
 

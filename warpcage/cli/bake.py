@@ -1,6 +1,6 @@
 """`warpcage bake`: a deformed scene as a field of its own."""
 
-from . import options
+from . import inputs, options
 
 NAME = "bake"
 HELP = "resample a deformed field into a new one, which needs no cage and renders faster"
@@ -25,11 +25,11 @@ def run(args):
     output = options.check_output(args.output, (".npz",), "field file")
     if args.cage is None:
         raise ValueError("bake needs a deformation: --cage and --posed")
-    rest, posed = options.read_cages(args)
-    field = options.read_field(args)
+    rest, posed = inputs.read_cages(args)
+    field = inputs.read_field(args)
     from ..bake import bake
 
-    baked = bake(options.make_deformer(field, rest, args).pose(posed), resolution=args.voxels)
+    baked = bake(inputs.make_deformer(field, rest, args).pose(posed), resolution=args.voxels)
     baked.save(output, format=args.format)
     size = "x".join(map(str, baked.resolution))
     print(f"wrote {output}: {baked.voxel_count} voxels of {size}, {output.stat().st_size / 1e6:.1f} MB")

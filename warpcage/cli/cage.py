@@ -2,7 +2,7 @@
 
 import pathlib
 
-from . import options
+from . import inputs, options
 
 NAME = "cage"
 HELP = "put a cage around a field or a mesh"
@@ -60,9 +60,9 @@ def _add_selection(parser):
 def run(args):
     output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
     _check_combination(args)
-    options.quiet_warp()
+    inputs.quiet_warp()
     is_field = pathlib.Path(args.field).suffix.lower() == ".npz"
-    thing = options.read_field(args) if is_field else read_mesh(args.field)
+    thing = inputs.read_field(args) if is_field else read_mesh(args.field)
     from ..cage import Cage
 
     if any(value is not None for value in _selection(args).values()):

@@ -3,7 +3,7 @@
 import json
 import pathlib
 
-from . import options
+from . import inputs, options
 from .keyframes import is_preset, pose_file, read_pose
 
 NAME = "check"
@@ -31,7 +31,7 @@ def add_arguments(parser):
 
 def run(args):
     output = None if args.repair is None else options.check_output(args.repair, options.CAGE_ENDINGS, "cage file")
-    options.quiet_warp()
+    inputs.quiet_warp()
     from ..cage import Cage
 
     cage = Cage.load(args.cage, up=args.cage_up)
@@ -57,7 +57,7 @@ def _enclosed(args) -> dict:
     if args.field is None:
         return {}
     if pathlib.Path(args.field).suffix.lower() == ".npz":
-        return {"field": options.read_field(args)}
+        return {"field": inputs.read_field(args)}
     from .cage import read_mesh
 
     return {"mesh": read_mesh(args.field)}

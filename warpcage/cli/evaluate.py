@@ -2,7 +2,7 @@
 
 import json
 
-from . import options
+from . import inputs, options
 
 NAME = "evaluate"
 HELP = "compare renders of a field with a scene's pictures (PSNR, SSIM)"
@@ -31,7 +31,7 @@ def run(args):
     report = None if args.json is None else options.check_output(args.json, (".json",), "report")
     worst = None if args.worst is None else options.check_output(args.worst, (".png",), "picture")
     options.require_folder(args.scene)
-    field = options.read_field(args)
+    field = inputs.read_field(args)
     from ..evaluation import comparison, error_image, evaluate, mean_psnr
     from ..files import atomic_path
     from ..scene import load_scene

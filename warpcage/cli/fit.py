@@ -1,6 +1,6 @@
 """`warpcage fit`: pictures to a field."""
 
-from . import options
+from . import inputs, options
 
 NAME = "fit"
 HELP = "fit a radiance field to the pictures of a scene"
@@ -48,7 +48,7 @@ def run(args):
     output = options.check_output(args.output, (".npz",), "field file")
     checkpoint = None if args.checkpoint is None else options.check_output(args.checkpoint, (".npz",), "checkpoint")
     options.require_folder(args.scene)
-    device = options.chosen_device(args)
+    device = inputs.chosen_device(args)
     from ..optimize import fit
     from ..scene import load_scene
 

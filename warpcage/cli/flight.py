@@ -2,7 +2,7 @@
 
 import pathlib
 
-from . import options, outputs
+from . import inputs, options, outputs, view
 
 KINDS = ("interpolate", "given")
 
@@ -29,10 +29,10 @@ def run(args, background: dict) -> None:
         raise ValueError(f"--cameras and --{name} exclude each other: that is for one picture")
     if args.cameras == "given" and args.frames is not None:
         raise ValueError("--frames belongs to --cameras interpolate")
-    rest, posed = options.read_cages(args)
+    rest, posed = inputs.read_cages(args)
     cameras = chosen_cameras(args)
-    field = options.read_field(args)
-    renderer = field if rest is None else options.make_deformer(field, rest, args)
+    field = inputs.read_field(args)
+    renderer = field if rest is None else inputs.make_deformer(field, rest, args)
     if posed is not None:
         renderer.pose(posed)
 
@@ -48,9 +48,9 @@ def run(args, background: dict) -> None:
 def chosen_cameras(args) -> list:
     from ..animation import cameras_along
 
-    cameras, size = options.scene_cameras(args.scene), options.image_size(args)
+    cameras, size = view.scene_cameras(args.scene), view.image_size(args)
     if size is not None:
-        cameras = [options.fitted(camera, *size) for camera in cameras]
+        cameras = [view.fitted(camera, *size) for camera in cameras]
     if args.cameras == "given":
         return cameras
     return cameras_along(cameras, args.frames or max(1, 8 * (len(cameras) - 1) + 1))

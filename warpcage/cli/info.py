@@ -3,7 +3,7 @@
 import pathlib
 import platform
 
-from . import options
+from . import inputs, options
 
 NAME = "info"
 HELP = "describe a field, a cage, poses or a scene; without a file: versions and devices"
@@ -57,7 +57,7 @@ def _machine():
     import numpy
     import warp
 
-    options.quiet_warp()
+    inputs.quiet_warp()
     warp.init()
     rows = [("warpcage", options.package_version()), ("warp", warp.__version__), ("numpy", numpy.__version__),
             ("python", platform.python_version()), ("platform", platform.platform())]
@@ -73,7 +73,7 @@ def _device_line(device) -> str:
 
 
 def _field(path, args):
-    field = options.read_field(args)
+    field = inputs.read_field(args)
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
     density = field.grid.density.numpy()
     weights = None if field.weights is None else field.weights.numpy()
@@ -93,7 +93,7 @@ def _layers(background) -> str:
 
 
 def _cage(path):
-    options.quiet_warp()
+    inputs.quiet_warp()
     from ..cage import Cage
 
     cage = Cage.load(path)
@@ -108,7 +108,7 @@ def _cage(path):
 
 
 def _poses(path):
-    options.quiet_warp()
+    inputs.quiet_warp()
     import numpy as np
 
     from ..pose_file import PoseFile

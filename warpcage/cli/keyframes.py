@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pathlib
 import re
-
-from . import options
+import sys
 
 #: Preset -> what it takes, the amount that changes nothing, and how many names of axes it may have.
 PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0, 1), "stretch": (1.0, 1),
@@ -74,7 +73,7 @@ def read_poses(rest, text: str, up: str | None = None, usable: bool = True) -> l
             raise ValueError(f"pose file {path!r} holds no keyframes")
         poses = [file[name] for name in ([name] if name else file.names)]
     else:
-        poses = [options.matched(rest, Cage.load(text, up=up), text)]
+        poses = [matched(rest, Cage.load(text, up=up), text)]
     for posed in poses if usable else ():
         posed.require_usable(f"cage {text!r}")
     return poses
@@ -86,6 +85,32 @@ def read_pose(rest, text: str, up: str | None = None, usable: bool = True):
     if len(poses) > 1:
         raise ValueError(f"pose file {text!r} holds {len(poses)} keyframes: name one, as in {text}:NAME")
     return poses[0]
+
+
+def matched(rest, posed, name: str):
+    """`posed` with the vertices and faces of `rest` in their order, saying so where they came in another."""
+    import numpy as np
+
+    try:
+        found = rest.match(posed)
+    except ValueError as error:
+        raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
+    if not np.array_equal(posed.faces, rest.faces) or len(posed.vertices) != len(rest.vertices):
+        print(f"warpcage: cage {name!r} comes in another order than its rest cage: matched", file=sys.stderr)
+    if lies_on_its_side(rest.vertices, found.vertices):
+        print(f"warpcage: warning: cage {name!r} would lie much nearer to its rest cage with another axis up: write "
+              "both with the same one (see --cage-up)", file=sys.stderr)
+    return found
+
+
+def lies_on_its_side(rest, posed) -> bool:
+    """Whether vertices (v, 3) halve their root mean square distance to those at rest when y and z up are exchanged."""
+    import numpy as np
+
+    x, y, z = posed.T
+    exchanged = [np.stack(turned, axis=1) for turned in ((x, -z, y), (x, z, -y))]
+    here, *there = (np.linalg.norm(vertices - rest) for vertices in (posed, *exchanged))
+    return min(there) < 0.5 * here
 
 
 class Keyframes:

@@ -1,6 +1,6 @@
 """`warpcage mesh`: a field's surface."""
 
-from . import options
+from . import inputs, options
 
 NAME = "mesh"
 HELP = "extract the surface of a field as a triangle mesh"
@@ -28,7 +28,7 @@ def add_arguments(parser):
 
 def run(args):
     output = options.check_output(args.output, ENDINGS, "mesh file")
-    field = options.read_field(args)
+    field = inputs.read_field(args)
     from ..files import atomic_path
 
     mesh = field.extract_mesh(threshold=args.threshold, components=args.components)

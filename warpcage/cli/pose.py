@@ -2,7 +2,7 @@
 
 import argparse
 
-from . import options
+from . import inputs, options
 
 NAME = "pose"
 HELP = "bend, twist, taper, stretch, scale, rotate or move a cage"
@@ -56,7 +56,7 @@ def run(args):
     output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
     if not args.steps:
         raise ValueError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
-    options.quiet_warp()
+    inputs.quiet_warp()
     from ..cage import Cage
 
     cage = Cage.load(args.cage, up=args.cage_up)

@@ -1,6 +1,6 @@
 """`warpcage render`: a picture of a field, deformed or not, or many of them."""
 
-from . import flight, options, outputs
+from . import flight, inputs, options, outputs, view
 
 NAME = "render"
 HELP = "render one view of a field, as it is or deformed by a cage"
@@ -46,12 +46,12 @@ def run(args):
     }
     if args.masks is not None and args.cage is None:
         raise ValueError("--masks needs a deformation: --cage and --posed")
-    rest, posed = options.read_cages(args)
-    field = options.read_field(args)
+    rest, posed = inputs.read_cages(args)
+    field = inputs.read_field(args)
     from ..images import write_png
 
-    camera = options.chosen_camera(args, options.visible_points(field, rest, posed))
-    renderer = field if rest is None else options.make_deformer(field, rest, args)
+    camera = view.chosen_camera(args, inputs.visible_points(field, rest, posed))
+    renderer = field if rest is None else inputs.make_deformer(field, rest, args)
     if posed is not None:
         renderer.pose(posed)
     frame = renderer.render(camera, **background_option(args))
