@@ -78,7 +78,8 @@ Scene: {results['scene']}, {results['voxels']:,} voxels; {results['size']}x{resu
 {results['samples']} samples a ray across the deformed scene's box; cage of {results['cage_vertices']} vertices. A frame
 is a new pose (checks, coordinates, lattice, marks) and its picture; median. PSNR is that of one pose's picture against
 the one with the closed form evaluated at every sample that may show something ("precise"); harmonic coordinates have
-none and are compared with {results['harmonic_reference']}³. The paper's figures are of one A100; those of the authors'
+none and are compared with {results['harmonic_reference']}³. The cage is told in benchmarks/NOTES-proof.md. The
+paper's figures are of one A100; those of the authors'
 code, on one H200, are its lattice plus its render with the lattice ready. Green maps lead out of the rest cage in
 places: where a fit leaves a speck of matter at the cage's face, two lattices may cut it differently, and those few
 pixels then decide their PSNR.

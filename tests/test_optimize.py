@@ -313,6 +313,8 @@ def test_psnr_by_hand():
         psnr(np.zeros((4, 4, 3)), np.zeros((4, 3)))  # would broadcast
     with pytest.raises(ValueError, match="divide 8-bit pictures by 255"):
         psnr(np.zeros((2, 2, 3)), np.full((2, 2, 3), 200, np.uint8))
+    with pytest.raises(ValueError, match="one view or more, got none"):
+        mean_psnr([])
 
 
 def test_ssim_and_error_image():

@@ -63,6 +63,8 @@ def load_field(path, *, scene_scale: float = 1.0, device=None) -> VoxelField:
         parts = _read_own(contents, path)
     elif all(name in contents for name in SVOX2_KEYS):
         parts = _read_svox2(contents, path)
+    elif str(contents.get("format", "")) == "warpcage fit":
+        raise ValueError(f"{path} is the checkpoint of a fit, no field yet: run the same fit with it to the end")
     else:
         raise ValueError(f"{path} is neither a warpcage nor a Plenoxels field: it holds {', '.join(sorted(contents))}")
     bounds, links, density, sh, options = parts

@@ -93,5 +93,7 @@ def comparison(renderer, scene):
 
 
 def mean_psnr(rows: list[dict]) -> float:
-    """Mean over views of their PSNR in dB, as papers report it."""
+    """Mean over views of their PSNR in dB, as papers report it. Raises ValueError for no views."""
+    if not rows:
+        raise ValueError("mean_psnr needs the rows of one view or more, got none")
     return float(np.mean([row["psnr"] for row in rows]))
