@@ -431,6 +431,22 @@ def test_bake_then_render(files, tmp_path, format):
     assert np.mean((baked - live) ** 2) < 10**-2.5 < np.mean((rest - live) ** 2)
 
 
+def test_fields_of_scaled_scenes_come_back_to_scale(files, tmp_path, capsys):
+    ball = VoxelField.load(files / "ball.npz", device="cpu")
+    small = VoxelField(ball.bounds * 2 / 3, ball.grid.links.numpy(), ball.grid.density.numpy() * 1.5,
+                       ball.grid.sh.numpy().transpose(0, 2, 1), device="cpu")
+    small.save(tmp_path / "small.npz", format="svox2")
+    view = [*SMALL, "--camera", "@scene:test:1"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "ball.png", *view)
+    succeed(files, "render", tmp_path / "small.npz", "-o", tmp_path / "scaled.png", *view, "--scene-scale", "2/3")
+    succeed(files, "render", tmp_path / "small.npz", "-o", tmp_path / "small.png", *view)
+    ball, scaled, small = (read_image(tmp_path / f"{name}.png") for name in ("ball", "scaled", "small"))
+    assert np.abs(scaled - ball).mean() < 2e-3 < 2e-2 < np.abs(small - ball).mean()
+    for words in (["check", "@cage.obj"], ["cage", "@cage.obj", "-o", tmp_path / "c.obj"], ["info", "@scene"]):
+        assert run(files, *words, "--scene-scale", "0.5") == 2
+        assert "--scene-scale is for fields (.npz), got " in capsys.readouterr().err
+
+
 def test_poses_come_from_pose_files(files, tmp_path, capsys):
     rest = Cage.load(files / "cage.obj")
     path = tmp_path / "pösen.json"

@@ -51,6 +51,7 @@ def add_arguments(parser):
     options.add_background(parser, "the field's own")
     options.add_deformation(parser, keyframes=True)
     options.add_view(parser)
+    options.add_scene_scale(parser)
     options.add_device(parser)
     options.add_quiet(parser)
 
@@ -181,7 +182,7 @@ def _checked_output(text: str) -> pathlib.Path:
 def _settings(args, cameras) -> dict:
     """What decides how frames look, so that a folder never mixes two films."""
     names = ("frames", "motion", "interpolation", "turn", "show", "overlay", "background", "coordinates", "resolution",
-             "density", "cage_up")
+             "density", "cage_up", "scene_scale")
     settings = {name: getattr(args, name) for name in names}
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()

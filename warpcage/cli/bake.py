@@ -18,6 +18,7 @@ def add_arguments(parser):
     parser.add_argument("--format", choices=("warpcage", "svox2"), default="warpcage",
                         help="warpcage, or svox2: a Plenoxels checkpoint (default: %(default)s)")
     options.add_deformation(parser)
+    options.add_scene_scale(parser)
     options.add_device(parser)
 
 

@@ -42,6 +42,7 @@ def add_arguments(parser):
     parser.add_argument("--rings", type=options.positive_int, metavar="N",
                         help="pieces of the cylinder along its axis (default: 4)")
     parser.add_argument("--quiet", action="store_true", help="do not tell what is tried")
+    options.add_scene_scale(parser)
     options.add_device(parser)
 
 
@@ -60,6 +61,7 @@ def _add_selection(parser):
 def run(args):
     output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
     _check_combination(args)
+    inputs.require_field_scale(args)
     inputs.quiet_warp()
     is_field = pathlib.Path(args.field).suffix.lower() == ".npz"
     thing = inputs.read_field(args) if is_field else read_mesh(args.field)

@@ -26,10 +26,12 @@ def add_arguments(parser):
                         help="mend what can be mended safely, say what was done, write the cage here and examine it")
     parser.add_argument("--json", action="store_true", help="print the report as JSON instead of a table")
     options.add_cage_up(parser)
+    options.add_scene_scale(parser)
     options.add_device(parser)
 
 
 def run(args):
+    inputs.require_field_scale(args)
     output = None if args.repair is None else options.check_output(args.repair, options.CAGE_ENDINGS, "cage file")
     inputs.quiet_warp()
     from ..cage import Cage

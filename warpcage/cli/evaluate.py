@@ -23,6 +23,7 @@ def add_arguments(parser):
     options.add_background(parser, "the field's own")
     parser.add_argument("--json", metavar="FILE", help="write the figures too")
     parser.add_argument("--worst", metavar="FILE", help="PNG of the worst view: picture, render, and where it errs")
+    options.add_scene_scale(parser)
     options.add_device(parser)
     options.add_quiet(parser)
 

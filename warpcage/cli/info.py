@@ -25,10 +25,12 @@ def add_arguments(parser):
     parser.add_argument("--format", metavar="NAME", help="scene format (default: found out)")
     parser.add_argument("--sheet", metavar="PICTURE",
                         help=f"write a contact sheet of a scene's pictures, {SHEET_PICTURES} at most (.png)")
+    options.add_scene_scale(parser)
     options.add_device(parser)
 
 
 def run(args):
+    inputs.require_field_scale(args)
     sheet = None if args.sheet is None else options.check_output(args.sheet, (".png",), "contact sheet")
     path = None if args.field is None else pathlib.Path(args.field)
     if sheet is not None and not (path is not None and path.is_dir()):

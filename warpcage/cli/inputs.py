@@ -27,10 +27,16 @@ def read_field(args):
     device = chosen_device(args)
     from ..field import VoxelField
 
-    field = VoxelField.load(args.field, device=device)
+    field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=device)
     if getattr(args, "up", field) is None:  # a command with a view
         args.up = tuple(field.up)
     return field
+
+
+def require_field_scale(args) -> None:
+    """Refuse --scene-scale where no field takes it."""
+    if getattr(args, "scene_scale", 1.0) != 1.0 and not str(args.field).lower().endswith(".npz"):
+        raise ValueError(f"--scene-scale is for fields (.npz), got {args.field!r}")
 
 
 def visible_points(field, rest=None, posed=None):

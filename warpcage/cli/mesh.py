@@ -23,6 +23,7 @@ def add_arguments(parser):
                         help="density at the surface, per world unit (default: chosen from the field)")
     parser.add_argument("--components", choices=("largest", "all"), default="largest",
                         help="keep the largest connected part or all (default: %(default)s)")
+    options.add_scene_scale(parser)
     options.add_device(parser)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import fractions
 import pathlib
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
@@ -22,6 +23,12 @@ def package_version() -> str:
 def add_device(parser) -> None:
     parser.add_argument("--device", metavar="NAME",
                         help='Warp device, "cpu" or "cuda:0" (default: CUDA where there is one)')
+
+
+def add_scene_scale(parser) -> None:
+    parser.add_argument("--scene-scale", type=positive_ratio, default=1.0, metavar="FACTOR",
+                        help="factor that a scene's positions were multiplied by before its field was fitted, which is "
+                             "undone: 2/3 for Plenoxels checkpoints of NeRF-synthetic scenes (default: 1)")
 
 
 def add_cage_up(parser) -> None:
@@ -97,6 +104,16 @@ def positive_float(text: str) -> float:
     value = finite_float(text)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"must be positive, got {text!r}")
+    return value
+
+
+def positive_ratio(text: str) -> float:
+    try:
+        value = float(fractions.Fraction(text))
+    except (ValueError, ZeroDivisionError, OverflowError):
+        value = 0.0
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"must be positive, a number or a ratio such as 2/3, got {text!r}")
     return value
 
 

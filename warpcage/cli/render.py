@@ -28,6 +28,7 @@ def add_arguments(parser):
     options.add_background(parser, "the field's own")
     options.add_deformation(parser)
     options.add_view(parser)
+    options.add_scene_scale(parser)
     options.add_device(parser)
 
 
