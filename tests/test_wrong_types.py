@@ -1,5 +1,7 @@
 """Things of another kind than a call takes end in one line that names both, before any work."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,12 @@ def test_another_kind_of_thing_is_named(name, field):
     with pytest.raises(ValueError, match=message) as error:
         call(field)
     assert "\n" not in str(error.value)
+
+
+def test_what_a_device_holds_is_not_pickled(field):
+    for held in (field, warpcage.Deformer(field, CAGE, resolution=16)):
+        with pytest.raises(TypeError, match="is held on a device and not copied between processes: "):
+            pickle.dumps(held)
 
 
 def test_cuda_where_there_is_none_is_one_line(capfd, monkeypatch):

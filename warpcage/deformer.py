@@ -92,6 +92,9 @@ class Deformer:
         self.deformed = cages
         return self
 
+    def __reduce__(self):
+        raise TypeError("a Deformer is held on a device and not copied between processes: make one in each of them")
+
     def _require_pose(self) -> None:
         if self.deformed is None:
             self.pose([None if edit.remove else edit.cage for edit in self.edits])

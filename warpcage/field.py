@@ -114,6 +114,10 @@ class VoxelField:
         bounds = np.round(self.bounds, 4).tolist()
         return f"VoxelField({size}, {self.voxel_count} voxels, bounds {bounds}, {self.device})"
 
+    def __reduce__(self):
+        raise TypeError("a VoxelField is held on a device and not copied between processes: save it, and load the file "
+                        "in each of them")
+
     def sample(self, points, directions):
         """Colour (n, 3) and density (n,) at world points (n, 3) seen along directions (n, 3) of any length but zero.
 

@@ -256,9 +256,9 @@ class PositionMap:
         self._data = data  # whole: sides that there is no memory for leave none
         if self.gap_jump > REPORTED_JUMP:
             warn_caller(
-                f"the deformed cage has gaps narrower than a cell of the {self.coordinates} lattice, which the pose "
-                f"opens by up to {self.gap_jump:.2g} of the rest cage's size: the map is rough there, take a "
-                f"resolution above {self.resolution} or open the gaps"
+                f"a cage has gaps narrower than a cell of its {self.coordinates} lattice, which the map opens by up to "
+                f"{self.gap_jump:.2g} of the size: it is rough there, take a resolution above {self.resolution} or "
+                "open the gaps"
             )
 
     def _take_sides(self, data: CageMap, graph: PoseGraph | None) -> None:
