@@ -432,9 +432,9 @@ def test_bake_then_render(files, tmp_path, format):
 
 
 def test_fields_of_scaled_scenes_come_back_to_scale(files, tmp_path, capsys):
-    ball = VoxelField.load(files / "ball.npz", device="cpu")
+    ball = VoxelField.load(files / "ball.npz")
     small = VoxelField(ball.bounds * 2 / 3, ball.grid.links.numpy(), ball.grid.density.numpy() * 1.5,
-                       ball.grid.sh.numpy().transpose(0, 2, 1), device="cpu")
+                       ball.grid.sh.numpy().transpose(0, 2, 1))
     small.save(tmp_path / "small.npz", format="svox2")
     view = [*SMALL, "--camera", "@scene:test:1"]
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "ball.png", *view)
