@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor, wait
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import warp as wp
 
@@ -85,17 +86,49 @@ def run_parallel(tasks, threads: int | None = None) -> list:
     if (CPU_THREADS if threads is None else threads) <= 1 or len(tasks) == 1:
         return [task() for task in tasks]
     if _pool is None:
-        _pool = ThreadPoolExecutor(CPU_THREADS, thread_name_prefix="warpcage")
-    futures = []
+        _pool = _started_pool()
+    batch = _Batch()
     try:
-        for task in tasks:
-            futures.append(_pool.submit(task))
-        return [future.result() for future in futures]
+        return list(_pool.map(batch.run, tasks))
     except BaseException:
-        for future in futures:
-            future.cancel()
-        wait(futures)
+        batch.stop()
         raise
+
+
+def _started_pool() -> ThreadPoolExecutor:
+    """A pool with all its threads running, as an interrupt that meets the start of one leaves it behind for ever."""
+    pool = ThreadPoolExecutor(CPU_THREADS, thread_name_prefix="warpcage")
+    all_there = threading.Barrier(CPU_THREADS)
+    for future in [pool.submit(all_there.wait, timeout=60) for _ in range(CPU_THREADS)]:
+        future.result()
+    return pool
+
+
+class _Batch:
+    """Tasks of which none begins once it was stopped. It counts those that run, as an interrupt in the middle of
+    handing a task over leaves no future to wait for."""
+
+    def __init__(self):
+        self._changed = threading.Condition()
+        self._running, self._stopped = 0, False
+
+    def run(self, task):
+        with self._changed:
+            if self._stopped:
+                return None
+            self._running += 1
+        try:
+            return task()
+        finally:
+            with self._changed:
+                self._running -= 1
+                self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Let none begin any more, and wait for those that run."""
+        with self._changed:
+            self._stopped = True
+            self._changed.wait_for(lambda: self._running == 0)
 
 
 def _forget_pool() -> None:
