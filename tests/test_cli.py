@@ -8,49 +8,19 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 import warp as wp
+from cli_runs import DEFORMED, run, succeed, write_files
 
-from warpcage.cage import Cage
 from warpcage.cli import COMMANDS, main
 from warpcage.field import VoxelField
 from warpcage.images import read_image
 from warpcage.notices import warn_caller
-from warpcage.pose_file import PoseFile
-from warpcage.synthetic import write_brick_scene
 
 NAMES = [module.NAME for module in COMMANDS]
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A ball as field and mesh, a box around it at rest and posed, a small scene."""
-    folder = tmp_path_factory.mktemp("cli")
-    x, y, z = np.meshgrid(*[(np.arange(24) + 0.5) / 12 - 1] * 3, indexing="ij")
-    density = np.where(x**2 + y**2 + z**2 < 0.3, 40.0, 0.0)
-    sh = np.zeros((24, 24, 24, 9, 3))
-    sh[..., 0, :] = np.where(z[..., None] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])
-    VoxelField.from_dense(density, sh, [[-1, -1, -1], [1, 1, 1]]).save(folder / "ball.npz")
-    cage = Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7), segments=2)
-    cage.save(folder / "cage.obj")
-    cage.bend(40, axis="x", towards="z").save(folder / "posed.obj")
-    Cage(cage.vertices, cage.faces[1:]).save(folder / "open.obj")
-    Cage(cage.vertices, cage.faces[:, ::-1]).save(folder / "inward.obj")
-    Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7)).save(folder / "other.obj")
-    Cage(cage.vertices, np.roll(cage.faces, 1, axis=0)).save(folder / "shuffled.obj")
-    (folder / "text.txt").write_text("text")
-    (folder / "broken.npz").write_bytes(b"no archive")
-    (folder / "broken.obj").write_text("v 0 0 zero\n")
-    (folder / "empty").mkdir()
-    write_brick_scene(folder / "scene", train_views=6, test_views=2, size=24)
-    return folder
-
-
-def run(files, *words):
-    """main with file names of the folder put in for {name}."""
-    return main([str(word).replace("@", f"{files}/") for word in words])
-
-
-def succeed(files, *words):
-    assert run(files, *words) == 0
+    return write_files(tmp_path_factory.mktemp("cli"))
 
 
 # Help and wrong input
@@ -91,7 +61,6 @@ def test_help_lists_every_command(capsys):
     assert capsys.readouterr().out.startswith("warpcage ")
 
 
-DEFORMED = ("--cage", "@cage.obj", "--posed", "@posed.obj")
 BAD = {
     "no command": ([], None),
     "unknown command": (["dance"], "dance"),
@@ -183,7 +152,7 @@ def test_interruption_leaves_nothing_and_status_130(files, capsys, monkeypatch):
     assert sorted(files.rglob("*")) == before
 
 
-# What commands do
+# Fields, scenes and files
 
 
 def test_fit_and_evaluate(files, capsys, tmp_path, device):
@@ -228,295 +197,6 @@ def test_evaluate_says_where_it_errs(files, capsys, tmp_path):
     errors = picture[:, 56:80, :3]
     np.testing.assert_allclose(errors[3, 4], [0.85, 0, 0], atol=0.01)
     assert (np.ptp(errors, axis=-1) > 0.1).sum() == 1
-
-
-@pytest.mark.parametrize("ending", ["obj", "ply", "stl", "glb"])
-def test_mesh(files, tmp_path, ending):
-    import trimesh
-
-    succeed(files, "mesh", "@ball.npz", "-o", tmp_path / f"ball.{ending}")
-    mesh = trimesh.load(tmp_path / f"ball.{ending}", force="mesh")
-    radius = np.linalg.norm(mesh.vertices, axis=1)
-    assert 0.4 < radius.min() and radius.max() < 0.7
-
-
-def test_gltf_meshes_stand_upright(tmp_path, capsys):
-    import trimesh
-
-    density = np.zeros((24, 24, 24))
-    density[4:8, 6:18, 2:22] = 40.0  # of another size along each axis, off the middle
-    field = VoxelField.from_dense(density, np.zeros((24, 24, 24, 9, 3)), [[-1, -1, -1], [1, 1, 1]])
-    field.save(tmp_path / "slab.npz")
-    bounds = []
-    for ending in ("obj", "glb"):
-        assert main(["mesh", str(tmp_path / "slab.npz"), "-o", str(tmp_path / f"slab.{ending}")]) == 0
-        assert main(["cage", str(tmp_path / f"slab.{ending}"), "-o", str(tmp_path / "box.obj"), "--box"]) == 0
-        bounds.append(Cage.load(tmp_path / "box.obj").bounds)
-    np.testing.assert_allclose(*bounds, atol=1e-6)
-    x, y, z = trimesh.load(tmp_path / "slab.obj", force="mesh").bounds.T
-    there = trimesh.load(tmp_path / "slab.glb", force="mesh").bounds
-    np.testing.assert_allclose(there, np.stack([x, z, -y[::-1]], axis=1), atol=1e-6)  # glTF: y up, z towards us
-    said = [line.split(", from ")[1] for line in capsys.readouterr().out.splitlines() if "slab" in line]
-    assert len(said) == 2 and said[0] == said[1]  # world coordinates in both
-
-
-def test_a_cage_around_a_mesh_says_one_line(files, tmp_path):
-    words = ["cage", files / "posed.obj", "-o", tmp_path / "cage.obj", "--vertices", "30", "--method", "shell",
-             "--quiet"]
-    done = subprocess.run([sys.executable, "-m", "warpcage", *map(str, words)], capture_output=True, text=True)
-    assert done.returncode == 0 and done.stdout.startswith("wrote ") and done.stdout.count("\n") == 1
-
-
-@pytest.mark.parametrize("shape", [["--box"], ["--box", "--segments", 2, 3, 1], ["--box", "--margin", 0.2],
-                                   ["--cylinder"], ["--cylinder", "--axis", "x", "--sides", 7, "--rings", 2]])
-@pytest.mark.parametrize("source", ["@ball.npz", "@posed.obj"])
-def test_simple_cages_hold_the_object(files, tmp_path, shape, source):
-    succeed(files, "cage", source, "-o", tmp_path / "cage.ply", *shape)
-    cage = Cage.load(tmp_path / "cage.ply")
-    cage.require_usable()
-    ball = np.random.default_rng(0).normal(size=(200, 3))
-    points = 0.54 * ball / np.linalg.norm(ball, axis=1, keepdims=True)
-    points = Cage.load(files / "posed.obj").vertices if source == "@posed.obj" else points
-    assert cage.contains(points).all()
-
-
-def test_wrapped_cage_holds_the_object(files, tmp_path):
-    pytest.importorskip("pymeshlab")
-    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "cage.obj", "--vertices", 60)
-    cage = Cage.load(tmp_path / "cage.obj")
-    cage.require_usable()
-    assert 30 <= len(cage.vertices) <= 90
-    directions = np.random.default_rng(0).normal(size=(200, 3))
-    assert cage.contains(0.53 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).all()
-
-
-def test_cage_of_a_part_of_a_field(files, tmp_path, capsys):
-    words = ["--in-box", -1, -1, 0, 1, 1, 1, "--floaters", 0.1, "--method", "voxel", "--symmetry", "x",
-             "--vertices", 60]
-    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "half.glb", *words)
-    assert "left out" in capsys.readouterr().out
-    cage = Cage.load(tmp_path / "half.glb")
-    cage.require_usable()
-    assert cage.bounds[0, 2] > -0.35 and cage.contains([[0, 0, 0.4]])[0]
-    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "box.ply", "--box", "--in-box", -1, -1, 0, 1, 1, 1)
-    assert Cage.load(tmp_path / "box.ply").bounds[0, 2] > -0.1
-
-
-def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
-    rest = Cage.load(files / "cage.obj")
-    out = tmp_path / "posed.off"
-    succeed(files, "pose", "@cage.obj", "-o", out, "--translate", 1, 0, 0, "--scale", 2, "--centre", 0, 0, 0)
-    np.testing.assert_allclose(Cage.load(out).vertices, 2 * (rest.vertices + [1, 0, 0]))
-    succeed(files, "pose", "@cage.obj", "-o", out, "--scale", 2, "--translate", 1, 0, 0, "--centre", 0, 0, 0)
-    np.testing.assert_allclose(Cage.load(out).vertices, 2 * rest.vertices + [1, 0, 0])
-    words = ["--bend", -40, "--axis", "x", "--towards=-y", "--limits", 0.2, 0.9]
-    succeed(files, "pose", "@cage.obj", "-o", out, *words)
-    np.testing.assert_allclose(Cage.load(out).vertices,
-                               rest.bend(-40, axis="x", towards="-y", limits=(0.2, 0.9)).vertices)
-    succeed(files, "pose", "@cage.obj", "-o", out, "--twist", 30, "--taper", 0.5, "--stretch", 1.5, "--rotate", 20)
-    expected = rest.twist(30).taper(0.5).stretch(1.5).rotate(20)
-    np.testing.assert_allclose(Cage.load(out).vertices, expected.vertices)
-    np.testing.assert_array_equal(Cage.load(out).faces, rest.faces)
-    rest.save(tmp_path / "y.obj", up="y")
-    succeed(files, "pose", tmp_path / "y.obj", "-o", tmp_path / "y.ply", "--stretch", 2, "--cage-up", "y")
-    np.testing.assert_allclose(Cage.load(tmp_path / "y.ply", up="y").vertices, rest.stretch(2.0).vertices)
-    assert "twist 30.0, taper 0.5" in capsys.readouterr().out
-
-
-SMALL = ("--size", "40", "--coordinates", "mean_value", "--resolution", "24")
-
-
-def test_render_of_a_plain_field(files, tmp_path):
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "ball.png", "--disparity", tmp_path / "disparity.png",
-            *SMALL, "--eye", 0, -3, 0, "--target", 0, 0, 0, "--fov", 50, "--background", "black")
-    image = read_image(tmp_path / "ball.png")
-    assert image.shape == (40, 40, 3)
-    assert (image[0] == 0).all() and image[15, 20].argmax() == 0 and image[25, 20].argmax() == 2
-    disparity = read_image(tmp_path / "disparity.png")
-    assert (disparity[0] == 0).all() and disparity[20, 20].sum() > disparity[20, 11].sum() > 0
-
-
-def test_render_at_rest_is_the_plain_render_and_a_pose_shows(files, tmp_path):
-    view = [*SMALL, "--camera", "@scene:test:1"]
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "plain.png", *view)
-    resting = ["--cage", "@cage.obj", "--posed", "@cage.obj"]
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "rest.png", *view, *resting)
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "posed.png", *view, *DEFORMED)
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "over.png", *view, *DEFORMED, "--overlay")
-    plain, rest, posed, over = (read_image(tmp_path / f"{name}.png") for name in ("plain", "rest", "posed", "over"))
-    assert np.abs(plain - rest).mean() < 0.004
-    assert np.abs(plain - posed).mean() > 0.02
-    assert 0.02 < (np.abs(over - posed).max(axis=-1) > 0.1).mean() < 0.7
-
-
-def test_a_posed_cage_in_another_order_is_matched(files, tmp_path, capsys):
-    view = [*SMALL, "--camera", "@scene:test:1", "--cage", "@cage.obj"]
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "plain.png", *view, "--posed", "@cage.obj")
-    assert "matched" not in capsys.readouterr().err
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "shuffled.png", *view, "--posed", "@shuffled.obj")
-    assert "matched" in capsys.readouterr().err
-    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "shuffled.png").read_bytes()
-
-
-def test_camera_of_a_scene_has_its_size(files, tmp_path, device):
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "view.png", "--camera", "@scene:3", "--device", device)
-    assert read_image(tmp_path / "view.png").shape == (24, 24, 3)
-
-
-@pytest.mark.parametrize("ending", ["mp4", "gif"])
-def test_animate_film(files, tmp_path, ending):
-    path = tmp_path / f"film.{ending}"
-    succeed(files, "animate", "@ball.npz", "-o", path, *DEFORMED, *SMALL, "--frames", 4, "--quiet", "--turn", 0)
-    frames = iio.imread(path, plugin="pyav" if ending == "mp4" else None).astype(float)
-    assert frames.shape[:3] == (4, 40, 40)
-    change = [np.abs(frame - frames[0]).mean() for frame in frames]
-    assert change[2] > change[1] > 1.0 and change[1] == pytest.approx(change[3], abs=1.0)  # there and back
-
-
-def test_animate_goes_through_keyframes_and_cameras(files, tmp_path):
-    path = tmp_path / "film.gif"
-    words = ["animate", "@ball.npz", "-o", path, "--cage", "@cage.obj", *SMALL, "--quiet", "--motion", "once"]
-    succeed(files, *words, "--posed", "@posed.obj", "rest", "--frames", 3, "--turn", 0, "--interpolation", "linear")
-    frames = iio.imread(path).astype(float)
-    assert len(frames) == 3 and np.abs(frames[0] - frames[2]).mean() < 2.0 < np.abs(frames[0] - frames[1]).mean()
-    (path.parent / "cams").mkdir()
-    folder = tmp_path / "cams" / "frames"
-    words[3] = folder
-    succeed(files, *words, "--posed", "rest", "--frames", 3, "--cameras", "@scene:test", "--overlay")
-    first = read_image(folder / "frame_0000.png")
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "one.png", "--cage", "@cage.obj", "--posed", "rest",
-            "--camera", "@scene:test:0", *SMALL, "--overlay")
-    assert np.abs(first - read_image(tmp_path / "one.png")).mean() < 0.01
-
-
-@pytest.mark.parametrize("kind", ["alpha", "depth", "disparity", "masks"])
-def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
-    folder = tmp_path / kind
-    words = ["animate", "@ball.npz", "-o", folder, "--cage", "@cage.obj", "--posed", "translate:0:0:1.5", *SMALL,
-             "--frames", 4, "--quiet", "--turn", 0, "--show", kind]
-    succeed(files, *words)
-    said = capsys.readouterr().err
-    assert ("uncovered" in said and "% of the film" in said) == (kind == "masks")
-    whole = [(folder / f"frame_000{index}.png").read_bytes() for index in range(4)]
-    assert read_image(folder / "frame_0001.png").std() > 0.05
-    (folder / "frame_0001.png").unlink()
-    succeed(files, *words)  # with the same scale of colours
-    assert [(folder / f"frame_000{index}.png").read_bytes() for index in range(4)] == whole
-
-
-def test_render_writes_masks_when_asked_and_warns(files, tmp_path, capsys):
-    view = ["render", "@ball.npz", "-o", tmp_path / "a.png", *SMALL, "--cage", "@cage.obj",
-            "--posed", "translate:0:0:1"]
-    succeed(files, *view)
-    assert "warning" not in capsys.readouterr().err
-    extra = [word for kind in ("masks", "depth", "alpha") for word in (f"--{kind}", tmp_path / f"{kind}.png")]
-    succeed(files, *view, *extra)
-    warning = capsys.readouterr().err
-    assert warning.startswith("warpcage: warning: ") and "uncovered" in warning
-    masks, alpha = read_image(tmp_path / "masks.png"), read_image(tmp_path / "alpha.png")
-    blue = masks[..., 2] - masks[..., 0] > 0.3
-    assert 0.02 < blue.mean() < 0.6
-    assert float(warning.split("warning: ")[1].split()[0]) == pytest.approx(100 * blue.mean(), abs=3.0)
-    assert alpha.max() > 0.95 and alpha.min() == 0 and read_image(tmp_path / "depth.png").max() > 0.5
-
-
-@pytest.mark.parametrize("format", ["warpcage", "svox2"])
-def test_bake_then_render(files, tmp_path, format):
-    view = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
-    succeed(files, "bake", "@ball.npz", "-o", tmp_path / "bent.npz", *DEFORMED, "--format", format, "--voxels", 60)
-    succeed(files, "render", tmp_path / "bent.npz", "-o", tmp_path / "baked.png", *view)
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "live.png", *DEFORMED, *view)
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "rest.png", *view)
-    baked, live, rest = (read_image(tmp_path / f"{name}.png") for name in ("baked", "live", "rest"))
-    assert np.mean((baked - live) ** 2) < 10**-2.5 < np.mean((rest - live) ** 2)
-
-
-def test_fields_of_scaled_scenes_come_back_to_scale(files, tmp_path, capsys):
-    ball = VoxelField.load(files / "ball.npz")
-    small = VoxelField(ball.bounds * 2 / 3, ball.grid.links.numpy(), ball.grid.density.numpy() * 1.5,
-                       ball.grid.sh.numpy().transpose(0, 2, 1))
-    small.save(tmp_path / "small.npz", format="svox2")
-    view = [*SMALL, "--camera", "@scene:test:1"]
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "ball.png", *view)
-    succeed(files, "render", tmp_path / "small.npz", "-o", tmp_path / "scaled.png", *view, "--scene-scale", "2/3")
-    succeed(files, "render", tmp_path / "small.npz", "-o", tmp_path / "small.png", *view)
-    ball, scaled, small = (read_image(tmp_path / f"{name}.png") for name in ("ball", "scaled", "small"))
-    assert np.abs(scaled - ball).mean() < 2e-3 < 2e-2 < np.abs(small - ball).mean()
-    for words in (["check", "@cage.obj"], ["cage", "@cage.obj", "-o", tmp_path / "c.obj"], ["info", "@scene"]):
-        assert run(files, *words, "--scene-scale", "0.5") == 2
-        assert "--scene-scale is for fields (.npz), got " in capsys.readouterr().err
-
-
-def test_poses_come_from_pose_files(files, tmp_path, capsys):
-    rest = Cage.load(files / "cage.obj")
-    path = tmp_path / "pösen.json"
-    PoseFile(rest, {"bent": Cage.load(files / "posed.obj"), "small one": rest.scale(0.8)}).save(path)
-    view = [*SMALL, "--camera", "@scene:test:1"]
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "file.png", *view, *DEFORMED)
-    words = ["--cage", "@cage.obj", "--posed"]
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "named.png", *view, *words, f"{path}:bent")
-    assert (tmp_path / "file.png").read_bytes() == (tmp_path / "named.png").read_bytes()
-
-    film = [*view, "--frames", 3, "--motion", "once", "--quiet", *words]
-    for folder, poses in (("whole", [path]), ("single", [f"{path}:bent", f"{path}:small one"])):
-        succeed(files, "animate", "@ball.npz", "-o", tmp_path / folder, *film, *poses)
-    for k in range(3):
-        one, two = ((tmp_path / folder / f"frame_000{k}.png").read_bytes() for folder in ("whole", "single"))
-        assert one == two
-    assert run(files, "animate", "@ball.npz", "-o", tmp_path / "single", *film, f"{path}:bent") == 2  # another film
-    assert "other posed" in capsys.readouterr().err
-
-    for pose in (f"{path}:bent", "bend:40:x:z"):
-        succeed(files, "check", "@cage.obj", "--posed", pose)
-        assert "pose: usable" in capsys.readouterr().out
-    for pose, said in ((path, "holds 2 keyframes: name one"), (f"{path}:no", "no keyframe 'no': bent, small one"),
-                       (tmp_path / "none.json", "is not there")):
-        assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *view, *words, pose) == 2
-        error = capsys.readouterr().err
-        assert said in error and error.count("\n") == 1
-
-
-def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):
-    rest, posed = (Cage.load(files / f"{name}.obj") for name in ("cage", "posed"))
-    for name, cage in (("rest", rest), ("posed", posed)):
-        cage.save(tmp_path / f"{name}.obj", up="y")
-    turned = ["--cage", tmp_path / "rest.obj", "--posed", tmp_path / "posed.obj", "--cage-up", "y"]
-    view = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
-    for deformation, name in ((DEFORMED, "z"), (turned, "y")):
-        succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{name}.png", *view, *deformation)
-        succeed(files, "animate", "@ball.npz", "-o", tmp_path / name, *view, *deformation, "--frames", 2, "--quiet")
-        succeed(files, "bake", "@ball.npz", "-o", tmp_path / f"{name}.npz", *deformation, "--voxels", 16)
-    assert "warning" not in capsys.readouterr().err
-    assert np.abs(read_image(tmp_path / "y.png") - read_image(tmp_path / "z.png")).max() < 0.02
-    one, two = (read_image(tmp_path / name / "frame_0001.png") for name in "yz")
-    assert np.abs(one - two).max() < 0.02
-    one, two = (VoxelField.load(tmp_path / f"{name}.npz") for name in "yz")
-    np.testing.assert_allclose(one.bounds, two.bounds, atol=1e-6)
-
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "mixed.png", *view, "--cage", "@cage.obj", "--posed",
-            tmp_path / "posed.obj")
-    assert "with another axis up" in capsys.readouterr().err
-
-
-def test_animate_takes_a_folder_up_where_it_was_left(files, tmp_path, capsys):
-    folder = tmp_path / "frames"
-    words = ["animate", "@ball.npz", "-o", folder, *SMALL, "--frames", 3, "--quiet"]
-    succeed(files, *words)
-    names = sorted(path.name for path in folder.glob("*.png"))
-    assert names == ["frame_0000.png", "frame_0001.png", "frame_0002.png"]
-    content = (folder / "frame_0001.png").read_bytes()
-    (folder / "frame_0001.png").unlink()
-    kept = (folder / "frame_0002.png").stat().st_mtime_ns
-    capsys.readouterr()
-    succeed(files, *words)
-    assert "1 frames, 2 were there" in capsys.readouterr().out
-    assert (folder / "frame_0001.png").read_bytes() == content
-    assert (folder / "frame_0002.png").stat().st_mtime_ns == kept
-
-    assert run(files, *words, "--turn", 90) == 2
-    assert "another film (other turn" in capsys.readouterr().err
-    (folder / "animation.json").unlink()
-    assert run(files, *words) == 2
 
 
 def test_info(files, capsys):

@@ -1,0 +1,109 @@
+"""Meshes, cages and poses from the command line."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+from cli_runs import succeed, write_files
+
+from warpcage.cage import Cage
+from warpcage.cli import main
+from warpcage.field import VoxelField
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_files(tmp_path_factory.mktemp("cli"))
+
+
+@pytest.mark.parametrize("ending", ["obj", "ply", "stl", "glb"])
+def test_mesh(files, tmp_path, ending):
+
+    succeed(files, "mesh", "@ball.npz", "-o", tmp_path / f"ball.{ending}")
+    mesh = trimesh.load(tmp_path / f"ball.{ending}", force="mesh")
+    radius = np.linalg.norm(mesh.vertices, axis=1)
+    assert 0.4 < radius.min() and radius.max() < 0.7
+
+
+def test_gltf_meshes_stand_upright(tmp_path, capsys):
+
+    density = np.zeros((24, 24, 24))
+    density[4:8, 6:18, 2:22] = 40.0  # of another size along each axis, off the middle
+    field = VoxelField.from_dense(density, np.zeros((24, 24, 24, 9, 3)), [[-1, -1, -1], [1, 1, 1]])
+    field.save(tmp_path / "slab.npz")
+    bounds = []
+    for ending in ("obj", "glb"):
+        assert main(["mesh", str(tmp_path / "slab.npz"), "-o", str(tmp_path / f"slab.{ending}")]) == 0
+        assert main(["cage", str(tmp_path / f"slab.{ending}"), "-o", str(tmp_path / "box.obj"), "--box"]) == 0
+        bounds.append(Cage.load(tmp_path / "box.obj").bounds)
+    np.testing.assert_allclose(*bounds, atol=1e-6)
+    x, y, z = trimesh.load(tmp_path / "slab.obj", force="mesh").bounds.T
+    there = trimesh.load(tmp_path / "slab.glb", force="mesh").bounds
+    np.testing.assert_allclose(there, np.stack([x, z, -y[::-1]], axis=1), atol=1e-6)  # glTF: y up, z towards us
+    said = [line.split(", from ")[1] for line in capsys.readouterr().out.splitlines() if "slab" in line]
+    assert len(said) == 2 and said[0] == said[1]  # world coordinates in both
+
+
+def test_a_cage_around_a_mesh_says_one_line(files, tmp_path):
+    words = ["cage", files / "posed.obj", "-o", tmp_path / "cage.obj", "--vertices", "30", "--method", "shell",
+             "--quiet"]
+    done = subprocess.run([sys.executable, "-m", "warpcage", *map(str, words)], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("wrote ") and done.stdout.count("\n") == 1
+
+
+@pytest.mark.parametrize("shape", [["--box"], ["--box", "--segments", 2, 3, 1], ["--box", "--margin", 0.2],
+                                   ["--cylinder"], ["--cylinder", "--axis", "x", "--sides", 7, "--rings", 2]])
+@pytest.mark.parametrize("source", ["@ball.npz", "@posed.obj"])
+def test_simple_cages_hold_the_object(files, tmp_path, shape, source):
+    succeed(files, "cage", source, "-o", tmp_path / "cage.ply", *shape)
+    cage = Cage.load(tmp_path / "cage.ply")
+    cage.require_usable()
+    ball = np.random.default_rng(0).normal(size=(200, 3))
+    points = 0.54 * ball / np.linalg.norm(ball, axis=1, keepdims=True)
+    points = Cage.load(files / "posed.obj").vertices if source == "@posed.obj" else points
+    assert cage.contains(points).all()
+
+
+def test_wrapped_cage_holds_the_object(files, tmp_path):
+    pytest.importorskip("pymeshlab")
+    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "cage.obj", "--vertices", 60)
+    cage = Cage.load(tmp_path / "cage.obj")
+    cage.require_usable()
+    assert 30 <= len(cage.vertices) <= 90
+    directions = np.random.default_rng(0).normal(size=(200, 3))
+    assert cage.contains(0.53 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).all()
+
+
+def test_cage_of_a_part_of_a_field(files, tmp_path, capsys):
+    words = ["--in-box", -1, -1, 0, 1, 1, 1, "--floaters", 0.1, "--method", "voxel", "--symmetry", "x",
+             "--vertices", 60]
+    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "half.glb", *words)
+    assert "left out" in capsys.readouterr().out
+    cage = Cage.load(tmp_path / "half.glb")
+    cage.require_usable()
+    assert cage.bounds[0, 2] > -0.35 and cage.contains([[0, 0, 0.4]])[0]
+    succeed(files, "cage", "@ball.npz", "-o", tmp_path / "box.ply", "--box", "--in-box", -1, -1, 0, 1, 1, 1)
+    assert Cage.load(tmp_path / "box.ply").bounds[0, 2] > -0.1
+
+
+def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
+    rest = Cage.load(files / "cage.obj")
+    out = tmp_path / "posed.off"
+    succeed(files, "pose", "@cage.obj", "-o", out, "--translate", 1, 0, 0, "--scale", 2, "--centre", 0, 0, 0)
+    np.testing.assert_allclose(Cage.load(out).vertices, 2 * (rest.vertices + [1, 0, 0]))
+    succeed(files, "pose", "@cage.obj", "-o", out, "--scale", 2, "--translate", 1, 0, 0, "--centre", 0, 0, 0)
+    np.testing.assert_allclose(Cage.load(out).vertices, 2 * rest.vertices + [1, 0, 0])
+    words = ["--bend", -40, "--axis", "x", "--towards=-y", "--limits", 0.2, 0.9]
+    succeed(files, "pose", "@cage.obj", "-o", out, *words)
+    np.testing.assert_allclose(Cage.load(out).vertices,
+                               rest.bend(-40, axis="x", towards="-y", limits=(0.2, 0.9)).vertices)
+    succeed(files, "pose", "@cage.obj", "-o", out, "--twist", 30, "--taper", 0.5, "--stretch", 1.5, "--rotate", 20)
+    expected = rest.twist(30).taper(0.5).stretch(1.5).rotate(20)
+    np.testing.assert_allclose(Cage.load(out).vertices, expected.vertices)
+    np.testing.assert_array_equal(Cage.load(out).faces, rest.faces)
+    rest.save(tmp_path / "y.obj", up="y")
+    succeed(files, "pose", tmp_path / "y.obj", "-o", tmp_path / "y.ply", "--stretch", 2, "--cage-up", "y")
+    np.testing.assert_allclose(Cage.load(tmp_path / "y.ply", up="y").vertices, rest.stretch(2.0).vertices)
+    assert "twist 30.0, taper 0.5" in capsys.readouterr().out

@@ -1,0 +1,209 @@
+"""Pictures, films and baked fields of deformed scenes from the command line."""
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+
+from warpcage.cage import Cage
+from warpcage.field import VoxelField
+from warpcage.images import read_image
+from warpcage.pose_file import PoseFile
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_files(tmp_path_factory.mktemp("cli"))
+
+
+def test_render_of_a_plain_field(files, tmp_path):
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "ball.png", "--disparity", tmp_path / "disparity.png",
+            *SMALL, "--eye", 0, -3, 0, "--target", 0, 0, 0, "--fov", 50, "--background", "black")
+    image = read_image(tmp_path / "ball.png")
+    assert image.shape == (40, 40, 3)
+    assert (image[0] == 0).all() and image[15, 20].argmax() == 0 and image[25, 20].argmax() == 2
+    disparity = read_image(tmp_path / "disparity.png")
+    assert (disparity[0] == 0).all() and disparity[20, 20].sum() > disparity[20, 11].sum() > 0
+
+
+def test_render_at_rest_is_the_plain_render_and_a_pose_shows(files, tmp_path):
+    view = [*SMALL, "--camera", "@scene:test:1"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "plain.png", *view)
+    resting = ["--cage", "@cage.obj", "--posed", "@cage.obj"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "rest.png", *view, *resting)
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "posed.png", *view, *DEFORMED)
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "over.png", *view, *DEFORMED, "--overlay")
+    plain, rest, posed, over = (read_image(tmp_path / f"{name}.png") for name in ("plain", "rest", "posed", "over"))
+    assert np.abs(plain - rest).mean() < 0.004
+    assert np.abs(plain - posed).mean() > 0.02
+    assert 0.02 < (np.abs(over - posed).max(axis=-1) > 0.1).mean() < 0.7
+
+
+def test_a_posed_cage_in_another_order_is_matched(files, tmp_path, capsys):
+    view = [*SMALL, "--camera", "@scene:test:1", "--cage", "@cage.obj"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "plain.png", *view, "--posed", "@cage.obj")
+    assert "matched" not in capsys.readouterr().err
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "shuffled.png", *view, "--posed", "@shuffled.obj")
+    assert "matched" in capsys.readouterr().err
+    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "shuffled.png").read_bytes()
+
+
+def test_camera_of_a_scene_has_its_size(files, tmp_path, device):
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "view.png", "--camera", "@scene:3", "--device", device)
+    assert read_image(tmp_path / "view.png").shape == (24, 24, 3)
+
+
+@pytest.mark.parametrize("ending", ["mp4", "gif"])
+def test_animate_film(files, tmp_path, ending):
+    path = tmp_path / f"film.{ending}"
+    succeed(files, "animate", "@ball.npz", "-o", path, *DEFORMED, *SMALL, "--frames", 4, "--quiet", "--turn", 0)
+    frames = iio.imread(path, plugin="pyav" if ending == "mp4" else None).astype(float)
+    assert frames.shape[:3] == (4, 40, 40)
+    change = [np.abs(frame - frames[0]).mean() for frame in frames]
+    assert change[2] > change[1] > 1.0 and change[1] == pytest.approx(change[3], abs=1.0)  # there and back
+
+
+def test_animate_goes_through_keyframes_and_cameras(files, tmp_path):
+    path = tmp_path / "film.gif"
+    words = ["animate", "@ball.npz", "-o", path, "--cage", "@cage.obj", *SMALL, "--quiet", "--motion", "once"]
+    succeed(files, *words, "--posed", "@posed.obj", "rest", "--frames", 3, "--turn", 0, "--interpolation", "linear")
+    frames = iio.imread(path).astype(float)
+    assert len(frames) == 3 and np.abs(frames[0] - frames[2]).mean() < 2.0 < np.abs(frames[0] - frames[1]).mean()
+    (path.parent / "cams").mkdir()
+    folder = tmp_path / "cams" / "frames"
+    words[3] = folder
+    succeed(files, *words, "--posed", "rest", "--frames", 3, "--cameras", "@scene:test", "--overlay")
+    first = read_image(folder / "frame_0000.png")
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "one.png", "--cage", "@cage.obj", "--posed", "rest",
+            "--camera", "@scene:test:0", *SMALL, "--overlay")
+    assert np.abs(first - read_image(tmp_path / "one.png")).mean() < 0.01
+
+
+@pytest.mark.parametrize("kind", ["alpha", "depth", "disparity", "masks"])
+def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
+    folder = tmp_path / kind
+    words = ["animate", "@ball.npz", "-o", folder, "--cage", "@cage.obj", "--posed", "translate:0:0:1.5", *SMALL,
+             "--frames", 4, "--quiet", "--turn", 0, "--show", kind]
+    succeed(files, *words)
+    said = capsys.readouterr().err
+    assert ("uncovered" in said and "% of the film" in said) == (kind == "masks")
+    whole = [(folder / f"frame_000{index}.png").read_bytes() for index in range(4)]
+    assert read_image(folder / "frame_0001.png").std() > 0.05
+    (folder / "frame_0001.png").unlink()
+    succeed(files, *words)  # with the same scale of colours
+    assert [(folder / f"frame_000{index}.png").read_bytes() for index in range(4)] == whole
+
+
+def test_render_writes_masks_when_asked_and_warns(files, tmp_path, capsys):
+    view = ["render", "@ball.npz", "-o", tmp_path / "a.png", *SMALL, "--cage", "@cage.obj",
+            "--posed", "translate:0:0:1"]
+    succeed(files, *view)
+    assert "warning" not in capsys.readouterr().err
+    extra = [word for kind in ("masks", "depth", "alpha") for word in (f"--{kind}", tmp_path / f"{kind}.png")]
+    succeed(files, *view, *extra)
+    warning = capsys.readouterr().err
+    assert warning.startswith("warpcage: warning: ") and "uncovered" in warning
+    masks, alpha = read_image(tmp_path / "masks.png"), read_image(tmp_path / "alpha.png")
+    blue = masks[..., 2] - masks[..., 0] > 0.3
+    assert 0.02 < blue.mean() < 0.6
+    assert float(warning.split("warning: ")[1].split()[0]) == pytest.approx(100 * blue.mean(), abs=3.0)
+    assert alpha.max() > 0.95 and alpha.min() == 0 and read_image(tmp_path / "depth.png").max() > 0.5
+
+
+@pytest.mark.parametrize("format", ["warpcage", "svox2"])
+def test_bake_then_render(files, tmp_path, format):
+    view = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
+    succeed(files, "bake", "@ball.npz", "-o", tmp_path / "bent.npz", *DEFORMED, "--format", format, "--voxels", 60)
+    succeed(files, "render", tmp_path / "bent.npz", "-o", tmp_path / "baked.png", *view)
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "live.png", *DEFORMED, *view)
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "rest.png", *view)
+    baked, live, rest = (read_image(tmp_path / f"{name}.png") for name in ("baked", "live", "rest"))
+    assert np.mean((baked - live) ** 2) < 10**-2.5 < np.mean((rest - live) ** 2)
+
+
+def test_fields_of_scaled_scenes_come_back_to_scale(files, tmp_path, capsys):
+    ball = VoxelField.load(files / "ball.npz")
+    small = VoxelField(ball.bounds * 2 / 3, ball.grid.links.numpy(), ball.grid.density.numpy() * 1.5,
+                       ball.grid.sh.numpy().transpose(0, 2, 1))
+    small.save(tmp_path / "small.npz", format="svox2")
+    view = [*SMALL, "--camera", "@scene:test:1"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "ball.png", *view)
+    succeed(files, "render", tmp_path / "small.npz", "-o", tmp_path / "scaled.png", *view, "--scene-scale", "2/3")
+    succeed(files, "render", tmp_path / "small.npz", "-o", tmp_path / "small.png", *view)
+    ball, scaled, small = (read_image(tmp_path / f"{name}.png") for name in ("ball", "scaled", "small"))
+    assert np.abs(scaled - ball).mean() < 2e-3 < 2e-2 < np.abs(small - ball).mean()
+    for words in (["check", "@cage.obj"], ["cage", "@cage.obj", "-o", tmp_path / "c.obj"], ["info", "@scene"]):
+        assert run(files, *words, "--scene-scale", "0.5") == 2
+        assert "--scene-scale is for fields (.npz), got " in capsys.readouterr().err
+
+
+def test_poses_come_from_pose_files(files, tmp_path, capsys):
+    rest = Cage.load(files / "cage.obj")
+    path = tmp_path / "pösen.json"
+    PoseFile(rest, {"bent": Cage.load(files / "posed.obj"), "small one": rest.scale(0.8)}).save(path)
+    view = [*SMALL, "--camera", "@scene:test:1"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "file.png", *view, *DEFORMED)
+    words = ["--cage", "@cage.obj", "--posed"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "named.png", *view, *words, f"{path}:bent")
+    assert (tmp_path / "file.png").read_bytes() == (tmp_path / "named.png").read_bytes()
+
+    film = [*view, "--frames", 3, "--motion", "once", "--quiet", *words]
+    for folder, poses in (("whole", [path]), ("single", [f"{path}:bent", f"{path}:small one"])):
+        succeed(files, "animate", "@ball.npz", "-o", tmp_path / folder, *film, *poses)
+    for k in range(3):
+        one, two = ((tmp_path / folder / f"frame_000{k}.png").read_bytes() for folder in ("whole", "single"))
+        assert one == two
+    assert run(files, "animate", "@ball.npz", "-o", tmp_path / "single", *film, f"{path}:bent") == 2  # another film
+    assert "other posed" in capsys.readouterr().err
+
+    for pose in (f"{path}:bent", "bend:40:x:z"):
+        succeed(files, "check", "@cage.obj", "--posed", pose)
+        assert "pose: usable" in capsys.readouterr().out
+    for pose, said in ((path, "holds 2 keyframes: name one"), (f"{path}:no", "no keyframe 'no': bent, small one"),
+                       (tmp_path / "none.json", "is not there")):
+        assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *view, *words, pose) == 2
+        error = capsys.readouterr().err
+        assert said in error and error.count("\n") == 1
+
+
+def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):
+    rest, posed = (Cage.load(files / f"{name}.obj") for name in ("cage", "posed"))
+    for name, cage in (("rest", rest), ("posed", posed)):
+        cage.save(tmp_path / f"{name}.obj", up="y")
+    turned = ["--cage", tmp_path / "rest.obj", "--posed", tmp_path / "posed.obj", "--cage-up", "y"]
+    view = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
+    for deformation, name in ((DEFORMED, "z"), (turned, "y")):
+        succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{name}.png", *view, *deformation)
+        succeed(files, "animate", "@ball.npz", "-o", tmp_path / name, *view, *deformation, "--frames", 2, "--quiet")
+        succeed(files, "bake", "@ball.npz", "-o", tmp_path / f"{name}.npz", *deformation, "--voxels", 16)
+    assert "warning" not in capsys.readouterr().err
+    assert np.abs(read_image(tmp_path / "y.png") - read_image(tmp_path / "z.png")).max() < 0.02
+    one, two = (read_image(tmp_path / name / "frame_0001.png") for name in "yz")
+    assert np.abs(one - two).max() < 0.02
+    one, two = (VoxelField.load(tmp_path / f"{name}.npz") for name in "yz")
+    np.testing.assert_allclose(one.bounds, two.bounds, atol=1e-6)
+
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "mixed.png", *view, "--cage", "@cage.obj", "--posed",
+            tmp_path / "posed.obj")
+    assert "with another axis up" in capsys.readouterr().err
+
+
+def test_animate_takes_a_folder_up_where_it_was_left(files, tmp_path, capsys):
+    folder = tmp_path / "frames"
+    words = ["animate", "@ball.npz", "-o", folder, *SMALL, "--frames", 3, "--quiet"]
+    succeed(files, *words)
+    names = sorted(path.name for path in folder.glob("*.png"))
+    assert names == ["frame_0000.png", "frame_0001.png", "frame_0002.png"]
+    content = (folder / "frame_0001.png").read_bytes()
+    (folder / "frame_0001.png").unlink()
+    kept = (folder / "frame_0002.png").stat().st_mtime_ns
+    capsys.readouterr()
+    succeed(files, *words)
+    assert "1 frames, 2 were there" in capsys.readouterr().out
+    assert (folder / "frame_0001.png").read_bytes() == content
+    assert (folder / "frame_0002.png").stat().st_mtime_ns == kept
+
+    assert run(files, *words, "--turn", 90) == 2
+    assert "another film (other turn" in capsys.readouterr().err
+    (folder / "animation.json").unlink()
+    assert run(files, *words) == 2
