@@ -1,4 +1,4 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 TEST = [
     "pytest>=8.0",
@@ -18,7 +18,11 @@ setup(
     license="Apache-2.0",
     license_files=["LICENSE"],
     python_requires=">=3.10",
-    packages=["warpcage", "warpcage.cli", "warpcage.scenes", "warpcage.kernels"],
+    packages=[
+        *find_packages(include=["warpcage", "warpcage.*"], exclude=["warpcage.kernels", "warpcage.kernels.*"]),
+        "warpcage.kernels",
+        *(f"warpcage.kernels.{room}" for room in find_packages("kernels")),
+    ],
     package_dir={"warpcage": "warpcage", "warpcage.kernels": "kernels"},
     install_requires=[
         "warp-lang>=1.19",
@@ -31,10 +35,7 @@ setup(
         "scipy>=1.11",
         "tqdm>=4.66",
     ],
-    extras_require={
-        "test": TEST,
-        "dev": [*TEST, "ruff>=0.6"],
-    },
+    extras_require={"test": TEST, "dev": [*TEST, "ruff>=0.6"]},
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[
         "Programming Language :: Python :: 3",
