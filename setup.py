@@ -2,6 +2,7 @@ from setuptools import find_packages, setup
 
 TEST = [
     "pytest>=8.0",
+    "pytest-xdist>=3.6",  # over all cores
     "hypothesis>=6.100",
     "scipy>=1.11",
     # cameras and lenses are compared with these two; without them those tests are skipped
@@ -24,6 +25,7 @@ setup(
         *(f"warpcage.kernels.{room}" for room in find_packages("kernels")),
     ],
     package_dir={"warpcage": "warpcage", "warpcage.kernels": "kernels"},
+    package_data={"warpcage": ["py.typed"]},
     install_requires=[
         "warp-lang>=1.19",
         "numpy>=1.26",
