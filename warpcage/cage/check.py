@@ -175,7 +175,9 @@ def check_pose(rest: ClosedMesh, pose: ClosedMesh) -> PoseReport:
     stencil = stencil[inside_mesh(stencil.reshape(-1, 3), pose).reshape(-1, 4).all(axis=1)]
     if not len(stencil):
         return PoseReport(0, ratio, 0.0, 0.0, 1.0, 1.0, folds, problem)
-    mapped = deform_points(stencil.reshape(-1, 3), pose, rest, coordinates="mean_value").reshape(-1, 4, 3)
+    mapped = deform_points(stencil.reshape(-1, 3), pose, rest, coordinates="mean_value")
+    assert isinstance(mapped, np.ndarray)  # as the points are
+    mapped = mapped.reshape(-1, 4, 3)
     jacobian = (mapped[:, 1:] - mapped[:, :1]) / step
     inverted = np.linalg.det(jacobian) <= 0.0
     singular = np.linalg.svd(jacobian[~inverted], compute_uv=False)
