@@ -1,10 +1,17 @@
+import pathlib
+import re
+
 from setuptools import find_packages, setup
+
+# the one version number, read as text: importing the package would need its dependencies
+VERSION = re.search(r'^__version__ = "(.+)"$', pathlib.Path("warpcage/__init__.py").read_text("utf-8"), re.MULTILINE)[1]
 
 TEST = [
     "pytest>=8.0",
     "pytest-xdist>=3.6",  # over all cores
     "hypothesis>=6.100",
     "scipy>=1.11",
+    "setuptools>=70.1",  # builds the wheel that tests/test_install.py looks into
     # cameras and lenses are compared with these two; without them those tests are skipped
     "opencv-python-headless>=4.10",
     "pycolmap>=3.13; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.15'",
@@ -12,7 +19,7 @@ TEST = [
 
 setup(
     name="warpcage",
-    version="0.1.0",
+    version=VERSION,
     description="Cage-based deformation of radiance fields: GPU kernels on NVIDIA Warp",
     long_description=open("README.md", encoding="utf-8").read(),
     long_description_content_type="text/markdown",

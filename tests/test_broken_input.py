@@ -348,7 +348,7 @@ def test_pickled_objects_are_never_opened(tmp_path):
     np.savez(path, **contents, extra=np.array([Trap(sprung)], object))
     refuse_field(path, "array 'extra' holds pickled objects, which are never opened")
     path.write_bytes(pickle.dumps(Trap(sprung)))
-    refuse_field(path, "is no .npz field file")
+    refuse_field(path, "is not an .npz field file")
     assert not sprung.exists()
     pickle.loads(path.read_bytes())  # the trap would have worked
     assert sprung.exists()
@@ -359,7 +359,7 @@ def test_field_file_cut_off(tmp_path, share):
     path = tmp_path / "field.npz"
     small_field().save(path)
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
-    refuse_field(path, "is no .npz field file")
+    refuse_field(path, "is not an .npz field file")
 
 
 @pytest.mark.parametrize(

@@ -1,3 +1,6 @@
+import copy
+import pickle
+
 import numpy as np
 import pytest
 import trimesh
@@ -172,6 +175,43 @@ def test_with_vertices_keeps_faces_and_checks_count():
         cage.with_vertices(cage.vertices[:7])
     with pytest.raises(ValueError, match="finite"):
         cage.with_vertices(cage.vertices * np.nan)
+
+
+class Named(Cage):
+    """A subclass with something of its own."""
+
+    def __init__(self, vertices, faces, name):
+        super().__init__(vertices, faces)
+        self.name = name
+
+
+def test_poses_of_a_subclass_are_of_it_with_all_that_it_holds():
+    named = Named(*tetrahedron(), "bird")
+    for posed in (named.with_vertices(named.vertices + 1.0), named.bend(20), named.move([1, 0, 0], group=[0])):
+        assert type(posed) is Named and posed.name == "bird" and posed.topology is named.topology
+    assert named.translate([1, 0, 0]).bounds[0].tolist() == [1, 0, 0] and named.bounds[0].tolist() == [0, 0, 0]
+    assert repr(named).startswith("Named(4 vertices")
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda cage: pickle.loads(pickle.dumps(cage))])
+def test_copies_are_whole(again):
+    cage = Cage.box([0, 0, 0], [1, 2, 3])
+    cage.require_usable()
+    other = again(cage)
+    other.require_usable()
+    assert type(other) is Cage and other.bounds.tolist() == cage.bounds.tolist() and other.topology.closed
+    assert np.array_equal(other.vertices, cage.vertices) and np.array_equal(other.faces, cage.faces)
+    assert not hasattr(other, "__dict__")
+
+
+def test_what_is_known_of_a_cage_is_not_taken_for_its_poses():
+    cage = Cage.box([0, 0, 0], [1, 1, 1])
+    cage.require_usable()
+    flat = cage.with_vertices(cage.vertices * [1, 1, 0])
+    for _ in range(2):
+        with pytest.raises(ValueError, match="cage has 4 vertices at the place of another"):
+            flat.require_usable()
+    cage.require_usable()
 
 
 def test_require_same_faces_says_what_differs():

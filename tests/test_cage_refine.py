@@ -145,7 +145,8 @@ def test_pose_files_survive(tmp_path):
     for name, content in changed.items():
         (tmp_path / f"{name}.json").write_text(json.dumps(content))
     assert PoseFile.load(tmp_path / "newer.json").names == file.names
-    for name, message in (("version", "upgrade"), ("format", "format is"), ("hash", "hash"), ("short", "no pose file")):
+    broken = {"version": "upgrade", "format": "format is", "hash": "hash", "short": "not a pose file"}
+    for name, message in broken.items():
         with pytest.raises(ValueError, match=message) as error:
             PoseFile.load(tmp_path / f"{name}.json")
         assert "\n" not in str(error.value) and f"{name}.json" in str(error.value)

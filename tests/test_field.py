@@ -180,7 +180,7 @@ def test_file_errors(tmp_path):
     with pytest.raises(FileNotFoundError, match="is not there"):
         warpcage.VoxelField.load(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("hello")
-    with pytest.raises(ValueError, match="is no .npz"):
+    with pytest.raises(ValueError, match="is not an .npz"):
         warpcage.VoxelField.load(tmp_path / "text.npz")
     field, _, _ = oracle.random_field(None)
     with pytest.raises(ValueError, match="ends in .npz"):

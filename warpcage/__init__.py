@@ -4,6 +4,13 @@ images + cameras -> Scene -> VoxelField -> surface mesh -> Cage -> coordinates o
 after Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022).
 """
 
+# ruff: noqa: E402  (what is missing is named before anything is imported)
+
+from .core.checkout import find_kernels, require_dependencies
+
+require_dependencies()
+find_kernels(__name__)
+
 from .cage.cage import Cage
 from .cage.pose_file import PoseFile
 from .cage.report import CageReport

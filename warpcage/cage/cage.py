@@ -2,74 +2,136 @@
 
 from __future__ import annotations
 
-from ..mesh.closed_mesh import ClosedMesh
+from collections.abc import Sequence
+from typing import overload
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..core.arrays import PointsLike
+from ..core.files import PathLike
+from ..field.selection import NodeSelection
+from ..field.voxel_field import VoxelField
+from ..mesh.closed_mesh import TriangleMesh, require_mesh
 from ..mesh.containment import inside_mesh
 from ..mesh.files.files import read_mesh, write_mesh
 from ..mesh.match import matched_vertices
 from ..mesh.usable import require_usable
-from . import poses
 from .check import check_cage
 from .generate.generate import cage_around_field, cage_around_mesh
 from .generate.simplify import simplified
+from .posable import PosableMesh
 from .refine import subdivided, symmetrised
 from .repair import repaired_faces
+from .report import CageReport
 from .shapes import box, cylinder, icosphere
 
 
-class Cage(ClosedMesh):
-    """A triangle mesh that encloses (a part of) an object; immutable.
+class Cage(PosableMesh):
+    """A triangle mesh that encloses an object, or a part of it; immutable.
 
-    vertices: (v, 3) finite floats in the scene's world units, kept as float64 in the order given.
-    faces: (f, 3) whole numbers, vertex indices, kept as int32; anticlockwise seen from outside.
+    The constructor refuses only what cannot be held. It holds an open, inverted or tangled cage, so that `check` can
+    describe it and `repair` mend it. The coordinate functions and `Deformer` call `require_usable`, which refuses it.
 
-    The constructor refuses what cannot be held (other shapes, values that are not finite, indices that point nowhere)
-    with a ValueError. An open, inverted or tangled cage can be held, so that `check` can describe it; the coordinate
-    functions and `Deformer` call `require_usable`, which refuses it.
+    Args:
+        vertices: (v, 3) finite floats in the scene's world units. They are kept as float64 in the order given.
+        faces: (f, 3) whole numbers, indices of vertices, anticlockwise seen from outside. They are kept as int32.
+
+    Raises:
+        ValueError: For other shapes, values that are not finite, or indices that point nowhere.
     """
 
     __slots__ = ()
 
     def match(self, pose: Cage) -> Cage:
-        """A pose read from elsewhere as a pose of this cage: its vertices in this cage's order, with this cage's faces.
+        """A pose from elsewhere as a pose of this cage: its vertices in this cage's order, with this cage's faces.
 
-        pose: a Cage of the same mesh whose vertices or faces may come in another order, with quads cut along other
-        diagonals, or with vertices repeated where faces meet. A symmetric cage can be laid over itself in several
-        ways; the one that moves the vertices least is taken.
-        Raises ValueError that says how they differ where no order fits, or where two fit equally well.
+        A symmetric cage can be laid over itself in several ways; the one that moves the vertices least is taken.
+
+        Args:
+            pose: A Cage of the same mesh. Its vertices or faces may come in another order, its quads may be cut along
+                other diagonals, and its vertices may be repeated where faces meet.
+
+        Returns:
+            The pose.
+
+        Raises:
+            ValueError: How the two differ where no order fits, or that two orders fit equally well.
         """
+        require_mesh(pose, "the pose must be")
         return self.with_vertices(matched_vertices(self, pose))
 
     # -- Checks
 
     def require_usable(self, name: str = "cage") -> None:
-        """Raise a ValueError of one line, beginning with `name`, unless coordinates can be computed on this cage.
+        """Refuse a cage on which coordinates cannot be computed.
 
-        Refused: open edges, edges of more than two faces, vertices where parts merely touch, neighbours wound against
-        each other, parts that look inward (a cavity inside another part may), faces without area, and used vertices
-        at the same place. Self-intersections are not looked for here: see `check`.
+        Refused are open edges, edges of more than two faces, vertices where parts only touch, neighbours wound against
+        each other, parts that look inward (a cavity inside another part may), faces without area, and used vertices at
+        the same place. Intersecting faces are not looked for here: see `check`.
+
+        Args:
+            name: How the message begins.
+
+        Raises:
+            ValueError: One line that names the first problem and where it is.
         """
         require_usable(self, name)
 
-    def contains(self, points, device=None):
-        """Whether each point is inside, by winding number; points within 1e-5 of the size of the surface are inside.
+    @overload
+    def contains(self, points: wp.array, device: wp.DeviceLike = None) -> wp.array: ...
+    @overload
+    def contains(self, points: PointsLike, device: wp.DeviceLike = None) -> np.ndarray: ...
+    def contains(self, points: PointsLike, device: wp.DeviceLike = None) -> np.ndarray | wp.array:
+        """Whether points are inside, by winding number. Points within 1e-5 of the cage's size of its surface are.
 
-        points: (n, 3), world units. Returns (n,) bool, NumPy for NumPy input, on the device for an array of a device.
-        Raises ValueError for points of another shape, NumPy points that are not finite, or an unusable cage.
+        Args:
+            points: (n, 3) float, world units. NumPy or any DLPack array.
+            device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+
+        Returns:
+            (n,) bool: NumPy for NumPy points, else a Warp array on the device.
+
+        Raises:
+            ValueError: For points of another shape, NumPy points that are not finite, or a cage that is not usable.
         """
         return inside_mesh(points, self, device=device)
 
-    def check(self, field=None, mesh=None, pose: Cage | None = None):
-        """Examine the cage, what it encloses where a field or a mesh is given, and what a pose does: a CageReport.
+    def check(
+        self,
+        field: VoxelField | NodeSelection | None = None,
+        mesh: TriangleMesh | None = None,
+        pose: Cage | None = None,
+    ) -> CageReport:
+        """Examine the cage, what it encloses, and what a pose does.
 
-        mesh: trimesh.Trimesh whose vertices ought to be inside. field: VoxelField whose visible voxels ought to be.
-        pose: a pose of this cage, in any order that `match` takes. Raises ValueError for one that does not match.
+        Args:
+            field: A field, or a selection of it, whose visible voxels should be inside. None looks at no field.
+            mesh: A trimesh.Trimesh, or the like, whose vertices should be inside. None looks at no mesh.
+            pose: A pose of this cage, in any order that `match` takes. None looks at no pose.
+
+        Returns:
+            What was found. As text it is a table that says what to do about each problem.
+
+        Raises:
+            ValueError: For a field or a mesh with nothing in it, or a pose that does not match.
         """
         return check_cage(self, field=field, mesh=mesh, pose=pose)
 
     def repair(self, *, largest_hole: int = 12) -> tuple[Cage, tuple[str, ...]]:
-        """A mended cage and a line for each thing done to it: see `warpcage.cage.repair.repaired_faces`.
+        """Mend repeated vertices, repeated faces, winding and small holes; see `warpcage.cage.repair.repaired_faces`.
 
-        Repeated vertices, repeated faces, winding and holes of few edges; vertices keep their numbers and places.
+        Vertices keep their numbers and places.
+
+        Args:
+            largest_hole: Holes of up to so many edges are closed, at least 3.
+
+        Returns:
+            The mended cage, and a line for each thing that was done. Where nothing was, this cage and no lines.
+
+        Raises:
+            ValueError: For a smaller `largest_hole`, or where no face is left.
         """
         faces, notes = repaired_faces(self, largest_hole)
         return (Cage(self.vertices, faces) if notes else self), notes
@@ -77,12 +139,20 @@ class Cage(ClosedMesh):
     # -- Files
 
     @classmethod
-    def load(cls, path, *, up: str | None = None) -> Cage:
-        """Read an OBJ, PLY, OFF or glTF file. Vertices keep their order exactly, used or not; polygons are cut.
+    def load(cls, path: PathLike, *, up: str | None = None) -> Cage:
+        """Read an OBJ, PLY, OFF or glTF file. All vertices keep their order, used or not; polygons are cut.
 
-        up: the axis that points up in the file, "z" or "y" (as Blender writes OBJ by default); y-up files are turned,
-        (x, y, z) -> (x, -z, y). None is "y" for glTF, which is y-up by its specification, "z" for the others.
-        Raises FileNotFoundError for a missing file, ValueError with file name and line for one that cannot be read.
+        Args:
+            path: The file; its ending says which format it has.
+            up: The axis that points up in the file, "z" or "y" (as Blender writes OBJ by default). A cage with y up is
+                turned: (x, y, z) -> (x, -z, y). None is "y" for glTF, as its specification says, "z" for the others.
+
+        Returns:
+            The cage.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: File name and line of what cannot be read.
         """
         path, vertices, faces = read_mesh(path, up)
         try:
@@ -90,108 +160,216 @@ class Cage(ClosedMesh):
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
-    def save(self, path, *, up: str | None = None) -> None:
-        """Write an OBJ, PLY (binary), OFF or glTF (.glb, .gltf) file, as the ending of `path` says; up: as in `load`.
+    def save(self, path: PathLike, *, up: str | None = None) -> None:
+        """Write an OBJ, PLY (binary), OFF or glTF (.glb, .gltf) file. It appears whole or not at all.
 
-        Vertices survive in their order, and to the last bit save in glTF, which holds float32. The file appears whole
-        or not at all. Raises ValueError for another ending.
+        Vertices keep their order. They keep every bit too, but in glTF, which holds float32.
+
+        Args:
+            path: The file; its ending says which format it gets.
+            up: The axis that points up in the file, as in `load`.
+
+        Raises:
+            ValueError: For another ending or another axis.
         """
         write_mesh(path, self.vertices, self.faces, up)
 
     # -- Simple shapes
 
     @classmethod
-    def box(cls, lower, upper=None, *, segments=1) -> Cage:
+    def box(cls, lower: ArrayLike, upper: ArrayLike | None = None, *, segments: int | Sequence[int] = 1) -> Cage:
         """A closed box between two corners.
 
-        lower, upper: (3,) corners in world units; or `lower` alone, (2, 3) bounds. segments: pieces along each axis,
-        one number or three. One segment gives 8 vertices and 12 faces.
-        Raises ValueError for corners that are not finite, a side that is not positive or segments below 1.
+        Args:
+            lower: (3,) lower corner, world units; or (2, 3) both corners.
+            upper: (3,) upper corner, world units. None where `lower` holds both.
+            segments: Pieces along each axis, one number or three. One piece gives 8 vertices and 12 faces.
+
+        Returns:
+            The cage.
+
+        Raises:
+            ValueError: For corners that are not finite, a side that is not positive, or segments below 1.
         """
         return cls(*box(lower, upper, segments))
 
     @classmethod
-    def cylinder(cls, centre, radius: float, height: float, *, axis="z", sides: int = 12, rings: int = 1) -> Cage:
-        """A closed cylinder around an axis: (rings + 1) * sides vertices and two in the middle of the caps.
+    def cylinder(
+        cls, centre: ArrayLike, radius: float, height: float, *, axis: str = "z", sides: int = 12, rings: int = 1
+    ) -> Cage:
+        """A closed cylinder around an axis: (rings + 1) * sides vertices, and one in the middle of each cap.
 
-        centre: (3,), halfway up, world units; radius: of the circle through the vertices, so that the flat sides lie
-        radius * cos(pi / sides) from the axis; rings: pieces along the height.
-        Raises ValueError for radius or height that is not positive, fewer than 3 sides or 1 ring.
+        Args:
+            centre: (3,) the point on the axis at half the height, world units.
+            radius: Radius of the circle through the vertices, world units. The flat sides lie radius * cos(pi / sides)
+                from the axis.
+            height: Length along the axis, world units.
+            axis: "x", "y" or "z".
+            sides: Flat sides, at least 3.
+            rings: Pieces along the height, at least 1.
+
+        Returns:
+            The cage.
+
+        Raises:
+            ValueError: For a radius or height that is not positive, fewer sides or rings, or another axis.
         """
         return cls(*cylinder(centre, radius, height, axis, sides, rings))
 
     @classmethod
-    def icosphere(cls, centre, radius: float, subdivisions: int = 1) -> Cage:
-        """An icosahedron divided `subdivisions` times with its vertices on a sphere: 12, 42, 162, ... vertices.
+    def icosphere(cls, centre: ArrayLike, radius: float, subdivisions: int = 1) -> Cage:
+        """A divided icosahedron with its vertices on a sphere. The middles of its faces lie inside the sphere.
 
-        The middles of the faces lie inside the sphere. Raises ValueError for a radius that is not positive.
+        Args:
+            centre: (3,) centre of the sphere, world units.
+            radius: Radius of the sphere, world units.
+            subdivisions: How often each face is cut in four, 0 to 6: 12, 42, 162, ... vertices.
+
+        Returns:
+            The cage.
+
+        Raises:
+            ValueError: For a radius that is not positive, or another number of subdivisions.
         """
         return cls(*icosphere(centre, radius, subdivisions))
 
     # -- Generation
 
     @classmethod
-    def from_mesh(cls, mesh, vertex_count: int = 100, **options) -> Cage:
-        """A cage of about `vertex_count` vertices around a mesh. options: margin, method, symmetry, progress; see
-        `warpcage.cage.generate.generate.cage_around_mesh`."""
-        return cls(*cage_around_mesh(mesh, vertex_count, **options))
+    def from_mesh(
+        cls,
+        mesh: TriangleMesh,
+        vertex_count: int = 100,
+        *,
+        margin: float | None = None,
+        method: str = "auto",
+        symmetry: str | None = None,
+        progress: bool = False,
+    ) -> Cage:
+        """A cage around a mesh: closed, manifold, outward, without intersecting faces; the same for the same mesh.
+
+        Gaps narrower than about an edge of the cage are bridged. Parts farther apart get closed parts of their own.
+
+        Args:
+            mesh: A trimesh.Trimesh, or anything with .vertices (n, 3) and .faces (f, 3). It may be open and have
+                several parts.
+            vertex_count: Number of vertices, 8 to 2000; the cage has it within 10 %. 30 to 200 suit deformation.
+            margin: Least distance between cage and mesh, world units. None is 1 % of the mesh's size.
+            method: "shell": an offset surface, decimated outward and drawn close. "voxel": the outer surface of voxels
+                along the mesh's principal axes (Xian, Lin and Gao 2009), whose faces are more even. "auto": the one of
+                the smaller volume.
+            symmetry: "x", "y" or "z", the normal of a plane through the middle of the mesh about which the cage is its
+                own mirror image ("voxel" only). None asks for no symmetry.
+            progress: Whether to print lines about each method on stderr.
+
+        Returns:
+            The cage.
+
+        Raises:
+            ValueError: For a mesh that is empty, not finite or has bad indices, for a bad option, or where no cage
+                could be made.
+        """
+        return cls(
+            *cage_around_mesh(mesh, vertex_count, margin=margin, method=method, symmetry=symmetry, progress=progress)
+        )
 
     @classmethod
-    def from_field(cls, field, vertex_count: int = 100, **options) -> Cage:
-        """A cage of about `vertex_count` vertices around what a field shows. options: margin, threshold, select,
-        method, symmetry, progress; see `cage_around_field` there."""
-        return cls(*cage_around_field(field, vertex_count, **options))
+    def from_field(
+        cls,
+        field: VoxelField | NodeSelection,
+        vertex_count: int = 100,
+        *,
+        margin: float | None = None,
+        threshold: float | None = None,
+        method: str = "auto",
+        symmetry: str | None = None,
+        progress: bool = False,
+    ) -> Cage:
+        """A cage around what a field shows; otherwise as `from_mesh`.
+
+        Args:
+            field: A VoxelField, or what `select_nodes` took of it, to cage one object of a larger scene.
+            vertex_count: Number of vertices, 8 to 2000; the cage has it within 10 %.
+            margin: Least distance between cage and visible voxels, in voxels. None is 1, so that the cage holds all
+                that trilinear interpolation spreads around them.
+            threshold: Density from which a voxel is visible, one over world units. None goes by the weights that were
+                recorded when the field was fitted, or else by opacity.
+            method: "shell", "voxel" or "auto", as in `from_mesh`.
+            symmetry: "x", "y", "z" or None, as in `from_mesh`.
+            progress: Whether to print lines about each method on stderr.
+
+        Returns:
+            The cage.
+
+        Raises:
+            ValueError: For a field that shows nothing or is not finite, for a bad option, or where no cage could be
+                made.
+        """
+        return cls(
+            *cage_around_field(
+                field,
+                vertex_count,
+                margin=margin,
+                threshold=threshold,
+                method=method,
+                symmetry=symmetry,
+                progress=progress,
+            )
+        )
 
     # -- Other cages of the same object
 
     def subdivide(self, times: int = 1) -> Cage:
-        """Every face cut in four: see `warpcage.cage.refine.subdivided`."""
+        """Cut every face in four at the middles of its edges. The surface stays where it is.
+
+        Args:
+            times: How often, 1 to 4.
+
+        Returns:
+            The finer cage. The vertices of this one keep their numbers, new ones follow.
+
+        Raises:
+            ValueError: For another number of times.
+        """
         return Cage(*subdivided(self, times))
 
-    def simplify(self, vertex_count: int, *, field=None, mesh=None, margin: float = 0.0) -> Cage:
-        """Fewer vertices around the same object: see `warpcage.cage.generate.simplify.simplified`."""
+    def simplify(
+        self,
+        vertex_count: int,
+        *,
+        field: VoxelField | NodeSelection | None = None,
+        mesh: TriangleMesh | None = None,
+        margin: float = 0.0,
+    ) -> Cage:
+        """Fewer vertices around the same object. The surface only moves outward, but where it is off the object.
+
+        Args:
+            vertex_count: Number of vertices; the cage has it within 10 %.
+            field: A field, or a selection of it, whose visible voxels must stay inside.
+            mesh: A mesh whose surface must stay inside. Without a field and a mesh this cage itself must.
+            margin: Least distance to what must stay inside, world units.
+
+        Returns:
+            The coarser cage.
+
+        Raises:
+            ValueError: For a cage that is not usable, a count that is not below its own, an object that is not inside
+                even now, or where no such cage is found.
+        """
         return Cage(*simplified(self, vertex_count, field=field, mesh=mesh, margin=margin))
 
     def symmetrise(self, axis: str = "x", *, centre: float | None = None, keep: str = "both") -> Cage:
-        """Its own mirror image: see `warpcage.cage.refine.symmetrised`."""
+        """Make a nearly symmetric cage its own mirror image across a plane. Faces stay as they are.
+
+        Args:
+            axis: "x", "y" or "z", the normal of the plane.
+            centre: Where the plane crosses the axis, world units. None is the middle of the bounding box.
+            keep: "both" takes the mean of both halves, "+" or "-" copies the half on that side to the other.
+
+        Returns:
+            The symmetric cage.
+
+        Raises:
+            ValueError: Where a vertex has no partner across the plane, or for other names.
+        """
         return self.with_vertices(symmetrised(self, axis, centre=centre, keep=keep))
-
-    # -- Poses: the same faces, other vertices
-
-    def bend(self, degrees: float, *, axis="z", towards="x", limits=(0.0, 1.0), centre=None) -> Cage:
-        """Bend along `axis` towards `towards`, as a circular arc: see `warpcage.cage.poses.bend`."""
-        return self._posed("bend", degrees, axis=axis, towards=towards, limits=limits, centre=centre)
-
-    def twist(self, degrees: float, *, axis="z", limits=(0.0, 1.0), centre=None) -> Cage:
-        """Turn about `axis` by an angle that grows along it: see `warpcage.cage.poses.twist`."""
-        return self._posed("twist", degrees, axis=axis, limits=limits, centre=centre)
-
-    def taper(self, factor: float, *, axis="z", limits=(0.0, 1.0), centre=None) -> Cage:
-        """Scale across `axis` by a factor that goes from 1 to `factor` along it: see `warpcage.cage.poses.taper`."""
-        return self._posed("taper", factor, axis=axis, limits=limits, centre=centre)
-
-    def stretch(self, factor: float, *, axis="z", limits=(0.0, 1.0), keep_volume: bool = False, centre=None) -> Cage:
-        """Lengthen along `axis`, and thin across it with keep_volume: see `warpcage.cage.poses.stretch`."""
-        return self._posed("stretch", factor, axis=axis, limits=limits, keep_volume=keep_volume, centre=centre)
-
-    def scale(self, factor, *, centre=None) -> Cage:
-        """Scale by one factor, or one an axis, about `centre`: see `warpcage.cage.poses.scale`."""
-        return self._posed("scale", factor, centre=centre)
-
-    def translate(self, offset) -> Cage:
-        """Move by `offset` (3,), world units."""
-        return self._posed("translate", offset)
-
-    def rotate(self, degrees: float, *, axis="z", centre=None) -> Cage:
-        """Turn about `axis` through `centre`, anticlockwise seen against it: see `warpcage.cage.poses.rotate`."""
-        return self._posed("rotate", degrees, axis=axis, centre=centre)
-
-    def move(self, offset, *, group=None, centre=None, radius: float | None = None) -> Cage:
-        """Move a group of vertices, or what is near `centre`, with falloff over `radius`: see
-        `warpcage.cage.poses.move`."""
-        return self.with_vertices(poses.move(self.vertices, offset, group=group, centre=centre, radius=radius))
-
-    def _posed(self, pose: str, *arguments, **options) -> Cage:
-        if pose != "translate":
-            options["bounds"] = self.bounds  # of the vertices in use
-        return self.with_vertices(getattr(poses, pose)(self.vertices, *arguments, **options))

@@ -1,12 +1,13 @@
-"""What is wrong with a cage, and what it encloses: the first problem in a line, or all of them in a CageReport."""
+"""All that is wrong with a cage, what it encloses, and what a pose does, as a CageReport."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..coordinates.deform import deform_points
-from ..field.selection import visible_nodes
-from ..mesh.closed_mesh import ClosedMesh
+from ..field.selection import NodeSelection, visible_nodes
+from ..field.voxel_field import VoxelField
+from ..mesh.closed_mesh import ClosedMesh, TriangleMesh, require_mesh
 from ..mesh.containment import inside_mesh
 from ..mesh.intersections import intersecting_faces
 from ..mesh.match import matched_vertices
@@ -14,25 +15,38 @@ from ..mesh.usable import coincident_vertices, degenerate_faces, first_problem, 
 from .report import COST_RESOLUTION, CageReport, PoseReport
 
 
-def check_cage(cage: ClosedMesh, field=None, mesh=None, pose=None) -> CageReport:
-    """Examine a cage: see `Cage.check`. Raises ValueError for a mesh or a field with nothing in it, or a pose that does
-    not match.
+def check_cage(
+    cage: ClosedMesh,
+    field: VoxelField | NodeSelection | None = None,
+    mesh: TriangleMesh | None = None,
+    pose: ClosedMesh | None = None,
+) -> CageReport:
+    """Examine a cage; see `Cage.check`.
 
-    Enclosure is only defined for a usable cage; it is 0 otherwise.
+    Enclosure is only defined for a usable cage; it is 0 for others, and their poses are not looked at.
+
+    Args:
+        cage: The cage.
+        field: A field whose visible voxels should be inside. None looks at no field.
+        mesh: A mesh whose vertices should be inside. None looks at no mesh.
+        pose: A pose of the cage, in any order that `Cage.match` takes. None looks at no pose.
+
+    Returns:
+        The report.
+
+    Raises:
+        ValueError: For a field or a mesh with nothing in it, or a pose that does not match.
     """
+    if pose is not None:
+        require_mesh(pose, "the pose must be")
     topology = cage.topology
     problem = first_problem(cage)
-    shares, outside, objects = {"mesh": None, "field": None}, [], []
-    if mesh is not None:
-        points = np.asarray(mesh.vertices, dtype=np.float64)
-        shares["mesh"] = _enclosed(cage, points, problem, "mesh has no vertices", outside)
-        objects.append(points)
-    if field is not None:
-        points = visible_nodes(field)
-        shares["field"] = _enclosed(cage, points, problem, "field has no visible voxels", outside)
-        objects.append(points)
-    if pose is not None:
-        pose = check_pose(cage, pose) if not problem else None
+    mesh_points = None if mesh is None else np.asarray(mesh.vertices, dtype=np.float64)
+    field_points = None if field is None else visible_nodes(field)
+    objects = [points for points in (mesh_points, field_points) if points is not None]
+    outside: list[np.ndarray] = []
+    mesh_enclosed = _enclosed(cage, mesh_points, problem, "mesh has no vertices", outside)
+    field_enclosed = _enclosed(cage, field_points, problem, "field has no visible voxels", outside)
     closed = topology.closed and topology.manifold
     return CageReport(
         vertex_count=len(cage.vertices), face_count=len(cage.faces), part_count=topology.part_count,
@@ -43,14 +57,19 @@ def check_cage(cage: ClosedMesh, field=None, mesh=None, pose=None) -> CageReport
         inward_parts=tuples(inward_parts(cage)) if closed else (),
         intersecting_faces=tuples(intersecting_faces(cage.vertices, cage.faces)),
         unused_vertices=tuples(topology.unused_vertices),
-        mesh_enclosed=shares["mesh"], field_enclosed=shares["field"],
+        mesh_enclosed=mesh_enclosed, field_enclosed=field_enclosed,
         leaking_faces=_nearest_faces(cage, outside), hull_ratio=_hull_ratio(cage, objects),
-        lattice_nodes=_lattice_nodes(cage), notes=tuple(getattr(field, "notes", ())), problem=problem, pose=pose,
+        lattice_nodes=_lattice_nodes(cage), notes=tuple(getattr(field, "notes", ())), problem=problem,
+        pose=None if pose is None or problem else check_pose(cage, pose),
     )  # fmt: skip
 
 
-def _enclosed(cage, points, problem, complaint, outside) -> float:
-    """Share of points inside; those outside are added to a list."""
+def _enclosed(
+    cage: ClosedMesh, points: np.ndarray | None, problem: str, complaint: str, outside: list[np.ndarray]
+) -> float | None:
+    """Share of points inside, None without points; those outside are added to a list."""
+    if points is None:
+        return None
     if not len(points):
         raise ValueError(complaint)
     if problem:
@@ -60,8 +79,11 @@ def _enclosed(cage, points, problem, complaint, outside) -> float:
     return float(np.mean(inside))
 
 
-def _nearest_faces(cage, outside, most: int = 500) -> tuple:
-    """(face, count) by the centre nearest to each point outside, the most frequent first; an even choice of points."""
+def _nearest_faces(cage: ClosedMesh, outside: list[np.ndarray], most: int = 500) -> tuple:
+    """(face, count) by the centre nearest to each point outside, the most frequent first.
+
+    Of more than `most` points it takes every second, third, ...
+    """
     points = np.concatenate(outside) if outside else np.zeros((0, 3))
     if not len(points):
         return ()
@@ -73,26 +95,27 @@ def _nearest_faces(cage, outside, most: int = 500) -> tuple:
     return tuples(np.stack([faces[order], counts[order]], axis=1))
 
 
-def _lattice_nodes(cage) -> int:
+def _lattice_nodes(cage: ClosedMesh) -> int:
     """Nodes of a lattice of COST_RESOLUTION cells along the longest side, with its margins; 0 for no extent."""
     if cage.size == 0.0:
         return 0
     return int(np.prod(np.ceil(np.ptp(cage.bounds, axis=0) / cage.size * COST_RESOLUTION) + 6))
 
 
-def _convexity(cage) -> float:
+def _convexity(cage: ClosedMesh) -> float:
     """Volume over that of the convex hull; 0 for a flat cage."""
     hull = _hull_volume(np.concatenate(cage.corners))
     return cage.volume / hull if hull > 0.0 else 0.0
 
 
-def _hull_ratio(cage, objects) -> float | None:
+def _hull_ratio(cage: ClosedMesh, objects: list[np.ndarray]) -> float | None:
     """Volume over that of the convex hull of points (n, 3); None without points, or for flat ones."""
     hull = _hull_volume(np.concatenate(objects)) if objects else 0.0
     return cage.volume / hull if hull > 0.0 else None
 
 
-def _hull_volume(points) -> float:
+def _hull_volume(points: np.ndarray) -> float:
+    """Volume of the convex hull of points (n, 3); 0 for flat ones."""
     extent = np.ptp(points, axis=0)
     if len(points) < 4 or extent.min() <= 1e-12 * extent.max():
         return 0.0
@@ -104,23 +127,40 @@ def _hull_volume(points) -> float:
         return 0.0
 
 
-def tuples(array) -> tuple:
-    """Rows of an array as (tuples of) plain numbers."""
+def tuples(array: np.ndarray) -> tuple:
+    """Rows of an array as plain numbers, or tuples of them.
+
+    Args:
+        array: (n,) or (n, k).
+
+    Returns:
+        n numbers or tuples.
+    """
     return tuple(tuple(row) if isinstance(row, list) else row for row in np.asarray(array).tolist())
 
 
-#: Samples inside the posed cage, about.
+#: About how many samples are taken inside the posed cage.
 _SAMPLES = 3000
 
-#: Distance of the points of a finite difference, as a share of the size: float32 maps err by about 1e-6 of it.
+#: Distance of the points of a finite difference, as a share of the size; float32 maps err by about 1e-6 of it.
 _DIFFERENCE = 2e-3
 
 
 def check_pose(rest: ClosedMesh, pose: ClosedMesh) -> PoseReport:
-    """Examine a pose (in any order that `Cage.match` takes) of a usable cage. Raises ValueError where it does not fit.
+    """Examine a pose of a usable cage.
 
-    The map posed -> rest is sampled on a grid inside the posed cage; its Jacobian J by forward differences. A sample is
+    The map posed -> rest is sampled on a grid inside the posed cage, its Jacobian J by forward differences. A sample is
     inverted where det J <= 0; elsewhere the pose stretches by 1 / s for each singular value s of J.
+
+    Args:
+        rest: The cage.
+        pose: The same mesh, in any order that `Cage.match` takes.
+
+    Returns:
+        The report.
+
+    Raises:
+        ValueError: If the pose does not match.
     """
     pose = rest.with_vertices(matched_vertices(rest, pose))
     problem = first_problem(pose)
@@ -130,12 +170,14 @@ def check_pose(rest: ClosedMesh, pose: ClosedMesh) -> PoseReport:
         return PoseReport(0, ratio, 0.0, 0.0, 0.0, 0.0, folds, problem)
 
     points, step = _grid(pose), _DIFFERENCE * pose.size
-    offsets = np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
+    offsets: np.ndarray = np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
     stencil = points[:, None] + offsets
     stencil = stencil[inside_mesh(stencil.reshape(-1, 3), pose).reshape(-1, 4).all(axis=1)]
     if not len(stencil):
         return PoseReport(0, ratio, 0.0, 0.0, 1.0, 1.0, folds, problem)
-    mapped = deform_points(stencil.reshape(-1, 3), pose, rest, coordinates="mean_value").reshape(-1, 4, 3)
+    mapped = deform_points(stencil.reshape(-1, 3), pose, rest, coordinates="mean_value")
+    assert isinstance(mapped, np.ndarray)  # as the points are
+    mapped = mapped.reshape(-1, 4, 3)
     jacobian = (mapped[:, 1:] - mapped[:, :1]) / step
     inverted = np.linalg.det(jacobian) <= 0.0
     singular = np.linalg.svd(jacobian[~inverted], compute_uv=False)

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..core.files import atomic_path, require_file
+from ..core.checks import checked_number
+from ..core.files import PathLike, atomic_path, require_file
+from ..mesh.closed_mesh import require_mesh
 from .cage import Cage
 
 _FORMAT, _VERSION = "warpcage poses", 1
@@ -16,21 +21,30 @@ _FORMAT, _VERSION = "warpcage poses", 1
 class PoseFile:
     """Named keyframes of a rest cage.
 
-    rest: Cage. keyframes: name -> pose, a Cage in any order that `Cage.match` takes, or vertices (v, 3).
-    Raises ValueError for a pose that does not fit or an empty name.
-
     The file is JSON: format, version, cage (sha256 over its faces and float64 vertices, and both in full) and
     keyframes (name and vertices, each number with all its digits). Readers ignore keys that they do not know, so later
-    versions may add some; one that changes the meaning of these raises `version`.
+    versions may add some. A version that changes the meaning of these keys has a higher number.
+
+    Args:
+        rest: The cage that is posed.
+        keyframes: Pose by name, each a Cage in any order that `Cage.match` takes, or vertices (v, 3) in world units.
+            There may be none; `file[name] = pose` adds one, and `file[name]` is the pose as a Cage.
+
+    Raises:
+        ValueError: For a pose that does not match, or an empty name.
+
+    Attributes:
+        rest: The cage that is posed.
     """
 
-    def __init__(self, rest: Cage, keyframes=()):
+    def __init__(self, rest: Cage, keyframes: Mapping[str, Cage | ArrayLike] | Iterable[tuple[str, Any]] = ()):
+        require_mesh(rest, "the rest cage must be")
         self.rest = rest
         self._poses: dict[str, Cage] = {}
         for name, pose in dict(keyframes).items():
             self[name] = pose
 
-    def __setitem__(self, name: str, pose) -> None:
+    def __setitem__(self, name: str, pose: Cage | ArrayLike) -> None:
         if not isinstance(name, str) or not name.strip():
             raise ValueError(f"a keyframe needs a name, got {name!r}")
         try:
@@ -40,7 +54,7 @@ class PoseFile:
 
     def __getitem__(self, name: str) -> Cage:
         if name not in self._poses:
-            raise ValueError(f"there is no keyframe {name!r}: {', '.join(self._poses) or 'none at all'}")
+            raise ValueError(f"there is no keyframe {name!r}, only {', '.join(self._poses) or 'the rest cage'}")
         return self._poses[name]
 
     def __len__(self) -> int:
@@ -48,24 +62,40 @@ class PoseFile:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names in the order they were added."""
+        """Names in the order in which they were added."""
         return tuple(self._poses)
 
-    def blend(self, weights) -> Cage:
-        """The rest cage plus the weighted displacements of keyframes: v = rest + sum w (pose - rest).
+    def blend(self, weights: Mapping[str, float]) -> Cage:
+        """The rest cage plus weighted displacements of keyframes: v = rest + sum w (pose - rest).
 
-        weights: name -> number of any size; {} is the rest cage. Raises ValueError for unknown names or NaN.
+        Args:
+            weights: Weight by name, any finite number. {} is the rest cage.
+
+        Returns:
+            The pose.
+
+        Raises:
+            ValueError: For unknown names or weights that are not finite.
         """
         vertices = self.rest.vertices.copy()
         for name, weight in weights.items():
-            if not np.isfinite(weight):
-                raise ValueError(f"the weight of keyframe {name!r} must be finite, got {weight}")
-            vertices += float(weight) * (self[name].vertices - self.rest.vertices)
+            weight = checked_number(weight, f"the weight of keyframe {name!r}")
+            vertices += weight * (self[name].vertices - self.rest.vertices)
         return self.rest.with_vertices(vertices)
 
-    def at(self, time: float, names=None) -> Cage:
-        """The cage `time` keyframes along a sequence of names (default: all, in order), 0 the first of them, on a
-        Catmull-Rom spline through the keyframes. Raises ValueError for a time beyond the sequence."""
+    def at(self, time: float, names: Iterable[str] | None = None) -> Cage:
+        """The cage at a time, on a Catmull-Rom spline through keyframes.
+
+        Args:
+            time: Keyframes from the first one: 0 is the first, 0.5 halfway to the second.
+            names: Names of the keyframes in their order. None takes all in the order in which they were added.
+
+        Returns:
+            The pose.
+
+        Raises:
+            ValueError: For a time outside the sequence or unknown names.
+        """
         names = list(self.names if names is None else names)
         if not names or not 0.0 <= time <= len(names) - 1:
             raise ValueError(f"time must be 0 to {len(names) - 1} for {len(names)} keyframes, got {time}")
@@ -77,8 +107,12 @@ class PoseFile:
         )
         return self.rest.with_vertices(vertices)
 
-    def save(self, path) -> None:
-        """Write the file, whole or not at all."""
+    def save(self, path: PathLike) -> None:
+        """Write the file, whole or not at all.
+
+        Args:
+            path: The file, usually .json.
+        """
         document = {
             "format": _FORMAT, "version": _VERSION,
             "cage": {"sha256": cage_hash(self.rest), "faces": self.rest.faces.tolist(),
@@ -89,11 +123,19 @@ class PoseFile:
             temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
 
     @classmethod
-    def load(cls, path, rest: Cage | None = None) -> PoseFile:
-        """Read a file. rest: the cage to pose, if need be in another order than the file's; None takes the file's own.
+    def load(cls, path: PathLike, rest: Cage | None = None) -> PoseFile:
+        """Read a file.
 
-        Raises FileNotFoundError, or ValueError for what is no such file, a newer version, a damaged cage, or a rest
-        cage that its poses do not fit.
+        Args:
+            path: The file.
+            rest: The cage to be posed; its order may differ from the file's. None takes the cage in the file.
+
+        Returns:
+            The keyframes.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: For another kind of file, a newer version, a damaged cage, or a rest cage that does not match.
         """
         path = require_file(path, "pose file")
         try:
@@ -108,13 +150,20 @@ class PoseFile:
             poses = {frame["name"]: own.with_vertices(frame["vertices"]) for frame in document["keyframes"]}
             return cls(own if rest is None else rest, poses)
         except (KeyError, TypeError, OverflowError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ValueError(f"{path}: no pose file: {type(error).__name__} {error}") from None
+            raise ValueError(f"{path}: not a pose file: {type(error).__name__} {error}") from None
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
 
 def cage_hash(cage: Cage) -> str:
-    """sha256 over the counts, the faces (little-endian int32) and the vertices (little-endian float64)."""
+    """A hash over the counts, the faces (little-endian int32) and the vertices (little-endian float64).
+
+    Args:
+        cage: The cage.
+
+    Returns:
+        sha256 in hexadecimal digits.
+    """
     digest = hashlib.sha256(f"{len(cage.vertices)} {len(cage.faces)}\n".encode())
     digest.update(np.ascontiguousarray(cage.faces, dtype="<i4").tobytes())
     digest.update(np.ascontiguousarray(cage.vertices + 0.0, dtype="<f8").tobytes())

@@ -1,47 +1,72 @@
-"""Edit a cage by hand: divide it, take vertices away without uncovering the object, make it symmetric."""
+"""Finer and symmetric versions of a cage."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..core.checks import axis_index, checked_number, checked_whole
 from ..mesh.closed_mesh import ClosedMesh
-from .poses import axis_index
 
 
 def subdivided(cage: ClosedMesh, times: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Every face cut in four at the middles of its edges, `times` times; the surface stays where it is.
+    """Every face cut in four at the middles of its edges. The surface stays where it is.
 
-    The vertices of the cage keep their numbers, new ones follow. Raises ValueError for times outside 1 .. 4.
+    Args:
+        cage: The cage.
+        times: How often, 1 to 4.
+
+    Returns:
+        Vertices (v, 3), world units: those of the cage with their numbers, then new ones; and faces (f, 3).
+
+    Raises:
+        ValueError: For another number of times.
     """
-    if not isinstance(times, int | np.integer) or not 1 <= times <= 4:
-        raise ValueError(f"times must be 1 to 4, got {times!r}")
     vertices, faces = cage.vertices, cage.faces.astype(np.int64)
-    for _ in range(times):
-        pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-        edges, middle = np.unique(pairs, axis=0, return_inverse=True)
-        ab, bc, ca = middle.reshape(3, -1) + len(vertices)
-        a, b, c = faces.T
-        faces = np.concatenate(
-            [np.stack(corner, axis=1) for corner in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
-        )
-        vertices = np.concatenate([vertices, vertices[edges].mean(axis=1)])
+    for _ in range(checked_whole(times, "times", 1, 4)):
+        vertices, faces = cut_in_four(vertices, faces)
     return vertices, faces
 
 
-def symmetrised(cage: ClosedMesh, axis: str = "x", *, centre: float | None = None, keep: str = "both") -> np.ndarray:
-    """Vertices moved so that the cage is its own mirror image across the plane at `centre` along `axis`.
+def cut_in_four(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every face cut in four at the middles of its edges, once.
 
-    The cage must be nearly symmetric already: each vertex is paired with the one nearest to its mirror image. centre:
-    world units, the middle of the bounding box by default. keep: "both" takes means, "+" or "-" copies the half on that
-    side to the other. Faces stay; squares may be cut along other diagonals on both sides.
-    Raises ValueError where the vertices do not pair, or for other names.
+    Args:
+        vertices: (v, 3) any unit.
+        faces: (f, 3) indices of vertices.
+
+    Returns:
+        Vertices (v + e, 3), the given ones first, and faces (4 f, 3).
+    """
+    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges, middle = np.unique(pairs, axis=0, return_inverse=True)
+    ab, bc, ca = middle.reshape(3, -1) + len(vertices)
+    a, b, c = faces.T
+    divided = [np.stack(corner, axis=1) for corner in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
+    return np.concatenate([vertices, vertices[edges].mean(axis=1)]), np.concatenate(divided)
+
+
+def symmetrised(cage: ClosedMesh, axis: str = "x", *, centre: float | None = None, keep: str = "both") -> np.ndarray:
+    """Vertices moved so that the cage is its own mirror image across a plane.
+
+    The cage must be nearly symmetric already: each vertex is paired with the one nearest to its mirror image. Faces
+    stay, so squares may be cut along other diagonals on both sides.
+
+    Args:
+        cage: The cage.
+        axis: "x", "y" or "z", the normal of the plane.
+        centre: Where the plane crosses the axis, world units. None is the middle of the bounding box.
+        keep: "both" takes the mean of both halves, "+" or "-" copies the half on that side to the other.
+
+    Returns:
+        (v, 3) world units.
+
+    Raises:
+        ValueError: Where the vertices do not pair, or for other names.
     """
     along = axis_index(axis)
     if keep not in ("both", "+", "-"):
         raise ValueError(f"keep must be 'both', '+' or '-', got {keep!r}")
-    middle = float(cage.bounds[:, along].mean()) if centre is None else float(centre)
-    if not np.isfinite(middle):
-        raise ValueError(f"centre must be finite, got {centre}")
+    middle = float(cage.bounds[:, along].mean()) if centre is None else checked_number(centre, "centre")
     own = cage.vertices
     mirrored = own.copy()
     mirrored[:, along] = 2.0 * middle - mirrored[:, along]

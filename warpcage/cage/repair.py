@@ -1,4 +1,4 @@
-"""Mend a cage where that is safe: repeated vertices and faces, small holes, faces that look the wrong way.
+"""Mend a cage where it is safe to do so: repeated vertices and faces, small holes, faces that look the wrong way.
 
 No vertex is moved, added or renumbered, so that the mended cage still matches poses made from the broken file.
 """
@@ -7,33 +7,42 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..core.checks import checked_whole
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.topology import MeshTopology
 from ..mesh.usable import coincident_vertices, inward_parts
 
 
 def repaired_faces(cage: ClosedMesh, largest_hole: int = 12) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Mended faces (f, 3) and what was done, a line each; the same faces and no lines where nothing was wrong.
+    """Mended faces, and what was done.
 
-    Done in this order: faces use one of the vertices at a place (the others stay, unused); faces that name a vertex
-    twice or repeat another go; neighbours are wound alike; holes of at most `largest_hole` edges are closed by the
-    smallest area, without new vertices; parts look outward. What could not be mended is left for `check` to tell:
-    edges of three faces, crossing faces, wide holes, surfaces with one side only.
-    Raises ValueError for a `largest_hole` below 3, or where no face is left.
+    In this order: faces name the same vertex at a place (the others stay, unused); faces go that name a vertex twice or
+    repeat another face; neighbours are wound alike; small holes are closed with the smallest area and without new
+    vertices; parts are turned outward. Some things cannot be mended and are left for `check` to report: edges of three
+    faces, crossing faces, wide holes, surfaces with one side only.
+
+    Args:
+        cage: The cage.
+        largest_hole: Holes of up to so many edges are closed, at least 3.
+
+    Returns:
+        Faces (f, 3) and a line for each thing that was done; the cage's own faces and no lines where nothing was.
+
+    Raises:
+        ValueError: For a smaller `largest_hole`, or where no face is left.
     """
-    if not isinstance(largest_hole, int | np.integer) or largest_hole < 3:
-        raise ValueError(f"largest_hole must be a whole number of at least 3 edges, got {largest_hole!r}")
+    largest_hole = checked_whole(largest_hole, "largest_hole", 3)
     faces, notes = cage.faces.astype(np.int64), []
     for step in (_merged, _without_repeats, _wound_alike):
         faces = step(cage.vertices, faces, notes)
         if not len(faces):
-            raise ValueError("the cage has no face left that encloses anything: begin with another")
+            raise ValueError("the cage has no face left that encloses anything: begin with another cage")
     faces = _closed(cage.vertices, faces, largest_hole, notes)
     faces = _outward(cage.vertices, faces, notes)
     return (faces if notes else cage.faces), tuple(notes)
 
 
-def _merged(vertices, faces, notes):
+def _merged(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
     pairs = coincident_vertices(ClosedMesh(vertices, faces))
     if len(pairs):
         place = np.arange(len(vertices))
@@ -46,7 +55,7 @@ def _merged(vertices, faces, notes):
     return faces
 
 
-def _without_repeats(vertices, faces, notes):
+def _without_repeats(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
     proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     if not proper.all():
         notes.append(
@@ -61,7 +70,7 @@ def _without_repeats(vertices, faces, notes):
     return faces[np.sort(first)]
 
 
-def _wound_alike(vertices, faces, notes):
+def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
     """Flip faces until neighbours agree: a walk over each part from its first face."""
     topology = MeshTopology(len(vertices), faces)
     if not len(topology.clashing_edges):
@@ -86,7 +95,7 @@ def _wound_alike(vertices, faces, notes):
                 if flip[two] < 0:
                     flip[two] = flip[one] ^ int(forward == other)
                     queue.append(two)
-    # the smaller share of each part is what gets flipped
+    # of each part the smaller share gets flipped
     for part in range(topology.part_count):
         rows = topology.parts == part
         if flip[rows].mean() > 0.5:
@@ -101,10 +110,12 @@ def _wound_alike(vertices, faces, notes):
     return flipped
 
 
-def _closed(vertices, faces, largest_hole, notes):
+def _closed(vertices: np.ndarray, faces: np.ndarray, largest_hole: int, notes: list[str]) -> np.ndarray:
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     walked = set(zip(start.tolist(), end.tolist(), strict=True))
-    onward = {b: a for a, b in walked if (b, a) not in walked}  # along the hole, the way its own faces must go
+    onward = {
+        b: a for a, b in walked if (b, a) not in walked
+    }  # along the hole, in the direction of faces that close it
     taken = {(min(a, b), max(a, b)) for a, b in walked}
     while onward:
         first = min(onward)
@@ -125,9 +136,11 @@ def _closed(vertices, faces, largest_hole, notes):
     return faces
 
 
-def _least_area(vertices, loop, taken) -> np.ndarray | None:
-    """Triangles (n - 2, 3) over a polygon (n vertex numbers) of the least total area, by the numbers of its vertices;
-    none of its new edges may be there already (Barequet and Sharir 1995)."""
+def _least_area(vertices: np.ndarray, loop: list[int], taken: set[tuple[int, int]]) -> np.ndarray | None:
+    """Triangles (n - 2, 3) of the least total area over a polygon of n vertices (Barequet and Sharir 1995).
+
+    Their inner edges must not be among the edges `taken`; None where that is not possible.
+    """
     n, points = len(loop), vertices[loop]
     cost = np.zeros((n, n))
     middle = np.zeros((n, n), dtype=int)
@@ -152,7 +165,7 @@ def _least_area(vertices, loop, taken) -> np.ndarray | None:
     return np.array(found)
 
 
-def _outward(vertices, faces, notes):
+def _outward(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
     cage = ClosedMesh(vertices, faces)
     topology = cage.topology
     if not (topology.closed and topology.manifold) or len(topology.clashing_edges):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
-#: Lattice cells along the longest side that the expected cost of a pose is counted for.
+#: Lattice cells along the longest side for which the expected cost of a pose is counted.
 COST_RESOLUTION = 128
 
 
@@ -13,11 +14,15 @@ COST_RESOLUTION = 128
 class PoseReport:
     """What a pose does to the inside of its cage, from samples of the map posed -> rest by mean value coordinates.
 
-    volume_ratio: posed over rest volume. inverted_share: share of the samples where the map turns space inside out.
-    outside_share: share that is mapped out of the rest cage, where nothing is drawn. least_stretch, largest_stretch:
-    length in the pose over length at rest, over all directions and samples that are not inverted.
-    intersecting_faces: pairs of faces of the posed cage that cross: the pose folds there. problem: why the posed cage
-    cannot be used, empty where it can.
+    Attributes:
+        sample_count: Number of samples.
+        volume_ratio: Volume of the posed cage over that of the rest cage.
+        inverted_share: Share of the samples where the map turns space inside out.
+        outside_share: Share of the samples that are mapped out of the rest cage, where nothing is drawn.
+        least_stretch: Least length in the pose over length at rest, over all directions and samples not inverted.
+        largest_stretch: The largest.
+        intersecting_faces: Pairs of faces of the posed cage that cross. The pose folds there.
+        problem: Why the posed cage cannot be used; empty where it can.
     """
 
     sample_count: int
@@ -31,11 +36,15 @@ class PoseReport:
 
     @property
     def usable(self) -> bool:
-        """Whether the posed cage can be used at all; folds and inverted parts are drawn as they are."""
+        """Whether the posed cage can be used at all. Folds and inverted parts are drawn as they are."""
         return not self.problem
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """What, value and advice, a row each."""
+        """The rows of the table.
+
+        Returns:
+            What was measured, its value, and advice or nothing, for each row.
+        """
         inverted = "bring the vertices there apart: colours would show through" if self.inverted_share else ""
         outside = "pull the pose closer to the rest cage: nothing is drawn there" if self.outside_share > 0.01 else ""
         strong = self.least_stretch < 0.25 or self.largest_stretch > 4.0
@@ -54,11 +63,31 @@ class PoseReport:
 class CageReport:
     """What `Cage.check` found. `str(report)` is a table that says what to do about each problem.
 
-    Counts and measures of the cage, world units; the offenders themselves as tuples of indices; `enclosed` the share of
-    the mesh's vertices and of the field's visible voxels that lie inside (None where none was given), `leaking_faces`
-    (face, count) the faces nearest to what lies outside, the leakiest first; `hull_ratio` the cage's volume over that
-    of the convex hull of what it ought to enclose; `lattice_nodes` those of a lattice of 128 cells over it; `notes`
-    what a selection left out of the field; `pose` what a pose does.
+    Attributes:
+        vertex_count: Number of vertices.
+        face_count: Number of faces.
+        part_count: Number of connected parts.
+        genus: Number of handles over all parts; None unless the cage is closed and manifold.
+        volume: Enclosed volume, world units cubed.
+        size: Longest side of the bounding box, world units.
+        convexity: Volume over that of the cage's convex hull.
+        open_edges: Edges of one face only, as pairs of vertices.
+        crowded_edges: Edges of three or more faces.
+        pinched_vertices: Vertices whose faces form more than one fan.
+        clashing_edges: Edges whose two faces are wound against each other.
+        degenerate_faces: Faces without area.
+        coincident_vertices: Pairs of vertices at the same place.
+        inward_parts: Parts that look inward.
+        intersecting_faces: Pairs of faces that cross.
+        unused_vertices: Vertices of no face.
+        mesh_enclosed: Share of the mesh's vertices inside; None without a mesh.
+        field_enclosed: Share of the field's visible voxels inside; None without a field.
+        leaking_faces: (face, count) of the faces nearest to what lies outside, the leakiest first.
+        hull_ratio: Volume over that of the convex hull of what should be enclosed; None where there is nothing.
+        lattice_nodes: Nodes of a lattice of 128 cells along the longest side.
+        notes: What a selection left out of the field.
+        problem: Why the cage cannot be used; empty where it can.
+        pose: What a pose does; None without a pose.
     """
 
     vertex_count: int
@@ -107,9 +136,12 @@ class CageReport:
         return not self.problem and (self.pose is None or self.pose.usable)
 
     @property
-    def cost(self) -> dict:
-        """What a pose takes on a lattice of 128 cells: nodes, those inside, bytes of the map (position and distance a
-        node) and of stored weights, and face terms of a closed form (mean value, green) at the nodes inside."""
+    def cost(self) -> dict[str, int]:
+        """What a pose costs on a lattice of 128 cells.
+
+        Its nodes, those inside, bytes of the map (a position and a distance per node), bytes of stored weights, and
+        face terms of a closed form (mean value, green) at the nodes inside.
+        """
         inside = round(max(self.volume, 0.0) * (COST_RESOLUTION / self.size) ** 3) if self.size else 0
         return {
             "resolution": COST_RESOLUTION, "nodes": self.lattice_nodes, "inside_nodes": inside,
@@ -117,8 +149,12 @@ class CageReport:
             "face_terms": self.face_count * inside,
         }  # fmt: skip
 
-    def as_dict(self) -> dict:
-        """All entries as plain numbers, strings and lists, as JSON takes them."""
+    def as_dict(self) -> dict[str, Any]:
+        """The whole report for JSON.
+
+        Returns:
+            All attributes and properties by name, as plain numbers, strings and lists.
+        """
         plain = _plain_fields(self)
         plain["pose"] = None if self.pose is None else _plain_fields(self.pose) | {"usable": self.pose.usable}
         return plain | {name: getattr(self, name) for name in ("closed", "manifold", "oriented", "usable", "cost")}
@@ -166,17 +202,27 @@ class CageReport:
         return "\n".join(f"{a:<{widths[0]}}  {b:<{widths[1]}}  {c}".rstrip() for a, b, c in rows)
 
 
-def _plain_fields(report) -> dict:
+def _plain_fields(report: PoseReport | CageReport) -> dict[str, Any]:
     return {entry.name: _plain(getattr(report, entry.name)) for entry in dataclasses.fields(report)}
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return [_plain(each) for each in value] if isinstance(value, tuple) else value
 
 
-def offender_row(what: str, offenders: tuple, advice: str) -> tuple:
+def offender_row(what: str, offenders: tuple, advice: str) -> tuple[str, str, str]:
+    """A row of the table that shows the first few offenders.
+
+    Args:
+        what: What they are.
+        offenders: All of them.
+        advice: What to do about them.
+
+    Returns:
+        What, how many, and the advice with the first three.
+    """
     if not offenders:
         return what, "none", ""
     shown = ", ".join(str(each) for each in offenders[:3]) + (", ..." if len(offenders) > 3 else "")

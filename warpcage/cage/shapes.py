@@ -2,19 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike
 
-from .poses import axis_index
+from ..core.checks import axis_index, checked_positive, checked_vector, checked_whole
+from .refine import cut_in_four
+
+#: Faces of an icosahedron over the corners of three golden rectangles.
+_ICOSAHEDRON = [
+    [0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11],
+    [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6], [7, 1, 8],
+    [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9],
+    [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1],
+]  # fmt: skip
 
 
-def box(lower, upper=None, segments=1) -> tuple[np.ndarray, np.ndarray]:
-    """The surface of a grid between two corners: see `Cage.box`."""
+def box(
+    lower: ArrayLike, upper: ArrayLike | None = None, segments: int | Sequence[int] = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """The surface of a grid between two corners; see `Cage.box`.
+
+    Args:
+        lower: (3,) lower corner, world units; or (2, 3) both corners.
+        upper: (3,) upper corner, world units. None where `lower` holds both.
+        segments: Pieces along each axis, one number or three, at least 1.
+
+    Returns:
+        Vertices (v, 3) and faces (f, 3).
+
+    Raises:
+        ValueError: For corners that are not finite, a side that is not positive, or segments below 1.
+    """
     corners = np.asarray(lower if upper is None else [lower, upper], dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all():
         raise ValueError(f"a box needs two finite corners of 3 numbers, got {corners.tolist()}")
     if not (corners[1] > corners[0]).all():
         raise ValueError(f"a box needs its upper corner above the lower, got {corners.tolist()}")
-    pieces = np.broadcast_to(_whole(segments, 1, "box segments"), 3)
+    if np.shape(segments) not in ((), (3,)):
+        raise ValueError(f"box segments must be one whole number or three, got {segments!r}")
+    pieces = [checked_whole(count, "box segments", 1) for count in np.broadcast_to(np.asarray(segments), 3)]
 
     number: dict[tuple, int] = {}
     faces = []
@@ -26,7 +54,7 @@ def box(lower, upper=None, segments=1) -> tuple[np.ndarray, np.ndarray]:
                     quad = []
                     for du, dv in ((0, 0), (1, 0), (1, 1), (0, 1)):
                         node = [0, 0, 0]
-                        node[axis], node[u], node[v] = int(end), i + du, j + dv
+                        node[axis], node[u], node[v] = end, i + du, j + dv
                         quad.append(tuple(node))
                     quad = quad if end else quad[::-1]
                     faces += [(quad[0], quad[1], quad[2]), (quad[0], quad[2], quad[3])]
@@ -37,11 +65,28 @@ def box(lower, upper=None, segments=1) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.array([[number[node] for node in face] for face in faces])
 
 
-def cylinder(centre, radius, height, axis="z", sides=12, rings=1) -> tuple[np.ndarray, np.ndarray]:
-    """Rings of vertices around an axis and two caps with a middle vertex: see `Cage.cylinder`."""
-    centre = _centre(centre)
-    radius, height = _positive(radius, "cylinder radius"), _positive(height, "cylinder height")
-    sides, rings = int(_whole(sides, 3, "cylinder sides")), int(_whole(rings, 1, "cylinder rings"))
+def cylinder(
+    centre: ArrayLike, radius: float, height: float, axis: str = "z", sides: int = 12, rings: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rings of vertices around an axis, and two caps with a vertex in the middle; see `Cage.cylinder`.
+
+    Args:
+        centre: (3,) the point on the axis at half the height, world units.
+        radius: Radius of the circle through the vertices, world units.
+        height: Length along the axis, world units.
+        axis: "x", "y" or "z".
+        sides: Flat sides, at least 3.
+        rings: Pieces along the height, at least 1.
+
+    Returns:
+        Vertices (v, 3) and faces (f, 3).
+
+    Raises:
+        ValueError: For a radius or height that is not positive, fewer sides or rings, or another axis.
+    """
+    middle = checked_vector(centre, "centre")
+    radius, height = checked_positive(radius, "cylinder radius"), checked_positive(height, "cylinder height")
+    sides, rings = checked_whole(sides, "cylinder sides", 3), checked_whole(rings, "cylinder rings", 1)
     w = axis_index(axis)
     u, v = (w + 1) % 3, (w + 2) % 3
 
@@ -65,75 +110,29 @@ def cylinder(centre, radius, height, axis="z", sides=12, rings=1) -> tuple[np.nd
             np.stack([np.full(sides, top), rings * sides + edge, rings * sides + after], axis=1),
         ]
     )
-    return vertices + centre, faces
+    return vertices + middle, faces
 
 
-def icosphere(centre, radius, subdivisions=1) -> tuple[np.ndarray, np.ndarray]:
-    """A divided icosahedron: see `Cage.icosphere`."""
-    centre, radius = _centre(centre), _positive(radius, "icosphere radius")
-    subdivisions = int(_whole(subdivisions, 0, "icosphere subdivisions"))
-    if subdivisions > 6:
-        raise ValueError(f"icosphere subdivisions must be at most 6, got {subdivisions}")
+def icosphere(centre: ArrayLike, radius: float, subdivisions: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """A divided icosahedron; see `Cage.icosphere`.
+
+    Args:
+        centre: (3,) centre of the sphere, world units.
+        radius: Radius of the sphere, world units.
+        subdivisions: How often each face is cut in four, 0 to 6.
+
+    Returns:
+        Vertices (v, 3) and faces (f, 3).
+
+    Raises:
+        ValueError: For a radius that is not positive, or another number of subdivisions.
+    """
+    middle, radius = checked_vector(centre, "centre"), checked_positive(radius, "icosphere radius")
+    subdivisions = checked_whole(subdivisions, "icosphere subdivisions", 0, 6)
     golden = (1.0 + np.sqrt(5.0)) / 2.0
     rectangle = np.array([[-1, golden, 0], [1, golden, 0], [-1, -golden, 0], [1, -golden, 0]])
     vertices = np.concatenate([rectangle, np.roll(rectangle, 1, axis=1), np.roll(rectangle, 2, axis=1)])
-    faces = np.array(
-        [
-            [0, 11, 5],
-            [0, 5, 1],
-            [0, 1, 7],
-            [0, 7, 10],
-            [0, 10, 11],
-            [1, 5, 9],
-            [5, 11, 4],
-            [11, 10, 2],
-            [10, 7, 6],
-            [7, 1, 8],
-            [3, 9, 4],
-            [3, 4, 2],
-            [3, 2, 6],
-            [3, 6, 8],
-            [3, 8, 9],
-            [4, 9, 5],
-            [2, 4, 11],
-            [6, 2, 10],
-            [8, 6, 7],
-            [9, 8, 1],
-        ]
-    )
+    faces = np.array(_ICOSAHEDRON)
     for _ in range(subdivisions):
-        vertices, faces = _divided(vertices, faces)
-    return centre + radius * vertices / np.linalg.norm(vertices, axis=1, keepdims=True), faces
-
-
-def _divided(vertices, faces):
-    """Cut every face in four at the middles of its edges, pushed out to the unit sphere."""
-    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
-    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    edges, middle = np.unique(pairs, axis=0, return_inverse=True)
-    ab, bc, ca = middle.reshape(3, -1) + len(vertices)
-    a, b, c = faces.T
-    divided = np.concatenate(
-        [np.stack(corner, axis=1) for corner in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
-    )
-    return np.concatenate([vertices, vertices[edges].mean(axis=1)]), divided
-
-
-def _centre(centre) -> np.ndarray:
-    centre = np.asarray(centre, dtype=np.float64)
-    if centre.shape != (3,) or not np.isfinite(centre).all():
-        raise ValueError(f"centre must be 3 finite numbers, got {centre.tolist()}")
-    return centre
-
-
-def _positive(value, name: str) -> float:
-    if not (np.isfinite(value) and value > 0):
-        raise ValueError(f"{name} must be positive and finite, got {value}")
-    return float(value)
-
-
-def _whole(value, least: int, name: str) -> np.ndarray:
-    array = np.asarray(value)
-    if array.dtype.kind not in "iu" or array.shape not in ((), (3,)) or (array < least).any():
-        raise ValueError(f"{name} must be whole numbers of at least {least}, got {value}")
-    return array
+        vertices, faces = cut_in_four(vertices / np.linalg.norm(vertices, axis=1, keepdims=True), faces)
+    return middle + radius * vertices / np.linalg.norm(vertices, axis=1, keepdims=True), faces

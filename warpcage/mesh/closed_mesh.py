@@ -1,10 +1,12 @@
-"""ClosedMesh: vertices, faces and topology of a triangle mesh, which all maps take."""
+"""ClosedMesh: vertices, faces and topology of a triangle mesh. All maps take one."""
 
 from __future__ import annotations
 
-from typing import TypeVar
+import copy
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points, is_device_array
 from .topology import MeshTopology
@@ -12,27 +14,43 @@ from .topology import MeshTopology
 Mesh = TypeVar("Mesh", bound="ClosedMesh")
 
 
+class TriangleMesh(Protocol):
+    """Anything with vertices and triangles: a trimesh.Trimesh, a ClosedMesh, or the like."""
+
+    @property
+    def vertices(self) -> ArrayLike:
+        """(v, 3) world units."""
+        ...
+
+    @property
+    def faces(self) -> ArrayLike:
+        """(f, 3) indices of vertices."""
+        ...
+
+
 class ClosedMesh:
     """A triangle mesh that is meant to be closed and to look outward; immutable.
 
-    vertices: (v, 3) finite floats in world units, kept as float64 in the order given.
-    faces: (f, 3) whole numbers, vertex indices, kept as int32; anticlockwise seen from outside.
+    The constructor refuses only what cannot be held. It holds an open, inverted or tangled mesh, so that the mesh can
+    be described and mended. What computes on it calls `warpcage.mesh.usable.require_usable` first.
 
-    The constructor refuses what cannot be held (other shapes, values that are not finite, indices that point nowhere)
-    with a ValueError. An open, inverted or tangled mesh can be held, so that it can be described and mended; what
-    computes on it calls `warpcage.mesh.usable.require_usable` first.
+    Messages call it a cage: users make one as a `warpcage.Cage`.
+
+    Args:
+        vertices: (v, 3) finite floats, world units. They are kept as float64 in the order given.
+        faces: (f, 3) whole numbers, indices of vertices, anticlockwise seen from outside. They are kept as int32.
+
+    Raises:
+        ValueError: For other shapes, values that are not finite, or indices that point nowhere.
     """
 
-    __slots__ = ("_vertices", "_faces", "_topology", "problem", "_bounds")
+    # __weakref__: mesh/usable.py remembers what it found for as long as the mesh lives
+    __slots__ = ("_vertices", "_faces", "_topology", "_bounds", "__weakref__")
 
-    def __init__(self, vertices, faces):
-        self._set(_checked_vertices(vertices), None, None)
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike):
+        self._vertices = _checked_vertices(vertices)
         self._faces = _checked_faces(faces, len(self._vertices))
-
-    def _set(self, vertices, faces, topology):
-        vertices.setflags(write=False)
-        self._vertices, self._faces, self._topology = vertices, faces, topology
-        self.problem: str | None = None  # what mesh.usable found
+        self._topology: MeshTopology | None = None
         self._bounds: np.ndarray | None = None
 
     def __repr__(self) -> str:
@@ -50,7 +68,7 @@ class ClosedMesh:
 
     @property
     def topology(self) -> MeshTopology:
-        """Edges, holes and connected parts; worked out once for a cage and all its poses."""
+        """Edges, holes and connected parts, worked out once for a mesh and all its poses."""
         if self._topology is None:
             self._topology = MeshTopology(len(self.vertices), self.faces)
         return self._topology
@@ -82,7 +100,7 @@ class ClosedMesh:
 
     @property
     def volume(self) -> float:
-        """Enclosed volume, world units cubed; negative where the faces look inward, meaningless on an open cage."""
+        """Enclosed volume, world units cubed: negative where the faces look inward, meaningless for an open mesh."""
         return float(self.part_volumes().sum())
 
     @property
@@ -92,35 +110,60 @@ class ClosedMesh:
         return local[self.faces[:, 0]], local[self.faces[:, 1]], local[self.faces[:, 2]]
 
     def part_volumes(self) -> np.ndarray:
-        """(part_count,) float64: signed volume of each connected part."""
+        """The volume of each connected part.
+
+        Returns:
+            (part_count,) float64, world units cubed: negative where the faces of the part look inward.
+        """
         a, b, c = self.corners
         cones = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
         return np.bincount(self.topology.parts, weights=cones, minlength=self.topology.part_count)
 
-    def with_vertices(self: Mesh, vertices) -> Mesh:
-        """A mesh of the same kind with the same faces and these vertices (v, 3). Raises ValueError for another count or
-        NaN."""
-        vertices = _checked_vertices(vertices)
-        if len(vertices) != len(self.vertices):
-            raise ValueError(f"with_vertices needs {len(self.vertices)} vertices as the cage has, got {len(vertices)}")
-        posed = object.__new__(type(self))
-        posed._set(vertices, self.faces, self.topology)
+    def with_vertices(self: Mesh, vertices: ArrayLike) -> Mesh:
+        """A mesh of the same class with the same faces and other vertices.
+
+        Args:
+            vertices: (v, 3) finite floats, world units, in the order of this mesh.
+
+        Returns:
+            The other mesh. It shares faces and topology with this one.
+
+        Raises:
+            ValueError: For another number of vertices, another shape or values that are not finite.
+        """
+        checked = _checked_vertices(vertices)
+        if len(checked) != len(self.vertices):
+            raise ValueError(f"with_vertices needs {len(self.vertices)} vertices as the cage has, got {len(checked)}")
+        self._topology = self.topology  # worked out before it is shared
+        posed = copy.copy(self)
+        posed._vertices, posed._bounds = checked, None
         return posed
 
 
-def require_mesh(value, what: str) -> None:
-    """Raise a ValueError, "`what` a Cage, got ...", unless `value` is a ClosedMesh."""
+def require_mesh(value: object, what: str) -> None:
+    """Refuse an object that is no mesh.
+
+    Args:
+        value: What was given.
+        what: How the message begins: "`what` a Cage, got ...".
+
+    Raises:
+        ValueError: If `value` is no ClosedMesh.
+    """
     if not isinstance(value, ClosedMesh):
         raise ValueError(f"{what} a Cage, got {type(value).__name__}")
 
 
-def _checked_vertices(vertices) -> np.ndarray:
-    vertices = as_host_points(vertices, name="cage vertices")
-    return np.array(vertices, dtype=np.float64, order="C", copy=True)
+def _checked_vertices(vertices: ArrayLike) -> np.ndarray:
+    """(v, 3) float64, a read-only copy."""
+    checked = np.array(as_host_points(vertices, name="cage vertices"), dtype=np.float64, order="C", copy=True)
+    checked.setflags(write=False)
+    return checked
 
 
-def _checked_faces(faces, vertex_count: int) -> np.ndarray:
-    faces = np.asarray(faces.numpy() if is_device_array(faces) and hasattr(faces, "numpy") else faces)
+def _checked_faces(given: Any, vertex_count: int) -> np.ndarray:
+    """(f, 3) int32, a read-only copy."""
+    faces = np.asarray(given.numpy() if is_device_array(given) and hasattr(given, "numpy") else given)
     if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
         raise ValueError(f"cage faces must be (f, 3) triangles, at least one, got {faces.shape}")
     if faces.dtype.kind not in "iu":

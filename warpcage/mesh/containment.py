@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import overload
+
 import numpy as np
 import warp as wp
 
-from ..core.arrays import as_host_points, as_points, is_device_array
-from ..core.devices import launch, resolve_device
+from ..core.arrays import PointsLike, as_host_points, as_points, is_device_array
+from ..core.devices import Kernel, launch, resolve_device
 from ..kernels.mesh.containment import measure_distance, measure_winding_number
 from .closed_mesh import ClosedMesh
 from .usable import require_usable
@@ -15,22 +17,45 @@ from .usable import require_usable
 SURFACE_TOLERANCE = 1e-5
 
 
-def inside_mesh(points, mesh: ClosedMesh, *, tolerance: float = SURFACE_TOLERANCE, device=None):
-    """Whether points (n, 3), world units, are inside a usable mesh or within tolerance * mesh.size of its surface.
+@overload
+def inside_mesh(
+    points: wp.array, mesh: ClosedMesh, *, tolerance: float = ..., device: wp.DeviceLike = ...
+) -> wp.array: ...
+@overload
+def inside_mesh(
+    points: PointsLike, mesh: ClosedMesh, *, tolerance: float = ..., device: wp.DeviceLike = ...
+) -> np.ndarray: ...
+def inside_mesh(
+    points: PointsLike, mesh: ClosedMesh, *, tolerance: float = SURFACE_TOLERANCE, device: wp.DeviceLike = None
+) -> np.ndarray | wp.array:
+    """Whether points are inside a mesh or on its surface.
 
-    Returns (n,) bool: NumPy for NumPy input, else a Warp array on the device of the points. Inside is a winding number
-    above 1/2, so that a cavity is outside and a place that a tangled pose covers twice is inside.
+    Inside is a winding number above 1/2, so that a cavity is outside, and a place that a tangled pose covers twice is
+    inside.
+
+    Args:
+        points: (n, 3) float, world units. NumPy or any DLPack array.
+        mesh: A usable mesh.
+        tolerance: Points this close to the surface are inside, as a share of the mesh's size.
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+
+    Returns:
+        (n,) bool: NumPy for NumPy points, else a Warp array on the device.
+
+    Raises:
+        ValueError: For points of another shape, NumPy points that are not finite, or a mesh that is not usable.
     """
     require_usable(mesh)
-    given_on_device = is_device_array(points)
-    if given_on_device:
+    if is_device_array(points):
         array, _ = as_points(points, device)
-        device, points = array.device, array.numpy()
-    else:
-        device = resolve_device(device)
-    points = as_host_points(points)
+        assert array.device is not None
+        inside = _inside(as_host_points(array), mesh, tolerance, array.device)
+        return wp.array(inside, dtype=wp.bool, device=array.device)
+    return _inside(as_host_points(points), mesh, tolerance, resolve_device(device))
 
-    # float32 relative to the cage's middle, so that a cage far from the origin keeps its digits, and to its size, so
+
+def _inside(points: np.ndarray, mesh: ClosedMesh, tolerance: float, device: wp.Device) -> np.ndarray:
+    # float32 relative to the mesh's middle, so that a mesh far from the origin keeps its digits, and to its size, so
     # that products of lengths stay in range
     centre, size = mesh.bounds.mean(axis=0), mesh.size
     inside = np.zeros(len(points), dtype=bool)
@@ -39,9 +64,9 @@ def inside_mesh(points, mesh: ClosedMesh, *, tolerance: float = SURFACE_TOLERANC
     vertices = wp.array(((mesh.vertices - centre) / size).astype(np.float32), dtype=wp.vec3, device=device)
     faces = wp.array(mesh.faces, dtype=wp.vec3i, device=device)
 
-    def measure(kernel, rows):
+    def measure(kernel: Kernel, rows: np.ndarray) -> np.ndarray:
         local = wp.array(((points[rows] - centre) / size).astype(np.float32), dtype=wp.vec3, device=device)
-        values = wp.empty(len(rows), dtype=wp.float32, device=device)
+        values = wp.empty(len(rows), dtype=wp.float32, device=device)  # pyright: ignore[reportArgumentType]
         launch(kernel, len(rows), [local, vertices, faces], [values], device=device)
         return values.numpy()
 
@@ -50,4 +75,4 @@ def inside_mesh(points, mesh: ClosedMesh, *, tolerance: float = SURFACE_TOLERANC
     outside = near[~inside[near]]
     if len(outside):
         inside[outside] = measure(measure_distance, outside) <= tolerance
-    return wp.array(inside, dtype=wp.bool, device=device) if given_on_device else inside
+    return inside

@@ -1,4 +1,4 @@
-"""Edges, normals and stretch of all faces of a cage at once, as columns (3, f), in few array calls: poses need them."""
+"""Edges, normals and stretch of all faces of a mesh, as columns (3, f). Every pose needs them: few array calls."""
 
 from __future__ import annotations
 
@@ -6,39 +6,79 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .closed_mesh import ClosedMesh
+
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 
 
-def face_edges(cage, faces=None) -> tuple[np.ndarray, np.ndarray]:
-    """From the first corner of each face to its second and third: (3, f) float64 each, world units. faces (f, 3):
-    instead of the cage's own."""
-    lower, upper = cage.bounds
-    vertices = (cage.vertices - 0.5 * (lower + upper)).T
-    first, second, third = (cage.faces if faces is None else faces).T
+def face_edges(mesh: ClosedMesh, faces: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """From the first corner of each face to its second and to its third.
+
+    Args:
+        mesh: The mesh.
+        faces: (f, 3) indices of its vertices. None takes the mesh's own faces.
+
+    Returns:
+        Two (3, f) float64, world units.
+    """
+    lower, upper = mesh.bounds
+    vertices = (mesh.vertices - 0.5 * (lower + upper)).T
+    first, second, third = (mesh.faces if faces is None else faces).T
     a = vertices[:, first]
     return vertices[:, second] - a, vertices[:, third] - a
 
 
 def column_cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of the columns of two (3, n)."""
+    """Cross products of columns.
+
+    Args:
+        a: (3, n).
+        b: (3, n).
+
+    Returns:
+        (3, n).
+    """
     return a[_NEXT] * b[_LAST] - a[_LAST] * b[_NEXT]
 
 
 def column_dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Dot products (n,) of the columns of two (3, n)."""
+    """Dot products of columns.
+
+    Args:
+        a: (3, n).
+        b: (3, n).
+
+    Returns:
+        (n,).
+    """
     return np.einsum("in,in->n", a, b)
 
 
-def face_area(cage) -> float:
-    """Area of all faces, world units squared."""
-    cross = column_cross(*face_edges(cage))
+def face_area(mesh: ClosedMesh) -> float:
+    """The area of all faces.
+
+    Args:
+        mesh: The mesh.
+
+    Returns:
+        The area, world units squared.
+    """
+    cross = column_cross(*face_edges(mesh))
     return 0.5 * float(np.sqrt(column_dot(cross, cross)).sum())
 
 
 @dataclass(frozen=True)
 class StretchTarget:
-    """What `stretched_normals` needs of the faces that are stretched to: unit normals (3, f), zero where there is no
-    area, and products (f,) of the two edges s, t from the first corner of each."""
+    """What `stretched_normals` needs of the faces that others are stretched to.
+
+    With s and t the two edges from the first corner of each face:
+
+    Attributes:
+        normals: (3, f) unit normals, zero for a face without area.
+        ss: (f,) s . s, world units squared.
+        st: (f,) s . t, world units squared.
+        tt: (f,) t . t, world units squared.
+    """
 
     normals: np.ndarray
     ss: np.ndarray
@@ -46,19 +86,35 @@ class StretchTarget:
     tt: np.ndarray
 
     @classmethod
-    def of(cls, cage, faces=None) -> StretchTarget:
-        """faces (f, 3): instead of the cage's own."""
-        s, t = face_edges(cage, faces)
+    def of(cls, mesh: ClosedMesh, faces: np.ndarray | None = None) -> StretchTarget:
+        """The target that the faces of a mesh are.
+
+        Args:
+            mesh: The mesh.
+            faces: (f, 3) indices of its vertices. None takes the mesh's own faces.
+
+        Returns:
+            The target.
+        """
+        s, t = face_edges(mesh, faces)
         normals = column_cross(s, t)
         length = np.sqrt(column_dot(normals, normals))
         normals *= np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
         return cls(normals, column_dot(s, s), column_dot(s, t), column_dot(t, t))
 
 
-def stretched_normals(source, target: StretchTarget) -> np.ndarray:
-    """The target's unit normals times how much each face is stretched from the Cage `source`: (3, f). Stretch (Lipman
-    et al. 2008, 3-D), with u, v two edges of a face of area A in the source and s, t the same in the target:
-    sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
+def stretched_normals(source: ClosedMesh, target: StretchTarget) -> np.ndarray:
+    """Unit normals of the target times the stretch of each face from the source to it.
+
+    The stretch (Lipman et al. 2008, 3-D), with u, v two edges of a face of area A in the source and s, t the same in
+    the target: sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
+
+    Args:
+        source: The mesh that is stretched; it has the target's faces.
+        target: What it is stretched to.
+
+    Returns:
+        (3, f) float64.
     """
     u, v = face_edges(source)
     cross = column_cross(u, v)

@@ -1,4 +1,4 @@
-"""Faces in the order in which kernels that take them edge by edge have least to do: in fans around vertices."""
+"""Faces in fans around vertices: the order in which kernels that take them edge by edge have least to do."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from ..kernels.mesh.fans import prepare_fans
 
 @dataclass(frozen=True)
 class FaceFans:
-    """Triangles turned and in an order in which most begin with an edge of the one before: around a vertex a, (a, b, c)
-    is followed by (a, c, d), and so on.
+    """Triangles turned and ordered so that most begin with an edge of the one before.
 
-    faces (f, 3) int32; order (f,) int: which face of the cage each of them is.
+    Around a vertex a, (a, c, d) follows (a, b, c), and so on.
+
+    Attributes:
+        faces: (f, 3) int32 indices of vertices.
+        order: (f,) int: which face of the mesh each of them is.
     """
 
     faces: np.ndarray
@@ -25,9 +28,19 @@ class FaceFans:
 
 
 def face_fans(faces: np.ndarray) -> FaceFans:
-    """The triangles (f, 3) of a usable cage in few fans: about f / 4, as vertices with most faces left come first."""
+    """The triangles of a usable mesh in few fans.
+
+    There are about f / 4, as the vertices with most faces left come first.
+
+    Args:
+        faces: (f, 3) indices of vertices.
+
+    Returns:
+        The fans.
+    """
     faces = np.asarray(faces)
-    following = [{} for _ in range(int(faces.max()) + 1)]  # c and the face by b, of the faces left around a
+    # of the faces left around a: c and the face's number by b
+    following: list[dict[int, tuple[int, int]]] = [{} for _ in range(int(faces.max()) + 1)]
     for f, (a, b, c) in enumerate(faces.tolist()):
         following[a][b], following[b][c], following[c][a] = (c, f), (a, f), (b, f)
     heap = [(-len(around), hub) for hub, around in enumerate(following) if around]
@@ -54,10 +67,17 @@ def face_fans(faces: np.ndarray) -> FaceFans:
 
 
 def prepared_fans(vertices: wp.array, faces: wp.array, size: float, out: wp.array | None = None) -> wp.array:
-    """What closed forms read of faces (f,) vec3i over vertices (v,) vec3, on their device; see the kernel.
+    """What closed forms read of faces; see the kernel `prepare_fans`.
 
-    size: of the cage, in the vertices' units. out: (2 f,) vec4 to be filled instead of a new array.
+    Args:
+        vertices: (v,) vec3, any unit.
+        faces: (f,) vec3i on the same device, in the order of `face_fans`.
+        size: Size of the mesh, in the vertices' unit.
+        out: (2 f,) vec4 to be filled. None makes a new array.
+
+    Returns:
+        (2 f,) vec4 on that device.
     """
-    fans = wp.empty(2 * faces.size, dtype=wp.vec4, device=faces.device) if out is None else out
+    fans = wp.empty(2 * faces.size, dtype=wp.vec4, device=faces.device) if out is None else out  # pyright: ignore[reportArgumentType]
     launch(prepare_fans, faces.size, [vertices, faces, size], [fans], device=faces.device)
     return fans

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 #: Overlaps and crossings below this share of the mesh's size are touching, not intersecting.
 TOUCHING = 1e-9
 
 
-def intersecting_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Pairs (k, 2) of faces that cross or overlap, lower index first. vertices (v, 3), faces (f, 3).
+def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
+    """Pairs of faces that cross or overlap.
 
     Faces may share vertices and edges; neighbours intersect when they fold onto each other. Every pair whose bounding
-    boxes overlap is tested, edges against triangles (Moeller and Trumbore 1997) and, in one plane, by separating axes.
+    boxes overlap is tested: edges against triangles (Moeller and Trumbore 1997) and, in one plane, by separating axes.
+
+    Args:
+        vertices: (v, 3) floats, any unit.
+        faces: (f, 3) indices of vertices.
+
+    Returns:
+        (k, 2) indices of faces, the lower one first.
     """
     faces = np.asarray(faces, dtype=np.int64)
-    vertices = np.asarray(vertices, dtype=np.float64)
-    vertices = vertices - vertices[faces.reshape(-1)].mean(axis=0)
-    size = np.ptp(vertices[faces.reshape(-1)], axis=0).max()
+    places = np.asarray(vertices, dtype=np.float64)
+    places = places - places[faces.reshape(-1)].mean(axis=0)
+    size = np.ptp(places[faces.reshape(-1)], axis=0).max()
     if size == 0.0:
         return np.zeros((0, 2), dtype=np.int64)
-    corners = vertices[faces] / size
+    corners = places[faces] / size
     pairs = _overlapping_boxes(corners)
     one, two = pairs.T
     shared = (faces[one][:, :, None] == faces[two][:, None, :]).any(axis=2).sum(axis=1)

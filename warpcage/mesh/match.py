@@ -17,7 +17,15 @@ from .topology import connected_parts
 
 
 def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:
-    """Raise a ValueError that says how they differ unless both cages have the same faces in the same order."""
+    """Refuse two meshes whose faces are not the same in the same order.
+
+    Args:
+        rest: One mesh, in messages "the rest cage".
+        deformed: The other, in messages "the deformed cage".
+
+    Raises:
+        ValueError: How they differ, and whether `Cage.match` helps.
+    """
     if rest.faces is deformed.faces:
         return
     same_count = len(rest.vertices) == len(deformed.vertices)
@@ -33,14 +41,11 @@ def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:
         first = int(np.flatnonzero((rest.faces != deformed.faces).any(axis=1))[0])
         raise ValueError(
             f"the deformed cage has the rest cage's faces in another order, from face {first} "
-            f"({deformed.faces[first].tolist()}, not {rest.faces[first].tolist()}): pass "
-            "rest.match(deformed)"
+            f"({deformed.faces[first].tolist()}, not {rest.faces[first].tolist()}): pass rest.match(deformed)"
         )
-    what = (
-        "vertices in another order"
-        if same_count
-        else f"faces on {len(deformed.vertices)} vertices, not on {len(rest.vertices)}"
-    )
+    what = f"faces on {len(deformed.vertices)} vertices, not on {len(rest.vertices)}"
+    if same_count:
+        what = "vertices in another order"
     raise ValueError(f"the deformed cage has the rest cage's {what}: pass rest.match(deformed)")
 
 
@@ -51,21 +56,29 @@ _WALKS = 256
 _CLEARLY_BETTER = 0.98
 
 
-def matched_vertices(rest, pose) -> np.ndarray:
-    """The vertices (v, 3) of `pose` in the order of `rest`; unused vertices of `rest` stay where they are.
+def matched_vertices(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
+    """The vertices of a pose in the order of its rest mesh.
 
-    rest, pose: ClosedMesh. Accepted, besides the same faces: faces in another order or begun at another corner, flat
-    patches (quads) cut along other diagonals, vertices in any order, and vertices repeated at one place, as exporters
-    do that store a normal a corner. Raises ValueError that begins with "the pose " and says how the two differ.
+    Besides the same faces it accepts faces in another order or begun at another corner, quads cut along other
+    diagonals, vertices in any order, and vertices repeated at one place, as programs write that store one normal for
+    each corner.
+
+    Args:
+        rest: The mesh whose order is wanted.
+        pose: The same mesh with its vertices elsewhere.
+
+    Returns:
+        (v, 3) float64, world units. Unused vertices of `rest` stay where they are.
+
+    Raises:
+        ValueError: A line that begins with "the pose " and says how the two differ.
     """
     if len(rest.vertices) == len(pose.vertices) and same_patches(rest.faces, pose.faces):
         return pose.vertices.copy()
-    vertices, faces = (
-        _welded(pose)
-        if _used_count(pose.faces) > _used_count(rest.faces)
-        else (pose.vertices, pose.faces.astype(np.int64))
-    )
-    complaint = _counts_differ(rest, pose, vertices, faces)
+    vertices, faces = pose.vertices, pose.faces.astype(np.int64)
+    if _used_count(faces) > _used_count(rest.faces):
+        vertices, faces = _welded(pose)
+    complaint = _counts_differ(rest, pose, faces)
     if complaint:
         raise ValueError(f"the pose {complaint}")
     if rest.topology.closed and rest.volume * pose.volume < 0.0:
@@ -80,25 +93,33 @@ def matched_vertices(rest, pose) -> np.ndarray:
 
 
 def same_patches(one: np.ndarray, two: np.ndarray) -> bool:
-    """Whether faces (f, 3) of the same vertices cover the same polygons: equal but for order and for diagonals."""
+    """Whether faces of the same vertices cover the same polygons: equal but for order and for diagonals.
+
+    Args:
+        one: (f, 3) indices of vertices.
+        two: (f, 3) indices of the same vertices.
+
+    Returns:
+        Whether they do.
+    """
     if one.shape != two.shape:
         return False
     left, right = _cut(one, two), _cut(two, one)
     outline = _outline(left)
     if len(left) != len(right) or not np.array_equal(outline, _outline(right)):
         return False
-    # a vertex within a patch could be another one's: only polygons, whose vertices are all on their outline
-    return np.isin(left, outline).all() and np.isin(right, outline).all()
+    # a vertex within a patch could be that of another: only polygons, whose vertices all lie on their outline
+    return bool(np.isin(left, outline).all() and np.isin(right, outline).all())
 
 
-def _cut(faces, others) -> np.ndarray:
+def _cut(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
     """The faces that are not among the others, whatever corner they begin at."""
     count = int(max(faces.max(), others.max())) + 1
     keys, other = (np.ravel_multi_index(tuple(_turned(each).T), (count,) * 3) for each in (faces, others))
     return faces[~np.isin(keys, other)]
 
 
-def _outline(faces) -> np.ndarray:
+def _outline(faces: np.ndarray) -> np.ndarray:
     """Directed edges (k, 2) of a patch that no face of it walks the other way, sorted."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
     keys, back = (edges[:, k] * (1 << 31) + edges[:, 1 - k] for k in (0, 1))
@@ -106,29 +127,30 @@ def _outline(faces) -> np.ndarray:
     return edges[np.lexsort(edges.T)]
 
 
-def _turned(faces) -> np.ndarray:
+def _turned(faces: np.ndarray) -> np.ndarray:
     """Faces with the lowest index first, direction kept."""
     faces = np.asarray(faces, dtype=np.int64)
     return np.take_along_axis(faces, (np.argmin(faces, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
 
 
-def _used_count(faces) -> int:
+def _used_count(faces: np.ndarray) -> int:
     return len(np.unique(faces))
 
 
-def _part_count(faces) -> int:
+def _part_count(faces: np.ndarray) -> int:
     label, _ = connected_parts(int(faces.max()) + 1, faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1))
     return len(np.unique(label[faces[:, 0]]))
 
 
-def _welded(cage) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces with used vertices at exactly one place made one, each at the place of the first."""
-    _, first, place = np.unique(cage.vertices + 0.0, axis=0, return_index=True, return_inverse=True)
-    faces = first[place.reshape(-1)][cage.faces]
-    return cage.vertices, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+def _welded(mesh: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices, and faces that name the first of all vertices at exactly one place."""
+    _, first, place = np.unique(mesh.vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+    faces = first[place.reshape(-1)][mesh.faces]
+    return mesh.vertices, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
 
 
-def _counts_differ(rest, pose, vertices, faces) -> str:
+def _counts_differ(rest: ClosedMesh, pose: ClosedMesh, faces: np.ndarray) -> str:
+    """How the numbers of vertices or faces differ, empty where they agree; faces: those of the pose, welded or not."""
     if _used_count(faces) != _used_count(rest.faces):
         merged = _used_count(pose.faces) - _used_count(faces)
         hint = f" ({merged} more at the places of others)" if merged else ""
@@ -144,26 +166,23 @@ def _counts_differ(rest, pose, vertices, faces) -> str:
     return ""
 
 
-def _difference(rest, vertices, faces) -> str:
-    """Why meshes of as many vertices and faces do not match."""
+def _difference(rest: ClosedMesh, vertices: np.ndarray, faces: np.ndarray) -> str:
+    """Why meshes with equal numbers of vertices and faces do not match."""
     ours, theirs = _edge_keys(rest.faces), _edge_keys(faces)
     differing = np.setdiff1d(theirs, ours)
     if len(rest.vertices) == len(vertices) and 0 < len(differing) < 0.5 * len(ours):
         a, b = divmod(int(differing[0]), 1 << 32)
         return (
-            f"has {len(differing)} of {len(ours)} edges that the cage has not, the first from vertex {a} to {b}: "
+            f"has {len(differing)} of {len(ours)} edges that the cage does not have, the first from vertex {a} to {b}: "
             "save both with the same faces"
         )
-    degrees = [np.sort(np.bincount(each.reshape(-1))[np.unique(each)]) for each in (rest.faces, faces)]
-    if not np.array_equal(*degrees):
-        return (
-            "is connected otherwise: as many vertices and faces, but other numbers of faces around the vertices; "
-            "it is another mesh"
-        )
-    return "is connected otherwise than the cage, in whatever order its vertices are taken: it is another mesh"
+    own, posed = (np.sort(np.bincount(each.reshape(-1))[np.unique(each)]) for each in (rest.faces, faces))
+    if not np.array_equal(own, posed):
+        return "has other numbers of faces around its vertices than the cage: it is another mesh"
+    return "is connected in another way than the cage, whatever the order of its vertices: it is another mesh"
 
 
-def _edge_keys(faces) -> np.ndarray:
+def _edge_keys(faces: np.ndarray) -> np.ndarray:
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
     return np.unique((edges.min(axis=1) << 32) + edges.max(axis=1))
 
@@ -183,7 +202,7 @@ class _Mesh:
     part_count: int
 
     @classmethod
-    def of(cls, vertices, faces) -> _Mesh:
+    def of(cls, vertices: np.ndarray, faces: np.ndarray) -> _Mesh:
         faces = np.asarray(faces, dtype=np.int64)
         start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
         keys, back = start * len(vertices) + end, end * len(vertices) + start
@@ -195,8 +214,8 @@ class _Mesh:
         return cls(vertices, faces, np.append(twin, len(keys)), _colours(len(vertices), start, end), part, count)
 
 
-def _colours(count, start, end, rounds: int = 6) -> np.ndarray:
-    """(v,) uint64: colour refinement (Weisfeiler and Leman 1968) over neighbours, the same for any numbering."""
+def _colours(count: int, start: np.ndarray, end: np.ndarray, rounds: int = 6) -> np.ndarray:
+    """(v,) uint64 by colour refinement (Weisfeiler and Leman 1968) over neighbours, the same for any numbering."""
     colour = np.bincount(start, minlength=count).astype(np.uint64)
     for _ in range(rounds):
         total = np.zeros(count, dtype=np.uint64)
@@ -241,11 +260,11 @@ def _correspondence(rest: _Mesh, pose: _Mesh) -> np.ndarray | None:
     return order
 
 
-def _walk(mesh: _Mesh, faces: np.ndarray):
-    """An order of the part's faces, each entered over an edge of an earlier one.
+def _walk(mesh: _Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An order of the part's faces in which each is entered over an edge of an earlier one.
 
-    Returns the half-edge (n,) by which each is entered and the place in this list and corner (n, 2) it came from. It
-    begins at the half-edge whose ends look the most unlike others.
+    Returns the half-edge (n,) over which each is entered, and where it came from (n, 2): place in this list and corner.
+    The walk begins at the half-edge whose ends are the least like others.
     """
     corner = mesh.colour[mesh.faces[faces]].reshape(-1)
     kind = _mixed(corner * np.uint64(3) + np.roll(mesh.colour[mesh.faces[faces]], -1, axis=1).reshape(-1))
@@ -263,7 +282,9 @@ def _walk(mesh: _Mesh, faces: np.ndarray):
     return np.array(entered), np.array(origin)
 
 
-def _replayed(rest: _Mesh, pose: _Mesh, walk, part: int):
+def _replayed(
+    rest: _Mesh, pose: _Mesh, walk: tuple[np.ndarray, np.ndarray], part: int
+) -> list[tuple[float, tuple[np.ndarray, np.ndarray]]]:
     """(cost, (vertices, images)) of each way to lay the walk over a part of the pose; cost: squared displacement."""
     entered, origin = walk
     corners = _corners(entered)
@@ -294,7 +315,7 @@ def _replayed(rest: _Mesh, pose: _Mesh, walk, part: int):
     return found
 
 
-def _corners(half) -> np.ndarray:
-    """(..., 3) half-edges of a face in its direction, beginning with the given one."""
+def _corners(half: np.ndarray) -> np.ndarray:
+    """(..., 3) half-edges of a face in its direction, from the given one on."""
     half = np.asarray(half)[..., None]
     return half // 3 * 3 + (half + np.arange(3)) % 3

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-#: A polygon is plane when its vertices lie within this share of its size.
+#: A polygon is flat when its vertices lie this close to one plane, as a share of its size.
 _FLAT = 0.1
 
 
 def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int, int]]:
-    """Triangles (n - 2) over a polygon, wound as it is; vertices (v, 3), polygon n vertex numbers.
+    """Triangles over a polygon, wound as it is.
 
-    The fan from its first vertex where no triangle of it looks backward, which depends on nothing but the order; else
-    ears are cut off, the best shaped first (Meisters 1975). A polygon without area or far from plane is cut as a fan.
+    The fan from its first vertex where no triangle of the fan looks backward: it depends on the order alone. Elsewhere
+    ears are cut off, the best shaped first (Meisters 1975). A polygon without area, or far from flat, is cut as a fan.
+
+    Args:
+        vertices: (v, 3) float64, any unit.
+        polygon: Indices of its n vertices in order.
+
+    Returns:
+        n - 2 triangles, indices of vertices.
     """
     fan = [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
     points = vertices[polygon] - vertices[polygon[0]]
@@ -22,16 +29,19 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
         return fan
     normal /= length
     if np.ptp(points @ normal) > _FLAT * np.ptp(points, axis=0).max():
-        return fan  # far from plane: no cut is the right one, so one that any pose shares
+        return fan  # far from flat: no cut is the right one, so take one that every pose shares
     if (_heights(vertices, np.array(fan), normal) > 1e-9 * length).all():
         return fan
-    ears, left = [], list(polygon)
+    ears: list[tuple[int, int, int]] = []
+    left = list(polygon)
     while len(left) > 3:
         ring = np.array([(left[k - 1], left[k], left[(k + 1) % len(left)]) for k in range(len(left))])
         best = max(range(len(left)), key=lambda k: _ear_quality(vertices, ring[k], left, normal))
-        ears.append(tuple(int(corner) for corner in ring[best]))
+        a, b, c = ring[best].tolist()
+        ears.append((a, b, c))
         del left[best]
-    return [*ears, tuple(left)]
+    a, b, c = left
+    return [*ears, (a, b, c)]
 
 
 def _heights(vertices, triangles, normal) -> np.ndarray:

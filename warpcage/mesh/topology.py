@@ -1,30 +1,38 @@
-"""What can be said of a mesh from its faces alone: edges, holes, fans, connected parts."""
+"""What the faces of a mesh tell on their own: edges, holes, fans, connected parts."""
 
 from __future__ import annotations
 
 import functools
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .fans import FaceFans, face_fans
 
 
 class MeshTopology:
-    """Edges and connected parts of triangles; depends on the faces only, so every pose of a cage shares it.
+    """Edges and connected parts of triangles. They depend on the faces alone, so all poses of a mesh share them.
 
-    vertex_count: number of vertices; faces: (f, 3) int. The attributes hold the offenders themselves, so that an error
-    can name the first one:
+    Where something is wrong the attributes hold what is wrong itself, so that an error can name the first one.
 
-    edges (e, 2): every edge once, lower index first; loops of a face that repeats a vertex are left out.
-    open_edges (k, 2): edges of one face only. crowded_edges (k, 2): edges of three or more faces.
-    clashing_edges (k, 2): edges whose two faces walk them in the same direction, so that one of them looks inward.
-    pinched_vertices (k,): vertices whose faces form more than one fan.
-    repeated_faces (k,): faces that name a vertex twice.
-    unused_vertices (k,): vertices of no face. used_vertices (k,): the others, ascending.
-    parts (f,): connected part of each face, 0 .. part_count - 1, connected over edges.
+    Args:
+        vertex_count: Number of vertices.
+        faces: (f, 3) indices of vertices.
+
+    Attributes:
+        edges: (e, 2) int32: every edge once, lower index first. The loop of a face that repeats a vertex is no edge.
+        open_edges: (k, 2) edges of one face only.
+        crowded_edges: (k, 2) edges of three or more faces.
+        clashing_edges: (k, 2) edges that both their faces walk in the same direction, so that one face looks inward.
+        pinched_vertices: (k,) vertices whose faces form more than one fan.
+        repeated_faces: (k,) faces that name a vertex twice.
+        unused_vertices: (k,) vertices of no face, ascending.
+        used_vertices: (k,) the other vertices, ascending.
+        parts: (f,) the part of each face, 0 to part_count - 1. Parts are connected over edges.
+        part_count: Number of parts.
     """
 
-    def __init__(self, vertex_count: int, faces: np.ndarray):
+    def __init__(self, vertex_count: int, faces: ArrayLike):
         self._faces = faces = np.asarray(faces, dtype=np.int64)
         face_count = len(faces)
         starts = faces.reshape(-1)
@@ -52,7 +60,7 @@ class MeshTopology:
         self.pinched_vertices = self._pinched_vertices(vertex_count, starts, one, two)
 
     @staticmethod
-    def _pinched_vertices(vertex_count, starts, one, two):
+    def _pinched_vertices(vertex_count: int, starts: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
         """Vertices whose corners fall into several fans; one, two (k,): half-edges (corners) that share an edge."""
         after_one, after_two = one // 3 * 3 + (one + 1) % 3, two // 3 * 3 + (two + 1) % 3
         # the half-edge's start corner meets whichever corner of the other face lies at the same vertex
@@ -65,7 +73,7 @@ class MeshTopology:
 
     @functools.cached_property
     def problem(self) -> str:
-        """What makes every cage of these faces unusable, in one line without its name; empty where nothing does."""
+        """What makes every mesh of these faces unusable: a line that follows its name, empty where nothing does."""
         if len(self.open_edges):
             a, b = self.open_edges[0]
             return (
@@ -94,7 +102,7 @@ class MeshTopology:
 
     @functools.cached_property
     def fans(self) -> FaceFans:
-        """The faces in the order that closed forms are quickest with. For usable cages."""
+        """The faces in the order in which closed forms are quickest. For usable meshes."""
         return face_fans(self._faces)
 
     @property
@@ -118,9 +126,15 @@ class MeshTopology:
 
 
 def connected_parts(count: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, int]:
-    """Label the connected parts of a graph of `count` nodes with an edge first[k] - second[k] for each k.
+    """Label the connected parts of a graph.
 
-    Returns labels (count,) int in order of each part's first node, and the number of parts.
+    Args:
+        count: Number of nodes.
+        first: (k,) one end of each edge.
+        second: (k,) its other end.
+
+    Returns:
+        (count,) int labels, in the order of each part's first node, and the number of parts.
     """
     label = np.arange(count)
     while True:

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 
 from .closed_mesh import ClosedMesh
 from .faces import column_cross, column_dot, face_edges
 
-#: A face lower than this share of the cage's size has no normal in float32.
+#: A face lower than this share of the mesh's size has no normal in float32.
 DEGENERATE_HEIGHT = 1e-7
 
-#: Odd numbers that turn three words into one which is all but surely another for another place.
+#: Odd factors of a hash over three words: two places almost never share one.
 _PLACE_FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
+
+#: What `require_usable` found, empty for usable meshes. Meshes are immutable and compared by identity.
+_known_problems: weakref.WeakKeyDictionary[ClosedMesh, str] = weakref.WeakKeyDictionary()
 
 
 def degenerate_faces(mesh: ClosedMesh) -> np.ndarray:
-    """Indices of the faces whose height is below 1e-7 of the cage's size, or that name a vertex twice."""
+    """The faces without area: lower than 1e-7 of the mesh's size, or naming a vertex twice.
+
+    Args:
+        mesh: The mesh.
+
+    Returns:
+        (k,) indices of faces, ascending.
+    """
     a, b, c = mesh.corners
     double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.sqrt(np.maximum.reduce([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))]))
@@ -23,7 +35,14 @@ def degenerate_faces(mesh: ClosedMesh) -> np.ndarray:
 
 
 def coincident_vertices(mesh: ClosedMesh) -> np.ndarray:
-    """(k, 2): used vertices that are the same in float32, each with the first of its place."""
+    """Used vertices at the same place in float32.
+
+    Args:
+        mesh: The mesh.
+
+    Returns:
+        (k, 2) indices: the first vertex at a place, then another one there.
+    """
     used = mesh.topology.used_vertices
     local = (mesh.vertices[used] - mesh.bounds.mean(axis=0)).astype(np.float32)
     _, first, place = np.unique(local + 0.0, axis=0, return_index=True, return_inverse=True)
@@ -33,9 +52,17 @@ def coincident_vertices(mesh: ClosedMesh) -> np.ndarray:
 
 
 def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Winding number of a closed mesh about points (n, 3), float64 on the host: (n,). For a few points only.
+    """Winding numbers of a closed mesh about points, in float64 on the host. For a few points only.
 
-    Sum of signed solid angles over 4 pi (van Oosterom and Strackee 1983, "The solid angle of a plane triangle").
+    The sum of signed solid angles over 4 pi (van Oosterom and Strackee 1983, "The solid angle of a plane triangle").
+
+    Args:
+        points: (n, 3) float64, world units.
+        vertices: (v, 3) float64, world units.
+        faces: (f, 3) indices of vertices.
+
+    Returns:
+        (n,) float64: 1 inside, 0 outside.
     """
     total = np.zeros(len(points))
     for first in range(0, len(points), 4096):
@@ -53,7 +80,14 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
 
 
 def inward_parts(mesh: ClosedMesh) -> np.ndarray:
-    """Indices of connected parts that look inward without being a cavity inside another part (closed cages only)."""
+    """Connected parts that look inward without being a cavity inside another part.
+
+    Args:
+        mesh: A closed mesh.
+
+    Returns:
+        (k,) indices of parts, ascending.
+    """
     volumes = mesh.part_volumes()
     parts = mesh.topology.parts
     wrong = []
@@ -66,8 +100,16 @@ def inward_parts(mesh: ClosedMesh) -> np.ndarray:
 
 
 def looks_usable(mesh: ClosedMesh) -> bool:
-    """Whether a cage of good topology passes at once: no vertices that may share a place, no low faces, all parts look
-    outward. A pose of a known cage is all but always done with this; False says that a closer look is needed."""
+    """Whether a quick look finds nothing wrong: no vertices that may share a place, no low faces, no inward parts.
+
+    Almost every pose of a usable cage passes. False says that a closer look is needed.
+
+    Args:
+        mesh: A mesh whose topology has no problem.
+
+    Returns:
+        Whether the mesh is usable for certain.
+    """
     topology = mesh.topology
     local = mesh.vertices - mesh.bounds.mean(axis=0)
     keys = (local.astype(np.float32) + np.float32(0.0)).view(np.uint32).astype(np.uint64) @ _PLACE_FACTORS
@@ -86,14 +128,28 @@ def looks_usable(mesh: ClosedMesh) -> bool:
 
 
 def first_problem(mesh: ClosedMesh) -> str:
-    """What makes the cage unusable, in one line without its name; empty for a usable mesh."""
+    """What makes a mesh unusable.
+
+    Args:
+        mesh: The mesh.
+
+    Returns:
+        One line that follows the name of the mesh, "is open: ..."; empty for a usable mesh.
+    """
     if mesh.topology.problem:
         return mesh.topology.problem
     return "" if looks_usable(mesh) else first_geometric_problem(mesh)
 
 
 def first_geometric_problem(mesh: ClosedMesh) -> str:
-    """The same of a cage whose topology is good."""
+    """What makes a mesh unusable whose topology has no problem.
+
+    Args:
+        mesh: The mesh.
+
+    Returns:
+        As `first_problem`.
+    """
     topology = mesh.topology
     coincident = coincident_vertices(mesh)
     if len(coincident):
@@ -115,9 +171,17 @@ def first_geometric_problem(mesh: ClosedMesh) -> str:
 
 
 def require_usable(mesh: ClosedMesh, name: str = "cage") -> None:
-    """Raise a ValueError of one line, beginning with `name`, unless coordinates can be computed on the mesh; see
-    `Cage.require_usable`. The answer is kept with the mesh."""
-    if mesh.problem is None:
-        mesh.problem = first_problem(mesh)
-    if mesh.problem:
-        raise ValueError(f"{name} {mesh.problem}")
+    """Refuse a mesh on which coordinates cannot be computed; see `Cage.require_usable`.
+
+    Args:
+        mesh: The mesh. The answer is remembered for as long as it lives.
+        name: How the message begins.
+
+    Raises:
+        ValueError: One line that names the first problem and where it is.
+    """
+    problem = _known_problems.get(mesh)
+    if problem is None:
+        problem = _known_problems[mesh] = first_problem(mesh)
+    if problem:
+        raise ValueError(f"{name} {problem}")

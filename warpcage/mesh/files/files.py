@@ -1,7 +1,7 @@
 """Read and write OBJ, PLY, OFF and glTF so that every vertex keeps its place in the file.
 
-Own parsers, because mesh libraries merge, split and drop vertices, and a posed cage must
-match its rest cage one to one.
+The parsers are our own because mesh libraries merge, split and drop vertices, and a posed cage must match its rest cage
+one to one.
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ from __future__ import annotations
 import pathlib
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ...core.files import atomic_path, require_file
+from ...core.files import PathLike, atomic_path, require_file
 from ..polygons import cut_polygon
 from .gltf import read_gltf, write_glb, write_gltf
 from .ply import read_ply, write_ply
@@ -18,15 +19,25 @@ from .text import read_obj, read_off, write_obj, write_off
 
 _READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".glb": read_gltf, ".gltf": read_gltf}
 _WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": write_glb, ".gltf": write_gltf}
+
+#: Endings of mesh files, lower case.
 ENDINGS = tuple(_READERS)
 
 
-def read_mesh(path, up: str | None = None) -> tuple[pathlib.Path, np.ndarray, np.ndarray]:
-    """Path, vertices (v, 3) float64 in the file's order, and triangles (f, 3) int64; polygons are cut without folds.
+def read_mesh(path: PathLike, up: str | None = None) -> tuple[pathlib.Path, np.ndarray, np.ndarray]:
+    """Read a mesh file. Polygons are cut into triangles without folds.
 
-    up: the axis that points up in the file, "z" or "y"; what a y-up file holds is turned to z-up, (x, -z, y). None is
-    "y" for glTF, as its specification has it, and "z", the numbers as they are, for the others.
-    Raises FileNotFoundError for a missing file, ValueError (file name and line) for what is no mesh of these formats.
+    Args:
+        path: The file; its ending says which format it has.
+        up: The axis that points up in the file, "z" or "y". A mesh with y up is turned to z up: (x, -z, y). None is "y"
+            for glTF, as its specification says, and "z" for the others: their numbers stay as they are.
+
+    Returns:
+        The path, vertices (v, 3) float64 in the file's order, and triangles (f, 3) int64.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: File name and line of what cannot be read.
     """
     path = require_file(path, "cage file")
     turned = _turned(path, up)
@@ -47,9 +58,20 @@ def read_mesh(path, up: str | None = None) -> tuple[pathlib.Path, np.ndarray, np
     return path, vertices, np.array(triangles, dtype=np.int64)
 
 
-def write_mesh(path, vertices, faces, up: str | None = None) -> None:
-    """Write vertices (v, 3) and triangles (f, 3), z-up, to a file of these formats, whole or not at all; up: as in
-    `read_mesh`. OBJ, PLY and OFF keep every bit; glTF holds float32 relative to the middle of the vertices."""
+def write_mesh(path: PathLike, vertices: ArrayLike, faces: ArrayLike, up: str | None = None) -> None:
+    """Write a mesh file, whole or not at all.
+
+    OBJ, PLY and OFF keep every bit. glTF holds float32 relative to the middle of the vertices.
+
+    Args:
+        path: The file; its ending says which format it gets.
+        vertices: (v, 3) floats, z up.
+        faces: (f, 3) indices of vertices.
+        up: The axis that points up in the file, as in `read_mesh`.
+
+    Raises:
+        ValueError: For another ending or another axis.
+    """
     path = pathlib.Path(path)
     writer = _WRITERS[_format(path)]
     vertices = np.asarray(vertices, dtype=np.float64)

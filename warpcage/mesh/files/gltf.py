@@ -1,7 +1,7 @@
-"""glTF 2.0 (.glb, .gltf): the triangles of every mesh in the scene, at their nodes' places.
+"""glTF 2.0 (.glb, .gltf): the triangles of all meshes of the scene, at the places of their nodes.
 
-Exporters split a vertex wherever its normal, texture coordinate or material changes; vertices of one mesh at exactly
-the same place are joined again there, in the order of their first. A mesh of bare positions is taken as it is.
+Exporters split a vertex wherever its normal, texture coordinate or material changes. Vertices of such a mesh at exactly
+the same place are joined again, in the order of the first ones. A mesh of positions alone is taken as it is.
 """
 
 from __future__ import annotations
@@ -20,13 +20,24 @@ _TRIANGLES = 4
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
-def read_gltf(path: pathlib.Path):
-    """Vertices (v, 3) float64, y up as in the file, and (name, triangle) pairs; ValueError names the file."""
+def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[str, list[int]]]]:
+    """Read a glTF file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Vertices (v, 3) float64, y up as in the file, and (name, indices of vertices) of each triangle.
+
+    Raises:
+        ValueError: What is wrong in which file.
+    """
     try:
         document, chunk = _opened(path)
         nodes = _mesh_nodes(document)
         buffers = [_buffer(path, entry, chunk) for entry in document.get("buffers", [])]
-        vertices, polygons = [np.zeros((0, 3))], []
+        vertices: list[np.ndarray] = [np.zeros((0, 3))]
+        polygons: list[tuple[str, list[int]]] = []
         for mesh, matrix in nodes:
             points, faces = _mesh(document, buffers, document["meshes"][mesh])
             first = sum(map(len, vertices))
@@ -45,16 +56,16 @@ def read_gltf(path: pathlib.Path):
         OverflowError,
         json.JSONDecodeError,
     ) as error:
-        raise ValueError(f"{path}: no glTF file that can be read: {type(error).__name__} {error}") from None
+        raise ValueError(f"{path}: not a glTF file that can be read: {type(error).__name__} {error}") from None
     except ValueError as error:
         raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
-    vertices = np.concatenate(vertices)
-    if not np.isfinite(vertices).all():
-        raise ValueError(f"{path}: glTF vertex {np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0]} is not finite")
-    return vertices, polygons
+    joined = np.concatenate(vertices)
+    if not np.isfinite(joined).all():
+        raise ValueError(f"{path}: glTF vertex {np.flatnonzero(~np.isfinite(joined).all(axis=1))[0]} is not finite")
+    return joined, polygons
 
 
-def _opened(path) -> tuple[dict, bytes | None]:
+def _opened(path: pathlib.Path) -> tuple[dict, bytes | None]:
     """The JSON document and the binary chunk of a .glb file."""
     data = path.read_bytes()
     if data[:4] != b"glTF":
@@ -70,7 +81,7 @@ def _opened(path) -> tuple[dict, bytes | None]:
     return json.loads(chunks[_JSON_CHUNK].decode("utf-8")), chunks.get(_BINARY_CHUNK)
 
 
-def _buffer(path, entry, chunk) -> bytes:
+def _buffer(path: pathlib.Path, entry: dict, chunk: bytes | None) -> bytes:
     uri = entry.get("uri")
     if uri is None:
         data = chunk or b""
@@ -89,7 +100,7 @@ def _buffer(path, entry, chunk) -> bytes:
     return data
 
 
-def _mesh_nodes(document) -> list[tuple[int, np.ndarray]]:
+def _mesh_nodes(document: dict) -> list[tuple[int, np.ndarray]]:
     """(mesh, world matrix (4, 4)) of each node of the scene that has one, depth first."""
     nodes = document.get("nodes", [])
     scenes = document.get("scenes")
@@ -107,7 +118,7 @@ def _mesh_nodes(document) -> list[tuple[int, np.ndarray]]:
     return found
 
 
-def _local_matrix(node) -> np.ndarray:
+def _local_matrix(node: dict) -> np.ndarray:
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
@@ -123,7 +134,7 @@ def _local_matrix(node) -> np.ndarray:
     return matrix
 
 
-def _mesh(document, buffers, mesh) -> tuple[np.ndarray, np.ndarray]:
+def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray, np.ndarray]:
     """Positions (v, 3) float64 and triangles (f, 3) of all primitives; primitives may share their vertices."""
     positions, faces, starts, split = [], [], {}, len(mesh["primitives"]) > 1
     for primitive in mesh["primitives"]:
@@ -151,7 +162,7 @@ def _mesh(document, buffers, mesh) -> tuple[np.ndarray, np.ndarray]:
     return _joined(positions, faces) if split else (positions, faces)
 
 
-def _joined(positions, faces) -> tuple[np.ndarray, np.ndarray]:
+def _joined(positions: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices at exactly the same place made one, in the order of the first at each place."""
     _, first, place = np.unique(positions + 0.0, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -160,10 +171,11 @@ def _joined(positions, faces) -> tuple[np.ndarray, np.ndarray]:
     return positions[first[order]], number[place.reshape(-1)][faces]
 
 
-def _values(document, buffers, index) -> np.ndarray:
+def _values(document: dict, buffers: list[bytes], index: int) -> np.ndarray:
+    """(count, width) numbers of an accessor."""
     accessor = document["accessors"][index]
     if "sparse" in accessor or "bufferView" not in accessor:
-        raise ValueError("it has sparse accessors, which are not read: export plain ones")
+        raise ValueError("it has sparse accessors, which cannot be read here: export plain ones")
     view = document["bufferViews"][accessor["bufferView"]]
     kind, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
@@ -184,7 +196,15 @@ def _values(document, buffers, index) -> np.ndarray:
 
 
 def write_glb(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """A .glb file of one mesh of bare positions; its node carries the middle, so that float32 keeps the digits."""
+    """A .glb file of one mesh of positions alone. Its node holds the middle, so that float32 keeps the digits.
+
+    Args:
+        vertices: (v, 3) float64, y up.
+        faces: (f, 3) int32 indices of vertices.
+
+    Returns:
+        The contents of the file.
+    """
     document, body = _document(vertices, faces)
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
@@ -199,13 +219,22 @@ def write_glb(vertices: np.ndarray, faces: np.ndarray) -> bytes:
 
 
 def write_gltf(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """The same as text, its buffer within."""
+    """The same as a .gltf file: text with the buffer in it.
+
+    Args:
+        vertices: (v, 3) float64, y up.
+        faces: (f, 3) int32 indices of vertices.
+
+    Returns:
+        The contents of the file.
+    """
     document, body = _document(vertices, faces)
     document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
     return (json.dumps(document, indent=1) + "\n").encode()
 
 
-def _document(vertices, faces) -> tuple[dict, bytes]:
+def _document(vertices: np.ndarray, faces: np.ndarray) -> tuple[dict, bytes]:
+    """The JSON document and the buffer that it describes."""
     # a whole multiple of a coarse step: exact in float32 too, for programs that keep transforms in it
     size = float(np.ptp(vertices, axis=0).max()) or 1.0
     step = 2.0 ** np.ceil(np.log2(size))

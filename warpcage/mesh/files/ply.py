@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 
 from .text import floats, text_lines, whole
@@ -10,8 +14,25 @@ _PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short":
               "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
               "double": "f8", "float64": "f8"}  # fmt: skip
 
+#: An element of the header: name, count, and the name and type of each property; a list has two types.
+Element = tuple[str, int, list[tuple[str, Any]]]
 
-def read_ply(path):
+#: What the body holds of an element: name, properties, and (line or name, values) of each row.
+Rows = tuple[str, list[tuple[str, Any]], list[tuple[Any, Any]]]
+
+
+def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list[int]]]]:
+    """Read a PLY file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Vertices (v, 3) float64, and (line or name, indices of vertices) of each polygon.
+
+    Raises:
+        ValueError: What is wrong, in which file and line.
+    """
     data = path.read_bytes()
     order, elements, body, body_line = _ply_header(path, data)
     rows = _ply_text_rows if order == "ascii" else _ply_binary_rows
@@ -37,7 +58,7 @@ def read_ply(path):
     return vertices.reshape(-1, 3), polygons
 
 
-def _ply_header(path, data: bytes):
+def _ply_header(path: pathlib.Path, data: bytes) -> tuple[str, list[Element], int, int]:
     """'ascii', '<' or '>'; elements (name, count, properties); where the body begins, and on which line."""
     order, elements, position = None, [], 0
     for line in range(1, data.count(b"\n") + 2):
@@ -68,15 +89,17 @@ def _ply_header(path, data: bytes):
     raise ValueError(f"{path}: the PLY header has no end_header")
 
 
-def _ply_text_rows(path, body, elements, order, first_line):
+def _ply_text_rows(
+    path: pathlib.Path, body: bytes, elements: list[Element], order: str, first_line: int
+) -> Iterator[Rows]:
     lines = text_lines(path, body, first_line)
     for name, count, properties in elements:
         rows = []
         for _ in range(count):
-            line, words = next(lines, (None, None))
-            if words is None:
+            found = next(lines, None)
+            if found is None:
                 raise ValueError(f"{path}: {count} PLY elements {name!r} announced, {len(rows)} found")
-            row, position = [], 0
+            (line, words), row, position = found, [], 0
             for _, kind in properties:
                 size = whole(words[position : position + 1], path, line) if isinstance(kind, tuple) else None
                 position += size is not None
@@ -90,7 +113,9 @@ def _ply_text_rows(path, body, elements, order, first_line):
         yield name, properties, rows
 
 
-def _ply_binary_rows(path, body, elements, order, first_line):
+def _ply_binary_rows(
+    path: pathlib.Path, body: bytes, elements: list[Element], order: str, first_line: int
+) -> Iterator[Rows]:
     position = 0
     for name, count, properties in elements:
         kinds = [kind for _, kind in properties]
@@ -121,7 +146,16 @@ def _ply_binary_rows(path, body, elements, order, first_line):
         yield name, properties, rows
 
 
-def write_ply(vertices, faces) -> bytes:
+def write_ply(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """A binary PLY file with vertices in float64.
+
+    Args:
+        vertices: (v, 3) float64.
+        faces: (f, 3) int32 indices of vertices.
+
+    Returns:
+        The contents of the file.
+    """
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment cage\n"
         f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"

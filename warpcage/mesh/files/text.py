@@ -3,13 +3,29 @@
 from __future__ import annotations
 
 import pathlib
+from collections.abc import Iterator
+from typing import NoReturn
 
 import numpy as np
+
+#: (line, indices of vertices) of each polygon of a file.
+Polygons = list[tuple[int, list[int]]]
 
 # -- OBJ: `v x y z`, `f a b c` with a, a/t, a//n or a/t/n, counted from 1, or from the end when negative
 
 
-def read_obj(path):
+def read_obj(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
+    """Read an OBJ file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Vertices (v, 3) float64, and (line, indices of vertices) of each polygon.
+
+    Raises:
+        ValueError: What is wrong, in which file and line.
+    """
     vertices, polygons = [], []
     for line, words in text_lines(path):
         if words[0] == "v":
@@ -23,20 +39,40 @@ def read_obj(path):
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
 
 
-def _zero(path, line):
+def _zero(path: pathlib.Path, line: int) -> NoReturn:
     raise ValueError(f"{path}:{line}: OBJ counts vertices from 1, got a face with vertex 0")
 
 
-def write_obj(vertices, faces) -> bytes:
+def write_obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """An OBJ file that keeps every bit of the vertices.
+
+    Args:
+        vertices: (v, 3) float64.
+        faces: (f, 3) indices of vertices.
+
+    Returns:
+        The contents of the file.
+    """
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces.tolist()]
     return ("\n".join(["# cage", *lines]) + "\n").encode()
 
 
-# -- OFF: `OFF`, counts, vertices, then `n i0 .. in-1` a face
+# -- OFF: `OFF`, counts, vertices, then `n i0 .. in-1` for each face
 
 
-def read_off(path):
+def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
+    """Read an OFF file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Vertices (v, 3) float64, and (line, indices of vertices) of each polygon.
+
+    Raises:
+        ValueError: What is wrong, in which file and line.
+    """
     lines = text_lines(path)
     line, words = next(lines, (1, []))
     if not words or not words[0].upper().endswith("OFF") or words[0].upper() not in ("OFF", "COFF", "NOFF", "CNOFF"):
@@ -65,16 +101,33 @@ def read_off(path):
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
 
 
-def write_off(vertices, faces) -> bytes:
+def write_off(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """An OFF file that keeps every bit of the vertices.
+
+    Args:
+        vertices: (v, 3) float64.
+        faces: (f, 3) indices of vertices.
+
+    Returns:
+        The contents of the file.
+    """
     lines = ["OFF", f"{len(vertices)} {len(faces)} 0"]
     lines += [f"{x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     lines += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
     return ("\n".join(lines) + "\n").encode()
 
 
-def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1):
-    """Number and words of each line that holds something, comments left out; a backslash continues a line; a byte
-    order mark, as some editors write it, is none of them."""
+def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1) -> Iterator[tuple[int, list[str]]]:
+    """The words of each line that holds any. Comments and a byte order mark are left out; a backslash joins lines.
+
+    Args:
+        path: The file.
+        data: Its contents from line `first` on. None reads the file.
+        first: Number of the first line of `data`.
+
+    Yields:
+        Number of the line, counted from 1, and its words.
+    """
     text = (path.read_bytes() if data is None else data).decode("utf-8-sig", errors="replace")
     held = ""
     for number, line in enumerate(text.splitlines(), start=first):
@@ -88,8 +141,20 @@ def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1):
             yield number, words
 
 
-def floats(words, path, line) -> list[float]:
-    """Words as finite numbers."""
+def floats(words: list[str], path: pathlib.Path, line: int) -> list[float]:
+    """Words as finite numbers.
+
+    Args:
+        words: The words.
+        path: The file, for the message.
+        line: The line, for the message.
+
+    Returns:
+        One number for each word.
+
+    Raises:
+        ValueError: For a word that is none.
+    """
     try:
         values = [float(word) for word in words]
     except ValueError:
@@ -99,16 +164,40 @@ def floats(words, path, line) -> list[float]:
     return values
 
 
-def whole(words, path, line) -> list[int]:
-    """Words as whole numbers."""
+def whole(words: list[str], path: pathlib.Path, line: int) -> list[int]:
+    """Words as whole numbers.
+
+    Args:
+        words: The words.
+        path: The file, for the message.
+        line: The line, for the message.
+
+    Returns:
+        One number for each word.
+
+    Raises:
+        ValueError: For a word that is none.
+    """
     try:
         return [int(word) for word in words]
     except ValueError:
         raise ValueError(f"{path}:{line}: whole numbers expected, got {' '.join(words)!r}") from None
 
 
-def point(words, path, line) -> list[float]:
-    """The first three words as numbers."""
+def point(words: list[str], path: pathlib.Path, line: int) -> list[float]:
+    """The first three words as numbers.
+
+    Args:
+        words: The words; colours and the like may follow.
+        path: The file, for the message.
+        line: The line, for the message.
+
+    Returns:
+        Three finite numbers.
+
+    Raises:
+        ValueError: For fewer words, or one that is no number.
+    """
     if len(words) < 3:
         raise ValueError(f"{path}:{line}: a vertex needs 3 numbers, got {len(words)}")
     return floats(words[:3], path, line)

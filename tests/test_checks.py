@@ -1,0 +1,67 @@
+"""What callers give is checked in one place each: what passes, and what the one line says of what does not."""
+
+import numpy as np
+import pytest
+
+from warpcage.core.checks import (
+    axis_index,
+    checked_bounds,
+    checked_margin,
+    checked_number,
+    checked_positive,
+    checked_step,
+    checked_vector,
+    checked_whole,
+    warn_caller,
+)
+
+
+@pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.int64(2), np.array(2.0)])
+def test_numbers_of_any_kind_become_floats(value):
+    for found in (checked_number(value, "it"), checked_positive(value, "it"), checked_margin(value)):
+        assert type(found) is float and found == 2.0
+    assert checked_step(value, 9.0) == 2.0 and checked_step(None, 9.0) == 9.0
+
+
+@pytest.mark.parametrize("value", ["2", b"2", None, 2j, [2.0], [1, [2]], np.nan, np.inf, -np.inf, 10**400])
+def test_what_is_no_finite_number_is_refused(value):
+    checks = [
+        (lambda: checked_number(value, "it"), "it must be one finite number, got "),
+        (lambda: checked_positive(value, "it"), "it must be positive and finite, got "),
+        (lambda: checked_margin(value), "margin must be finite and not negative, got "),
+    ]
+    if value is not None:
+        checks.append((lambda: checked_step(value, 1.0), "the march step must be positive and finite, got "))
+    for check, message in checks:
+        with pytest.raises(ValueError, match=message):
+            check()
+
+
+def test_ranges():
+    assert checked_margin(0) == 0.0 and checked_whole(np.int32(3), "count", 3, 3) == 3
+    assert checked_vector([1, 2, 3], "place").tolist() == [1.0, 2.0, 3.0]
+    assert [axis_index(axis) for axis in "xyz"] == [0, 1, 2]
+    box = checked_bounds([[0, 0, 0], [1, 2, 3]])
+    assert box.dtype == np.float64 and not box.flags.writeable
+    for check, message in (
+        (lambda: checked_positive(0, "it"), "it must be positive and finite, got 0"),
+        (lambda: checked_margin(-1e-9), "not negative, got -1e-09"),
+        (lambda: checked_whole(2, "count", 3), "count must be a whole number of at least 3, got 2"),
+        (lambda: checked_whole(5, "count", 3, 4), "count must be a whole number from 3 to 4, got 5"),
+        (lambda: checked_whole(3.0, "count", 3), "got 3.0"),
+        (lambda: checked_whole(True, "count", 0), "got True"),
+        (lambda: checked_vector([1, 2], "place"), "place must be 3 finite numbers, got"),
+        (lambda: axis_index("xy"), "axis must be 'x', 'y' or 'z', got 'xy'"),
+        (lambda: axis_index(0), "axis must be 'x', 'y' or 'z', got 0"),
+        (lambda: checked_bounds([[0, 0, 0], [1, 0, 1]]), "lower below upper"),
+        (lambda: checked_bounds([[0, 0, 0], [1, np.nan, 1]]), "finite"),
+    ):
+        with pytest.raises(ValueError) as error:
+            check()
+        assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_warnings_point_at_the_caller():
+    with pytest.warns(UserWarning, match="mind the gap") as caught:
+        warn_caller("mind the gap")
+    assert caught[0].filename == __file__

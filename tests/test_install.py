@@ -1,0 +1,132 @@
+"""The package imports from a wheel, from a checkout with or without its link, and says what is missing in one line."""
+
+import ast
+import dataclasses
+import importlib.util
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+import warpcage
+from warpcage.core.checkout import NEEDED
+
+ROOT = pathlib.Path(__file__).parents[1]
+SOURCES = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "warpcage", "kernels")
+FOUND = "import warpcage; print(warpcage.__file__); print(warpcage.kernels.__file__); print(warpcage.__version__)"
+
+
+def run(code, cwd, *paths, options=("-S",)):
+    """Python in a folder, with these folders on its path and nothing else that is installed."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    if paths:
+        environment["PYTHONPATH"] = os.pathsep.join(map(str, paths))
+    command = [sys.executable, *options, "-c", code]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=120)
+
+
+def site_folders():
+    """Where the dependencies are installed; files ending in .pth there, those of editable installs, are not read."""
+    return list(dict.fromkeys(pathlib.Path(importlib.util.find_spec(name).origin).parents[1] for name in NEEDED))
+
+
+def copied_tree(folder, link):
+    """A copy of the sources whose warpcage/kernels is missing, or the text that git leaves of a link on Windows."""
+    for name in SOURCES:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / name, symlinks=True)
+        else:
+            shutil.copy2(source, folder / name)
+    place = folder / "warpcage" / "kernels"
+    if place.is_symlink() or place.is_file():
+        place.unlink()
+    if link == "text":
+        place.write_text("../kernels")
+    return folder
+
+
+@dataclasses.dataclass(frozen=True)
+class Wheel:
+    name: str
+    files: list[str]
+    installed: pathlib.Path
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """A wheel made from a copy, so that nothing is left in the checkout, and unpacked, as installers do."""
+    setuptools = pytest.importorskip("setuptools")
+    if tuple(map(int, setuptools.__version__.split(".")[:2])) < (70, 1):
+        pytest.skip(f"setuptools {setuptools.__version__} cannot build a wheel by itself: 70.1 can")
+    tree = copied_tree(tmp_path_factory.mktemp("sources"), "missing")
+    code = "import setuptools.build_meta as build; print(build.build_wheel('dist'))"
+    built = run(code, tree, pathlib.Path(setuptools.__file__).parents[1])
+    assert built.returncode == 0, built.stderr
+    name, installed = built.stdout.split()[-1], tmp_path_factory.mktemp("installed")
+    with zipfile.ZipFile(tree / "dist" / name) as archive:
+        archive.extractall(installed)
+        return Wheel(name, [each for each in archive.namelist() if ".dist-info/" not in each], installed)
+
+
+def imported_from(cwd, *paths):
+    """The folder that `import warpcage` takes the package from, and that of its kernels."""
+    found = run(FOUND, cwd, *paths, *site_folders())
+    assert found.returncode == 0, found.stderr
+    package, kernels, version = found.stdout.split("\n")[:3]
+    assert version == warpcage.__version__
+    return pathlib.Path(package).parent, pathlib.Path(kernels).parent
+
+
+def test_a_checkout_imports_with_nothing_of_it_installed(tmp_path):
+    tree = copied_tree(tmp_path, "text")
+    assert imported_from(tree) == (tree / "warpcage", tree / "kernels")
+
+
+def test_a_checkout_imports_with_a_wheel_installed(wheel, tmp_path):
+    tree = copied_tree(tmp_path, "missing")
+    assert imported_from(tree, wheel.installed) == (tree / "warpcage", tree / "kernels")
+
+
+def test_a_wheel_imports_elsewhere(wheel, tmp_path):
+    package = wheel.installed / "warpcage"
+    assert imported_from(tmp_path, wheel.installed) == (package, package / "kernels")
+
+
+def test_a_wheel_holds_every_file_once(wheel):
+    linked = ROOT / "warpcage" / "kernels"
+    package = [path for path in (ROOT / "warpcage").rglob("*.py") if linked not in path.parents]
+    expected = [path.relative_to(ROOT).as_posix() for path in package] + ["warpcage/py.typed"]
+    expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "kernels").rglob("*.py")]
+    assert sorted(wheel.files) == sorted(expected)
+    assert wheel.name.startswith(f"warpcage-{warpcage.__version__}-")
+
+
+def test_missing_dependencies_are_named_in_one_line():
+    refused = run("import warpcage", ROOT, options=("-S", "-E"))
+    last = refused.stderr.rstrip().split("\n")[-1]
+    assert last == f"ImportError: warpcage needs numpy warp-lang imageio: pip install -e {ROOT}"
+    assert refused.returncode == 1 and refused.stderr.count("Traceback") == 1
+
+
+def test_missing_kernels_are_named_in_one_line(tmp_path):
+    tree = copied_tree(tmp_path, "missing")
+    shutil.rmtree(tree / "kernels")
+    refused = run("import warpcage", tree, *site_folders())
+    last = refused.stderr.rstrip().split("\n")[-1]
+    assert last.startswith("ImportError: warpcage.kernels is missing: ") and refused.stderr.count("Traceback") == 1
+
+
+def test_what_the_package_needs_at_once_is_listed():
+    imported = set()
+    for path in [*(ROOT / "warpcage").rglob("*.py"), *(ROOT / "kernels").rglob("*.py")]:
+        for node in ast.parse(path.read_text("utf-8")).body:
+            if isinstance(node, ast.Import):
+                imported |= {each.name.split(".")[0] for each in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                imported.add((node.module or "").split(".")[0])
+    assert imported - set(sys.stdlib_module_names) - {"warpcage"} == set(NEEDED)
