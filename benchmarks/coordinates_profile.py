@@ -20,11 +20,11 @@ import warpcage
 def kernel_times(position_map, runs: int) -> dict:
     """{kernel: (launches a pose, microseconds a pose)} of the launches that the graph of a pose holds."""
     graph = position_map._graph
-    graph._launch()
+    graph.launch()
     total, launches = collections.Counter(), collections.Counter()
     for _ in range(runs):
         wp.timing_begin(cuda_filter=wp.TIMING_ALL)
-        graph._launch()
+        graph.launch()
         for result in wp.timing_end():
             name = result.name.split(" ")[-1]
             total[name] += result.elapsed
@@ -59,8 +59,8 @@ def main() -> None:
             for name, step in (
                 ("check", lambda rest=rest: rest.with_vertices(poses[0].vertices).require_usable()),
                 ("lay", lambda m=position_map: m.lattice.lay(poses[0])),
-                ("values", lambda m=position_map: m._write_values()),
-                ("take map", lambda m=position_map: m._take_map(False)),
+                ("values", lambda m=position_map: m._write_values(m.lattice)),
+                ("take map", lambda m=position_map: m._take_map(m._launches, False)),
             ):
                 times = []
                 for _ in range(200):

@@ -15,8 +15,8 @@ from warpcage.coordinates.weights import green_coordinates, harmonic_coordinates
 from warpcage.core import memory
 from warpcage.core.devices import launch
 from warpcage.kernels.lattice.cage_map import sample_map
-from warpcage.lattice.gaps import MapSides
 from warpcage.lattice.graph import PoseGraph
+from warpcage.lattice.launches import PoseLaunches
 from warpcage.lattice.position_map import PositionMap
 from warpcage.reference.bricks import brick_model
 
@@ -188,7 +188,7 @@ def test_memory_for_the_sides_of_gaps_is_refused_before_it_is_taken(device, monk
     free[:] = [most]
     position_map.pose(narrow)
     assert position_map.thin_nodes > 0
-    tables = position_map._sides.buffers.bytes
+    tables = position_map._launches.sides.buffers.bytes
     assert 0 < tables < most - least
     assert position_map.lattice.buffers.bytes + tables < most
 
@@ -205,9 +205,9 @@ def test_sides_of_replayed_poses_are_the_same(kind, device, monkeypatch):
     fresh = [PositionMap(wide, **options).pose(pose) for pose in poses]
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
     found, replays = [], []
-    find, find_sides = MapSides.find, PoseGraph.find_sides
-    monkeypatch.setattr(MapSides, "find", lambda self: found.append(self) or find(self))
-    monkeypatch.setattr(PoseGraph, "find_sides", lambda *both: replays.append(find_sides(*both)) or replays[-1])
+    find, find_sides = PoseLaunches.find_sides, PoseGraph.find_sides
+    monkeypatch.setattr(PoseLaunches, "find_sides", lambda *both: found.append(both) or find(*both))
+    monkeypatch.setattr(PoseGraph, "find_sides", lambda self: replays.append(find_sides(self)) or replays[-1])
     kept = PositionMap(wide, **options)
     for _turn in range(2):
         for pose, expected in zip(poses, fresh, strict=True):

@@ -7,7 +7,7 @@ import trimesh
 import warp as wp
 
 import warpcage as coordinates
-from warpcage.core.names import KINDS
+from warpcage.core.names import COORDINATES
 from warpcage.cage.cage import Cage
 
 CLOSED_FORMS = ["mean_value", "green"]
@@ -266,7 +266,7 @@ def test_harmonic_moves_points_and_refuses_those_outside(device, monkeypatch):
         coordinates.harmonic_coordinates(rest.vertices[:1] + 10.0, rest, 32, device=device)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", COORDINATES)
 def test_points_follow_a_cage_that_goes_far(kind, device, monkeypatch):
     monkeypatch.setattr("warpcage.coordinates.deform.HARMONIC_RESOLUTION", 24)
     rest, points = cage_and_points("concave")

@@ -16,13 +16,16 @@ from warpcage.cage.cage import Cage
 from warpcage.coordinates.harmonic import harmonic_weights
 from warpcage.lattice.harmonic import HarmonicSolver
 from warpcage.lattice.lattice import CageLattice
+from warpcage.lattice.sizes import NodeSections
 
 CAGES = ("icosphere", "box", "concave", "two boxes")
 
 
 def solver_of(name, resolution, device, **options):
     cage = Cage(*oracles.cage(name))
-    return cage, HarmonicSolver(CageLattice(cage, resolution, device=device), **options)
+    solver = HarmonicSolver(CageLattice(cage, resolution, device=device), **options)
+    solver.prepare()
+    return cage, solver
 
 
 def random_values(cage, seed=0):
@@ -121,10 +124,10 @@ def test_solver_can_be_used_again_for_another_pose(device):
     cage, solver = solver_of("fine icosphere", 32, device)
     values = random_values(cage)
     first = solved(solver, values)
-    solver.lattice.fill(cage.bend(60))
+    solver.lattice.lay(cage.bend(60))
     solver.prepare()
     solved(solver, values)
-    solver.lattice.fill(cage)
+    solver.lattice.lay(cage)
     solver.prepare()
     assert np.array_equal(solved(solver, values), first)
 
@@ -135,7 +138,9 @@ def test_launches_longer_than_the_lists_change_nothing(monkeypatch):
     values = random_values(cage)
     expected = solved(solver, values)
     cycle = solver._cycle
-    monkeypatch.setattr(solver, "_cycle_runner", lambda sections: lambda: cycle(2 * sections + 1000))
+    monkeypatch.setattr(
+        solver, "_cycle_runner", lambda sections: lambda: cycle(NodeSections(2 * sections.lengths + 1000))
+    )
     # more levels may have launches of their own, which round otherwise
     assert np.abs(solved(solver, values) - expected).max() < 1e-6
 

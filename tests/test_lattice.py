@@ -32,7 +32,7 @@ def named_cage(name):
 @pytest.mark.parametrize("name", ["icosphere", "box", "concave", "two boxes", "fence", "bent"])
 def test_inside_and_distance_at_nodes(name, device):
     cage = named_cage(name)
-    lattice = CageLattice(cage, 16, device=device)
+    lattice = CageLattice(cage, 16, device=device).measure()
     distance = lattice.distance.numpy().reshape(-1).astype(float)
     nodes = nodes_of(lattice)
     inside = oracles.winding_numbers(nodes, cage.vertices, cage.faces) > 0.5
@@ -43,7 +43,7 @@ def test_inside_and_distance_at_nodes(name, device):
 
 def test_cells_are_cubes_along_the_longest_side_with_a_margin(device):
     cage = Cage.box((0, 0, 0), (1, 2, 4))
-    lattice = CageLattice(cage, 40, device=device)
+    lattice = CageLattice(cage, 40, device=device).measure()
     assert lattice.spacing == pytest.approx(0.1, rel=1e-6)
     upper = lattice.lower + (np.array(lattice.shape) - 1) * lattice.spacing
     assert np.all(cage.bounds[0] - lattice.lower >= 2 * lattice.spacing)
@@ -54,7 +54,7 @@ def test_cells_are_cubes_along_the_longest_side_with_a_margin(device):
 
 def test_lines_with_many_crossings_make_room(device):
     cage = picket_fence(2 * LINE_CAPACITY)
-    lattice = CageLattice(cage, 100, device=device)
+    lattice = CageLattice(cage, 100, device=device).measure()
     assert lattice.crossings.counts.numpy().max() == 4 * LINE_CAPACITY
     share = (lattice.distance.numpy() < 0).sum() * lattice.spacing**3 / cage.volume
     assert share == pytest.approx(1.0, abs=0.05)
@@ -62,7 +62,7 @@ def test_lines_with_many_crossings_make_room(device):
 
 def test_crossings_alternate_and_lie_on_the_cage(device):
     cage = Cage(*oracles.cage("concave"))
-    lattice = CageLattice(cage, 20, device=device)
+    lattice = CageLattice(cage, 20, device=device).measure()
     counts, places = lattice.crossings.counts.numpy(), lattice.crossings.places.numpy()
     assert (counts % 2 == 0).all() and counts.max() == 2
     nx, ny, nz = lattice.shape
@@ -82,18 +82,18 @@ def test_overlapping_parts_count_once_and_cavities_are_outside(device):
     overlap = Cage(vertices, np.concatenate([big.faces, small.faces + 8]))
     cavity = Cage(vertices, np.concatenate([big.faces, small.faces[:, ::-1] + 8]))
     for cage, volume in ((overlap, 8.0), (cavity, 8.0 - 0.125)):
-        lattice = CageLattice(cage, 32, device=device)
+        lattice = CageLattice(cage, 32, device=device).measure()
         inside = (lattice.distance.numpy() < 0).sum() * lattice.spacing**3
         assert inside == pytest.approx(volume, rel=0.01)
-    counts = CageLattice(overlap, 32, device=device).crossings.counts.numpy()
+    counts = CageLattice(overlap, 32, device=device).measure().crossings.counts.numpy()
     assert counts.max() == 2
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1.0, 1e4), (1e-3, 0.0), (1e3, -1e6)])
 def test_far_and_scaled_cages_have_the_same_lattice(scale, shift, device):
     cage = Cage(*oracles.cage("icosphere"))
-    lattice = CageLattice(cage, 24, device=device)
-    moved = CageLattice(Cage(cage.vertices * scale + shift, cage.faces), 24, device=device)
+    lattice = CageLattice(cage, 24, device=device).measure()
+    moved = CageLattice(Cage(cage.vertices * scale + shift, cage.faces), 24, device=device).measure()
     assert moved.shape == lattice.shape
     assert np.array_equal(moved.distance.numpy() < 0, lattice.distance.numpy() < 0)
     assert np.abs(moved.distance.numpy() / scale - lattice.distance.numpy()).max() < 2e-6
@@ -101,10 +101,10 @@ def test_far_and_scaled_cages_have_the_same_lattice(scale, shift, device):
 
 def test_filling_anew_gives_what_a_new_lattice_gives(device):
     cage = Cage(*oracles.cage("fine icosphere"))
-    lattice = CageLattice(cage, 32, origin=(1, 2, 3), device=device)
+    lattice = CageLattice(cage, 32, origin=(1, 2, 3), device=device).measure()
     for pose in (cage.bend(80), cage.stretch(2), cage):
-        lattice.fill(pose)
-        fresh = CageLattice(pose, 32, origin=(1, 2, 3), device=device)
+        lattice.lay(pose).measure()
+        fresh = CageLattice(pose, 32, origin=(1, 2, 3), device=device).measure()
         assert lattice.shape == fresh.shape
         assert np.array_equal(lattice.distance.numpy(), fresh.distance.numpy())
 
@@ -112,12 +112,12 @@ def test_filling_anew_gives_what_a_new_lattice_gives(device):
 @pytest.mark.parametrize("resolution", [7, 1025, 0, -3, 16.5, "64", True])
 def test_resolutions_out_of_range_are_refused(resolution, device):
     with pytest.raises(ValueError, match="resolution must be"):
-        CageLattice(Cage(*oracles.cage("box")), resolution, device=device)
+        CageLattice(Cage(*oracles.cage("box")), resolution, device=device).measure()
 
 
 def test_unusable_cages_are_refused(device):
     vertices, faces = oracles.cage("box")
     with pytest.raises(ValueError, match="cage"):
-        CageLattice(Cage(vertices, faces[:-1]), 16, device=device)
+        CageLattice(Cage(vertices, faces[:-1]), 16, device=device).measure()
     with pytest.raises(ValueError, match="cage"):
-        CageLattice(Cage(vertices, faces[:, ::-1]), 16, device=device)
+        CageLattice(Cage(vertices, faces[:, ::-1]), 16, device=device).measure()

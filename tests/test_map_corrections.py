@@ -11,7 +11,7 @@ from test_position_map import inside_points, look_up, pose_noisily
 from warpcage.cage.cage import Cage
 from warpcage.lattice.closed_form import MeanValueSolver
 from warpcage.lattice.position_map import PositionMap
-from warpcage.lattice.rings import launch_rings
+from warpcage.lattice.rings import continue_to_rings
 
 STEPS = np.array(list(itertools.product((0, 1), repeat=3)))
 
@@ -25,15 +25,19 @@ class Maps:
         options = dict(coordinates="mean_value", resolution=resolution, device=device)
         self.corrected = PositionMap(self.rest, **options).pose(self.deformed)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(MeanValueSolver, "continue_map", lambda self, *inputs: launch_rings(self, *inputs))
+            patch.setattr(
+                MeanValueSolver,
+                "_continue_map",
+                lambda self, *inputs: continue_to_rings(self.lattice, self.nodes.levels, self.rows, *inputs),
+            )
             self.plain = PositionMap(self.rest, **options).pose(self.deformed)
-        lattice, nodes = self.corrected.lattice, self.corrected._solver.nodes
+        lattice, nodes = self.corrected.lattice, self.corrected._launches.solver.nodes
         self.lower, self.spacing, self.shape = lattice.lower, lattice.spacing, lattice.shape
         self.after, self.before = (
             each.data.positions.numpy().reshape(-1, 3) + self.rest.bounds.mean(axis=0)
             for each in (self.corrected, self.plain)
         )
-        starts = np.concatenate([[0], np.cumsum(nodes.sections)])
+        starts = np.concatenate([[0], np.cumsum(nodes.sections.lengths)])
         listed = nodes.levels.nodes.numpy()
         self.cut, self.ring_0, self.ring_1 = (listed[starts[s] : starts[s + 1]] for s in (2, 3, 4))
 
@@ -72,7 +76,7 @@ def maps(request):
 @pytest.mark.parametrize("name", ["box", "concave"])
 def test_cut_nodes_move_by_a_sixteenth_of_their_second_differences(name, maps, device):
     m = maps(name, device)
-    rows = m.corrected._solver.rows
+    rows = m.corrected._launches.solver.rows
     fractions = rows.fractions.numpy()[: len(m.cut)].astype(float)
     steady = (fractions > 0.26).all(axis=1)
     assert steady.sum() > 100

@@ -6,11 +6,10 @@ import argparse
 import fractions
 import pathlib
 
+from ..core.names import COORDINATES, DENSITIES
 from ..fitting.memory import memory_size
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
-COORDINATES = ("harmonic", "mean_value", "green")
-DENSITIES = ("opacity", "paper")
 
 
 def package_version() -> str:

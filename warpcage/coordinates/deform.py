@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from ..core.devices import launch
-from ..core.names import KINDS
+from ..core.names import require_coordinates
 from ..kernels.coordinates import green, mean_value
 from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
@@ -33,8 +33,7 @@ def deform_points(points, rest: ClosedMesh, deformed: ClosedMesh, coordinates: s
 
     Example: `mesh.vertices = deform_points(mesh.vertices, rest, rest.twist(90))`
     """
-    if coordinates not in KINDS:
-        raise ValueError(f"coordinates must be one of {', '.join(KINDS)}, got {coordinates!r}")
+    require_coordinates(coordinates)
     for cage, name in ((rest, "rest"), (deformed, "deformed")):
         require_mesh(cage, f"the {name} cage must be")
     require_usable(rest, "rest cage")

@@ -11,12 +11,11 @@ from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.lattice.weights import sample_weights
-from ..lattice.gaps import MapSides, side_bytes
+from ..lattice.gaps import MapTarget, lattice_side_bytes
 from ..lattice.harmonic import HarmonicSolver
 from ..lattice.lattice import CageLattice, require_resolution
-from ..lattice.weights import solve_vertices
+from ..lattice.launches import PoseLaunches
 from ..mesh.containment import inside_mesh
-from ..mesh.faces import face_area
 from ..mesh.usable import require_usable
 
 #: Nodes along the longest side of the lattice on which harmonic coordinates are solved.
@@ -66,10 +65,11 @@ def harmonic_weights(points, cage, resolution: int = 128, device=None, *, tolera
         places = ((host - centre) / cage.size - lattice.lower) / lattice.spacing
         places = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)
         solver = HarmonicSolver(lattice, tolerance=tolerance)
+        solver.prepare()
         gaps = WeightGaps(solver)
-        for column, selected in solve_vertices(solver):
-            solver.extend(selected)
-            launch(sample_weights, len(host), [column, gaps.cage_map(selected), places], [weights], device=device)
+        for column, selected in solver.solve_vertices():
+            inputs = [column, gaps.cage_map(selected), places]
+            launch(sample_weights, len(host), inputs, [weights], device=device)
         gaps.report()
     return weights if given_on_device else weights.numpy()
 
@@ -77,32 +77,39 @@ def harmonic_weights(points, cage, resolution: int = 128, device=None, *, tolera
 class WeightGaps:
     """Maps of a harmonic solver's values as they are, in node units, with the sides of the cage's narrow gaps.
 
-    solver: on a lattice over a cage of size one.
+    Args:
+        solver: On a lattice over a cage of size one, with the pose laid out.
     """
 
     def __init__(self, solver: HarmonicSolver):
-        self.solver = solver
+        self._solver, self._lattice = solver, solver.lattice
         self._affine = wp.zeros(4, dtype=wp.vec3, device=solver.device)  # values are all there is
-        self._sides: MapSides | None = None
+        self._launches: PoseLaunches | None = None
         self._jump = 0.0
 
     def cage_map(self, vertex_values: wp.array) -> CageMap:
-        """The map that the solver's values hold, extended, of these values at the cage's vertices."""
-        solver, lattice = self.solver, self.solver.lattice
+        """The map that the solver's values hold, continued to the rings.
+
+        Args:
+            vertex_values: (v,) vec3 at the cage's vertices; the same array each time.
+
+        Returns:
+            The map.
+        """
+        solver, lattice = self._solver, self._lattice
         data = CageMap()
         data.lower, data.spacing, data.inverse_spacing = wp.vec3(0.0, 0.0, 0.0), 1.0, 1.0
-        data.positions, data.distance = solver.values.reshape(lattice.shape), lattice.distance
-        solver.find_gaps(solver.nodes.sections)
+        data.positions, data.distance = solver.shaped_values, lattice.distance
+        solver.launch_continuation(solver.sizes, vertex_values)
         if solver.gaps.found():
-            if self._sides is None:
-                surface = face_area(lattice.cage) / lattice.spacing**2
+            if self._launches is None:
                 message = f"sides of gaps at resolution {lattice.resolution} need {{size}}: take a lower resolution"
-                require_memory(side_bytes(lattice.node_count, surface), solver.device, message)
-                constants = {"affine": self._affine, "vertex_values": vertex_values}  # the same array for all columns
-                self._sides = MapSides(solver, lattice.cage, constants)
-            self._sides.find()
-            data.side_index, data.sides = self._sides.index, self._sides.table
-            self._jump = max(self._jump, self._sides.jump)
+                require_memory(lattice_side_bytes(lattice), solver.device, message)
+                self._launches = PoseLaunches(solver, MapTarget(lattice.cage, self._affine, vertex_values))
+            self._launches.find_sides(solver.sizes)
+            sides = self._launches.sides
+            data.side_index, data.sides = sides.index, sides.table
+            self._jump = max(self._jump, sides.jump)
         return data
 
     def report(self) -> None:
@@ -110,5 +117,5 @@ class WeightGaps:
         if self._jump > REPORTED_WEIGHT_JUMP:
             warn_caller(
                 "the cage has gaps narrower than a cell of the harmonic lattice: weights are rough there, take a "
-                f"resolution above {self.solver.lattice.resolution} or open the gaps"
+                f"resolution above {self._lattice.resolution} or open the gaps"
             )

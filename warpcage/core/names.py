@@ -2,8 +2,62 @@
 
 from __future__ import annotations
 
-#: Kinds of coordinates, as `coordinates=` takes them.
-KINDS = ("mean_value", "green", "harmonic")
-DENSITIES = ("opacity", "paper")
+from collections.abc import Sequence
+
+#: Kinds of coordinates, as `coordinates=` takes them; the first is the default of a Deformer.
 COORDINATES = ("harmonic", "mean_value", "green")
+
+#: How a sample's density follows an edit, as `density=` takes them.
+DENSITIES = ("opacity", "paper")
+
+#: What a map on a lattice keeps, as `store=` takes them.
 STORES = ("map", "weights")
+
+
+def require_name(value: object, names: Sequence[str], what: str) -> str:
+    """One of the names that an option takes.
+
+    Args:
+        value: As it was given.
+        names: The names.
+        what: Name of the option.
+
+    Returns:
+        The value.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    if not isinstance(value, str) or value not in names:
+        raise ValueError(f"{what} must be one of {', '.join(names)}, got {value!r}")
+    return value
+
+
+def require_coordinates(value: object) -> str:
+    """One of COORDINATES.
+
+    Args:
+        value: As it was given.
+
+    Returns:
+        The value.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    return require_name(value, COORDINATES, "coordinates")
+
+
+def require_store(value: object) -> str:
+    """One of STORES.
+
+    Args:
+        value: As it was given.
+
+    Returns:
+        The value.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    return require_name(value, STORES, "store")

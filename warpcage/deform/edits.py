@@ -109,7 +109,7 @@ class LatticeEdits:
         if render_modules is None:
             render_modules = [sys.modules[self.render_kernel.module.name]]
         load_modules(_pose_modules(coordinates) + render_modules, device)
-        self._rests = [CageLattice(edit.cage, resolution, origin=origin, device=device) for edit in edits]
+        self._rests = [CageLattice(edit.cage, resolution, origin=origin, device=device).measure() for edit in edits]
         self._maps = [
             None
             if edit.remove

@@ -4,79 +4,146 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
-_WARP_TYPES = {int: wp.int32, float: wp.float32, bool: wp.bool}
+from ..core.arrays import array_view
+
+#: Views of a buffer that are kept, of poses of different shapes.
+MOST_VIEWS = 64
+
+WORD = 4  # bytes; all constants are 32-bit numbers
 
 
-class Buffers:
-    """Named flat arrays that only grow, so that a new pose of about the same shape allocates nothing.
+class BufferPool:
+    """The buffers of one owner on a device.
 
     A CUDA graph captured over them stays valid while `generation` stays the same.
+
+    Args:
+        device: Warp device that holds them.
+
+    Attributes:
+        generation: Goes up whenever a buffer moves.
     """
 
-    def __init__(self, device):
+    def __init__(self, device: wp.DeviceLike):
         self.device = wp.get_device(device)
         self.generation = 0
-        self._arrays: dict[str, wp.array] = {}
+        self._buffers: list[Buffer] = []
 
-    def get(self, name: str, shape, dtype) -> wp.array:
-        """An uninitialised contiguous array of `shape`, a view of the buffer of that name (grown where too small)."""
-        shape = (shape,) if isinstance(shape, int) else tuple(int(side) for side in shape)
+    def buffer(self, dtype) -> Buffer:
+        """A new buffer, still empty.
+
+        Args:
+            dtype: Type of its items.
+
+        Returns:
+            The buffer.
+        """
+        self._buffers.append(Buffer(self, dtype))
+        return self._buffers[-1]
+
+    @property
+    def bytes(self) -> int:
+        """Bytes held on the device."""
+        return sum(buffer.bytes for buffer in self._buffers)
+
+
+class Buffer:
+    """A flat array that only grows, so that a new pose of about the same shape allocates nothing.
+
+    Args:
+        pool: That it belongs to; use `BufferPool.buffer`.
+        dtype: Type of its items.
+    """
+
+    def __init__(self, pool: BufferPool, dtype):
+        self._pool, self._dtype = pool, dtype
+        self._held: wp.array | None = None
+        self._views: dict[tuple[int, ...], wp.array] = {}
+
+    def take(self, shape: int | tuple[int, ...]) -> wp.array:
+        """A contiguous view, of what the buffer holds; it grows where it is too small, and its contents are lost then.
+
+        Args:
+            shape: Items along each axis.
+
+        Returns:
+            The view. Views of the same shape are the same object: making one takes a few microseconds.
+        """
+        shape = (shape,) if isinstance(shape, int) else tuple(shape)
+        view = self._views.get(shape)
+        if view is None:
+            view = self._view(shape)
+            if len(self._views) >= MOST_VIEWS:
+                self._views.clear()
+            self._views[shape] = view
+        return view
+
+    def _view(self, shape: tuple[int, ...]) -> wp.array:
         count = math.prod(shape)
-        dtype = _WARP_TYPES.get(dtype, dtype)  # as arrays name theirs
-        held = self._arrays.get(name)
-        if held is None or held.size < count or held.dtype != dtype:
+        held = self._held
+        if held is None or held.size < count:
             spare = 0 if held is None else count // 16  # poses of one cage differ by little
-            self._arrays[name] = held = None  # the old one goes before the new one comes
-            held = self._arrays[name] = wp.empty(max(count + spare, 1), dtype=dtype, device=self.device)
-            self.generation += 1
+            self._held = held = None  # the old array goes before the new one comes
+            self._views.clear()
+            self._held = held = wp.empty(max(count + spare, 1), dtype=self._dtype, device=self._pool.device)
+            self._pool.generation += 1
         if count == 0:
-            return wp.empty(shape, dtype=dtype, device=self.device)
+            return wp.empty(shape, dtype=self._dtype, device=self._pool.device)
         view = held if held.size == count else held[:count]
         return view.reshape(shape) if len(shape) > 1 else view
 
     @property
     def bytes(self) -> int:
         """Bytes held on the device."""
-        return sum(array.capacity for array in self._arrays.values() if array is not None)
+        return 0 if self._held is None else self._held.capacity
 
 
-def roomier(sections: np.ndarray) -> np.ndarray:
-    """Lengths for launches and lists that serve other poses of the same cage as well."""
-    return sections + sections // 8 + 32
+@dataclass(frozen=True, eq=False)
+class Constant:
+    """A small array that the host writes and the device reads.
 
+    Args:
+        host: Where the host writes it.
+        array: The same on the device, once it is sent.
+    """
 
-WORD = 4  # bytes; all slots are of 32-bit numbers
+    host: np.ndarray
+    array: wp.array
 
 
 class PoseConstants:
-    """Small named arrays on a device that are written on the host and sent together.
+    """Small arrays that are written on the host and sent to a device together.
 
-    slots: {name: (count, dtype)}, dtype int, float, wp.vec3 or wp.vec3i. `host[name]` are NumPy views of the staging
-    buffer to be filled, `arrays[name]` the Warp arrays that `send` copies them to. Their addresses never change, so a
-    CUDA graph can hold the copy.
+    Their addresses never change, so a CUDA graph can hold the copy.
+
+    Args:
+        device: Warp device that they are sent to.
+        slots: Length and type of each: int, float, wp.vec3 or wp.vec3i.
+
+    Attributes:
+        slots: The constants, in that order.
     """
 
-    def __init__(self, slots: dict, device):
-        self.device = wp.get_device(device)
-        words = sum(count * wp.types.type_size(dtype) for count, dtype in slots.values())
-        pinned = self.device.is_cuda
-        self._staging = wp.zeros(words, dtype=wp.int32, device="cpu" if pinned else self.device, pinned=pinned)
-        self._buffer = wp.zeros(words, dtype=wp.int32, device=self.device) if pinned else self._staging
-        self.host: dict[str, np.ndarray] = {}
-        self.arrays: dict[str, wp.array] = {}
+    def __init__(self, device: wp.DeviceLike, slots: Sequence[tuple[int, type]]):
+        device = wp.get_device(device)
+        widths = [wp.types.type_size(dtype) for _, dtype in slots]
+        words = sum(count * width for (count, _), width in zip(slots, widths, strict=True))
+        pinned = device.is_cuda
+        self._staging = wp.zeros(words, dtype=wp.int32, device="cpu" if pinned else device, pinned=pinned)
+        self._buffer = wp.zeros(words, dtype=wp.int32, device=device) if pinned else self._staging
+        self.slots: list[Constant] = []
         begin = 0
-        for name, (count, dtype) in slots.items():
-            width = wp.types.type_size(dtype)
+        for (count, dtype), width in zip(slots, widths, strict=True):
             scalar = np.int32 if dtype in (int, wp.int32, wp.vec3i) else np.float32
-            view = self._staging.numpy()[begin : begin + count * width].view(scalar)
-            self.host[name] = view if width == 1 else view.reshape(count, width)
-            self.arrays[name] = wp.array(
-                ptr=self._buffer.ptr + WORD * begin, dtype=dtype, shape=(count,), device=self.device
-            )
+            host = self._staging.numpy()[begin : begin + count * width].view(scalar)
+            array = array_view(self._buffer, dtype, count, offset=WORD * begin)
+            self.slots.append(Constant(host if width == 1 else host.reshape(count, width), array))
             begin += count * width
 
     def send(self) -> None:
@@ -85,19 +152,44 @@ class PoseConstants:
             wp.copy(self._buffer, self._staging)
 
 
+class HostNumbers:
+    """Numbers that a device writes where the host reads them, without a copy.
+
+    Args:
+        count: How many.
+        device: Warp device that writes them.
+
+    Attributes:
+        array: (count,) float, for kernels.
+    """
+
+    def __init__(self, count: int, device: wp.DeviceLike):
+        self._device = wp.get_device(device)
+        held = wp.zeros(count, dtype=wp.float32, device="cpu", pinned=self._device.is_cuda)
+        self._host = held.numpy()
+        self.array = array_view(held, wp.float32, count, device=self._device)
+
+    def wait(self) -> np.ndarray:
+        """Wait for all that was launched; (count,) float32 as the device wrote them, until it writes again."""
+        if self._device.is_cuda:
+            wp.synchronize_stream(self._device.stream)
+        return self._host
+
+
 class SideStream:
     """A second stream of a CUDA device; on a CPU launches run in the order of the program.
 
-    `fork` orders what is launched under it after all that came before; what comes after it need not wait, until `join`.
+    Args:
+        device: Warp device.
     """
 
-    def __init__(self, device):
+    def __init__(self, device: wp.DeviceLike):
         self.device = wp.get_device(device)
         self._stream = wp.Stream(self.device) if self.device.is_cuda else None
 
     @contextlib.contextmanager
-    def fork(self):
-        """Launches under this run beside those that follow."""
+    def fork(self) -> Iterator[None]:
+        """Launches under this run after all that came before, beside those that follow until `join`."""
         if self._stream is None:
             yield
             return

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
+
 import warp as wp
 
 from ..core.devices import lane_count, launch
 from ..kernels.lattice.cut_rows import CutRows
 from ..kernels.lattice.gap_sides import count_column_sides, list_column_sides, mark_gap_cells, mark_narrow_cells
 from ..kernels.lattice.narrow_gaps import GAP_JUMP, confirm_narrow, find_gap_nodes
+from ..kernels.lattice.nodes import NodeLevels
 from ..kernels.lattice.side_values import (
     complete_sides,
     continue_sides,
@@ -17,9 +19,14 @@ from ..kernels.lattice.side_values import (
     place_sides,
     set_boundary_values,
 )
-from .capture import Buffers
+from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.faces import face_area
+from .capture import BufferPool, HostNumbers
+from .lattice import CageLattice
+from .rings import CutRowTable
+from .sizes import NodeSections, PoseSizes
 
-#: Bytes that the tables take of each node, at most of each square cell of the cage's surface, and some that all share.
+#: Bytes that the tables take for each node, at most for each square cell of the cage's surface, and in any case.
 SIDE_NODE_BYTES, SIDE_SURFACE_BYTES, SIDE_FIXED_BYTES = 5, 700, 1 << 16
 
 #: A jump of the map over less than a cell that is larger than this share of the rest cage's size is reported.
@@ -27,134 +34,239 @@ REPORTED_JUMP = 2e-2
 
 
 def side_bytes(node_count: int, surface: float) -> int:
-    """The most that the tables take. surface: area of the cage, cells squared."""
+    """The most bytes that tables of narrow gaps take.
+
+    Args:
+        node_count: Nodes of the lattice.
+        surface: Area of the cage, cells squared.
+
+    Returns:
+        Bytes on the device.
+    """
     return int(SIDE_FIXED_BYTES + SIDE_NODE_BYTES * node_count + SIDE_SURFACE_BYTES * surface)
+
+
+def lattice_side_bytes(lattice: CageLattice) -> int:
+    """The same of the cage that a lattice lies over.
+
+    Args:
+        lattice: The lattice.
+
+    Returns:
+        Bytes on the device.
+    """
+    return side_bytes(lattice.node_count, face_area(lattice.cage) / lattice.spacing**2)
+
+
+@dataclass(frozen=True, eq=False)
+class MapTarget:
+    """What a map on a lattice takes the cage to.
+
+    Args:
+        rest: The cage that it is mapped to.
+        affine: (4,) vec3 on the device, the affine part of the map; see add_affine.
+        vertex_values: (v,) vec3 on the device, what the map takes at the vertices besides, as a share of the rest
+            cage's size.
+    """
+
+    rest: ClosedMesh
+    affine: wp.array
+    vertex_values: wp.array
+
+
+@dataclass(frozen=True, eq=False)
+class MapNodes:
+    """A map at the nodes of a lattice, with all that sides of gaps are made from.
+
+    Args:
+        levels: The nodes, listed.
+        rows: Description of the cut nodes.
+        boundary: (rows of level 0, 6) vec3, the map less its affine part where links cross the cage.
+        values: (nodes,) vec3, the map.
+        corrections: (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,).
+        flags: (nodes of rings 0 and 1,) int, 1 at narrow gaps.
+    """
+
+    levels: NodeLevels
+    rows: CutRows
+    boundary: wp.array
+    values: wp.array
+    corrections: wp.array
+    flags: wp.array
 
 
 class MapSides:
     """The tables of a map's cells at narrow gaps, kept from pose to pose.
 
-    solver: whose maps, to the cage `rest`, have the gaps. constants: the arrays of the lattice's map_constants.
+    Args:
+        device: Warp device.
 
-    Attributes: index and table, side_index and sides of CageMap; jump, the largest that the remainder makes over
-    a gap narrower than a cell; buffers, all that is held on the device.
+    Attributes:
+        buffers: All that is held on the device.
+        rows: A table of cut nodes, for maps that describe none otherwise.
+        boundary: A buffer of vec3; see MapNodes.
+        index: `side_index` of CageMap.
+        table: `sides` of CageMap.
+        length: Rows of the table. 0 is not known yet.
+        jump: The largest that the map less its affine part makes over a gap narrower than a cell.
     """
 
-    def __init__(self, solver, rest, constants: dict):
-        self.solver, self.device, self._rest, self._constants = solver, solver.device, rest, constants
-        self.buffers = Buffers(self.device)
-        # written by the device where the host reads it
-        self._host_status = wp.zeros(2, dtype=float, device="cpu", pinned=self.device.is_cuda)
-        self._status = wp.array(ptr=self._host_status.ptr, dtype=float, shape=2, device=self.device)
-        self.jump, self.length = 0.0, 0
+    def __init__(self, device: wp.DeviceLike):
+        self._device = wp.get_device(device)
+        pool = self.buffers = BufferPool(self._device)
+        self.rows, self.boundary = CutRowTable(pool), pool.buffer(wp.vec3)
+        self._index = pool.buffer(wp.int32)
+        self._counts, self._offsets = pool.buffer(wp.int32), pool.buffer(wp.int32)
+        self._cells, self._masks = pool.buffer(wp.int32), pool.buffer(wp.int32)
+        self._table, self._jump = pool.buffer(wp.vec4), pool.buffer(wp.float32)
+        self._status = HostNumbers(2, self._device)
+        self.index = wp.empty(0, dtype=wp.int32, device=self._device)
+        self.table = wp.empty((0, 8), dtype=wp.vec4, device=self._device)
+        self.length, self.jump = 0, 0.0
 
-    def find(self) -> None:
-        """Fill the tables of the map that the solver's values hold, affine part included. Waits twice."""
-        nodes, lattice = self.solver.nodes, self.solver.lattice
-        self._launch_count(lattice.node_count, lattice.shape[0] * lattice.shape[1], nodes.sections)
-        self.length = int(self._offsets[-1:].numpy()[0] + self._counts[-1:].numpy()[0])
-        self._launch_tables(self.length)
-        self.take()
+    def launch(
+        self, sizes: PoseSizes, lattice: CageLattice, nodes: MapNodes, target: MapTarget, room: int | None
+    ) -> None:
+        """Launch what fills the tables; `take` tells what they hold.
 
-    def launch(self, node_count: int, column_count: int, sections: np.ndarray, room: int) -> None:
-        """Launch the same, for a CUDA graph: counts of this pose or upper bounds, and `room`, rows of the table. `take`
-        tells whether that was enough."""
-        self._launch_count(node_count, column_count, sections)
-        self._launch_tables(room)
+        Args:
+            sizes: Of this pose, or bounds.
+            lattice: The lattice.
+            nodes: The map on it, affine part included.
+            target: Of the map.
+            room: Rows of the table, at most. None waits until the device has counted them.
+        """
+        counts, offsets = self._launch_count(sizes, nodes)
+        if room is None:
+            room = int(offsets[-1:].numpy()[0] + counts[-1:].numpy()[0])
+        self._launch_tables(sizes, lattice, nodes, target, counts, offsets, room)
 
     def take(self) -> bool:
-        """Wait for the tables and note what they hold; False where they had no room."""
-        if self.device.is_cuda:
-            wp.synchronize_stream(self.device.stream)
-        status = self._host_status.numpy()
-        self.length, self.jump = int(status[0]), float(status[1])
+        """Wait for the tables and note what they hold.
+
+        Returns:
+            False where they had no room.
+        """
+        length, jump = self._status.wait()
+        self.length, self.jump = int(length), float(jump)
         return self.length <= self.table.shape[0]
 
-    def _launch_count(self, node_count: int, column_count: int, sections: np.ndarray) -> None:
-        """Launch what finds the cells and how long the table will be."""
-        solver, buffers = self.solver, self.buffers
-        levels, cut = solver.nodes.levels, solver.nodes.level_count * 2
-        self._cut_count = int(sections[cut])
-        self._boundary = buffers.get("boundary", (self._cut_count, 6), wp.vec3)
-        face_values = solver.face_values(self._rest, self._constants["affine"])
-        values = self._constants["vertex_values"]
-        solver.launch_boundary(self._cut_count, values, face_values, buffers, self._boundary)
-        # where there are sides at all, all gaps get theirs
-        solver.gaps.search(sections, solver.rows, solver.values, 0.0)
-        self.index = buffers.get("side_index", node_count, int)
-        self.index.zero_()
-        flags = solver.gaps.flags
-        self._launch(mark_gap_cells, flags.size, [levels, flags], [self.index], threads=1)
-        self._launch(mark_narrow_cells, self._cut_count, [levels, solver.rows], [self.index], threads=1)
-        self._counts, self._offsets = (buffers.get(name, column_count, int) for name in ("counts", "offsets"))
-        items = lane_count(self.device) * column_count
-        self._launch(count_column_sides, items, [levels, solver.rows], [self._counts, self.index])
-        wp.utils.array_scan(self._counts, self._offsets, inclusive=False)
+    def _launch_count(self, sizes: PoseSizes, nodes: MapNodes) -> tuple[wp.array, wp.array]:
+        """Launch what finds the cells and counts their sides column by column; counts, and their scan."""
+        levels, rows = nodes.levels, nodes.rows
+        index = self.index = self._index.take(sizes.nodes)
+        index.zero_()
+        self._launch(mark_gap_cells, nodes.flags.size, [levels, nodes.flags], [index], threads=1)
+        self._launch(mark_narrow_cells, sizes.lists.cut, [levels, rows], [index], threads=1)
+        counts, offsets = self._counts.take(sizes.columns), self._offsets.take(sizes.columns)
+        self._launch(count_column_sides, lane_count(self._device) * sizes.columns, [levels, rows], [counts, index])
+        wp.utils.array_scan(counts, offsets, inclusive=False)
+        return counts, offsets
 
-    def _launch_tables(self, room: int) -> None:
+    def _launch_tables(
+        self,
+        sizes: PoseSizes,
+        lattice: CageLattice,
+        nodes: MapNodes,
+        target: MapTarget,
+        counts: wp.array,
+        offsets: wp.array,
+        room: int,
+    ) -> None:
         """Launch what fills the tables, of at most `room` rows."""
-        solver, buffers = self.solver, self.buffers
-        lattice, levels, rows = solver.lattice, solver.nodes.levels, solver.rows
-        cells, masks = (buffers.get(name, room, int) for name in ("cells", "masks"))
-        self.table = buffers.get("sides", (room, 8), wp.vec4)
-        items = lane_count(self.device) * self._counts.size
-        inputs = [levels, rows, self._counts, self._offsets]
-        self._launch(list_column_sides, items, inputs, [self.index, cells, masks])
-        table = [self._counts, self._offsets, cells, masks]
-        values = [self._rest.size, self._constants["affine"], solver.values, solver.corrections, lattice.flat_distance]
-        self._launch(continue_sides, 8 * room, [levels, rows, self._boundary, *values, *table], [self.table])
-        self._launch(complete_sides, room, table[:3], [self.table])
-        heights = [lattice.constants.arrays["scales"], lattice.vertices, lattice.faces]
-        self._launch(place_sides, 4 * room, [levels, rows, *heights, *table], [self.table])
-        jump = buffers.get("jump", 1, float)
+        levels, rows = nodes.levels, nodes.rows
+        cells, masks, sides = self._cells.take(room), self._masks.take(room), self._table.take((room, 8))
+        self.table = sides
+        items = lane_count(self._device) * sizes.columns
+        self._launch(list_column_sides, items, [levels, rows, counts, offsets], [self.index, cells, masks])
+        table = [counts, offsets, cells, masks]
+        values = [target.rest.size, target.affine, nodes.values, nodes.corrections, lattice.flat_distance]
+        self._launch(continue_sides, 8 * room, [levels, rows, nodes.boundary, *values, *table], [sides])
+        self._launch(complete_sides, room, table[:3], [sides])
+        heights = [lattice.constants.scales.array, lattice.vertices, lattice.faces]
+        self._launch(place_sides, 4 * room, [levels, rows, *heights, *table], [sides])
+        jump = self._jump.take(1)
         jump.zero_()
-        self._launch(measure_jumps, self._cut_count, [levels, rows, self._boundary], [jump], threads=1)
-        self._launch(gather_side_status, 1, [self._counts, self._offsets, jump], [self._status])
+        self._launch(measure_jumps, sizes.lists.cut, [levels, rows, nodes.boundary], [jump], threads=1)
+        self._launch(gather_side_status, 1, [counts, offsets, jump], [self._status.array])
 
-    def _launch(self, kernel, count: int, inputs, outputs, threads: int | None = None) -> None:
-        launch(kernel, count, inputs, outputs, device=self.device, threads=threads)
+    def _launch(self, kernel, count: int, inputs: list, outputs: list, threads: int | None = None) -> None:
+        launch(kernel, count, inputs, outputs, device=self._device, threads=threads)
 
 
-def launch_linear_boundary(solver, cut_count: int, vertex_values: wp.array, boundary: wp.array) -> None:
-    """Launch the values (rows of level 0, 6) vec3 of a map that is linear on the cage's faces, where links cross it.
-    cut_count: rows, or an upper bound."""
-    inputs = [solver.nodes.levels, solver.rows, solver.lattice.faces, vertex_values]
-    launch(set_boundary_values, cut_count, inputs, [boundary], device=solver.device)
+def launch_linear_boundary(
+    sections: NodeSections,
+    levels: NodeLevels,
+    rows: CutRows,
+    faces: wp.array,
+    vertex_values: wp.array,
+    boundary: wp.array,
+) -> None:
+    """Launch the values where links cross the cage, of a map that is linear on the cage's faces.
+
+    Args:
+        sections: Lengths of the lists of nodes, or bounds.
+        levels: The nodes, listed.
+        rows: Description of the cut nodes.
+        faces: (f,) vec3i of the cage.
+        vertex_values: (v,) vec3, the map at the cage's vertices.
+        boundary: (rows of level 0, 6) vec3, filled in.
+    """
+    launch(set_boundary_values, sections.cut, [levels, rows, faces, vertex_values], [boundary], device=faces.device)
 
 
 class GapFlags:
-    """Which outside nodes next to the inside lie at gaps narrower than about two cells over which the map jumps.
+    """Which outside nodes next to the inside lie at gaps narrower than about two cells over which a map jumps.
 
-    solver: whose nodes are listed and whose values are the remainder of a map. Attributes: flags, one int for each node
-    of rings 0 and 1; count (1,), above zero where any is set (on a CPU not how many: see `total`).
+    Args:
+        lattice: Whose nodes they are.
+
+    Attributes:
+        flags: One int for each node of rings 0 and 1.
+        count: (1,) int, above zero where any is set (on a CPU not how many: see `total`).
     """
 
-    def __init__(self, solver):
-        self.solver, self.device = solver, solver.lattice.device
-        self.count = solver.lattice.flags[3:4]
+    def __init__(self, lattice: CageLattice):
+        self._device, self._narrow = lattice.device, lattice.flags.narrow
+        self._flags = lattice.buffers.buffer(wp.int32)
+        self.count = lattice.flags.gaps
+        self.flags = wp.empty(0, dtype=wp.int32, device=self._device)
 
-    def search(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
-        """Clear the count, and launch."""
-        self.count.zero_()
-        self.launch(sections, rows, values, least)
+    def search(
+        self,
+        lattice: CageLattice,
+        levels: NodeLevels,
+        rows: CutRows,
+        sections: NodeSections,
+        values: wp.array,
+        least: float = GAP_JUMP,
+    ) -> wp.array:
+        """Launch the search, the count being zero.
 
-    def launch(self, sections: np.ndarray, rows: CutRows | None, values: wp.array, least: float = GAP_JUMP) -> None:
-        """Launch the search, the count being zero. sections: nodes of each list, or upper bounds; rows: without them, a
-        gap that is narrower than a cell is seen by `nodes.narrow` alone; values: of which a difference above `least`
-        between inside nodes makes a gap."""
-        nodes = self.solver.nodes
-        levels, level_count, crossings = nodes.levels, nodes.level_count, nodes.lattice.crossings
-        items = int(sections[3 * level_count : 3 * level_count + 2].sum())
-        self.flags = nodes.lattice.buffers.get("gap_flags", items, int)
-        cut = int(sections[2 * level_count])
-        launch(confirm_narrow, cut, [crossings, levels, values], [nodes.narrow], device=self.device)
-        inputs = [levels, CutRows() if rows is None else rows, values, float(least)]
-        launch(find_gap_nodes, items, inputs, [self.flags, self.count], device=self.device)
+        Args:
+            lattice: The lattice.
+            levels: Of its nodes, listed.
+            rows: Description of the cut nodes. Without rows, a gap that is narrower than a cell is seen by the
+                lattice's flag alone.
+            sections: Lengths of the lists, or bounds.
+            values: (nodes,) vec3, the remainder of a map, of which a difference above `least` between inside nodes
+                makes a gap.
+            least: The difference, as a share of the rest cage's size.
+
+        Returns:
+            The flags.
+        """
+        self.flags = self._flags.take(sections.near_rings)
+        inputs = [lattice.crossings, levels, values]
+        launch(confirm_narrow, sections.cut, inputs, [self._narrow], device=self._device)
+        inputs = [levels, rows, values, float(least)]
+        launch(find_gap_nodes, sections.near_rings, inputs, [self.flags, self.count], device=self._device)
+        return self.flags
 
     def found(self) -> bool:
         """Whether there are any, also such that hold no node; waits for the device."""
-        return int(self.count.numpy()[0]) > 0 or int(self.solver.nodes.narrow.numpy()[0]) == 2
+        return int(self.count.numpy()[0]) > 0 or int(self._narrow.numpy()[0]) == 2
 
     def total(self) -> int:
-        """How many nodes are flagged."""
+        """How many nodes are flagged; waits for the device."""
         return int(self.flags.numpy().sum())

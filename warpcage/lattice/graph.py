@@ -1,158 +1,133 @@
-"""PoseGraph: all that a pose of a PositionMap does on a GPU, as two CUDA graphs that later poses replay."""
+"""PoseGraph: the launches of a pose of a PositionMap on a GPU, as CUDA graphs that later poses replay."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
-import numpy as np
 import warp as wp
 
-from ..core.devices import launch
-from ..kernels.lattice.rings import add_affine, gather_status
-from .capture import roomier
+from .launches import PoseLaunches
+from .sizes import PoseSizes
+
+Launches = Callable[[], object]
 
 
 class PoseGraph:
     """The launches of a pose, captured with somewhat more room than the pose at hand needs.
 
-    lattice, solver, rest: of a PositionMap that has just been posed. The first graph uploads the lattice's constants
-    and lays it out, with the lists of nodes; the second uploads the map's constants, which the host works out
-    meanwhile, solves until the tolerance is met and downloads the outcome. A pose costs the host two launches and one
-    wait.
+    The first graph uploads the lattice's constants and lays it out, with the lists of nodes; the second uploads the
+    map's constants, which the host works out meanwhile, solves until the tolerance is met and downloads the outcome. A
+    pose costs the host two launches and one wait.
 
-    Attribute: has_gaps, whether the solver flagged nodes at narrow gaps.
+    Args:
+        launches: Of a pose that has just been computed step by step.
+
+    Attributes:
+        has_gaps: Whether the last pose has nodes at narrow gaps.
     """
 
     @staticmethod
-    def is_supported(device) -> bool:
-        """Whether the device can decide in a graph how often a part of it runs (CUDA 12.4)."""
+    def is_supported(device: wp.Device) -> bool:
+        """Whether the device can decide in a graph how often a part of it runs (CUDA 12.4).
+
+        Args:
+            device: Warp device.
+
+        Returns:
+            Whether it can.
+        """
         return device.is_cuda and wp.is_conditional_graph_supported()
 
-    def __init__(self, lattice, solver, rest):
-        self.lattice, self.solver, self.rest, self.device = lattice, solver, rest, lattice.device
-        # overflow of lines and lists, cycles, residual, nodes at gaps, then the length of each section
-        words = 5 + solver.nodes.section_count
-        # written by the device where the host reads it
-        self._host_status = wp.zeros(words, dtype=float, device="cpu", pinned=self.device.is_cuda)
-        self._status = wp.array(ptr=self._host_status.ptr, dtype=float, shape=words, device=self.device)
+    def __init__(self, launches: PoseLaunches):
+        self._launches, self._solver = launches, launches.solver
+        self._device, self._buffers = launches.solver.device, launches.solver.lattice.buffers
         self.has_gaps = False
-        self._graph = None
-        self._lattice_sizes: dict = {}
-        self._node_sizes: dict = {}
-        self._sections = np.zeros(solver.nodes.section_count, dtype=np.int64)
-        self._sides_graph, self._sides_generation, self._sides_room = None, 0, 0
-        self._make_room()
+        self._room = self._solver.sizes.roomier()
+        self._layout: Launches | None = None
+        self._map: Launches | None = None
+        self._sides: Launches | None = None
+        self._generation = self._sides_generation = self._sides_room = 0
 
-    def fits(self) -> bool:
-        """Whether the pose that the lattice was laid over has room; a first one that has is captured."""
-        lattice, nodes = self.lattice, self.solver.nodes
-        if self._graph is None:
-            self._make_room()
+    def fits(self, sizes: PoseSizes) -> bool:
+        """Whether a pose has room; a first one that has is captured.
+
+        Args:
+            sizes: Of the pose that the lattice lies over.
+
+        Returns:
+            Whether it can be replayed.
+        """
+        if self._layout is None:
             self._capture()
-        return (
-            self._generation == lattice.buffers.generation
-            and all(size <= self._lattice_sizes[name] for name, size in lattice.sizes.items())
-            and all(size <= self._node_sizes[name] for name, size in nodes.sizes.items())
-        )
+        return self._generation == self._buffers.generation and sizes.fits(self._room)
 
     def release(self) -> None:
         """Capture anew at the next pose, with room for the one at hand: it had none, or buffers have moved."""
-        self._make_room()
-        self._graph = self._sides_graph = None
+        self._room = self._solver.sizes.roomier(self._room)
+        self._layout = self._map = self._sides = None
 
     def begin(self) -> None:
         """Start on the pose that the lattice's constants hold; they stay as they are until `finish`."""
-        self._run_lattice()
+        assert self._layout is not None, "begin comes after fits"
+        self._layout()
 
     def go_on(self) -> None:
         """Go on with what the lattice's map_constants hold."""
-        self._run_map()
+        assert self._map is not None, "go_on comes after fits"
+        self._map()
 
     def finish(self) -> bool:
-        """Wait for the map; False where a list was longer than foreseen."""
-        if self.device.is_cuda:
-            wp.synchronize_stream(self.device.stream)
-        status = self._host_status.numpy()
-        if status[0] != 0.0 or status[1] != 0.0:
-            return False
-        self.solver.take_status(status[2:4])
-        self.solver.nodes.take_sections(status[5:].astype(np.int64))
-        self.lattice.take_distance()
-        self.has_gaps = status[4] > 0.0
-        return True
+        """Wait for the map.
 
-    def find_sides(self, sides) -> bool:
-        """Fill the tables of a MapSides for the pose that was finished; False where they must be found step by step."""
+        Returns:
+            False where a list was longer than foreseen.
+        """
+        status = self._launches.wait()
+        if status.has_room:
+            self._solver.take_status(status.solution)
+            self._solver.nodes.sections = status.sections
+            self.has_gaps = status.has_gaps
+        return status.has_room
+
+    def find_sides(self) -> bool:
+        """Fill the tables of sides for the pose that was finished.
+
+        Returns:
+            False where they must be found step by step.
+        """
+        sides = self._launches.sides
         if sides.length == 0:  # nobody knows how long they are
             return False
-        if self._sides_graph is None or self._sides_generation != sides.buffers.generation:
+        if self._sides is None or self._sides_generation != sides.buffers.generation:
             self._sides_room = max(self._sides_room, sides.length + sides.length // 4 + 32)
-            launches = functools.partial(self._launch_sides, sides)
+            launches = functools.partial(self._launches.launch_sides, self._room, self._sides_room)
             launches()  # once outside, so that all buffers and modules are there
             self._sides_generation = sides.buffers.generation
-            self._sides_graph = self._captured(launches) if self.device.is_cuda else launches
-        if self.device.is_cuda:
-            wp.capture_launch(self._sides_graph)
-        else:
-            self._sides_graph()
+            self._sides = self._captured(launches)
+        self._sides()
         has_room = sides.take()
         if not has_room:
-            self._sides_graph = None
+            self._sides = None
         return has_room
 
-    def _make_room(self) -> None:
-        """Have room for the pose at hand, and no less than before: poses that take turns fit the same graph."""
-        lattice, nodes = self.lattice, self.solver.nodes
-        for held, sizes in ((self._lattice_sizes, lattice.sizes), (self._node_sizes, nodes.sizes)):
-            held.update({name: max(held.get(name, 0), size + size // 16) for name, size in sizes.items()})
-        self._sections = np.maximum(self._sections, roomier(nodes.sections))
+    def launch(self) -> None:
+        """Launch a whole pose one by one, with the sizes that the graphs have."""
+        self._launches.launch_layout(self._room)
+        self._launches.launch_map(self._room)
 
     def _capture(self) -> None:
-        lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
-        solver.load_modules()
-        wp.load_module(gather_status.module, device=self.device)
-        nodes.set_limits(self._sections)
-        self._launch()  # once outside, so that all buffers and modules are there
-        self._generation = lattice.buffers.generation
-        self._graph = self._run_lattice, self._run_map = self._launch_lattice, self._launch_map
-        if self.device.is_cuda:
-            lattice_graph, map_graph = (self._captured(launches) for launches in self._graph)
-            self._run_lattice = functools.partial(wp.capture_launch, lattice_graph)
-            self._run_map = functools.partial(wp.capture_launch, map_graph)
+        self._room = self._solver.sizes.roomier(self._room)
+        self._solver.nodes.limit(self._room.lists)
+        self.launch()  # once outside, so that all buffers and modules are there
+        self._generation = self._buffers.generation
+        self._layout = self._captured(functools.partial(self._launches.launch_layout, self._room))
+        self._map = self._captured(functools.partial(self._launches.launch_map, self._room))
 
-    def _captured(self, launches):
-        with wp.ScopedCapture(device=self.device) as capture:
+    def _captured(self, launches: Launches) -> Launches:
+        """The replay of launches; on the CPU they are launched again."""
+        if self._device.is_cpu:
+            return launches
+        with wp.ScopedCapture(device=self._device) as capture:
             launches()
-        return capture.graph
-
-    def _launch(self) -> None:
-        self._launch_lattice()
-        self._launch_map()
-
-    def _launch_lattice(self) -> None:
-        lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
-        lattice.constants.send()
-        with lattice.side.fork():
-            solver.clear(self._node_sizes)
-        lattice.launch_geometry(self._lattice_sizes)
-        nodes.launch_classes(self._node_sizes)
-        nodes.launch_lists(self._node_sizes, int(self._sections.sum()))
-        solver.launch_rows(self._node_sizes, self._sections)
-
-    def _launch_sides(self, sides) -> None:
-        columns = self._node_sizes["columns"]  # of all levels
-        sides.launch(self._lattice_sizes["nodes"], columns, self._sections, self._sides_room)
-
-    def _launch_map(self) -> None:
-        lattice, solver, nodes = self.lattice, self.solver, self.solver.nodes
-        arrays = lattice.map_constants.arrays
-        lattice.map_constants.send()
-        face_values = solver.face_values(self.rest, arrays["affine"])
-        solver.launch_solution(self._node_sizes, self._sections, arrays["vertex_values"], face_values)
-        with lattice.side.fork():
-            inputs = [lattice.overflow, nodes.overflow, solver.status, solver.gaps.count, nodes.narrow, nodes.levels]
-            launch(gather_status, self._status.size, inputs, [self._status], device=self.device)
-        values = lattice.buffers.get("values", self._node_sizes["nodes"], wp.vec3)
-        inputs = [nodes.levels, self.rest.size, arrays["affine"]]
-        launch(add_affine, self._lattice_sizes["nodes"], inputs, [values], device=self.device)
-        lattice.side.join()
+        return functools.partial(wp.capture_launch, capture.graph)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 import warp as wp
 
 from ..core.checks import warn_caller
-from ..core.devices import lane_count, launch
-from ..kernels.lattice.cut_rows import set_sources
+from ..core.devices import lane_count, launch, load_modules
+from ..kernels.lattice import harmonic as harmonic_kernels
+from ..kernels.lattice import harmonic_coarse
+from ..kernels.lattice.cut_rows import CutRows, set_sources
 from ..kernels.lattice.harmonic import (
     LaplaceSystem,
     begin_cycles,
@@ -20,10 +24,13 @@ from ..kernels.lattice.harmonic import (
     restrict_residual,
 )
 from ..kernels.lattice.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
-from .capture import roomier
-from .gaps import GapFlags, launch_linear_boundary
+from ..kernels.lattice.weights import select_vertices, store_weights
+from .gaps import MapTarget, launch_linear_boundary
+from .lattice import CageLattice
 from .nodes import LatticeNodes
-from .rings import described_rows, launch_rings
+from .rings import CutRowTable, continue_to_rings
+from .sizes import NodeSections, PoseSizes
+from .solver import MapSolver, WeightBlock
 
 SWEEPS = 2  # before and after the coarse correction: V(2, 2)
 COARSEST_SWEEPS = 8
@@ -46,156 +53,168 @@ SHORT_LAUNCH = 1 << 16
 COARSE_NODES = 2 * BLOCK_THREADS
 
 
-def require_tolerance(tolerance) -> float:
-    """`tolerance` as a float. Raises ValueError outside 2e-6 .. 0.1."""
+def require_tolerance(tolerance: float) -> float:
+    """The tolerance of a harmonic solver.
+
+    Args:
+        tolerance: As it was given.
+
+    Returns:
+        The same as a float.
+
+    Raises:
+        ValueError: Outside 2e-6 .. 0.1.
+    """
     if not isinstance(tolerance, int | float | np.floating) or not MIN_TOLERANCE <= tolerance <= 0.1:
         raise ValueError(f"tolerance must be {MIN_TOLERANCE:g} to 0.1 of the cage's size, got {tolerance!r}")
     return float(tolerance)
 
 
-class HarmonicSolver:
+class HarmonicSolver(MapSolver):
     """Harmonic functions inside a cage, with values on it that are linear on each triangle.
 
-    lattice: CageLattice. tolerance: bound aimed at for the error of the solution of the discrete equations, in units of
-    the boundary values. The rows of kernels/lattice/cut_rows.py are solved by V(2, 2) cycles
-    (kernels/lattice/harmonic.py); on CUDA a cycle is one graph, kept for later poses as long as the buffers serve them.
-
-    Attributes: cycles, multigrid cycles of the last solve; residual, what was left by it: the larger of 8 times the
-    largest residual over its row's diagonal and a quarter of the last coarse correction, both in units of the values.
-    The second is there because smooth errors hide from residuals: they leave 1 / n^2 of their size there.
+    The rows of kernels/lattice/cut_rows.py are solved by V(2, 2) cycles (kernels/lattice/harmonic.py). The residual is
+    the larger of 8 times the largest residual over its row's diagonal and a quarter of the last coarse correction, both
+    in units of the values. The second is there because smooth errors hide from residuals: they leave 1 / n^2 of their
+    size there.
 
     References: Joshi, Meyer, DeRose, Green and Sanocki 2007; Gibou, Fedkiw, Cheng and Kang 2002.
     Limitations: float32; parts of the cage thinner than a cell have no inside nodes and take values from its surface.
+
+    Args:
+        lattice: The lattice.
+        tolerance: Bound aimed at for the error of the solution of the discrete equations, in units of the boundary
+            values: 2e-6 to 0.1.
+
+    Raises:
+        ValueError: For a tolerance out of range.
     """
 
-    def __init__(self, lattice, *, tolerance: float = 1e-5):
-        self.lattice, self.device = lattice, lattice.device
+    def __init__(self, lattice: CageLattice, *, tolerance: float = 1e-5):
+        super().__init__(lattice, LatticeNodes(lattice))
         self.tolerance = require_tolerance(tolerance)
-        self.nodes = LatticeNodes(lattice)
-        self.cycles, self.residual = 0, 0.0
-        self.going = wp.zeros(1, dtype=int, device=self.device)
-        self.status = wp.zeros(2, dtype=float, device=self.device)  # cycles, residual
-        self.gaps = GapFlags(self)
-        self.corrections = wp.empty(0, dtype=wp.vec3, device=self.device)  # none
-        self._graph, self._graph_key, self._graph_sections = None, None, None
-        self.launch_rows(self.nodes.sizes, self.nodes.sections)
+        self._table = CutRowTable(lattice.buffers)
+        self._sources = lattice.buffers.buffer(wp.vec3)
+        self._loads = lattice.buffers.buffer(wp.vec3)
+        self._going = wp.zeros(1, dtype=wp.int32, device=self.device)
+        self._largest = wp.empty(LARGEST_SLOTS, dtype=wp.vec2, device=self.device)
+        self._system = LaplaceSystem()
+        self._graph: wp.Graph | None = None  # of one cycle
+        self._graph_room: NodeSections | None = None
+        self._graph_generation = 0
 
-    def prepare(self) -> None:
-        """Set up for the pose that the lattice was filled with."""
-        self.nodes.fill()
-        self.launch_rows(self.nodes.sizes, self.nodes.sections)
+    def launch_layout(self, sizes: PoseSizes) -> PoseSizes:
+        """Launch all that does not depend on the boundary values, with the table of cut rows; see MapSolver."""
+        sizes = super().launch_layout(sizes)
+        self.rows = self._table.describe(self.lattice, self.nodes.levels, sizes.lists)
+        system = self._system = LaplaceSystem()
+        system.levels, system.rows = self.nodes.levels, self.rows
+        system.sources = self._sources.take(sizes.lists.cut)
+        system.loads = self._loads.take(sizes.coarse_nodes)
+        system.values = self._values.take(sizes.level_nodes)
+        return sizes
 
-    @property
-    def values(self) -> wp.array:
-        """(nodes of level 0,) vec3, flat: the last solution."""
-        return self.system.values[: self.lattice.node_count]
+    def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
+        """Launch a whole solution of cleared values, whose cycles end on the device; see MapSolver."""
+        sections, values = sizes.lists, self._system.values
+        self._launch_inside(sections, target.vertex_values)
+        with self.lattice.side.fork():  # it does not look at the rings
+            self.gaps.search(self.lattice, self.nodes.levels, self.rows, sections, values)
+        self._continue_map(sections, target.vertex_values)
+        self.lattice.side.join()
 
-    def solve(self, vertex_values: wp.array, face_values=None) -> None:
-        """Solve for boundary values vertex_values (v,) vec3 at the cage's vertices; then continue to the outside rings.
+    def launch_continuation(self, sizes: PoseSizes, vertex_values: wp.array) -> None:
+        """Launch what continues the values to the rings, and the search for gaps; see MapSolver."""
+        self._continue_map(sizes.lists, vertex_values)
+        self.gaps.search(self.lattice, self.nodes.levels, self.rows, sizes.lists, self._system.values)
 
-        face_values is not used: harmonic maps have none. Warns where the tolerance was not met in 40 cycles.
+    def launch_boundary(self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array) -> CutRows:
+        """Launch the map where links cross the cage, on which it is linear; see MapSolver."""
+        launch_linear_boundary(
+            sizes.lists, self.nodes.levels, self.rows, self.lattice.faces, target.vertex_values, boundary
+        )
+        return self.rows
+
+    def weigh(self) -> list[WeightBlock]:
+        """The weights (m, v) of all inside nodes in one block; three vertices take one solution."""
+        count = self.nodes.sections.finest_inside
+        weights = wp.empty((count, self.lattice.vertices.size), dtype=wp.float32, device=self.device)
+        for column, _ in self.solve_vertices():
+            self._launch(store_weights, count, [0, column, self.nodes.levels, self.values, weights])
+        return [(0, weights, None)]
+
+    def solve_vertices(self) -> Iterator[tuple[int, wp.array]]:
+        """Solve for the weights of all cage vertices at inside nodes, three at a time.
+
+        Afterwards cycles and residual are the largest of all.
+
+        Yields:
+            Index of the first of three vertices, and their boundary values (v,) vec3.
         """
-        self.solve_inside(vertex_values)
-        self.extend(vertex_values)
-        self.find_gaps(self.nodes.sections)
+        count = self.lattice.vertices.size
+        selected = wp.empty(count, dtype=wp.vec3, device=self.device)
+        cycles, residual = 0, 0.0
+        for column in range(0, count, 3):
+            self._launch(select_vertices, count, [column, selected])
+            self.solve_inside(selected)
+            cycles, residual = max(cycles, self.cycles), max(residual, self.residual)
+            yield column, selected
+        self.cycles, self.residual = cycles, residual
 
     def solve_inside(self, vertex_values: wp.array) -> None:
-        """The same for inside nodes only; other nodes are zero."""
-        sections = self.nodes.sections
-        self.clear(self.nodes.sizes)
-        self._launch_start(sections, vertex_values)
-        run_cycle = self._cycle_runner(sections)
-        going = True
-        while going:
-            run_cycle()
-            self.take_status(self.status.numpy())
-            going = self.residual > self.tolerance and self.cycles < MAX_CYCLES
+        """Solve for boundary values at the inside nodes of the last pose; other nodes are zero.
+
+        Warns where the tolerance was not met in 40 cycles.
+
+        Args:
+            vertex_values: (v,) vec3, values at the cage's vertices.
+        """
+        sizes = self.sizes
+        self.clear(sizes)
+        self._launch_inside(sizes.lists, vertex_values)
+        self.take_status(self.status.numpy())
 
     def take_status(self, status: np.ndarray) -> None:
         """Note the cycles taken and the residual; warn where it is above the tolerance at the end."""
-        self.cycles, self.residual = int(status[0]), float(status[1])
+        super().take_status(status)
         if self.cycles == MAX_CYCLES and self.residual > self.tolerance:
             warn_caller(
                 f"harmonic map: {self.residual:.1e} of the size left after {MAX_CYCLES} cycles, above the tolerance "
                 f"{self.tolerance:.1e}: the cage may cross itself or be too thin for its resolution"
             )
 
-    def extend(self, vertex_values: wp.array) -> None:
-        """Continue the values at inside nodes to the rings of outside nodes around them (kernels/lattice/rings.py)."""
-        launch_rings(self, self.nodes.sections, vertex_values, self.system.values)
+    def _continue_map(self, sections: NodeSections, vertex_values: wp.array) -> None:
+        """Launch what continues the values at inside nodes to the rings (kernels/lattice/rings.py)."""
+        continue_to_rings(self.lattice, self.nodes.levels, self.rows, sections, vertex_values, self._system.values)
 
-    def find_gaps(self, sections: np.ndarray) -> None:
-        """Launch the search for narrow gaps."""
-        self.gaps.search(sections, self.rows, self.system.values)
+    def _launch_inside(self, sections: NodeSections, vertex_values: wp.array) -> None:
+        """Launch a solution of cleared values at inside nodes."""
+        system = self._system
+        inputs = [system.levels, system.rows, self.lattice.faces, vertex_values, system.sources]
+        self._launch(set_sources, sections.cut, inputs)
+        self._launch(begin_cycles, self._largest.size, [self._going, self.status, self._largest])
+        self._sweep(relax_laplace, sections.evaluated, [0, 0, system])
+        wp.capture_while(self._going, self._cycle_runner(sections))
 
-    def face_values(self, rest, affine: wp.array):
-        """Nothing: harmonic maps have values at vertices only."""
-        return None
-
-    def launch_boundary(self, cut_count: int, vertex_values: wp.array, face_values, buffers, boundary) -> None:
-        """Launch the map's remainder (rows of level 0, 6) where links cross the cage."""
-        launch_linear_boundary(self, cut_count, vertex_values, boundary)
-
-    def clear(self, sizes: dict) -> None:
-        """Launch what clears the values and the count of gaps, before a solution."""
-        self.gaps.count.zero_()
-        self.lattice.buffers.get("values", sizes["nodes"], wp.vec3).zero_()
-
-    def launch_solution(self, sizes: dict, sections: np.ndarray, vertex_values: wp.array, face_values) -> None:
-        """Launch a whole solution of cleared values, for a CUDA graph: the cycles end on the device. sections: upper
-        bounds."""
-        self._launch_start(sections, vertex_values)
-        wp.capture_while(self.going, lambda: self._cycle(sections))
-        with self.lattice.side.fork():  # it does not look at the rings
-            self.gaps.launch(sections, self.rows, self.system.values)
-        launch_rings(self, sections, vertex_values, self.system.values)
-        self.lattice.side.join()
-
-    def launch_rows(self, sizes: dict, sections: np.ndarray) -> None:
-        """Launch the description of the cut rows. sizes, sections: of this pose, or upper bounds."""
-        lattice, nodes, buffers = self.lattice, self.nodes, self.lattice.buffers
-        levels = nodes.level_count
-        row_count, finest = int(sections[2 * levels : 3 * levels].sum()), int(sections[2 * levels])
-        rows = self.rows = described_rows(lattice, nodes, row_count, finest)
-        system = self.system = LaplaceSystem()
-        system.levels, system.rows = nodes.levels, rows
-        system.sources = buffers.get("sources", finest, wp.vec3)
-        system.loads = buffers.get("loads", sizes["coarse_nodes"], wp.vec3)
-        system.values = buffers.get("values", sizes["nodes"], wp.vec3)
-        self._largest = buffers.get("largest", LARGEST_SLOTS, wp.vec2)
-
-    def _launch_start(self, sections: np.ndarray, vertex_values: wp.array) -> None:
-        system, nodes = self.system, self.nodes
-        inputs = [nodes.levels, self.rows, self.lattice.faces, vertex_values, system.sources]
-        self._launch(set_sources, int(sections[2 * nodes.level_count]), inputs)
-        self._launch(begin_cycles, self._largest.size, [self.going, self.status, self._largest])
-        self._sweep(relax_laplace, int(sections[0]), [0, 0, system])
-
-    def _cycle_runner(self, sections: np.ndarray):
-        """A callable that runs one cycle: launches on the CPU, the replay of one graph on CUDA."""
-        if self.device.is_cpu:
+    def _cycle_runner(self, sections: NodeSections) -> Callable[[], None]:
+        """A callable that runs one cycle: its launches on the CPU and in a capture, else the replay of one graph."""
+        if self.device.is_cpu or self.device.is_capturing:
             return lambda: self._cycle(sections)
-        held = self._graph_sections
-        if self._graph_key != self.lattice.buffers.generation or (sections > held).any():
+        held, generation = self._graph_room, self.lattice.buffers.generation
+        if held is None or self._graph_generation != generation or not sections.fits(held):
             # launches somewhat longer than the lists, so that the graph serves other poses of the cage as well
-            held = self._graph_sections = roomier(sections)
-            self.load_modules()
+            held = self._graph_room = sections.roomier()
+            load_modules([harmonic_kernels, harmonic_coarse], self.device)
             with wp.ScopedCapture(device=self.device) as capture:
                 self._cycle(held)
-            self._graph, self._graph_key = capture.graph, self.lattice.buffers.generation
+            self._graph, self._graph_generation = capture.graph, generation
         return lambda: wp.capture_launch(self._graph)
 
-    def load_modules(self) -> None:
-        """Compile what a capture would need."""
-        wp.load_module(relax_laplace.module, device=self.device)
-        wp.load_module(cycle_coarse_levels.module, device=self.device)
-
-    def _cycle(self, sections: np.ndarray) -> None:
+    def _cycle(self, sections: NodeSections) -> None:
         """Launch a V-cycle and what judges it; the half sweep that it begins with was done by the one before."""
-        system, last = self.system, self.nodes.level_count - 1
-        inside = sections[: 2 * last + 2].reshape(-1, 2)
+        system, inside = self._system, sections.inside
         few = SHORT_LAUNCH if self.device.is_cpu else COARSE_NODES
-        coarse = last
+        coarse = len(inside) - 1
         while coarse > 1 and inside[coarse - 1].max() < few:
             coarse -= 1
         for level in range(coarse):
@@ -211,30 +230,31 @@ class HarmonicSolver:
             self._relax(level, 0, 2 * SWEEPS, inside)
         self._measure(relax_and_measure, int(inside[0, 0]))
         inputs = [ERROR_PER_RESIDUAL, ERROR_PER_CORRECTION, self.tolerance, MAX_CYCLES, self._largest]
-        self._launch(judge_cycle, lane_count(self.device), [*inputs, self.going, self.status])
+        self._launch(judge_cycle, lane_count(self.device), [*inputs, self._going, self.status])
 
     def _cycle_coarse(self, level: int) -> None:
         """Launch the levels from `level` on as one block of threads."""
         threads = 1 if self.device.is_cpu else BLOCK_THREADS
-        inputs = [0, level, SWEEPS, COARSEST_SWEEPS, threads, self.system]
+        inputs = [0, level, SWEEPS, COARSEST_SWEEPS, threads, self._system]
         wp.launch(cycle_coarse_levels, dim=threads, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
 
     def _relax(self, level: int, colour: int, half_sweeps: int, inside: np.ndarray) -> None:
         """Launch half sweeps, the colours in turn."""
         for half in range(half_sweeps):
             at = (colour + half) % 2
-            self._sweep(relax_laplace, int(inside[level, at]), [level, at, self.system])
+            self._sweep(relax_laplace, int(inside[level, at]), [level, at, self._system])
 
     def _measure(self, kernel, count: int) -> None:
-        """Launch a kernel that raises the largest changes; on a CPU an item a slot, as slots must not be shared."""
+        """Launch a kernel that raises the largest changes; on a CPU one item per slot, as slots must not be
+        shared."""
         lanes = lane_count(self.device)
         items = LARGEST_SLOTS if self.device.is_cpu else -(-count // lanes) * lanes
         threads = 1 if count < SHORT_LAUNCH else None
-        inputs = [-(-count // max(items, 1)), self.system, self._largest]
+        inputs = [-(-count // max(items, 1)), self._system, self._largest]
         launch(kernel, items, inputs, device=self.device, threads=threads)
 
     def _sweep(self, kernel, count: int, inputs) -> None:
-        """Launch a kernel of little work an item."""
+        """Launch a kernel whose items are little work."""
         launch(kernel, count, inputs, device=self.device, threads=1 if count < SHORT_LAUNCH else None)
 
     def _launch(self, kernel, count: int, inputs) -> None:

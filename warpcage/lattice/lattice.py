@@ -8,12 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ..core.devices import lane_count, launch, resolve_device
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
 from ..kernels.lattice.distance import BLOCK, list_block_faces, measure_band
+from ..kernels.lattice.nodes import RINGS
+from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.usable import require_usable
-from .capture import Buffers, PoseConstants, SideStream
+from .capture import BufferPool, PoseConstants, SideStream
+from .sizes import PoseSizes
 
 MIN_RESOLUTION, MAX_RESOLUTION = 8, 1024
 
@@ -27,11 +31,8 @@ LINE_CAPACITY = 8
 #: Faces listed for a block of nodes in the distance band; blocks near more look at all faces.
 BLOCK_FACES = 16
 
-#: Flags that a pose raises on the device: lines overflow, lists overflow, gaps narrower than a cell, nodes at gaps.
+#: Flags that a pose raises on the device; see PoseFlags.
 FLAGS = 4
-
-#: Views of buffers that are kept, of poses of different shapes.
-MOST_VIEWS = 64
 
 #: Most that float32 may be apart, in cells, where the lattice is: rounding leaves two cells of the margin.
 MOST_ROUNDING = 0.4
@@ -43,8 +44,18 @@ FLOAT32_BITS = 24
 COARSEST_RESOLUTION = 4
 
 
-def require_resolution(resolution) -> int:
-    """`resolution` as an int. Raises ValueError unless it is a whole number from 8 to 1024."""
+def require_resolution(resolution: int) -> int:
+    """The number of cells along the longest side of a lattice.
+
+    Args:
+        resolution: As it was given.
+
+    Returns:
+        The same as an int.
+
+    Raises:
+        ValueError: Unless it is a whole number from 8 to 1024.
+    """
     if isinstance(resolution, bool) or not isinstance(resolution, int | np.integer):
         raise ValueError(f"resolution must be a whole number of cells, got {resolution!r}")
     if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
@@ -52,164 +63,268 @@ def require_resolution(resolution) -> int:
     return int(resolution)
 
 
-class CageLattice:
-    """Nodes over one cage, with the signed distance to it.
+class PoseFlags:
+    """What a pose reports on the device while its lattice is laid out: (1,) int each, zero at first.
 
-    cage: closed, outward-oriented Cage. resolution: cells along the longest side of its bounding box; cells are cubes,
-    and at least two of them lie between the box and the border of the lattice. origin: (3,) world point that all
-    device arrays are relative to (float64; default the middle of the cage's bounding box).
+    Args:
+        array: (FLAGS,) int that holds them.
 
-    Attributes: shape (3,) node counts; lower (3,) float64, world position of node (0, 0, 0); spacing, world units;
-    origin (3,) float64; distance, array3d float: signed distance in world units, negative inside, exact nearer than 4
-    cells and clamped to that; crossings, where lattice lines cross the cage; vertices (v,) vec3 in node units; faces;
-    block_faces, how many faces are near each block of nodes and which (kernels/lattice/distance.py);
-    constants and map_constants, what a pose sends to the device, for the lattice and for the map on it; sizes, how many
-    nodes, lines and blocks of nodes there are.
-
-    Inside means a winding number above 0.5, exact at nodes. Raises ValueError for a resolution outside 8 .. 1024, an
-    unusable cage, one without extent, or one too far from the origin for float32 numbers to tell its cells apart.
+    Attributes:
+        lines: Crossings of the longest line where lines are too short for them.
+        lists: 1 where a list of nodes has no room.
+        narrow: 1 where the cage has gaps narrower than a cell, 2 where the map jumps over one.
+        gaps: Above 0 where nodes lie at narrow gaps over which the map jumps.
     """
 
-    def __init__(self, cage, resolution: int, *, origin=None, device=None):
+    def __init__(self, array: wp.array):
+        self.lines, self.lists, self.narrow, self.gaps = (array[flag : flag + 1] for flag in range(FLAGS))
+
+
+class LatticeConstants(PoseConstants):
+    """What a pose sends to the device for its lattice.
+
+    Args:
+        level_count: Levels of the lattice.
+        vertex_count: Vertices of the cage.
+        device: Warp device.
+
+    Attributes:
+        flags: (FLAGS,) zeros; see PoseFlags.
+        scales: (1,) world units per cell.
+        shapes: (L, 3) nodes along each axis of each level.
+        first_node: (L + 1,) where each level's nodes begin.
+        first_column: (L + 1,) where each level's columns begin.
+        vertices: (v, 3) the cage's vertices, node units.
+        centred: (v, 3) the same, from the middle of the lattice.
+    """
+
+    def __init__(self, level_count: int, vertex_count: int, device: wp.DeviceLike):
+        levels = (level_count + 1, int)
+        corners = (vertex_count, wp.vec3)
+        super().__init__(device, [(FLAGS, int), (1, float), (level_count, wp.vec3i), levels, levels, corners, corners])
+        (self.flags, self.scales, self.shapes, self.first_node, self.first_column, self.vertices, self.centred) = (
+            self.slots
+        )
+
+
+class MapConstants(PoseConstants):
+    """What a pose sends to the device for the map on its lattice.
+
+    Args:
+        vertex_count: Vertices of the cage.
+        device: Warp device.
+
+    Attributes:
+        affine: (4, 3) the affine part of the map: a step along each axis, and the place of node (0, 0, 0).
+        vertex_values: (v, 3) what the map takes at the vertices besides.
+    """
+
+    def __init__(self, vertex_count: int, device: wp.DeviceLike):
+        super().__init__(device, [(4, wp.vec3), (vertex_count, wp.vec3)])
+        self.affine, self.vertex_values = self.slots
+
+
+class CageLattice:
+    """Nodes over one cage, with the signed distance to it once they are measured.
+
+    Cells are cubes. At least two of them lie between the cage's bounding box and the border of the lattice. Inside
+    means a winding number above 0.5, exact at nodes.
+
+    Args:
+        cage: Closed, outward-oriented cage.
+        resolution: Cells along the longest side of the cage's bounding box, 8 to 1024.
+        origin: (3,) world point that all device arrays are relative to. None is the middle of the bounding box.
+        device: Warp device. None is CUDA where there is one.
+
+    Attributes:
+        cage: The pose that the lattice lies over.
+        layout: How its nodes are numbered.
+        lower: (3,) float64, world position of node (0, 0, 0).
+        spacing: World units per cell.
+        origin: (3,) float64.
+        crossings: Where lattice lines cross the cage.
+        flat_distance: (nodes or more,) float, the signed distance in world units; see `distance`.
+        block_faces: How many faces are near each block of nodes, and which (kernels/lattice/distance.py).
+        clear_octants: (blocks,) int, octants of each block that are clear of the cage.
+        vertices: (v,) vec3, the cage's vertices in node units.
+        faces: (f,) vec3i.
+        constants: What a pose sends to the device for the lattice.
+        map_constants: What it sends for the map on the lattice.
+        flags: What it reports.
+        buffers: All that is held on the device and depends on the pose.
+        side: A stream for launches beside others.
+        other_side: Another one.
+
+    Raises:
+        ValueError: For a resolution out of range, an unusable cage, one without extent, or one too far from the origin
+            for float32 numbers to tell its cells apart.
+    """
+
+    def __init__(
+        self, cage: ClosedMesh, resolution: int, *, origin: ArrayLike | None = None, device: wp.DeviceLike = None
+    ):
+        require_usable(cage)
         self.resolution = require_resolution(resolution)
         self.device = resolve_device(device)
-        self.origin = None if origin is None else np.asarray(origin, dtype=np.float64).reshape(3)
-        if self.origin is None:
-            self.origin = cage.bounds.mean(axis=0)
-        self.buffers = Buffers(self.device)
+        place = cage.bounds.mean(axis=0) if origin is None else origin
+        self.origin = np.asarray(place, dtype=np.float64).reshape(3)
         self.level_count = 1
         while self.resolution >> self.level_count >= COARSEST_RESOLUTION:
             self.level_count += 1
-        vertex_count, levels = len(cage.vertices), self.level_count
-        self.constants = PoseConstants(
-            {
-                "flags": (FLAGS, int),  # sent as zeros
-                "scales": (1, float),  # world units a cell
-                "shapes": (levels, wp.vec3i),
-                "first_node": (levels + 1, int),
-                "first_column": (levels + 1, int),
-                "vertices": (vertex_count, wp.vec3),  # node units
-                "centred": (vertex_count, wp.vec3),  # the same, from the middle of the lattice
-            },
-            self.device,
-        )
-        self.map_constants = PoseConstants(
-            {
-                "affine": (4, wp.vec3),
-                "vertex_values": (vertex_count, wp.vec3),  # what a map takes at the vertices
-            },
-            self.device,
-        )
-        self.vertices = self.constants.arrays["vertices"]
+        self.constants = LatticeConstants(self.level_count, len(cage.vertices), self.device)
+        self.map_constants = MapConstants(len(cage.vertices), self.device)
+        self.flags = PoseFlags(self.constants.flags.array)
+        self.vertices = self.constants.vertices.array
         self.faces = wp.array(cage.faces, dtype=wp.vec3i, device=self.device)
-        self._line_capacity = LINE_CAPACITY
-        self.flags = self.constants.arrays["flags"]
-        self.overflow = self.flags[:1]
         self.side, self.other_side = SideStream(self.device), SideStream(self.device)
-        self._views: dict = {}
-        self.fill(cage)
+        self.buffers = BufferPool(self.device)
+        self._distance = self.buffers.buffer(wp.float32)
+        self._crossing_counts = self.buffers.buffer(wp.int32)
+        self._crossing_places = self.buffers.buffer(wp.float32)
+        self._crossing_faces = self.buffers.buffer(wp.int32)
+        self._near_counts = self.buffers.buffer(wp.int32)
+        self._near_faces = self.buffers.buffer(wp.int32)
+        self._clear_octants = self.buffers.buffer(wp.int32)
+        self._line_capacity = LINE_CAPACITY
+        self.crossings = LineCrossings()
+        self.flat_distance = wp.empty(0, dtype=wp.float32, device=self.device)
+        self.clear_octants = wp.empty(0, dtype=wp.int32, device=self.device)
+        self.block_faces = self.clear_octants, self.clear_octants
+        self._place(cage)
 
-    def fill(self, cage, name: str = "cage") -> CageLattice:
-        """Lay the lattice over another pose of the cage, in the same buffers where they are large enough.
+    def lay(self, cage: ClosedMesh) -> CageLattice:
+        """Lay the lattice over another pose, on the host; `constants` hold it then, still to be sent.
 
-        Raises ValueError, beginning with `name`, for an unusable cage. Arrays handed out before are overwritten.
+        Args:
+            cage: A usable cage with the faces of the first one.
+
+        Returns:
+            self.
+
+        Raises:
+            ValueError: For a cage too far from the origin; the lattice stays where it is.
         """
-        require_usable(cage, name)
-        self.lay(cage)
-        self.constants.send()
-        self.measure()
+        self._place(cage)
         return self
 
-    def lay(self, cage) -> None:
-        """Work out, on the host, where the nodes are; `constants` take it, still to be sent. Raises ValueError, before
-        anything is changed, for a cage too far from the origin."""
-        self.shape, self.lower, self.spacing = lattice_frame(cage, self.resolution, self.origin)
+    def _place(self, cage: ClosedMesh) -> None:
+        shape, self.lower, self.spacing = lattice_frame(cage, self.resolution, self.origin)
         self.cage = cage
-        layout = level_layout(self.shape, self.level_count)
-        self.first_node, self.first_column, self.sizes = layout.first_node, layout.first_column, layout.sizes
+        self.layout = layout = level_layout(shape, self.level_count)
         scaled = (cage.vertices - self.lower) / self.spacing
-        host = self.constants.host
-        host["flags"][:] = 0
-        host["scales"][0] = self.spacing
-        host["shapes"][:] = layout.shapes
-        host["first_node"][:] = layout.first_node
-        host["first_column"][:] = layout.first_column
-        host["vertices"][:] = scaled
-        host["centred"][:] = scaled - (np.array(self.shape) - 1) // 2
+        constants = self.constants
+        constants.flags.host[:] = 0
+        constants.scales.host[0] = self.spacing
+        constants.shapes.host[:] = layout.shapes
+        constants.first_node.host[:] = layout.first_node
+        constants.first_column.host[:] = layout.first_column
+        constants.vertices.host[:] = scaled
+        constants.centred.host[:] = scaled - (np.array(shape) - 1) // 2
 
-    def measure(self) -> None:
-        """Cross the lines and measure distances for the pose that was laid and sent."""
-        while True:
-            self.flags.zero_()
-            self.launch_geometry(self.sizes)
-            needed = int(self.overflow.numpy()[0])
-            if needed == 0:
-                break
-            self._line_capacity = max(2 * self._line_capacity, needed)
-        self.take_distance()
+    def measure(self) -> CageLattice:
+        """Cross the lines and measure distances for the pose that the lattice lies over, whatever there was before.
+
+        Returns:
+            self.
+        """
+        self.constants.send()
+        self.launch_geometry(self.sizes(1))
+        return self
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Nodes along each axis."""
+        return self.layout.shape
 
     @property
     def node_count(self) -> int:
-        return self.sizes["nodes"]
+        """Nodes in all."""
+        return self.layout.node_count
+
+    @property
+    def distance(self) -> wp.array:
+        """Array of the lattice's shape: signed distance in world units, negative inside, exact nearer than 4 cells and
+        clamped to that. The next pose overwrites it."""
+        return self._distance.take(self.shape)
 
     @property
     def local_lower(self) -> wp.vec3:
         """Position of node (0, 0, 0) relative to the origin; exact in float32."""
         return wp.vec3(*(self.lower - self.origin))
 
-    def launch_geometry(self, sizes: dict) -> None:
-        """Launch what finds crossings and signed distances. sizes: those of this pose, or upper bounds."""
+    def sizes(self, level_count: int) -> PoseSizes:
+        """What launches over this pose count, before its nodes are listed.
+
+        Args:
+            level_count: Levels that are used.
+
+        Returns:
+            The sizes, without sections.
+        """
+        return pose_sizes(self.layout, level_count)
+
+    def launch_geometry(self, sizes: PoseSizes) -> None:
+        """Launch what finds crossings and signed distances, the constants being sent.
+
+        Args:
+            sizes: Of this pose, or bounds. Before its lists are counted, lines that are too short are made longer,
+                which waits for the device; else `flags` tell.
+        """
+        self._launch_geometry(sizes)
+        while sizes.sections is None and self._lengthen_lines():
+            self._launch_geometry(sizes)
+
+    def _launch_geometry(self, sizes: PoseSizes) -> None:
         with self.side.fork():
             self._launch_block_faces(sizes)
         self._launch_crossings(sizes)
         self.side.join()
-        self.flat_distance = self.buffers.get("distance", sizes["nodes"], float)
-        inputs = [self.crossings, self.vertices, self.faces, *self.block_faces, self.constants.arrays["scales"]]
-        launch(measure_band, BLOCK**3 * sizes["blocks"], [*inputs, self.flat_distance], device=self.device)
+        self.flat_distance = self._distance.take(sizes.nodes)
+        inputs = [self.crossings, self.vertices, self.faces, *self.block_faces, self.constants.scales.array]
+        launch(measure_band, BLOCK**3 * sizes.blocks, [*inputs, self.flat_distance], device=self.device)
 
-    def _launch_crossings(self, sizes: dict) -> None:
-        lines = sizes["lines"]
+    def _lengthen_lines(self) -> bool:
+        """Wait, and whether lines were too short for their crossings."""
+        needed = int(self.flags.lines.numpy()[0])
+        if needed:
+            self._line_capacity = max(2 * self._line_capacity, needed)
+            self.flags.lines.zero_()
+        return needed > 0
+
+    def _launch_crossings(self, sizes: PoseSizes) -> None:
+        places = sizes.lines, self._line_capacity
         self.crossings = LineCrossings()
-        self.crossings.shapes = self.constants.arrays["shapes"]
-        self.crossings.counts = self.buffers.get("counts", lines, int)
-        self.crossings.places = self.buffers.get("places", (lines, self._line_capacity), float)
-        self.crossings.faces = self.buffers.get("faces", (lines, self._line_capacity), int)
-        launch(
-            cross_lines,
-            lane_count(self.device) * sizes["runs"],
-            [self.vertices, self.faces, self.crossings, self.overflow],
-            device=self.device,
-        )
+        self.crossings.shapes = self.constants.shapes.array
+        self.crossings.counts = self._crossing_counts.take(sizes.lines)
+        self.crossings.places = self._crossing_places.take(places)
+        self.crossings.faces = self._crossing_faces.take(places)
+        inputs = [self.vertices, self.faces, self.crossings, self.flags.lines]
+        launch(cross_lines, lane_count(self.device) * sizes.runs, inputs, device=self.device)
 
-    def _launch_block_faces(self, sizes: dict) -> None:
-        blocks = sizes["blocks"]
-        counts = self.buffers.get("block_counts", blocks, int)
-        near = self.buffers.get("block_faces", (blocks, BLOCK_FACES), int)
-        self.clear_octants = self.buffers.get("clear_octants", blocks, int)
+    def _launch_block_faces(self, sizes: PoseSizes) -> None:
+        counts, near = self._near_counts.take(sizes.blocks), self._near_faces.take((sizes.blocks, BLOCK_FACES))
         self.block_faces = counts, near
-        inputs = [self.constants.arrays["shapes"], self.vertices, self.faces, counts, near]
-        launch(list_block_faces, lane_count(self.device) * blocks, [*inputs, self.clear_octants], device=self.device)
-
-    def take_distance(self) -> None:
-        """Let `distance` be this pose's part of the buffer."""
-        self.distance = self.view("distance", float)
-
-    def view(self, name: str, dtype) -> wp.array:
-        """The buffer of that name, of values at the nodes, as an array of the lattice's shape. Poses of the same shape
-        share it: making one takes a few microseconds."""
-        key = name, self.shape, self.buffers.generation
-        if key not in self._views:
-            if len(self._views) >= MOST_VIEWS:
-                self._views.clear()
-            self._views[key] = self.buffers.get(name, self.node_count, dtype).reshape(self.shape)
-        return self._views[key]
+        self.clear_octants = self._clear_octants.take(sizes.blocks)
+        inputs = [self.constants.shapes.array, self.vertices, self.faces, counts, near, self.clear_octants]
+        launch(list_block_faces, lane_count(self.device) * sizes.blocks, inputs, device=self.device)
 
 
-def lattice_frame(cage, resolution: int, origin) -> tuple[tuple[int, int, int], np.ndarray, float]:
-    """Shape (node counts), lower (3,) float64 and spacing of the lattice over a cage's bounding box.
+def lattice_frame(
+    cage: ClosedMesh, resolution: int, origin: ArrayLike
+) -> tuple[tuple[int, int, int], np.ndarray, float]:
+    """Where the lattice over a cage's bounding box lies.
 
-    Spacing and lower - origin are float32 numbers, so that kernels see exactly the same lattice. Raises ValueError for
-    a cage so far from the origin that float32 numbers are about half a cell apart there.
+    Args:
+        cage: The cage.
+        resolution: Cells along the longest side.
+        origin: (3,) world point that device arrays are relative to.
+
+    Returns:
+        Shape (node counts), lower (3,) float64 and spacing, world units. Spacing and lower - origin are float32
+        numbers, so that kernels see exactly the same lattice.
+
+    Raises:
+        ValueError: For a cage so far from the origin that float32 numbers are about half a cell apart there.
     """
     low, high, origin = *cage.bounds.tolist(), np.asarray(origin).tolist()
     spacing = float(np.float32(max(b - a for a, b in zip(low, high, strict=True)) / resolution))
@@ -225,33 +340,74 @@ def lattice_frame(cage, resolution: int, origin) -> tuple[tuple[int, int, int], 
     return tuple(side + 1 for side in cells), np.array(lower), spacing
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LevelLayout:
-    """How the nodes of a lattice of some shape are numbered, level after level; see CageLattice."""
+    """How the nodes of a lattice of some shape are numbered, level after level.
 
+    Args:
+        shape: Nodes along each axis of level 0.
+        shapes: (L, 3) those of all levels. Each level keeps every second node and has a last one at or beyond the finer
+            level's.
+        first_node: (L + 1,) where each level's nodes begin.
+        first_column: (L + 1,) where each level's columns begin.
+    """
+
+    shape: tuple[int, int, int]
     shapes: np.ndarray
     first_node: np.ndarray
     first_column: np.ndarray
-    sizes: dict
+
+    @property
+    def node_count(self) -> int:
+        """Nodes of level 0."""
+        nx, ny, nz = self.shape
+        return nx * ny * nz
 
 
 @functools.lru_cache(maxsize=256)
-def level_layout(shape, level_count: int) -> LevelLayout:
-    """shapes (L, 3) node counts: each level keeps every second node and has a last one at or beyond the finer level's;
-    first_node, first_column (L + 1,); sizes, what launches count. Poses of the same shape share it."""
-    shapes = [np.asarray(shape, dtype=np.int64)]
+def level_layout(shape: tuple[int, int, int], level_count: int) -> LevelLayout:
+    """The layout of a lattice; poses of the same shape share it.
+
+    Args:
+        shape: Nodes along each axis.
+        level_count: Levels.
+
+    Returns:
+        The layout.
+    """
+    sides = [np.asarray(shape, dtype=np.int64)]
     for _ in range(level_count - 1):
-        shapes.append(shapes[-1] // 2 + 1)
-    shapes = np.stack(shapes)
-    nx, ny, nz = shape
+        sides.append(sides[-1] // 2 + 1)
+    shapes = np.stack(sides)
     return LevelLayout(
+        shape=shape,
         shapes=shapes,
         first_node=np.concatenate([[0], np.cumsum(shapes.prod(axis=1))]),
         first_column=np.concatenate([[0], np.cumsum(shapes[:, 0] * shapes[:, 1])]),
-        sizes={
-            "nodes": nx * ny * nz,
-            "lines": ny * nz + nx * nz + nx * ny,
-            "runs": (nx + ny) * -(-nz // RUN) + nx * -(-ny // RUN),
-            "blocks": -(-nx // BLOCK) * -(-ny // BLOCK) * -(-nz // BLOCK),
-        },
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def pose_sizes(layout: LevelLayout, level_count: int) -> PoseSizes:
+    """What launches over a lattice count, before its nodes are listed.
+
+    Args:
+        layout: Of the lattice.
+        level_count: Levels that are used.
+
+    Returns:
+        The sizes, without sections.
+    """
+    nx, ny, nz = layout.shape
+    level_nodes, level_columns = int(layout.first_node[level_count]), int(layout.first_column[level_count])
+    return PoseSizes(
+        nodes=layout.node_count,
+        lines=ny * nz + nx * nz + nx * ny,
+        runs=(nx + ny) * -(-nz // RUN) + nx * -(-ny // RUN),
+        blocks=-(-nx // BLOCK) * -(-ny // BLOCK) * -(-nz // BLOCK),
+        columns=nx * ny,
+        level_nodes=level_nodes,
+        coarse_nodes=level_nodes - layout.node_count,
+        level_columns=level_columns,
+        entries=3 * level_columns + RINGS * nx * ny + 1,
     )

@@ -1,48 +1,119 @@
-"""Launches that continue a map from the inside nodes of a lattice to the rings around them."""
+"""The table of cut nodes of a lattice, and launches that continue a map from inside nodes to the rings around them."""
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
 from ..core.devices import lane_count, launch
 from ..kernels.lattice.cut_rows import CutRows, describe_rows
-from ..kernels.lattice.nodes import RINGS
+from ..kernels.lattice.nodes import RINGS, NodeLevels
 from ..kernels.lattice.rings import extend_outwards, extend_through_cage
-from .capture import Buffers
+from .capture import BufferPool
+from .lattice import CageLattice
+from .sizes import NodeSections
 
 
-def described_rows(lattice, nodes, row_count: int, finest: int, buffers: Buffers | None = None) -> CutRows:
-    """Launch the description of the cut nodes of all listed levels (kernels/lattice/cut_rows.py). row_count, finest:
-    rows of all levels and of level 0, or upper bounds. buffers: that hold it, the lattice's unless given."""
-    buffers = lattice.buffers if buffers is None else buffers
-    rows = CutRows()
-    rows.links = buffers.get("links", row_count, int)
-    rows.diagonals = buffers.get("diagonals", row_count, float)
-    rows.fractions = buffers.get("fractions", (row_count, 6), float)
-    rows.faces = buffers.get("cut_faces", (finest, 6), int)
-    rows.corners = buffers.get("cut_corners", (finest, 6), wp.vec3)
-    inputs = [lattice.crossings, lattice.flat_distance, lattice.vertices, lattice.faces, nodes.levels, rows]
-    launch(describe_rows, row_count, inputs, device=lattice.device)
-    return rows
+class CutRowTable:
+    """Buffers for the description of cut nodes (kernels/lattice/cut_rows.py).
+
+    Args:
+        pool: That they belong to.
+    """
+
+    def __init__(self, pool: BufferPool):
+        self._links = pool.buffer(wp.int32)
+        self._diagonals = pool.buffer(wp.float32)
+        self._fractions = pool.buffer(wp.float32)
+        self._faces = pool.buffer(wp.int32)
+        self._corners = pool.buffer(wp.vec3)
+
+    def describe(self, lattice: CageLattice, levels: NodeLevels, sections: NodeSections) -> CutRows:
+        """Launch the description of the cut nodes of all listed levels.
+
+        Args:
+            lattice: With its crossings and distances.
+            levels: Of its nodes, listed.
+            sections: Lengths of the lists, or bounds.
+
+        Returns:
+            The table that it fills.
+        """
+        rows = CutRows()
+        rows.links = self._links.take(sections.all_cut)
+        rows.diagonals = self._diagonals.take(sections.all_cut)
+        rows.fractions = self._fractions.take((sections.all_cut, 6))
+        rows.faces = self._faces.take((sections.cut, 6))
+        rows.corners = self._corners.take((sections.cut, 6))
+        inputs = [lattice.crossings, lattice.flat_distance, lattice.vertices, lattice.faces, levels, rows]
+        launch(describe_rows, sections.all_cut, inputs, device=lattice.device)
+        return rows
 
 
-def launch_rings(solver, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
-    """Launch the continuation of a map that is linear on the cage's faces from inside nodes to the rings around them
-    (kernels/lattice/rings.py)."""
-    for ring in range(RINGS):
-        launch_ring(solver, ring, sections, vertex_values, values)
+def continue_through_cage(
+    lattice: CageLattice,
+    levels: NodeLevels,
+    rows: CutRows,
+    sections: NodeSections,
+    vertex_values: wp.array,
+    values: wp.array,
+) -> None:
+    """Launch the continuation to ring 0 of a map that is linear on the cage's faces (kernels/lattice/rings.py).
+
+    Args:
+        lattice: The lattice.
+        levels: Of its nodes, listed.
+        rows: Description of the cut nodes.
+        sections: Lengths of the lists, or bounds.
+        vertex_values: (v,) vec3, the map at the cage's vertices.
+        values: (nodes,) vec3, the map at inside nodes; ring 0 is filled in.
+    """
+    inputs = [levels, rows, lattice.faces, vertex_values, values]
+    count = sections.ring(0)
+    # an octet of lanes for each node, in whole warps
+    items = count if lattice.device.is_cpu else -(-count // 4) * lane_count(lattice.device)
+    launch(extend_through_cage, items, inputs, device=lattice.device)
 
 
-def launch_ring(solver, ring: int, sections: np.ndarray, vertex_values: wp.array, values: wp.array) -> None:
-    """Launch the continuation to one ring; those before it come first."""
-    lattice, nodes, device = solver.lattice, solver.nodes, solver.device
-    count = int(sections[3 * nodes.level_count + ring])
-    if ring == 0:
-        inputs = [nodes.levels, solver.rows, lattice.faces, vertex_values, values]
-        # an octet of lanes a node, in whole warps
-        items = count if device.is_cpu else -(-count // 4) * lane_count(device)
-        launch(extend_through_cage, items, inputs, device=device)
-    else:
-        inputs = [ring, lattice.vertices, lattice.faces, nodes.levels, vertex_values, lattice.flat_distance, values]
-        launch(extend_outwards, lane_count(device) * count, inputs, device=device)
+def continue_outwards(
+    ring: int,
+    lattice: CageLattice,
+    levels: NodeLevels,
+    sections: NodeSections,
+    vertex_values: wp.array,
+    values: wp.array,
+) -> None:
+    """Launch the continuation of a map to a ring from values alone; rings before it come first.
+
+    Args:
+        ring: 0, 1 or 2.
+        lattice: The lattice.
+        levels: Of its nodes, listed.
+        sections: Lengths of the lists, or bounds.
+        vertex_values: (v,) vec3, the map at the cage's vertices.
+        values: (nodes,) vec3, the map so far; the ring is filled in.
+    """
+    inputs = [ring, lattice.vertices, lattice.faces, levels, vertex_values, lattice.flat_distance]
+    launch(extend_outwards, lane_count(lattice.device) * sections.ring(ring), inputs, [values], device=lattice.device)
+
+
+def continue_to_rings(
+    lattice: CageLattice,
+    levels: NodeLevels,
+    rows: CutRows,
+    sections: NodeSections,
+    vertex_values: wp.array,
+    values: wp.array,
+) -> None:
+    """Launch the continuation of a map that is linear on the cage's faces to all rings.
+
+    Args:
+        lattice: The lattice.
+        levels: Of its nodes, listed.
+        rows: Description of the cut nodes.
+        sections: Lengths of the lists, or bounds.
+        vertex_values: (v,) vec3, the map at the cage's vertices.
+        values: (nodes,) vec3, the map at inside nodes; the rings are filled in.
+    """
+    continue_through_cage(lattice, levels, rows, sections, vertex_values, values)
+    for ring in range(1, RINGS):
+        continue_outwards(ring, lattice, levels, sections, vertex_values, values)

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..coordinates.deform import deform_points, stretched_normals
 from ..core.devices import launch, resolve_device
-from ..core.names import KINDS
+from ..core.names import require_coordinates
 from ..kernels.reference.inverse_map import ExactMap, assemble_layers, invert_map, map_exactly
 from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
@@ -41,8 +41,7 @@ class InverseMap:
     """
 
     def __init__(self, rest, deformed, coordinates: str = "mean_value", *, cuts: int = 2, device=None):
-        if coordinates not in KINDS:
-            raise ValueError(f"coordinates must be one of {', '.join(KINDS)}, got {coordinates!r}")
+        require_coordinates(coordinates)
         require_usable(rest, "rest cage")
         require_usable(deformed, "deformed cage")
         require_same_faces(rest, deformed)

@@ -1,0 +1,134 @@
+"""PoseLaunches: all that a pose of a map does on a device, as lists of launches with sizes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..core.devices import launch
+from ..kernels.lattice.rings import add_affine, gather_status
+from .capture import HostNumbers
+from .gaps import MapNodes, MapSides, MapTarget
+from .sizes import NodeSections, PoseSizes
+from .solver import MapSolver
+
+#: Entries of a status before the lengths of the sections.
+STATUS_WORDS = 5
+
+
+class MapSource(Protocol):
+    """What can fill in a map: a solver, or the weights that it worked out."""
+
+    def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
+        """See MapSolver."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseStatus:
+    """What a pose was found to be, once it is computed.
+
+    Args:
+        has_room: Whether lines and lists were long enough.
+        solution: (2,) cycles and residual of the solver.
+        has_gaps: Whether there are narrow gaps over which the map jumps.
+        sections: Lengths of the lists of nodes.
+    """
+
+    has_room: bool
+    solution: np.ndarray
+    has_gaps: bool
+    sections: NodeSections
+
+
+class PoseLaunches:
+    """The launches of a pose, in order: the layout, the map, and where it has narrow gaps their sides.
+
+    Each takes the sizes of its pose, or bounds: a CUDA graph that holds the launches serves all poses within them.
+
+    Args:
+        solver: Of the map, on its lattice.
+        target: Of the map.
+
+    Attributes:
+        solver: As given.
+        target: As given; another one makes another map of the same layout.
+        sides: Tables of the sides of narrow gaps.
+    """
+
+    def __init__(self, solver: MapSolver, target: MapTarget):
+        self.solver, self.target = solver, target
+        self.sides = MapSides(solver.device)
+        self._lattice, self._device = solver.lattice, solver.device
+        self._status = HostNumbers(STATUS_WORDS + len(solver.nodes.sections.lengths), self._device)
+
+    def launch_layout(self, sizes: PoseSizes) -> PoseSizes:
+        """Launch what lays out the pose that the lattice's constants hold, from their upload on.
+
+        Args:
+            sizes: Bounds, or sizes of the pose without sections, which waits for what only the device knows.
+
+        Returns:
+            The sizes, with sections.
+        """
+        return self.solver.launch_layout(sizes)
+
+    def launch_map(self, sizes: PoseSizes, source: MapSource | None = None) -> None:
+        """Launch the map that the lattice's map_constants hold, from their upload on; `wait` tells how it ended.
+
+        Args:
+            sizes: With sections: of the pose, or bounds.
+            source: What fills in the map. None is the solver.
+        """
+        lattice, solver, levels = self._lattice, self.solver, self.solver.nodes.levels
+        lattice.map_constants.send()
+        (source or solver).launch_solution(sizes, self.target)
+        with lattice.side.fork():
+            flags = lattice.flags
+            inputs = [flags.lines, flags.lists, solver.status, flags.gaps, flags.narrow, levels]
+            status = self._status.array
+            launch(gather_status, status.size, inputs, [status], device=self._device)
+        inputs = [levels, self.target.rest.size, self.target.affine]
+        launch(add_affine, sizes.nodes, inputs, [solver.values_of(sizes)], device=self._device)
+        lattice.side.join()
+
+    def wait(self) -> PoseStatus:
+        """Wait for the map.
+
+        Returns:
+            How it ended.
+        """
+        status = self._status.wait()
+        return PoseStatus(
+            has_room=status[0] == 0.0 and status[1] == 0.0,
+            solution=status[2:4],
+            has_gaps=status[4] > 0.0,
+            sections=NodeSections(status[STATUS_WORDS:].astype(np.int64)),
+        )
+
+    def launch_sides(self, sizes: PoseSizes, room: int | None = None) -> None:
+        """Launch the tables of sides, of a map that is there; `sides.take` tells what they hold.
+
+        Args:
+            sizes: With sections: of the pose, or bounds.
+            room: Rows of the tables, at most. None waits until the device has counted them.
+        """
+        solver, sides, sections = self.solver, self.sides, sizes.lists
+        lattice, levels, values = self._lattice, solver.nodes.levels, solver.values_of(sizes)
+        boundary = sides.boundary.take((sections.cut, 6))
+        rows = solver.launch_boundary(sizes, self.target, sides.rows, boundary)
+        solver.gaps.count.zero_()
+        # where there are sides at all, all gaps get theirs
+        flags = solver.gaps.search(lattice, levels, rows, sections, values, 0.0)
+        nodes = MapNodes(levels, rows, boundary, values, solver.corrections, flags)
+        sides.launch(sizes, lattice, nodes, self.target, room)
+
+    def find_sides(self, sizes: PoseSizes) -> None:
+        """Fill the tables of sides, with as many rows as they take.
+
+        Args:
+            sizes: Of the pose, with sections.
+        """
+        self.launch_sides(sizes)
+        self.sides.take()

@@ -1,0 +1,147 @@
+"""How many items the launches of a pose have: those of the pose at hand, or bounds that other poses fit as well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..kernels.lattice.nodes import RINGS
+
+
+@dataclass(frozen=True, eq=False)
+class NodeSections:
+    """Lengths of the sections of a list of nodes on L levels, by name (kernels/lattice/nodes.py).
+
+    Args:
+        lengths: (3 L + RINGS,) int64, in the order of the list.
+    """
+
+    lengths: np.ndarray
+
+    @property
+    def level_count(self) -> int:
+        """L."""
+        return (len(self.lengths) - int(RINGS)) // 3
+
+    @property
+    def inside(self) -> np.ndarray:
+        """(L, 2) inside nodes: red and black, or evaluated and interpolated."""
+        return self.lengths[: 2 * self.level_count].reshape(-1, 2)
+
+    @property
+    def evaluated(self) -> int:
+        """Inside nodes of level 0 that are evaluated rather than interpolated: the first of the list."""
+        return int(self.lengths[0])
+
+    @property
+    def interpolated(self) -> int:
+        """Inside nodes of level 0 that are interpolated; they come after the evaluated ones."""
+        return int(self.lengths[1])
+
+    @property
+    def finest_inside(self) -> int:
+        """Inside nodes of level 0: the list begins with them."""
+        return int(self.lengths[:2].sum())
+
+    @property
+    def cut(self) -> int:
+        """Cut nodes of level 0."""
+        return int(self.lengths[2 * self.level_count])
+
+    @property
+    def all_cut(self) -> int:
+        """Cut nodes of all levels."""
+        return int(self.lengths[2 * self.level_count : 3 * self.level_count].sum())
+
+    @property
+    def near_rings(self) -> int:
+        """Nodes of rings 0 and 1."""
+        return self.ring(0) + self.ring(1)
+
+    def ring(self, ring: int) -> int:
+        """Nodes of ring 0, 1 or 2."""
+        return int(self.lengths[3 * self.level_count + ring])
+
+    @property
+    def total(self) -> int:
+        """Nodes in the list."""
+        return int(self.lengths.sum())
+
+    def fits(self, room: NodeSections) -> bool:
+        """Whether no section is longer than that of `room`."""
+        return bool((self.lengths <= room.lengths).all())
+
+    def roomier(self) -> NodeSections:
+        """Lengths for launches and lists that serve other poses of the same cage as well."""
+        return NodeSections(self.lengths + self.lengths // 8 + 32)
+
+    def larger(self, other: NodeSections) -> NodeSections:
+        """The larger of two lengths of each section."""
+        return NodeSections(np.maximum(self.lengths, other.lengths))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSizes:
+    """What the launches of a pose count, on the finest level of a lattice unless a name says otherwise.
+
+    Args:
+        nodes: Nodes.
+        lines: Lattice lines.
+        runs: Pieces of lines that are crossed with the cage together.
+        blocks: Blocks of nodes.
+        columns: Columns of nodes.
+        level_nodes: Nodes of all levels that a solver uses.
+        coarse_nodes: Those above the finest.
+        level_columns: Columns of all levels.
+        entries: Entries to be scanned for the lists.
+        sections: Lengths of the lists. None is not known yet: a launch that needs them waits until the device has
+            counted them.
+    """
+
+    nodes: int
+    lines: int
+    runs: int
+    blocks: int
+    columns: int
+    level_nodes: int
+    coarse_nodes: int
+    level_columns: int
+    entries: int
+    sections: NodeSections | None = None
+
+    @property
+    def lists(self) -> NodeSections:
+        """The sections, where they are known."""
+        assert self.sections is not None, "the lists of nodes are not counted yet"
+        return self.sections
+
+    def counted(self, sections: NodeSections) -> PoseSizes:
+        """The same with these lengths of the lists."""
+        return replace(self, sections=sections)
+
+    def fits(self, room: PoseSizes) -> bool:
+        """Whether launches of `room` do for these sizes; of lists only the device knows."""
+        return all(own <= other for own, other in zip(self._counts(), room._counts(), strict=True))
+
+    def roomier(self, held: PoseSizes | None = None) -> PoseSizes:
+        """Bounds with somewhat more room, and no less than `held` has: poses that take turns fit them."""
+        counts = [count + count // 16 for count in self._counts()]
+        sections = self.lists.roomier()
+        if held is not None:
+            counts = [max(pair) for pair in zip(counts, held._counts(), strict=True)]
+            sections = sections.larger(held.lists)
+        return PoseSizes(*counts, sections=sections)
+
+    def _counts(self) -> tuple[int, ...]:
+        return (
+            self.nodes,
+            self.lines,
+            self.runs,
+            self.blocks,
+            self.columns,
+            self.level_nodes,
+            self.coarse_nodes,
+            self.level_columns,
+            self.entries,
+        )

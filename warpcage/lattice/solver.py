@@ -1,0 +1,168 @@
+"""MapSolver: what PositionMap asks of the three ways to work out a map on the nodes of a lattice."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import warp as wp
+
+from ..kernels.lattice.cut_rows import CutRows
+from .capture import Buffer
+from .gaps import GapFlags, MapTarget
+from .lattice import CageLattice
+from .nodes import LatticeNodes
+from .rings import CutRowTable
+from .sizes import PoseSizes
+
+#: Rows of weights: the first node's place in the list, then (m, v) of vertices and (m, f) of faces where there are any.
+WeightBlock = tuple[int, wp.array, wp.array | None]
+
+
+class MapSolver(ABC):
+    """Values of a map at the nodes of a lattice over a posed cage.
+
+    A pose is a list of launches: `launch_layout`, then `launch_solution`, and where the pose opens narrow gaps
+    `launch_boundary`. Sizes are those of the pose, or bounds that other poses fit as well, so that a CUDA graph can
+    hold the launches.
+
+    Args:
+        lattice: The lattice.
+        nodes: The lists of its nodes that the solver works on.
+
+    Attributes:
+        rows: Description of the cut nodes, with as many rows as are known.
+        corrections: (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,).
+        gaps: Nodes at narrow gaps.
+        status: (2,) float on the device: cycles and residual.
+        cycles: Multigrid cycles of the last map. 0 for closed forms.
+        residual: What they left, as a share of the rest cage's size.
+    """
+
+    def __init__(self, lattice: CageLattice, nodes: LatticeNodes):
+        self.lattice, self.nodes, self.device = lattice, nodes, lattice.device
+        self.rows = CutRows()
+        self.corrections = wp.empty(0, dtype=wp.vec3, device=self.device)
+        self.gaps = GapFlags(lattice)
+        self.status = wp.zeros(2, dtype=wp.float32, device=self.device)
+        self.cycles, self.residual = 0, 0.0
+        self._values: Buffer = lattice.buffers.buffer(wp.vec3)
+
+    @property
+    def sizes(self) -> PoseSizes:
+        """Sizes of the last pose."""
+        return self.lattice.sizes(self.nodes.level_count).counted(self.nodes.sections)
+
+    @property
+    def values(self) -> wp.array:
+        """(nodes of level 0,) vec3, flat: the last map."""
+        return self._values.take(self.lattice.node_count)
+
+    def values_of(self, sizes: PoseSizes) -> wp.array:
+        """The last map where launches fill it in.
+
+        Args:
+            sizes: Of the pose, or bounds.
+
+        Returns:
+            (nodes or more,) vec3, flat.
+        """
+        return self._values.take(sizes.level_nodes)
+
+    @property
+    def shaped_values(self) -> wp.array:
+        """The same as an array of the lattice's shape."""
+        return self._values.take(self.lattice.shape)
+
+    def prepare(self) -> PoseSizes:
+        """Lay out the pose that the lattice lies over, with exact sizes.
+
+        Returns:
+            The sizes.
+        """
+        return self.launch_layout(self.lattice.sizes(self.nodes.level_count))
+
+    def launch_layout(self, sizes: PoseSizes) -> PoseSizes:
+        """Launch all that does not depend on what the map takes at the cage, cleared values included.
+
+        Args:
+            sizes: Bounds, or sizes of the pose without sections: then this waits until lines are long enough and lists
+                are counted.
+
+        Returns:
+            The sizes, with sections.
+        """
+        lattice = self.lattice
+        lattice.constants.send()
+        with lattice.side.fork():
+            self.clear(sizes)
+        lattice.launch_geometry(sizes)
+        return self.nodes.launch(sizes)
+
+    def clear(self, sizes: PoseSizes) -> None:
+        """Launch what clears the values and the count of gaps, before a solution.
+
+        Args:
+            sizes: Of the pose, or bounds.
+        """
+        self.gaps.count.zero_()
+        self._values.take(sizes.level_nodes).zero_()
+
+    @abstractmethod
+    def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
+        """Launch what fills the cleared values, at inside nodes and the rings around them, and the search for gaps.
+
+        Args:
+            sizes: Of the pose, or bounds.
+            target: Of the map.
+        """
+
+    @abstractmethod
+    def launch_continuation(self, sizes: PoseSizes, vertex_values: wp.array) -> None:
+        """Launch what continues the values at inside nodes to the rings, and the search for gaps.
+
+        Args:
+            sizes: Of the pose, or bounds.
+            vertex_values: (v,) vec3, the map at the cage's vertices.
+        """
+
+    @abstractmethod
+    def launch_boundary(self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array) -> CutRows:
+        """Launch the map less its affine part where links cross the cage.
+
+        Args:
+            sizes: Of the pose, or bounds.
+            target: Of the map.
+            table: For the description of the cut nodes, where there is none yet.
+            boundary: (rows of level 0, 6) vec3, filled in.
+
+        Returns:
+            The description of the cut nodes.
+        """
+
+    @abstractmethod
+    def weigh(self) -> list[WeightBlock]:
+        """The weights of all cage vertices at the inside nodes of the last pose.
+
+        Returns:
+            Blocks of rows.
+        """
+
+    def weighted_values(self, target: MapTarget) -> tuple[wp.array, ...]:
+        """What weights multiply, in the order of a block: values at vertices, and at faces where they have weights.
+
+        Args:
+            target: Of the map.
+
+        Returns:
+            Arrays of vec3.
+        """
+        return (target.vertex_values,)
+
+    def take_status(self, status: np.ndarray) -> None:
+        """Note how a solution ended.
+
+        Args:
+            status: (2,) cycles and residual.
+        """
+        self.cycles, self.residual = int(status[0]), float(status[1])
