@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -16,6 +18,20 @@ def is_device_array(array) -> bool:
         return False
     # DLPack first: torch refuses even to say whether a tensor that requires grad has the other
     return hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")
+
+
+def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike) -> wp.array:
+    """A Warp array whose values are not set yet: wp.empty, whose annotations know no data type but float.
+
+    Args:
+        shape: Size along each axis.
+        dtype: Warp data type or struct.
+        device: Warp device.
+
+    Returns:
+        The array.
+    """
+    return wp.empty(shape, dtype=dtype, device=device)
 
 
 def as_points(points, device=None, *, name: str = "points") -> tuple[wp.array, bool]:
