@@ -24,10 +24,11 @@ PLAIN_SHARE, PLAIN_DIFFERENCE = 0.95, 2.5 / 255
 
 
 def chosen_background(scene, kind: str) -> tuple[bool, bool]:
-    """Whether random colours, and whether layers go behind the pictures: what `kind` (see FIT_BACKGROUNDS) means for a scene.
+    """Whether random colours, and whether layers go behind the pictures: what `kind` means for a scene.
 
-    "auto" is random colours where the pictures carry opacity, with layers where masks split their surroundings off;
-    without opacity layers, unless the pictures' border says that there is nothing but the background colour.
+    kind: of FIT_BACKGROUNDS. "auto" is random colours where the pictures carry opacity, with layers where masks split
+    their surroundings off; without opacity layers, unless the pictures' border says that there is nothing but the
+    background colour.
     Raises ValueError for another kind, or one that does not go with the scene.
     """
     if kind not in FIT_BACKGROUNDS:
