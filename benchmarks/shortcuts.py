@@ -13,17 +13,13 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpcage.core.devices import launch
-from warpcage.kernels.deform.cells import mark_edit_cases
-from warpcage.kernels.deform.edits import LatticeEdit
-
 
 def use_nearest_voxels(deformer, posed, tolerance: float = 1e-5) -> int:
     """Replace the harmonic map of a deformer posed to the cage `posed`. Returns the number of unknowns."""
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import cg
 
-    edit = deformer._edits.posed()[0][0]
+    edit = deformer._edits.lattices.posed()[0][0]
     cage_map, origin, rest = edit.deformed, deformer.field.center, deformer.edits[0].cage
     distance, positions = cage_map.distance.numpy(), cage_map.positions.numpy().astype(np.float64)
     lower, spacing = np.array(cage_map.lower) + origin, cage_map.spacing
@@ -73,7 +69,7 @@ def _surface_values(cage, targets, lower, spacing, shape):
 
 def use_weight_sums(deformer, threshold: float) -> None:
     """Tell inside from outside, in both cages of a posed deformer, by the sum of weights."""
-    edit = deformer._edits.posed()[0][0]
+    edit = deformer._edits.lattices.posed()[0][0]
     origin = deformer.field.center
     inside = edit.deformed.distance.numpy() < 0
     positions = edit.deformed.positions.numpy()
@@ -94,9 +90,8 @@ def _remark(deformer, edit) -> None:
     """Let a deformer's tables follow a map that was changed under it."""
     edits = deformer._edits
     edit.deformed.side_index = wp.zeros(0, dtype=int, device=deformer.device)
-    launch(mark_edit_cases, edit.cells.size, [edit], [edit.cells], device=deformer.device)
-    edits.array = wp.array(edits._structs, dtype=LatticeEdit, device=deformer.device)
-    edits.scene, edits._marked_step = None, 0.0
+    edits.lattices.settle_cells()
+    edits.array, edits.scene = edits.lattices.array, None
 
 
 def march(deformer, camera, *, plain_directions: bool, stride: int = 1, chunk: int = 4_000_000) -> np.ndarray:

@@ -29,7 +29,8 @@ from warpcage.core.threads import CPU_THREADS
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.reference.brick_scene import write_brick_scene
 from warpcage.view.camera import framing_orbit
-from warpcage.view.film import pose_weights, write_gif, write_video
+from warpcage.view.film import write_gif, write_video
+from warpcage.view.motion import pose_weights
 from warpcage.view.overlay import draw_cage
 from warpcage.view.pictures import colour_disparity, contact_sheet, disparity_range, to_uint8, write_png
 

@@ -6,7 +6,7 @@ import pytest
 from warpcage.cage.cage import Cage
 from warpcage.cli.keyframes import Keyframes, Preset, is_preset, read_pose
 from warpcage.view.camera import Camera, turntable
-from warpcage.view.film import cameras_along, frame_places, keyframe_weights, pose_along, pose_between, pose_weights
+from warpcage.view.motion import cameras_along, frame_places, keyframe_weights, pose_along, pose_between, pose_weights
 
 BOX = Cage.box([-1, -1, -1], [1, 1, 1], segments=2)
 

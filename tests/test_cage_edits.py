@@ -111,7 +111,7 @@ def test_bad_poses_are_refused_and_the_last_one_stays():
         (mirrored, "the deformed cage"),
         (flat, "the deformed cage"),
         (other, "vertices"),
-        ([BOX, BOX], "one cage an edit"),
+        ([BOX, BOX], "one cage per edit"),
         (BOX.vertices, "a Cage, got ndarray"),
         (None, "a Cage, got NoneType"),
     ):
@@ -130,7 +130,7 @@ def test_bad_points_and_steps_are_refused():
         deformer.to_canonical(np.zeros((2, 2)), np.zeros((2, 2)))
     with pytest.raises(ValueError, match="finite"):
         deformer.to_canonical(np.full((2, 3), np.nan), np.zeros((2, 3)))
-    for step in (0, -1.0, np.nan):
+    for step in (0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="step must be"):
             deformer.render(view(), step=step)
     with pytest.raises(ValueError, match="background"):

@@ -118,10 +118,10 @@ def test_skipping_empty_cells_changes_nothing(kind, device):
     pose = BOX.twist(100, axis="x").translate([0.3, 0, 0])
     deformer = Deformer(field, BOX, coordinates=kind, resolution=48).pose(pose)
     skipped = deformer.render(camera)
-    assert all((skip.numpy() > 0).mean() > 0.3 for skip in deformer._edits._skips)  # there is something to skip
-    for skip in deformer._edits._skips:
+    assert all((skip.numpy() > 0).mean() > 0.3 for skip in deformer._edits.lattices.skips)  # there is something to skip
+    for skip in deformer._edits.lattices.skips:
         skip.zero_()
-    deformer._edits.scene = deformer._edits._single_edit()
+    deformer._edits.scene = deformer._edits.single_edit()
     assert psnr(deformer.render(camera).rgb, skipped.rgb) > 80
 
 
@@ -349,7 +349,7 @@ def test_a_map_that_turns_over_is_marked(device):
     field, camera = shiny_field(device), view()
     deformer = Deformer(field, BOX, coordinates="mean_value", resolution=32).pose(BOX)
     assert deformer.render(camera).fold.max() == 0
-    position_map = deformer._edits._maps[0]
+    position_map = deformer._edits.lattices.maps[0]
     pose = position_map.pose
 
     def mirrored_pose(cage):

@@ -203,6 +203,8 @@ def test_bad_constructions():
         field.sample([[np.nan, 0, 0]], [[0, 0, 1]])
     with pytest.raises(ValueError, match="step"):
         field.render(warpcage.Camera.look_at([3, 0, 0], [0, 0, 0]), step=0.0)
+    with pytest.raises(ValueError, match="step must be positive and finite"):
+        field.render(warpcage.Camera.look_at([3, 0, 0], [0, 0, 0]), step=np.inf)
 
 
 @pytest.mark.parametrize("side", [2, 3])

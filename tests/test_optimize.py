@@ -19,7 +19,7 @@ from warpcage.kernels.fitting import loss as field_loss
 from warpcage.kernels.fitting import loss_warps as field_loss_warps
 from warpcage.kernels.fitting import rmsprop as field_step
 from warpcage.kernels.fitting import variation as field_variation
-from warpcage.view.frame import camera_array
+from warpcage.view.camera import camera_array
 
 
 def training_rays(cameras, images, alphas, field, device, side=1):

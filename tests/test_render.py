@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpcage.view.camera import Camera
-from warpcage.view.frame import Frame, camera_struct
+from warpcage.view.camera import Camera, camera_struct
+from warpcage.view.frame import Frame
 
 
 def test_a_frame_converts_once_and_reshapes(device):

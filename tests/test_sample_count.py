@@ -6,7 +6,7 @@ import warp as wp
 from warpcage import Camera, VoxelField
 from warpcage.core.devices import launch
 from warpcage.kernels.reference.sample_count import count_samples
-from warpcage.view.frame import camera_array
+from warpcage.view.camera import camera_array
 
 
 def counts(field, cameras, stride=1, stop=1e-4):

@@ -5,7 +5,7 @@ import pytest
 
 from warpcage.cage.cage import Cage
 from warpcage.view.camera import framing_orbit
-from warpcage.view.film import pose_between, pose_weights
+from warpcage.view.motion import pose_between, pose_weights
 
 
 @pytest.mark.parametrize("width, height", [(64, 64), (90, 40), (40, 90)])

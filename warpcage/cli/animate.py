@@ -7,7 +7,8 @@ import json
 import pathlib
 
 from ..core.files import atomic_path
-from ..view.film import axis_rotation, cameras_along, frame_places, write_gif, write_video
+from ..view.film import write_gif, write_video
+from ..view.motion import axis_rotation, cameras_along, frame_places
 from ..view.pictures import write_png
 from . import inputs, options, outputs, view
 from .keyframes import Keyframes, is_preset, pose_file

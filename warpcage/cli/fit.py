@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..fitting.optimizer import fit
 from ..scene.load import load_scene
+from ..view.backgrounds import FIT_BACKGROUNDS
 from . import inputs, options
 
 NAME = "fit"
@@ -92,7 +93,7 @@ def run(args):
     options.require_folder(args.scene)
     device = inputs.chosen_device(args)
 
-    kind = args.background if args.background in ("auto", "layers", "random", "constant") else "auto"
+    kind = args.background if args.background in FIT_BACKGROUNDS else "auto"
     colour = args.background if kind != args.background else None
     scene = load_scene(
         args.scene,

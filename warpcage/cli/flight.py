@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pathlib
 
-from ..view.film import cameras_along, write_gif, write_video
+from ..view.film import write_gif, write_video
+from ..view.motion import cameras_along
 from ..view.pictures import write_png
 from . import inputs, options, outputs, view
 

@@ -8,7 +8,7 @@ import sys
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
-from ..view.film import keyframe_weights, pose_along
+from ..view.motion import keyframe_weights, pose_along
 
 #: Preset -> what it takes, the amount that changes nothing, and how many names of axes it may have.
 PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0, 1), "stretch": (1.0, 1),

@@ -38,6 +38,20 @@ def is_device_array(array: object) -> bool:
     return hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")
 
 
+def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike) -> wp.array:
+    """A Warp array whose values are not set yet: wp.empty, whose annotations know no data type but float.
+
+    Args:
+        shape: Size along each axis.
+        dtype: Warp data type or struct.
+        device: Warp device.
+
+    Returns:
+        The array.
+    """
+    return wp.empty(shape, dtype=dtype, device=device)
+
+
 def as_points(
     points: PointsLike, device: wp.DeviceLike = None, *, name: str = "points"
 ) -> tuple[wp.array[Any, Any], bool]:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
+from ..core.arrays import empty_array
+from ..core.checks import checked_bounds, checked_whole, require_type
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..field.sparse import link_mask
@@ -12,57 +15,72 @@ from ..field.voxel_field import VoxelField
 from ..kernels.deform.bake import bake_nodes, mark_filled_nodes
 from ..kernels.field.harmonics import vec9
 from .deformer import Deformer
-from .edits import LatticeEdits
+from .lattice_edits import LatticeEdits
 
 #: Cells of the lattice that stands in for a Deformer without one.
 STAND_IN_RESOLUTION = 128
 
-#: Bytes a node takes while it is looked for, and a voxel that is kept.
+#: Bytes that a node takes while it is looked at, and a voxel that is kept.
 NODE_BYTES, VOXEL_BYTES = 16, 160
 
+#: Voxels along the longest side of a baked field.
+MIN_RESOLUTION, MAX_RESOLUTION = 2, 2048
 
-def bake(deformer: Deformer, resolution: int | None = None, bounds=None) -> VoxelField:
-    """Resample the deformed scene into a VoxelField, which renders faster, and is saved in either format.
 
-    resolution: voxels along the longest side of `bounds`; None keeps the largest voxel that no side of the field's
-    exceeds. bounds: (2, 3) world units to look in; None is all that the field and the deformed cages reach. The new
-    field's bounds are the box of what is found there; backgrounds, `up` and supersampling are the source's, and it has
-    no training rays' weights.
+def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | None = None) -> VoxelField:
+    """Resample the deformed scene into a VoxelField, which renders faster and is saved in any format.
 
-    Harmonics are turned by the rotation of the map's Jacobian (polar decomposition), which a shear or a stretch leaves
-    approximate. density="opacity": a voxel has one density for all directions and takes the root mean square over them
-    of the map's stretch; exact for rotations and uniform scales. A precise Deformer is baked from a lattice of
-    128 cells.
-    Raises ValueError for bounds or a resolution that cannot be, or where nothing is found.
+    The new field's bounds are the box of what is found; backgrounds, `up` and supersampling are the source's, and it
+    has no training rays' weights. Harmonics are turned by the rotation of the map's Jacobian (polar decomposition),
+    which a shear or a stretch leaves approximate. With density="opacity" a voxel has one density for all directions and
+    takes the root mean square over them of the map's stretch, which is exact for rotations and uniform scales. A
+    precise Deformer is baked from a lattice of 128 cells.
 
     Example::
 
         bake(Deformer(field, cage).pose(cage.twist(60))).save("twisted.npz", format="svox2")
+
+    Args:
+        deformer: The posed Deformer.
+        resolution: Voxels along the longest side of `bounds`. None takes voxels whose side is the smallest side of the
+            field's voxels.
+        bounds: (2, 3) box to look in, world units. None is all that the field and the deformed cages reach.
+
+    Returns:
+        The baked field, on the Deformer's device.
+
+    Raises:
+        ValueError: For bounds or a resolution out of range, where nothing is found, or for too little memory.
     """
-    if not isinstance(deformer, Deformer):
-        raise ValueError(f"bake needs a Deformer, got {type(deformer).__name__}")
-    deformer._require_pose()
-    edits, field, device = _lattice_edits(deformer), deformer.field, deformer.device
-    searched = _reach(deformer) if bounds is None else _checked_bounds(bounds)
-    side = _voxel_side(field, searched, resolution)
+    require_type(deformer, Deformer, "bake needs")
+    edits, field, device = lattice_edits(deformer), deformer.field, deformer.device
+    cages = [cage for cage in deformer.deformed or [] if cage is not None]
+    reached = np.stack([field.bounds, *(cage.bounds for cage in cages)])
+    searched = np.stack([reached[:, 0].min(axis=0), reached[:, 1].max(axis=0)])
+    if bounds is not None:
+        searched = checked_bounds(bounds)
+    side = float(field.voxel_size.min())
+    if resolution is not None:
+        longest = float((searched[1] - searched[0]).max())
+        side = longest / checked_whole(resolution, "resolution", MIN_RESOLUTION, MAX_RESOLUTION)
     shape = np.maximum(np.ceil((searched[1] - searched[0]) / side - 1e-6).astype(int), 2)
     need = f"looking through {' x '.join(map(str, shape))} voxels needs {{size}}: give a lower resolution or bounds"
     require_memory(NODE_BYTES * int(np.prod(shape, dtype=np.int64)), device, need)
 
     spacing = wp.vec3(side, side, side)
     lower = searched[0] + 0.5 * side  # of the first voxel's centre
-    mask = wp.empty(tuple(int(n) for n in shape), dtype=wp.uint8, device=device)
+    mask = empty_array(tuple(int(n) for n in shape), wp.uint8, device)
     inputs = [edits.array, field.grid, wp.vec3(*(lower - field.center)), spacing]
     launch(mark_filled_nodes, mask.size, inputs, [mask], device=device)
     filled = mask.numpy()
-    begin, end = _filled_range(filled)
+    begin, end = filled_range(filled)
     mask = wp.array(np.ascontiguousarray(filled[tuple(map(slice, begin, end))]), dtype=wp.uint8, device=device)
     lower = lower + begin * side
 
     links, nodes = link_mask(mask)
     require_memory(VOXEL_BYTES * nodes.size, device, f"{nodes.size} voxels need {{size}}: give a lower resolution")
-    density = wp.empty(nodes.size, dtype=wp.float32, device=device)
-    sh = wp.empty((nodes.size, 3), dtype=vec9, device=device)
+    density = empty_array(nodes.size, wp.float32, device)
+    sh = empty_array((nodes.size, 3), vec9, device)
     inputs = [
         edits.array,
         field.grid,
@@ -79,9 +97,19 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds=None) -> Voxe
     )
 
 
-def _lattice_edits(deformer: Deformer) -> LatticeEdits:
-    if isinstance(deformer._edits, LatticeEdits):
-        return deformer._edits
+def lattice_edits(deformer: Deformer) -> LatticeEdits:
+    """The posed edits of a Deformer on lattices.
+
+    Args:
+        deformer: The Deformer, posed at rest where it was not posed.
+
+    Returns:
+        Its own edits; those of another Deformer in the same pose where its own have no lattice.
+    """
+    edits = deformer.posed_edits()
+    if isinstance(edits, LatticeEdits):
+        return edits
+    assert deformer.deformed is not None
     stand_in = Deformer(
         deformer.field,
         deformer.edits,
@@ -90,32 +118,21 @@ def _lattice_edits(deformer: Deformer) -> LatticeEdits:
         resolution=STAND_IN_RESOLUTION,
         device=deformer.device,
     )
-    return stand_in.pose(deformer.deformed)._edits
+    return lattice_edits(stand_in.pose(deformer.deformed))
 
 
-def _reach(deformer: Deformer) -> np.ndarray:
-    """(2, 3) box of the field and all deformed cages."""
-    boxes = [deformer.field.bounds] + [cage.bounds for cage in deformer.deformed if cage is not None]
-    return np.stack([np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)])
+def filled_range(filled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The box of filled nodes, in indices.
 
+    Args:
+        filled: (nx, ny, nz) bool or uint8.
 
-def _checked_bounds(bounds) -> np.ndarray:
-    bounds = np.asarray(bounds, np.float64)
-    if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
-        raise ValueError(f"bounds must be (2, 3), finite, lower below upper, got {bounds.tolist()}")
-    return bounds
+    Returns:
+        First and last (exclusive) index along each axis, (3,) int each, at least two apart.
 
-
-def _voxel_side(field: VoxelField, bounds: np.ndarray, resolution: int | None) -> float:
-    if resolution is None:
-        return float(field.voxel_size.min())
-    if isinstance(resolution, bool) or not isinstance(resolution, int | np.integer) or not 2 <= resolution <= 2048:
-        raise ValueError(f"resolution must be a whole number of voxels, 2 to 2048, got {resolution!r}")
-    return float((bounds[1] - bounds[0]).max()) / int(resolution)
-
-
-def _filled_range(filled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and last (exclusive) index of filled nodes along each axis, at least two apart."""
+    Raises:
+        ValueError: If no node is filled.
+    """
     begin, end = np.zeros(3, int), np.zeros(3, int)
     for axis in range(3):
         indices = np.flatnonzero(filled.any(axis=tuple(other for other in range(3) if other != axis)))

@@ -2,36 +2,59 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
-from ..core.arrays import as_host_points
+from ..core.arrays import as_host_points, empty_array
+from ..core.checks import checked_positive, checked_vector
 from ..core.devices import launch, resolve_device
 from ..kernels.field.background import BackgroundLayers, add_background, sample_background
-from ..view.frame import camera_struct, tile_threads
+from ..view.camera import Camera, camera_struct, tile_threads
 
 
 class LayeredBackground:
     """Colour and opacity on concentric cubes, even in inverse distance, the last one opaque at infinity (multi-sphere
     images, Plenoxels 2022, section 3.3, in the max norm).
 
-    center: (3,) world units, of all cubes. half: half side of the innermost one, world units. side: cells along a
-    cube's edge. values: (layers, 6 side^2 + 2, 4) red, green, blue and optical depth (its negative part counts as
-    none; the last layer's is not used) at the surface's lattice points, in the order of kernels.background; or a Warp
-    array (layers, nodes) of vec4. unseen: (4,) what nodes hold that no picture showed, or None. device: Warp device;
-    None is CUDA where there is one.
+    A ray meets a layer where it leaves the cube. What lies between a camera outside the cubes and the field is taken to
+    be empty.
 
-    A ray meets a layer where it leaves the cube; what lies between a camera outside the cubes and the field is taken
-    for empty. Raises ValueError for shapes that do not fit or values that are not finite.
+    Args:
+        center: (3,) centre of all cubes, world units.
+        half: Half side of the innermost cube, world units.
+        side: Cells along an edge of a cube.
+        values: (layers, 6 side^2 + 2, 4) red, green, blue and optical depth at the lattice points of the surface, in
+            the order of kernels/field/background.py. Negative optical depths count as none; the last layer's is not
+            used. Or a Warp array (layers, nodes) of vec4.
+        unseen: (4,) what nodes hold that no picture showed. None is not known.
+        device: Warp device. None is the device of `values` if that is a Warp array, else CUDA where there is one.
+
+    Raises:
+        ValueError: For shapes that do not fit, or values that are not finite.
+
+    Attributes:
+        device: Warp device of the values.
+        center: (3,) float64, world units.
+        unseen: (4,) float32 or None.
+        layers: The BackgroundLayers that kernels take; positions in it are relative to `center`.
     """
 
-    def __init__(self, center, half: float, side: int, values, *, unseen=None, device=None):
+    def __init__(
+        self,
+        center: ArrayLike,
+        half: float,
+        side: int,
+        values: np.ndarray | wp.array,
+        *,
+        unseen: ArrayLike | None = None,
+        device: wp.DeviceLike = None,
+    ):
         self.device = resolve_device(values.device if device is None and isinstance(values, wp.array) else device)
-        self.center = np.array(center, np.float64)
-        if self.center.shape != (3,) or not np.isfinite(self.center).all():
-            raise ValueError(f"a background's center must be (3,) and finite, got {self.center.tolist()}")
-        if not (np.isfinite(half) and half > 0):
-            raise ValueError(f"a background's half side must be positive, got {half}")
+        self.center = checked_vector(center, "a background's center").copy()
+        half = checked_positive(half, "a background's half side")
         if int(side) != side or side < 2:
             raise ValueError(f"a background has 2 cells or more along an edge, got {side}")
         if not isinstance(values, wp.array):
@@ -48,12 +71,12 @@ class LayeredBackground:
         if self.unseen is not None and (self.unseen.shape != (4,) or not np.isfinite(self.unseen).all()):
             raise ValueError(f"a background's unseen must be (4,) and finite, got {self.unseen.tolist()}")
         layers = BackgroundLayers()
-        layers.half, layers.side = float(half), int(side)
+        layers.half, layers.side = half, int(side)
         if isinstance(values, wp.array):
             layers.values = values if values.device == self.device else values.to(self.device)
         else:
             layers.values = wp.array(values, dtype=wp.vec4, device=self.device)
-        self.layers = layers  #: what kernels take; positions in it are relative to `center`
+        self.layers = layers
 
     @property
     def half(self) -> float:
@@ -67,6 +90,7 @@ class LayeredBackground:
 
     @property
     def layer_count(self) -> int:
+        """Number of cubes."""
         return self.layers.values.shape[0]
 
     @property
@@ -74,7 +98,7 @@ class LayeredBackground:
         """(layers, nodes, 4) float32 red, green, blue and optical depth."""
         return self.layers.values.numpy()
 
-    def arguments(self) -> dict:
+    def arguments(self) -> dict[str, Any]:
         """The constructor's arguments but for the device, on the host."""
         return {
             "center": self.center,
@@ -87,25 +111,48 @@ class LayeredBackground:
     def __repr__(self) -> str:
         return f"LayeredBackground({self.layer_count} layers of 6x{self.side}x{self.side}, {self.device})"
 
-    def sample(self, origins, directions) -> np.ndarray:
-        """Colours (n, 3) float32 along rays from origins (n, 3), world units, in directions (n, 3) of any length but
-        zero. Raises ValueError for shapes that differ or are not (n, 3)."""
-        origins, directions = as_host_points(origins) - self.center, as_host_points(directions)
-        if origins.shape != directions.shape:
-            raise ValueError(f"origins and directions must be as many, got {len(origins)} and {len(directions)}")
-        directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-        rays = [wp.array(each.astype(np.float32), dtype=wp.vec3, device=self.device) for each in (origins, directions)]
-        rgb = wp.empty(len(origins), dtype=wp.vec3, device=self.device)
-        launch(sample_background, len(origins), [self.layers, *rays], [rgb], device=self.device)
+    def sample(self, origins: ArrayLike, directions: ArrayLike) -> np.ndarray:
+        """What rays see of the layers.
+
+        Args:
+            origins: (n, 3) float, world units.
+            directions: (n, 3) float, of any length but zero.
+
+        Returns:
+            (n, 3) float32 colours.
+
+        Raises:
+            ValueError: For shapes that differ or are not (n, 3).
+        """
+        starts, along = as_host_points(origins) - self.center, as_host_points(directions)
+        if starts.shape != along.shape:
+            raise ValueError(f"there must be as many directions as origins, got {len(along)} for {len(starts)}")
+        along = along / np.linalg.norm(along, axis=1, keepdims=True)
+        rays = [wp.array(each.astype(np.float32), dtype=wp.vec3, device=self.device) for each in (starts, along)]
+        rgb = empty_array(len(starts), wp.vec3, self.device)
+        launch(sample_background, len(starts), [self.layers, *rays], [rgb], device=self.device)
         return rgb.numpy()
 
-    def add_behind(self, camera, rgb: wp.array, alpha: wp.array) -> None:
-        """Put the background behind a view of opacity alpha (h * w,) that was rendered on black, rgb (h * w,) vec3."""
+    def add_behind(self, camera: Camera, rgb: wp.array, alpha: wp.array) -> None:
+        """Put the background behind a view.
+
+        Args:
+            camera: The camera of the view.
+            rgb: (h * w,) vec3, the view on black; the background is added to it.
+            alpha: (h * w,) float32 opacity of the view.
+        """
         inputs = [self.layers, camera_struct(camera, self.center), alpha]
         launch(add_background, tile_threads(camera), inputs, [rgb], device=self.device)
 
-    def to(self, device) -> LayeredBackground:
-        """The same background on another device."""
+    def to(self, device: wp.DeviceLike) -> LayeredBackground:
+        """The same background on another device.
+
+        Args:
+            device: Warp device. None is CUDA where there is one.
+
+        Returns:
+            The background; this one if it is there already.
+        """
         device = resolve_device(device)
         if device == self.device:
             return self
@@ -115,5 +162,12 @@ class LayeredBackground:
 
 
 def surface_node_count(side: int) -> int:
-    """Lattice points on the surface of a cube of `side` cells along an edge."""
+    """Number of lattice points on the surface of a cube.
+
+    Args:
+        side: Cells along an edge.
+
+    Returns:
+        6 side^2 + 2.
+    """
     return 6 * int(side) ** 2 + 2

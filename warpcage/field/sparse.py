@@ -4,43 +4,64 @@ from __future__ import annotations
 
 import warp as wp
 
+from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
 
+#: Spherical harmonics of degree 0 to 2.
 BASIS_COUNT = 9
 
 
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
-    """Number the nodes of a mask (nx, ny, nz) uint8.
+    """Number the set nodes of a mask in memory order.
 
-    Returns links (nx, ny, nz) int32 (row or -1) and nodes (rows,) vec3i, rows in memory order.
+    Args:
+        mask: (nx, ny, nz) uint8.
+
+    Returns:
+        Links (nx, ny, nz) int32, the row of each node or -1, and nodes (rows,) vec3i.
     """
     device = mask.device
     counts = _line_counts(mask)
     wp.utils.array_scan(counts, counts, inclusive=True)
-    nodes = wp.empty(int(counts[-1:].numpy()[0]), dtype=wp.vec3i, device=device)
-    links = wp.empty(mask.shape, dtype=wp.int32, device=device)
+    nodes = empty_array(int(counts[-1:].numpy()[0]), wp.vec3i, device)
+    links = empty_array(mask.shape, wp.int32, device)
     launch(grid_refine.link_nodes, counts.size, [mask, counts], [links, nodes], device=device)
     return links, nodes
 
 
 def mask_count(mask: wp.array) -> int:
-    """Set nodes of a mask (nx, ny, nz) uint8."""
+    """Number of set nodes of a mask.
+
+    Args:
+        mask: (nx, ny, nz) uint8.
+
+    Returns:
+        The number.
+    """
     return int(_line_counts(mask).numpy().sum(dtype="int64"))
 
 
 def _line_counts(mask: wp.array) -> wp.array:
-    counts = wp.empty(mask.shape[0] * mask.shape[1], dtype=wp.int32, device=mask.device)
+    """(nx * ny,) int32 set nodes of each line along the last axis."""
+    counts = empty_array(mask.shape[0] * mask.shape[1], wp.int32, mask.device)
     launch(grid_refine.count_lines, counts.size, [mask], [counts], device=mask.device)
     return counts
 
 
 def measure_skip(links: wp.array) -> wp.array:
-    """Chebyshev distance of each cell to the nearest cell with a linked node: (nx-1, ny-1, nz-1) uint8."""
+    """How far each cell is from the nearest cell with a linked node.
+
+    Args:
+        links: (nx, ny, nz) int32, row of each node or -1.
+
+    Returns:
+        (nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with such a node.
+    """
     device = links.device
     shape = tuple(n - 1 for n in links.shape)
-    distance = wp.empty(shape, dtype=wp.uint8, device=device)
+    distance = empty_array(shape, wp.uint8, device)
     spread = wp.empty_like(distance)
     launch(grid_skip.mark_cells, distance.size, [links], [distance], device=device)
     for axis in range(3):

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
+import os
+from typing import Any
+
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
-from ..core.arrays import as_host_points, as_points, is_device_array
-from ..core.checks import checked_bounds, require_type
+from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
+from ..core.checks import checked_bounds, checked_step, checked_vector, require_type
 from ..core.devices import launch, resolve_device
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..kernels.field.harmonics import vec9
 from ..kernels.field.render import render_image
+from ..view.backgrounds import parse_background
 from ..view.camera import Camera
-from ..view.frame import (
-    Frame,
-    average_frame,
-    camera_struct,
-    checked_supersampling,
-    finer_camera,
-    parse_background,
-    tile_threads,
-)
+from ..view.frame import PART_NAMES, Frame, checked_supersampling
 from .background import LayeredBackground
 from .files.contents import FieldContents
 from .files.files import load_field, save_field
+from .rendering import STOP_TRANSMITTANCE, March, render_frame
 from .sparse import BASIS_COUNT, link_mask, measure_skip
 from .surface import extract_mesh
-
-#: A march ends where less than this share of the light is left.
-STOP_TRANSMITTANCE = 1e-3
 
 
 class VoxelField:
@@ -37,36 +32,52 @@ class VoxelField:
     density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5), d from the camera into the
     scene. Values lie at voxel centres.
 
-    bounds: (2, 3) lower and upper corner in world units.
-    links: (nx, ny, nz) int32, row of each voxel or -1.
-    density: (rows,) float32 per world unit, before the ReLU.
-    sh: (rows, 9, 3) float32, coefficients of each basis function in rgb (or a Warp array (rows, 3) of vec9).
-    background: colour behind everything, a name or (3,).
-    background_model: LayeredBackground or None, what lies around the box instead of that colour.
-    weights: (rows,) float32 or None, the largest rendering weight that a training ray gave each voxel.
-    up: (3,) what is up in the world, for views of it; of any length but zero.
-    supersampling: rays a side of a pixel in renders: 2 for fields that were fitted with four rays a pixel.
-    device: Warp device; None is CUDA where there is one.
+    References: Fridovich-Keil and Yu et al. 2022, section 3. Limitations: harmonics have one degree; lower ones are
+    padded with zeros.
 
-    Raises ValueError for shapes that do not fit together or values that are not finite.
+    Args:
+        bounds: (2, 3) lower and upper corner, world units.
+        links: (nx, ny, nz) int32, row of each voxel or -1. NumPy or a Warp array.
+        density: (rows,) float32 per world unit, before the ReLU. NumPy or a Warp array.
+        sh: (rows, 9, 3) float32, coefficients of each basis function in red, green and blue; or a Warp array (rows, 3)
+            of vec9.
+        background: Colour behind everything, a name or (3,) in [0, 1].
+        background_model: What lies around the box instead of that colour. None is that colour.
+        weights: (rows,) float32, the largest rendering weight that a training ray gave each voxel. None is not known.
+        up: (3,) what is up in the world, for views of it, of any length but zero.
+        supersampling: Rays along each side of a pixel in renders: 2 for fields that were fitted with four rays per
+            pixel.
+        device: Warp device. None is the device of `links` if that is a Warp array, else CUDA where there is one.
 
-    References: Fridovich-Keil and Yu et al. 2022, section 3. Limitations: one SH degree (lower ones are padded with
-    zeros).
+    Raises:
+        ValueError: For shapes that do not fit together, or values that are not finite.
+
+    Attributes:
+        device: Warp device of the arrays.
+        bounds: (2, 3) float64, read-only, world units.
+        background: (3,) float32 colour behind everything.
+        background_model: LayeredBackground or None.
+        up: (3,) float64 unit vector.
+        supersampling: Rays along each side of a pixel in renders.
+        resolution: (nx, ny, nz) number of voxels along each axis.
+        voxel_size: (3,) float64, world units.
+        weights: (rows,) float32 Warp array or None.
+        grid: The VoxelGrid that kernels take; positions in it are relative to `center`.
     """
 
     def __init__(
         self,
-        bounds,
-        links,
-        density,
-        sh,
+        bounds: ArrayLike,
+        links: np.ndarray | wp.array,
+        density: np.ndarray | wp.array,
+        sh: np.ndarray | wp.array,
         *,
-        background="white",
-        background_model=None,
-        weights=None,
-        up=(0.0, 0.0, 1.0),
-        supersampling=1,
-        device=None,
+        background: str | ArrayLike = "white",
+        background_model: LayeredBackground | None = None,
+        weights: np.ndarray | wp.array | None = None,
+        up: ArrayLike = (0.0, 0.0, 1.0),
+        supersampling: int = 1,
+        device: wp.DeviceLike = None,
     ):
         self.device = resolve_device(device if device is not None or not isinstance(links, wp.array) else links.device)
         self.bounds = checked_bounds(bounds)
@@ -75,45 +86,72 @@ class VoxelField:
         self.up = _checked_up(up)
         self.supersampling = checked_supersampling(supersampling)
         if len(links.shape) != 3 or min(links.shape) < 2:
-            raise ValueError(f"links must be (nx, ny, nz) of at least 2 voxels a side, got {tuple(links.shape)}")
-        self.resolution = tuple(int(n) for n in links.shape)
+            raise ValueError(f"links must be (nx, ny, nz) with at least 2 along each axis, got {tuple(links.shape)}")
+        self.resolution: tuple[int, ...] = tuple(int(n) for n in links.shape)
         self.voxel_size = (self.bounds[1] - self.bounds[0]) / self.resolution
 
-        links = _on_device(links, wp.int32, self.device)
-        density = _on_device(density, wp.float32, self.device)
-        sh = _sh_on_device(sh, self.device)
-        if density.ndim != 1 or sh.shape[0] != density.shape[0]:
-            raise ValueError(f"density and sh must have one row a voxel, got {density.shape} and {sh.shape[0]} rows")
+        grid = VoxelGrid()
+        grid.links = _on_device(links, wp.int32, self.device)
+        grid.density = _on_device(density, wp.float32, self.device)
+        grid.sh = _sh_on_device(sh, self.device)
+        if grid.density.ndim != 1 or grid.sh.shape[0] != grid.density.shape[0]:
+            raise ValueError(
+                f"density and sh must have one row per voxel, got {grid.density.shape} and {grid.sh.shape[0]} rows"
+            )
         self.weights = None if weights is None else _on_device(weights, wp.float32, self.device)
-        if self.weights is not None and self.weights.shape != density.shape:
-            raise ValueError(f"weights must be one a row ({density.shape[0]}), got {self.weights.shape}")
+        if self.weights is not None and self.weights.shape != grid.density.shape:
+            raise ValueError(f"weights must be one per row ({grid.density.shape[0]}), got {self.weights.shape}")
 
         half = 0.5 * (self.bounds[1] - self.bounds[0])
-        grid = VoxelGrid()
         grid.lower = wp.vec3(*(0.5 * self.voxel_size - half))
         grid.voxel_size = wp.vec3(*self.voxel_size)
         grid.inverse_voxel_size = wp.vec3(*(1.0 / self.voxel_size))
-        grid.links, grid.density, grid.sh = links, density, sh
-        grid.skip = measure_skip(links)
-        self.grid = grid  #: what kernels take; positions in it are relative to `center`
+        grid.skip = measure_skip(grid.links)
+        self.grid = grid
 
     @classmethod
-    def from_dense(cls, density, sh, bounds, *, background="white", device=None) -> VoxelField:
-        """A field from dense arrays: density (nx, ny, nz), sh (nx, ny, nz, 9, 3). Voxels with density > 0 get rows,
-        and so do their 26 neighbours, which the interpolation reaches."""
-        density = np.asarray(density, np.float32)
-        sh = np.asarray(sh, np.float32)
-        if density.ndim != 3 or sh.shape != (*density.shape, BASIS_COUNT, 3):
-            raise ValueError(f"density must be (nx, ny, nz) and sh (nx, ny, nz, 9, 3), got {density.shape}, {sh.shape}")
-        if not (np.isfinite(density).all() and np.isfinite(sh).all()):
+    def from_dense(
+        cls,
+        density: ArrayLike,
+        sh: ArrayLike,
+        bounds: ArrayLike,
+        *,
+        background: str | ArrayLike = "white",
+        device: wp.DeviceLike = None,
+    ) -> VoxelField:
+        """A field from dense arrays.
+
+        Voxels with density > 0 get rows, and so do their 26 neighbours, which the interpolation reaches.
+
+        Args:
+            density: (nx, ny, nz) float, per world unit.
+            sh: (nx, ny, nz, 9, 3) float, coefficients of each basis function in red, green and blue.
+            bounds: (2, 3) lower and upper corner, world units.
+            background: Colour behind everything, a name or (3,) in [0, 1].
+            device: Warp device. None is CUDA where there is one.
+
+        Returns:
+            The field.
+
+        Raises:
+            ValueError: For shapes that do not fit together, or values that are not finite.
+        """
+        sigma = np.asarray(density, np.float32)
+        coefficients = np.asarray(sh, np.float32)
+        if sigma.ndim != 3 or coefficients.shape != (*sigma.shape, BASIS_COUNT, 3):
+            raise ValueError(
+                f"density must be (nx, ny, nz) and sh (nx, ny, nz, 9, 3), got {sigma.shape}, {coefficients.shape}"
+            )
+        if not (np.isfinite(sigma).all() and np.isfinite(coefficients).all()):
             raise ValueError("density and sh must be finite")
-        padded = np.pad(density > 0, 1)
-        mask = np.zeros(density.shape, dtype=bool)
+        nx, ny, nz = sigma.shape
+        padded = np.pad(sigma > 0, 1)
+        mask = np.zeros(sigma.shape, dtype=bool)
         for i, j, k in np.ndindex(3, 3, 3):
-            mask |= padded[i : i + mask.shape[0], j : j + mask.shape[1], k : k + mask.shape[2]]
-        links = np.full(density.shape, -1, np.int32)
+            mask |= padded[i : i + nx, j : j + ny, k : k + nz]
+        links = np.full(sigma.shape, -1, np.int32)
         links[mask] = np.arange(mask.sum(), dtype=np.int32)
-        return cls(bounds, links, density[mask], sh[mask], background=background, device=device)
+        return cls(bounds, links, sigma[mask], coefficients[mask], background=background, device=device)
 
     @property
     def center(self) -> np.ndarray:
@@ -141,11 +179,19 @@ class VoxelField:
             "in each of them"
         )
 
-    def sample(self, points, directions):
-        """Colour (n, 3) and density (n,) at world points (n, 3) seen along directions (n, 3) of any length but zero.
+    def sample(self, points: Any, directions: Any) -> tuple[Any, Any]:
+        """Colour and density at points.
 
-        NumPy in, NumPy out (float32); Warp or DLPack arrays in, Warp arrays on their device out. Zero density outside
-        the bounds. Raises ValueError for shapes that differ or are not (n, 3).
+        Args:
+            points: (n, 3) float, world units. NumPy or any DLPack array. The density is zero outside the bounds.
+            directions: (n, 3) float, from the camera into the scene, of any length but zero.
+
+        Returns:
+            Colours (n, 3) and densities (n,) per world unit, float32. NumPy for NumPy, Warp arrays on the field's
+            device for arrays on a device.
+
+        Raises:
+            ValueError: For shapes that differ or are not (n, 3).
         """
         origin = self.center
         if not is_device_array(points):
@@ -154,42 +200,95 @@ class VoxelField:
         x, keep = as_points(points, self.device)
         d, _ = as_points(directions, self.device, name="directions")
         if x.shape != d.shape:
-            raise ValueError(f"points and directions must be as many, got {x.shape[0]} and {d.shape[0]}")
-        rgb = wp.empty(x.shape[0], dtype=wp.vec3, device=self.device)
-        density = wp.empty(x.shape[0], dtype=wp.float32, device=self.device)
+            raise ValueError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
+        rgb = empty_array(x.shape[0], wp.vec3, self.device)
+        density = empty_array(x.shape[0], wp.float32, self.device)
         launch(sample_field, x.shape[0], [self.grid, wp.vec3(*origin), x, d], [rgb, density], device=self.device)
         return (rgb, density) if keep else (rgb.numpy(), density.numpy())
 
-    def render(self, camera, *, background=None, step: float | None = None, supersampling: int | None = None):
-        """The view of a camera as a Frame.
+    def render(
+        self,
+        camera: Camera,
+        *,
+        background: str | ArrayLike | None = None,
+        step: float | None = None,
+        supersampling: int | None = None,
+    ) -> Frame:
+        """The view of a camera.
 
-        background: colour name or (3,) to put behind the field; None takes the field's own, its background model where
-        it has one. step: march step in world units; None takes `.step`. supersampling: rays a side of a pixel; None
-        takes the field's. Opacity, depth and disparity are those of the field itself, whatever is behind it.
-        Raises ValueError for a step that is not positive, or supersampling out of range.
+        Args:
+            camera: The camera.
+            background: Colour behind the field, a name or (3,) in [0, 1]. None is the field's own, its background model
+                where it has one. Opacity, depth and disparity are those of the field itself whatever is behind it.
+            step: March step, world units. None is `.step`.
+            supersampling: Rays along each side of a pixel. None is the field's.
+
+        Returns:
+            The frame, its arrays on the field's device.
+
+        Raises:
+            ValueError: For a background that is not known, a step that is not positive and finite, or supersampling
+                out of range.
+        """
+        step = checked_step(step, self.step)
+
+        def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
+            inputs = [self.grid, pinhole, colour, step, STOP_TRANSMITTANCE]
+            launch(render_image, threads, inputs, [arrays[name] for name in PART_NAMES], device=self.device)
+
+        return self.render_by(march, camera, background=background, supersampling=supersampling)
+
+    def render_by(
+        self,
+        march: March,
+        camera: Camera,
+        *,
+        background: str | ArrayLike | None = None,
+        supersampling: int | None = None,
+        masks: tuple[str, ...] = (),
+    ) -> Frame:
+        """The view of a camera by another march through this field, before the field's own background.
+
+        Args:
+            march: Fills the arrays of the picture; see `warpcage.field.rendering.March`.
+            camera: The camera.
+            background: As for `render`.
+            supersampling: As for `render`.
+            masks: Names of the masks that the march fills beside colour, opacity and depth.
+
+        Returns:
+            The frame, its arrays on the field's device.
+
+        Raises:
+            ValueError: For a background that is not known, or supersampling out of range.
         """
         require_type(camera, Camera, "render needs")
-        colour, model = self.chosen_background(background)
-        step = self.step if step is None else float(step)
-        if not step > 0:
-            raise ValueError(f"the march step must be positive, got {step}")
-        side = checked_supersampling(self.supersampling if supersampling is None else supersampling)
-        if side > 1:
-            parts = self.render(finer_camera(camera, side), background=background, step=step, supersampling=1)
-            return average_frame(parts, side)
-        count = camera.width * camera.height
-        rgb = wp.empty(count, dtype=wp.vec3, device=self.device)
-        alpha = wp.empty(count, dtype=wp.float32, device=self.device)
-        depth = wp.empty(count, dtype=wp.float32, device=self.device)
-        inputs = [self.grid, camera_struct(camera, self.center), wp.vec3(*map(float, colour)), step, STOP_TRANSMITTANCE]
-        launch(render_image, tile_threads(camera), inputs, [rgb, alpha, depth], device=self.device)
-        if model is not None:
-            model.add_behind(camera, rgb, alpha)
-        return Frame(camera.width, camera.height, rgb, alpha, depth)
+        colour, layers = self.chosen_background(background)
+        return render_frame(
+            march,
+            camera,
+            origin=self.center,
+            colour=colour,
+            layers=layers,
+            supersampling=checked_supersampling(self.supersampling if supersampling is None else supersampling),
+            device=self.device,
+            masks=masks,
+        )
 
-    def chosen_background(self, background=None):
-        """What goes behind a view: (3,) the colour to render it on, and the LayeredBackground that is then added, or
-        None. background: colour name or (3,), or None for the field's own."""
+    def chosen_background(
+        self, background: str | ArrayLike | None = None
+    ) -> tuple[np.ndarray, LayeredBackground | None]:
+        """What goes behind a view.
+
+        Args:
+            background: Colour name or (3,). None is the field's own background.
+
+        Returns:
+            (3,) float32 colour to render the view on, and the layers that are put behind it then, or None.
+
+        Raises:
+            ValueError: For a background that is not known.
+        """
         if background is not None:
             return parse_background(background), None
         if self.background_model is None:
@@ -197,7 +296,19 @@ class VoxelField:
         return np.zeros(3, np.float32), self.background_model
 
     def extract_mesh(self, *, threshold: float | None = None, components: str = "largest"):
-        """The surface as a trimesh.Trimesh in world units; see `warpcage.field.voxel_field.surface.extract_mesh`."""
+        """The surface where the density crosses a threshold, closed and looking outward.
+
+        Args:
+            threshold: Density, per world unit. None is `warpcage.field.surface.surface_density`.
+            components: "largest" keeps the part of the largest volume, which drops floaters and cavities, "all" keeps
+                everything.
+
+        Returns:
+            A trimesh.Trimesh, world units.
+
+        Raises:
+            ValueError: For an empty field, a threshold that no density crosses, or another name of components.
+        """
         return extract_mesh(self, threshold=threshold, components=components)
 
     def node_densities(self) -> np.ndarray:
@@ -209,23 +320,41 @@ class VoxelField:
         return None if self.weights is None else self._dense(self.weights)
 
     def _dense(self, rows: wp.array) -> np.ndarray:
+        """(nx, ny, nz) float32 values of the voxels, zero where there is no row."""
         links = self.grid.links.numpy()
-        return (
-            np.where(links >= 0, rows.numpy()[np.maximum(links, 0)], np.float32(0))
-            if rows.size
-            else np.zeros(links.shape, np.float32)
-        )
+        if not rows.size:
+            return np.zeros(links.shape, np.float32)
+        return np.where(links >= 0, rows.numpy()[np.maximum(links, 0)], np.float32(0))
 
-    def save(self, path, *, format: str = "warpcage") -> None:
-        """Write the field, whole or not at all. format: "warpcage" (.npz), "compact" (quantised to a third of
-        that) or "svox2" (a Plenoxels checkpoint, .npz)."""
+    def save(self, path: str | os.PathLike, *, format: str = "warpcage") -> None:
+        """Write the field to a file, whole or not at all.
+
+        Args:
+            path: The file; it must end in .npz.
+            format: "warpcage"; "compact", quantised to a third of that; or "svox2", a Plenoxels checkpoint.
+
+        Raises:
+            ValueError: For another format or ending.
+        """
         save_field(self._contents(), path, format=format)
 
     @classmethod
-    def load(cls, path, *, scene_scale: float = 1.0, device=None) -> VoxelField:
-        """Read our own .npz or a Plenoxels (svox2) checkpoint. scene_scale: the factor that its scene's positions were
-        multiplied by, which bounds are divided by: 2/3 for svox2's NeRF-synthetic scenes, so that they fit the cameras
-        of `load_scene`. See `warpcage.field.voxel_field.files.files.load_field`."""
+    def load(cls, path: str | os.PathLike, *, scene_scale: float = 1.0, device: wp.DeviceLike = None) -> VoxelField:
+        """Read our own .npz or a Plenoxels (svox2) checkpoint.
+
+        Args:
+            path: The file.
+            scene_scale: The factor that the positions of its scene were multiplied by, which bounds are divided by:
+                2/3 for svox2's NeRF-synthetic scenes, so that they fit the cameras of `load_scene`.
+            device: Warp device. None is CUDA where there is one.
+
+        Returns:
+            The field.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: For a file of neither format, or whose parts do not fit.
+        """
         held = load_field(path, scene_scale=scene_scale)
         try:
             layers = None if held.layers is None else LayeredBackground(**held.layers, device=device)
@@ -249,8 +378,15 @@ class VoxelField:
             layers=None if self.background_model is None else self.background_model.arguments(),
         )
 
-    def to(self, device) -> VoxelField:
-        """The same field on another device."""
+    def to(self, device: wp.DeviceLike) -> VoxelField:
+        """The same field on another device.
+
+        Args:
+            device: Warp device. None is CUDA where there is one.
+
+        Returns:
+            The field; this one if it is there already.
+        """
         device = resolve_device(device)
         if device == self.device:
             return self
@@ -259,7 +395,7 @@ class VoxelField:
             self.bounds, grid.links, grid.density, grid.sh, weights=self.weights, device=device, **self.view_options()
         )
 
-    def view_options(self) -> dict:
+    def view_options(self) -> dict[str, Any]:
         """What views of the field depend on besides its voxels, by the constructor's names: a field that is made from
         this one takes it over."""
         return {
@@ -270,8 +406,21 @@ class VoxelField:
         }
 
 
-def field_from_mask(bounds, mask: wp.array, density: float, *, background, device) -> tuple[VoxelField, wp.array]:
-    """A grey field of one density at the set nodes of a mask (nx, ny, nz) uint8, and its nodes (rows,) vec3i."""
+def field_from_mask(
+    bounds: ArrayLike, mask: wp.array, density: float, *, background: str | ArrayLike, device: wp.DeviceLike
+) -> tuple[VoxelField, wp.array]:
+    """A grey field of one density at the set nodes of a mask.
+
+    Args:
+        bounds: (2, 3) lower and upper corner, world units.
+        mask: (nx, ny, nz) uint8.
+        density: Density of the set nodes, per world unit.
+        background: Colour behind everything, a name or (3,) in [0, 1].
+        device: Warp device of the field.
+
+    Returns:
+        The field, and its nodes (rows,) vec3i.
+    """
     links, nodes = link_mask(mask)
     rows = nodes.shape[0]
     field = VoxelField(
@@ -285,25 +434,27 @@ def field_from_mask(bounds, mask: wp.array, density: float, *, background, devic
     return field, nodes
 
 
-def _checked_up(up) -> np.ndarray:
-    up = np.array(up, dtype=np.float64)
-    if up.shape != (3,) or not np.isfinite(up).all() or not np.linalg.norm(up) > 0:
-        raise ValueError(f"up must be a finite direction (3,), got {up.tolist()}")
-    up /= np.linalg.norm(up)
-    return up
+def _checked_up(up: ArrayLike) -> np.ndarray:
+    """A direction as a unit vector."""
+    direction = checked_vector(up, "up")
+    length = np.linalg.norm(direction)
+    if not length > 0:
+        raise ValueError(f"up must be a direction, got {direction.tolist()}")
+    return direction / length
 
 
-def _on_device(array, dtype, device) -> wp.array:
+def _on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device) -> Any:
+    """An array of a Warp data type on a device, from one on any device or from NumPy."""
     if isinstance(array, wp.array):
         return array if array.device == device else array.to(device)
     host = np.ascontiguousarray(array, dtype=np.int32 if dtype == wp.int32 else np.float32)
     return wp.array(host, dtype=dtype, device=device)
 
 
-def _sh_on_device(sh, device) -> wp.array:
+def _sh_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
     """(rows, 3) of vec9 from that on a device, or from NumPy (rows, 9, 3)."""
     if isinstance(sh, wp.array):
-        return sh if sh.device == device else sh.to(device)
+        return _on_device(sh, vec9, device)
     host = np.asarray(sh, np.float32)
     if host.ndim != 3 or host.shape[1:] != (BASIS_COUNT, 3):
         raise ValueError(f"sh must be (rows, 9, 3), got {host.shape}")

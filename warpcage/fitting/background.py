@@ -14,9 +14,7 @@ from ..field.background import LayeredBackground, surface_node_count
 from ..kernels.field.background import BackgroundLayers, refine_layers
 from ..kernels.fitting import background_loss
 from ..kernels.fitting import rmsprop as field_step
-
-#: What may stand behind the pictures while they are fitted.
-KINDS = ("auto", "layers", "random", "constant")
+from ..view.backgrounds import FIT_BACKGROUNDS
 
 #: Opacity of all layers before the last together, at the start.
 START_OPACITY = 0.5
@@ -26,14 +24,15 @@ PLAIN_SHARE, PLAIN_DIFFERENCE = 0.95, 2.5 / 255
 
 
 def chosen_background(scene, kind: str) -> tuple[bool, bool]:
-    """Whether random colours, and whether layers go behind the pictures: what `kind` (see KINDS) means for a scene.
+    """Whether random colours, and whether layers go behind the pictures: what `kind` means for a scene.
 
-    "auto" is random colours where the pictures carry opacity, with layers where masks split their surroundings off;
-    without opacity layers, unless the pictures' border says that there is nothing but the background colour.
+    kind: of FIT_BACKGROUNDS. "auto" is random colours where the pictures carry opacity, with layers where masks split
+    their surroundings off; without opacity layers, unless the pictures' border says that there is nothing but the
+    background colour.
     Raises ValueError for another kind, or one that does not go with the scene.
     """
-    if kind not in KINDS:
-        raise ValueError(f"background {kind!r} is not known: {', '.join(KINDS)}")
+    if kind not in FIT_BACKGROUNDS:
+        raise ValueError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
         if scene.alphas is None:
             return False, not _is_plain(scene)

@@ -26,7 +26,7 @@ from ..kernels.fitting.pictures import Pictures
 from ..kernels.fitting.rmsprop import shrink_view_dependence
 from ..scene.box import scene_box
 from ..scene.scene import Scene
-from ..view.frame import camera_array
+from ..view.camera import camera_array
 from .background import BackgroundOptimizer, chosen_background, layers_that_fit
 from .checkpoint import load_progress, require_writable, save_progress
 from .level import ROW_NUMBERS, coefficient_rows, gradient_parts

@@ -9,7 +9,7 @@ from ..core.devices import launch
 from ..kernels.fitting.visual_hull import carve_visual_hull, keep_seen_voxels, sum_columns, sum_rows
 from ..scene.box import scene_box
 from ..scene.scene import Scene
-from ..view.frame import camera_array
+from ..view.camera import camera_array
 
 #: Alpha above which a pixel counts as part of the object (of 1).
 OPAQUE = 0.5 / 255

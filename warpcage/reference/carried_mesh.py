@@ -7,7 +7,7 @@ import warp as wp
 
 from ..core.devices import launch, resolve_device
 from ..kernels.reference.carried_raycast import SolidTexture, cast_carried_rays
-from ..view.frame import camera_struct
+from ..view.camera import camera_struct
 from .raycast import mesh_lighting
 
 

@@ -7,7 +7,7 @@ import warp as wp
 
 from ..core.devices import launch, resolve_device
 from ..kernels.reference.mesh_raycast import MeshLighting, cast_mesh_rays
-from ..view.frame import camera_struct
+from ..view.camera import camera_struct
 
 # Pictures
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pathlib
 
-from ..view.frame import parse_background
+from ..view.backgrounds import parse_background
 from .formats import blender, colmap, dtu, nsvf, transforms
 from .scene import Scene
 

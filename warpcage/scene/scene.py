@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from ..view.backgrounds import parse_background
 from ..view.camera import Camera
-from ..view.frame import parse_background
 
 #: Renders of a field may leave [0, 1] by this much; what is further out comes in other units.
 IMAGE_ROOM = 1.0

@@ -1,46 +1,58 @@
-"""Rendered frames, supersampling, backgrounds, and cameras as kernels take them."""
+"""Rendered frames, and frames rendered with several rays per pixel."""
 
 from __future__ import annotations
 
+import dataclasses
 import numbers
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ..core.devices import launch
 from ..kernels.view import downsample
-from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
 from .camera import Camera
 
+#: Parts of every frame.
+PART_NAMES = ("rgb", "alpha", "depth")
 
-def camera_array(cameras, origin, device) -> wp.array:
-    """Cameras as kernels take them, relative to `origin` (3,)."""
-    return wp.array([camera_struct(camera, origin) for camera in cameras], dtype=PinholeCamera, device=device)
-
-
-#: Masks a frame may carry; a frame of a plain field has none of them.
+#: Masks that a frame may carry. A frame of a plain field has none of them.
 MASK_NAMES = ("reveal", "fold", "outside")
+
+#: Most rays along each side of a pixel: the picture is rendered that many times wider and higher.
+MAX_SUPERSAMPLING = 8
 
 
 class Frame:
     """One rendered view.
 
-    width, height: pixels. rgb: (h * w,) wp.vec3 or anything that reshapes to (h, w, 3), composited over the background.
-    alpha: (h * w,) opacity in [0, 1]. depth: (h * w,) expected distance along the ray in world units, inf where nothing
-    is seen. Masks of deformed frames by name, (h * w,) each: reveal, fold, outside (see the properties).
+    The arrays stay where they are until a property asks for NumPy; that copy is made once.
 
-    The arrays stay where they are (`.arrays`) until a property asks for NumPy; that copy is made once.
-    Raises ValueError for sizes that do not fit or a mask that does not exist.
+    Args:
+        width: Width of the picture, pixels.
+        height: Height of the picture, pixels.
+        rgb: (h * w,) wp.vec3, or anything that reshapes to (h, w, 3), composited over the background.
+        alpha: (h * w,) opacity in [0, 1].
+        depth: (h * w,) expected distance along the ray, world units, inf where nothing is seen.
+        masks: Masks of a deformed frame by name, (h * w,) each: reveal, fold, outside (see the properties).
+
+    Raises:
+        ValueError: For sizes that do not fit, or a mask that does not exist.
+
+    Attributes:
+        width: Width of the picture, pixels.
+        height: Height of the picture, pixels.
+        arrays: The arrays by name, as they were given: rgb, alpha, depth and the masks there are.
     """
 
-    def __init__(self, width: int, height: int, rgb, alpha, depth, **masks):
+    def __init__(self, width: int, height: int, rgb: Any, alpha: Any, depth: Any, **masks: Any):
         if width < 1 or height < 1:
             raise ValueError(f"a frame needs at least 1x1 pixel, got {width}x{height}")
         unknown = sorted(set(masks) - set(MASK_NAMES))
         if unknown:
             raise ValueError(f"a frame has no mask {unknown[0]!r}, it has {', '.join(MASK_NAMES)}")
         self.width, self.height = int(width), int(height)
-        self.arrays = {"rgb": rgb, "alpha": alpha, "depth": depth}
+        self.arrays: dict[str, Any] = {"rgb": rgb, "alpha": alpha, "depth": depth}
         self.arrays.update({name: mask for name, mask in masks.items() if mask is not None})
         for name, array in self.arrays.items():
             shape = tuple(array.shape)
@@ -58,29 +70,20 @@ class Frame:
     def __repr__(self) -> str:
         return f"Frame({self.width}x{self.height}: {', '.join(self.arrays)})"
 
-    def _numpy(self, name: str, *channels: int) -> np.ndarray | None:
-        if name not in self.arrays:
-            return None
-        if name not in self._host:
-            array = self.arrays[name]
-            host = array.numpy() if isinstance(array, wp.array) else np.asarray(array)
-            self._host[name] = np.ascontiguousarray(host, np.float32).reshape(self.height, self.width, *channels)
-        return self._host[name]
-
     @property
     def rgb(self) -> np.ndarray:
         """(h, w, 3) float32 colour, composited over the background."""
-        return self._numpy("rgb", 3)
+        return self._on_host("rgb", 3)
 
     @property
     def alpha(self) -> np.ndarray:
         """(h, w) float32 opacity in [0, 1]."""
-        return self._numpy("alpha")
+        return self._on_host("alpha")
 
     @property
     def depth(self) -> np.ndarray:
         """(h, w) float32 expected distance along the ray in world units, inf where nothing is seen."""
-        return self._numpy("depth")
+        return self._on_host("depth")
 
     @property
     def disparity(self) -> np.ndarray:
@@ -90,93 +93,84 @@ class Frame:
 
     @property
     def reveal(self) -> np.ndarray | None:
-        """(h, w) float32 in [0, 1]: how much of the pixel matter covered that an edit cleared, so that it now shows
-        what lies behind; None for a plain field."""
-        return self._numpy("reveal")
+        """(h, w) float32 in [0, 1]: how much of the pixel was covered by matter that an edit cleared, so that it now
+        shows what lies behind. None for a plain field."""
+        return self._mask("reveal")
 
     @property
     def fold(self) -> np.ndarray | None:
-        """(h, w) float32 in [0, 1]: opacity that comes from where the map folds over (det J <= 0); None for a plain
+        """(h, w) float32 in [0, 1]: opacity that comes from where the map folds over (det J <= 0). None for a plain
         field."""
-        return self._numpy("fold")
+        return self._mask("fold")
 
     @property
     def outside(self) -> np.ndarray | None:
         """(h, w) float32 number of samples along the ray, before anything opaque, that the map sends out of the
-        canonical cage and that are therefore left empty; None for a plain field."""
-        return self._numpy("outside")
+        canonical cage and that are therefore left empty. None for a plain field."""
+        return self._mask("outside")
+
+    def _mask(self, name: str) -> np.ndarray | None:
+        return self._on_host(name) if name in self.arrays else None
+
+    def _on_host(self, name: str, *channels: int) -> np.ndarray:
+        if name not in self._host:
+            array = self.arrays[name]
+            host = array.numpy() if isinstance(array, wp.array) else np.asarray(array)
+            self._host[name] = np.ascontiguousarray(host, np.float32).reshape(self.height, self.width, *channels)
+        return self._host[name]
 
 
 def _host_frame(width: int, height: int, arrays: dict) -> Frame:
     return Frame(width, height, **arrays)
 
 
-def camera_struct(camera: Camera, origin) -> PinholeCamera:
-    """`camera` for kernels, its centre relative to `origin` (3,).
+def checked_supersampling(side: Any) -> int:
+    """The number of rays along each side of a pixel.
 
-    The difference is taken in float64, so that float32 kernels see small numbers however far the scene lies from zero.
+    Args:
+        side: What the caller asked for.
+
+    Returns:
+        The number.
+
+    Raises:
+        ValueError: If it is not a whole number from 1 to MAX_SUPERSAMPLING.
     """
-    struct = PinholeCamera()
-    struct.centre = wp.vec3(*(camera.centre - np.asarray(origin, np.float64)))
-    struct.rotation = wp.mat33(*np.asarray(camera.rotation, np.float64).ravel())
-    struct.focal = wp.vec2(camera.fx, camera.fy)
-    struct.principal_point = wp.vec2(camera.cx, camera.cy)
-    struct.width = camera.width
-    struct.height = camera.height
-    return struct
-
-
-def tile_threads(camera: Camera) -> int:
-    """Threads that walk a camera's picture in whole tiles (kernels.view.rays.tile_pixel)."""
-    return -(-camera.width // TILE_WIDTH) * -(-camera.height // TILE_HEIGHT) * TILE_SIZE
-
-
-BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
-
-
-def parse_background(background) -> np.ndarray:
-    """(3,) float32 of a colour name or three numbers in [0, 1]. Raises ValueError for anything else."""
-    if isinstance(background, str):
-        if background == "random":
-            raise ValueError(
-                "random backgrounds are drawn anew for every ray of a fit, where pictures have opacity: "
-                "load with a colour and fit with background='random'"
-            )
-        if background not in BACKGROUNDS:
-            raise ValueError(f"background {background!r} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]")
-        background = BACKGROUNDS[background]
-    colour = np.asarray(background, dtype=np.float32)
-    if colour.shape != (3,) or not np.isfinite(colour).all() or colour.min() < 0 or colour.max() > 1:
-        raise ValueError(f"background must be a colour name or three numbers in [0, 1], got {background}")
-    return colour
-
-
-#: Rays a side of a pixel, at most: the picture is rendered that many times wider and higher.
-MAX_SUPERSAMPLING = 8
-
-
-def checked_supersampling(side) -> int:
-    """Rays a side of a pixel. Raises ValueError where that is no whole number from 1 to MAX_SUPERSAMPLING."""
-    if not isinstance(side, numbers.Integral) or isinstance(side, bool) or not 1 <= side <= MAX_SUPERSAMPLING:
-        raise ValueError(f"supersampling must be 1 to {MAX_SUPERSAMPLING} rays a side of a pixel, got {side!r}")
+    if not isinstance(side, numbers.Integral) or isinstance(side, bool) or not 1 <= int(side) <= MAX_SUPERSAMPLING:
+        raise ValueError(
+            f"supersampling must be 1 to {MAX_SUPERSAMPLING} rays along each side of a pixel, got {side!r}"
+        )
     return int(side)
 
 
 def finer_camera(camera: Camera, side: int) -> Camera:
-    """The same view with side x side pixels for each."""
-    return Camera(
-        side * camera.fx,
-        side * camera.fy,
-        side * camera.cx,
-        side * camera.cy,
-        side * camera.width,
-        side * camera.height,
-        camera.camera_to_world,
-    )
+    """The same view with more pixels.
+
+    Args:
+        camera: The camera.
+        side: Pixels of the new view along each side of an old one.
+
+    Returns:
+        The camera; the same one for 1.
+    """
+    if side == 1:
+        return camera
+    names = ("fx", "fy", "cx", "cy", "width", "height")
+    return dataclasses.replace(camera, **{name: side * getattr(camera, name) for name in names})
 
 
 def average_frame(frame: Frame, side: int) -> Frame:
-    """Each side x side pixels of a frame of Warp arrays joined into one."""
+    """A frame whose pixels are joined in squares.
+
+    Args:
+        frame: A frame of Warp arrays, its width and height multiples of `side`.
+        side: Pixels along each side of a square.
+
+    Returns:
+        The smaller frame; the same one for 1.
+    """
+    if side == 1:
+        return frame
     width, height = frame.width // side, frame.height // side
     joined = {}
     for name, parts in frame.arrays.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..mesh.closed_mesh import ClosedMesh
 from .camera import Camera
@@ -18,24 +19,36 @@ CHUNK = 1_000_000
 
 
 def draw_cage(
-    image,
+    image: ArrayLike,
     camera: Camera,
     cage: ClosedMesh,
     *,
-    color=(1.0, 0.45, 0.0),
+    color: ArrayLike = (1.0, 0.45, 0.0),
     width: float = 1.5,
     opacity: float = 1.0,
     back_opacity: float = 0.25,
-    depth=None,
+    depth: ArrayLike | None = None,
 ) -> np.ndarray:
-    """`image` with the edges of a cage over it: edges in front of the cage's faces opaque, those behind them faint.
+    """A picture with the edges of a cage over it: opaque in front of the cage's faces, faint behind them.
 
-    image: (h, w, 3) of the camera's size, float in [0, 1] or uint8. color: (3,) in [0, 1]. width: pixels. opacity,
-    back_opacity: of the edges in front and behind, in [0, 1]. depth: (h, w) distance along the ray as in Frame.depth,
-    or None; edges behind it are left out, as matter hides them.
+    Edges may cross the image plane or leave the picture.
 
-    Returns a new (h, w, 3) array of the image's type. Edges may cross the image plane or leave the picture.
-    Raises ValueError for sizes that do not fit the camera, or numbers out of range.
+    Args:
+        image: (h, w, 3) of the camera's size, float in [0, 1] or uint8.
+        camera: The camera of the picture.
+        cage: The cage.
+        color: (3,) colour of the edges in [0, 1].
+        width: Width of the edges, pixels.
+        opacity: Opacity of the edges in front, in [0, 1].
+        back_opacity: Opacity of the edges behind, in [0, 1].
+        depth: (h, w) distance along the ray as in Frame.depth; edges behind it are left out, as matter hides them. None
+            leaves none out.
+
+    Returns:
+        A new (h, w, 3) array of the image's type.
+
+    Raises:
+        ValueError: For sizes that do not fit the camera, or numbers out of range.
     """
     pixels = np.asarray(image)
     if pixels.shape != (camera.height, camera.width, 3):
@@ -44,9 +57,9 @@ def draw_cage(
         raise ValueError(f"depth must be {pixels.shape[:2]} as the picture, got {np.shape(depth)}")
     if not width > 0:
         raise ValueError(f"the line width must be positive, got {width}")
-    color = np.asarray(color, np.float64)
-    if color.shape != (3,) or not ((color >= 0) & (color <= 1)).all():
-        raise ValueError(f"color must be three numbers in [0, 1], got {color.tolist()}")
+    paint = np.asarray(color, np.float64)
+    if paint.shape != (3,) or not ((paint >= 0) & (paint <= 1)).all():
+        raise ValueError(f"color must be three numbers in [0, 1], got {paint.tolist()}")
     if not (0 <= opacity <= 1 and 0 <= back_opacity <= 1):
         raise ValueError(f"opacities must be in [0, 1], got {opacity} and {back_opacity}")
 
@@ -55,7 +68,7 @@ def draw_cage(
     drawn = pixels.astype(np.float64) / scale
     for coverage, strength in ((back, back_opacity), (front, opacity)):
         share = strength * coverage[..., None]
-        drawn = (1.0 - share) * drawn + share * color
+        drawn = (1.0 - share) * drawn + share * paint
     drawn = drawn * scale
     return np.round(drawn).astype(np.uint8) if pixels.dtype == np.uint8 else drawn.astype(pixels.dtype)
 
@@ -74,8 +87,8 @@ def _line_coverage(camera: Camera, cage: ClosedMesh, width: float, depth) -> tup
     tests = np.arange(0, len(points), SAMPLES_PER_TEST) + SAMPLES_PER_TEST // 2
     tests = np.minimum(tests, len(points) - 1)
     hidden = _is_behind_faces(points[tests], edges[kept][owner[tests]], local, cage.faces)
-    # a group of samples may span the end of one line and the start of the next: the test is of one of them, so give
-    # samples of another line the nearest test of their own where there is one
+    # a group of samples may span the end of one line and the start of the next, and its test is of one of the two:
+    # samples of the other line take the nearest test of their own line where there is one
     group = np.minimum(np.arange(len(points)) // SAMPLES_PER_TEST, len(tests) - 1)
     for shift in (1, -1):
         wrong = owner[tests[group]] != owner
@@ -94,7 +107,8 @@ def _line_coverage(camera: Camera, cage: ClosedMesh, width: float, depth) -> tup
 
 
 def _clipped(camera, start, end, size, margin):
-    """Parts of segments (n, 3), camera axes, before the image plane and within the picture; and which those are of."""
+    """The parts of segments (n, 3), camera axes, that lie before the image plane and within the picture, and the
+    segments that they belong to."""
     near = 1e-3 * size
     # half-spaces a . p + b >= 0: the near plane, then the four sides of the picture, `margin` pixels wider
     left, right = camera.cx + margin, camera.width - camera.cx + margin
@@ -137,10 +151,12 @@ def _line_samples(camera, start, end):
 
 
 def _projected(camera, points):
+    """Pixels (n, 2) of points (n, 3) in camera axes."""
     return points[:, :2] / points[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
 
 def _pixel_of(screen, camera):
+    """Row and column (n,) each of places on screen (n, 2), the nearest in the picture."""
     column = np.clip(np.floor(screen[:, 0]).astype(int), 0, camera.width - 1)
     row = np.clip(np.floor(screen[:, 1]).astype(int), 0, camera.height - 1)
     return row, column
@@ -172,7 +188,7 @@ def _is_behind_faces(points, ends, vertices, faces):
 
 
 def _splat(coverage, screen, along, width, chosen):
-    """Raise `coverage` (h, w) to that of a line of `width` around the chosen samples."""
+    """Raise `coverage` (h, w) to that of a line of some width, pixels, around the chosen samples."""
     screen, along = screen[chosen], along[chosen]
     reach = int(np.ceil(0.5 * width + 0.5))
     base = np.floor(screen).astype(int)

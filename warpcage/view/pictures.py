@@ -1,15 +1,25 @@
-"""Pictures: PNG, video and GIF files, sheets, and colours for disparity."""
+"""Pictures: image files, sheets of several, and colours for disparity."""
 
 from __future__ import annotations
 
 import contextlib
 import math
+import os
 import pathlib
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..core.files import atomic_path, require_file
+
+#: What `read_image` opens.
+PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
+
+#: The largest picture that is read: a few bytes can declare any size.
+MAX_PIXELS = 89_000_000
 
 #: Colours of `colour_disparity` from far to near, (k, 3): dark violet over red and orange to pale yellow, with
 #: lightness rising evenly so that the order survives a grey print.
@@ -32,46 +42,49 @@ _WARM = (
     / 255.0
 )
 
-#: What `read_image` opens.
-PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
-
-#: The largest picture that is read: a few bytes can declare any size.
-MAX_PIXELS = 89_000_000
+#: Room below the farthest disparity that is seen, as a share of the scale.
+FAR_ROOM = 0.15
 
 
-def to_uint8(image) -> np.ndarray:
-    """An image or stack of values in [0, 1] (any shape) as uint8, rounded and clipped; uint8 comes back as it is.
+def read_image(path: str | os.PathLike) -> np.ndarray:
+    """Read a picture file (PNG, JPEG, WebP, BMP).
 
-    Raises ValueError for values that are not finite.
-    """
-    image = np.asarray(image)
-    if image.dtype == np.uint8:
-        return image
-    if not np.isfinite(image).all():
-        raise ValueError("an image holds values that are not finite")
-    return np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    Rows are as the file stores them: a camera's orientation tag is not applied.
 
+    Args:
+        path: The file.
 
-def read_image(path) -> np.ndarray:
-    """A picture file (PNG, JPEG, WebP, BMP) as (h, w, c) float32 in [0, 1]; c is 1 for grey, 2 for grey with
-    alpha, 3 or 4 for colour. Rows are as the file stores them: a camera's orientation tag is not applied.
+    Returns:
+        (h, w, c) float32 in [0, 1]; c is 1 for grey, 2 for grey with alpha, 3 or 4 for colour.
 
-    Raises FileNotFoundError, or ValueError where the file is no picture, is cut off, or declares too large a size.
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not a picture, is cut off, or declares too large a size.
     """
     pixels = _read_pixels(require_file(path, "image"))
     return (pixels / np.float32(np.iinfo(pixels.dtype).max)).astype(np.float32)
 
 
-def image_size(path) -> tuple[int, int]:
-    """(width, height) that a picture file declares; its pixels are not read. Raises as `read_image` does."""
-    path = require_file(path, "image")
-    with _opened(path) as picture:
+def image_size(path: str | os.PathLike) -> tuple[int, int]:
+    """The size that a picture file declares; its pixels are not read.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Width and height, pixels.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not a picture, or declares too large a size.
+    """
+    with _opened(require_file(path, "image")) as picture:
         return picture.size
 
 
 @contextlib.contextmanager
-def _opened(path):
-    """A PIL image whose header is read and whose size is bearable; whatever goes wrong becomes one ValueError."""
+def _opened(path: pathlib.Path) -> Iterator[Any]:
+    """A PIL image whose header is read and whose size is allowed; whatever goes wrong becomes one ValueError."""
     from PIL import Image
 
     try:
@@ -84,7 +97,7 @@ def _opened(path):
         raise ValueError(f"image {str(path)!r} cannot be read: {_one_line(error)}") from error
 
 
-def _read_pixels(path) -> np.ndarray:
+def _read_pixels(path: pathlib.Path) -> np.ndarray:
     """(h, w, c) uint8 or uint16."""
     with _opened(path) as picture:
         if picture.format == "PNG" and _png_depth(path) == 16:
@@ -96,17 +109,18 @@ def _read_pixels(path) -> np.ndarray:
             picture = picture.convert("RGB")
         pixels = np.asarray(picture)
         if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
-            raise ValueError(f"it must hold 8 or 16 bits a channel, got {pixels.dtype} {pixels.shape}")
+            raise ValueError(f"it must hold 8 or 16 bits per channel, got {pixels.dtype} {pixels.shape}")
         return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
-def _png_depth(path) -> int:
+def _png_depth(path: pathlib.Path) -> int:
+    """Bits per channel."""
     with open(path, "rb") as file:
         return file.read(25)[24]
 
 
-def _read_deep_png(path) -> np.ndarray:
-    """A PNG of 16 bits a channel; Pillow would cut colour to 8."""
+def _read_deep_png(path: pathlib.Path) -> np.ndarray:
+    """A PNG of 16 bits per channel; Pillow would cut colour to 8."""
     import av
 
     with av.open(str(path), format="png_pipe") as file:
@@ -117,12 +131,22 @@ def _read_deep_png(path) -> np.ndarray:
         return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
-def write_png(path, image) -> None:
-    """Write (h, w), (h, w, 3) or (h, w, 4) values in [0, 1], or uint8, as PNG; whole or not at all.
+def _one_line(error: Exception) -> str:
+    """The first line of an error's message, or its name."""
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
 
-    Raises ValueError for another shape or another ending than .png.
+
+def write_png(path: str | os.PathLike, image: ArrayLike) -> None:
+    """Write a PNG file, whole or not at all.
+
+    Args:
+        path: The file; it must end in .png.
+        image: (h, w), (h, w, 3) or (h, w, 4), values in [0, 1] or uint8.
+
+    Raises:
+        ValueError: For another shape or ending.
     """
-    path = _path_with_ending(path, ".png")
+    path = path_with_ending(path, ".png")
     pixels = to_uint8(image)
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
         pixels = pixels[..., 0]
@@ -132,97 +156,78 @@ def write_png(path, image) -> None:
         iio.imwrite(temporary, pixels, extension=".png")
 
 
-def side_by_side(images, *, gap: int = 4, background=1.0) -> np.ndarray:
-    """Images of one height in a row, (h, w, 3) float32 each or grey (h, w); `gap` pixels of `background` between."""
-    images = list(images)
-    return contact_sheet(images, columns=max(1, len(images)), gap=gap, background=background)
+def path_with_ending(path: str | os.PathLike, ending: str) -> pathlib.Path:
+    """The path of a file to write, once its ending is checked.
 
+    Args:
+        path: The file.
+        ending: What it must end in, in capitals or not.
 
-def contact_sheet(images, *, columns: int | None = None, gap: int = 4, background=1.0) -> np.ndarray:
-    """Images row by row on a sheet, (h, w, 3) float32.
+    Returns:
+        The path.
 
-    images: values in [0, 1] or uint8, (h, w) grey or (h, w, 3), all of one size; columns: images a row (default: near
-    square); gap: pixels between them; background: a grey value or (3,) colour of gaps and empty places.
-    Raises ValueError for no images or images of several sizes.
+    Raises:
+        ValueError: For another ending.
     """
-    images = [_as_rgb(image) for image in images]
-    if not images:
-        raise ValueError("a sheet needs at least one image")
-    if len({image.shape for image in images}) > 1:
-        raise ValueError(f"images of a sheet must have one size, got {sorted({i.shape[:2] for i in images})}")
-    columns = math.ceil(math.sqrt(len(images))) if columns is None else columns
-    if columns < 1 or gap < 0:
-        raise ValueError(f"a sheet needs columns >= 1 and gap >= 0, got {columns} and {gap}")
-    rows = math.ceil(len(images) / columns)
-    height, width = images[0].shape[:2]
-    sheet = np.empty((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), np.float32)
-    sheet[...] = background
-    for index, image in enumerate(images):
-        row, column = divmod(index, columns)
-        y, x = row * (height + gap), column * (width + gap)
-        sheet[y : y + height, x : x + width] = image
-    return sheet
-
-
-def disparity_range(disparity, *, percentiles=(2.0, 98.0)) -> tuple[float, float]:
-    """A scale for `colour_disparity` that a few wild pixels do not spoil: percentiles of what is seen (values > 0)."""
-    disparity = np.asarray(disparity, np.float32)
-    seen = disparity[np.isfinite(disparity) & (disparity > 0)]
-    if seen.size == 0:
-        return 0.0, 1.0
-    low, high = (float(value) for value in np.percentile(seen, percentiles))
-    # what is farthest should still differ from nothing at all
-    return low - 0.15 * (high - low), high
-
-
-def colour_disparity(disparity, *, alpha=None, scale: tuple[float, float] | None = None) -> np.ndarray:
-    """Disparity (h, w) in colour, (h, w, 3) float32: near is light, far is dark, nothing seen is black.
-
-    alpha: (h, w) opacity in [0, 1], fades what is hardly there (a frame has a depth for the faintest haze).
-    scale: (low, high) of the colours; None takes `disparity_range` of this image (give one scale to a whole video).
-    Values outside the scale take its end colours. Raises ValueError for another shape or a scale without extent.
-    """
-    disparity = np.asarray(disparity, np.float32)
-    if disparity.ndim != 2:
-        raise ValueError(f"disparity must be (h, w), got {disparity.shape}")
-    if alpha is not None and np.shape(alpha) != disparity.shape:
-        raise ValueError(f"alpha must be {disparity.shape} as the disparity, got {np.shape(alpha)}")
-    low, high = disparity_range(disparity) if scale is None else scale
-    if not (np.isfinite([low, high]).all() and high >= low):
-        raise ValueError(f"a disparity scale needs finite low <= high, got {low} and {high}")
-    seen = np.isfinite(disparity) & (disparity > 0)
-    level = np.clip((np.where(seen, disparity, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
-    place = level * (len(_WARM) - 1)
-    colour = np.stack([np.interp(place, np.arange(len(_WARM)), channel) for channel in _WARM.T], axis=-1)
-    share = seen if alpha is None else seen * np.asarray(alpha, np.float32)
-    return (share[..., None] * colour).astype(np.float32)
-
-
-def _as_rgb(image) -> np.ndarray:
-    """(h, w) or (h, w, 3) as (h, w, 3) float32 in [0, 1]."""
-    image = np.asarray(image)
-    scale = np.float32(255.0) if image.dtype == np.uint8 else np.float32(1.0)
-    image = image.astype(np.float32) / scale
-    if image.ndim == 2:
-        image = np.repeat(image[..., None], 3, axis=-1)
-    if image.ndim != 3 or image.shape[-1] != 3 or 0 in image.shape:
-        raise ValueError(f"an image must be (h, w) or (h, w, 3), got {image.shape}")
-    return image
-
-
-def _path_with_ending(path, ending: str) -> pathlib.Path:
     path = pathlib.Path(path)
     if path.suffix.lower() != ending:
         raise ValueError(f"{str(path)!r} must end in {ending}")
     return path
 
 
-def _one_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+def to_uint8(image: ArrayLike) -> np.ndarray:
+    """An image in bytes, rounded and clipped.
+
+    Args:
+        image: Values in [0, 1], or uint8, of any shape.
+
+    Returns:
+        uint8 of the same shape; the same array for uint8.
+
+    Raises:
+        ValueError: For values that are not finite.
+    """
+    pixels = np.asarray(image)
+    if pixels.dtype == np.uint8:
+        return pixels
+    if not np.isfinite(pixels).all():
+        raise ValueError("an image holds values that are not finite")
+    return np.round(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def as_rgb(image: ArrayLike) -> np.ndarray:
+    """A grey or coloured image in colour.
+
+    Args:
+        image: (h, w) or (h, w, 3), values in [0, 1] or uint8.
+
+    Returns:
+        (h, w, 3) float32 in [0, 1].
+
+    Raises:
+        ValueError: For another shape.
+    """
+    given = np.asarray(image)
+    scale = np.float32(255.0) if given.dtype == np.uint8 else np.float32(1.0)
+    pixels = given.astype(np.float32) / scale
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[..., None], 3, axis=-1)
+    if pixels.ndim != 3 or pixels.shape[-1] != 3 or 0 in pixels.shape:
+        raise ValueError(f"an image must be (h, w) or (h, w, 3), got {pixels.shape}")
+    return pixels
 
 
 def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
-    """Area average of an (h, w, c) float image over factor x factor pixels (about, where that leaves a remainder)."""
+    """A smaller image by area averages.
+
+    Args:
+        premultiplied: (h, w, c) float, colour times opacity.
+        factor: Pixels along each side of the squares that are averaged. Where that leaves a remainder they are a little
+            larger or smaller.
+
+    Returns:
+        The image; the same one for 1.
+    """
     if factor == 1:
         return premultiplied
     height, width = premultiplied.shape[:2]
@@ -233,3 +238,110 @@ def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
 
     size = (max(1, round(height / factor)), max(1, round(width / factor)))
     return resize_local_mean(premultiplied, size, channel_axis=-1, preserve_range=True)
+
+
+def side_by_side(images: Iterable[ArrayLike], *, gap: int = 4, background: ArrayLike = 1.0) -> np.ndarray:
+    """Images in a row.
+
+    Args:
+        images: (h, w) grey or (h, w, 3), all of one size, values in [0, 1] or uint8.
+        gap: Pixels between them.
+        background: Grey value or (3,) colour of the gaps.
+
+    Returns:
+        (h, w, 3) float32.
+
+    Raises:
+        ValueError: For no images, or images of several sizes.
+    """
+    row = list(images)
+    return contact_sheet(row, columns=max(1, len(row)), gap=gap, background=background)
+
+
+def contact_sheet(
+    images: Iterable[ArrayLike], *, columns: int | None = None, gap: int = 4, background: ArrayLike = 1.0
+) -> np.ndarray:
+    """Images row by row on a sheet.
+
+    Args:
+        images: (h, w) grey or (h, w, 3), all of one size, values in [0, 1] or uint8.
+        columns: Images per row. None makes as many rows as columns, or one less.
+        gap: Pixels between them.
+        background: Grey value or (3,) colour of gaps and empty places.
+
+    Returns:
+        (h, w, 3) float32.
+
+    Raises:
+        ValueError: For no images, or images of several sizes.
+    """
+    pictures = [as_rgb(image) for image in images]
+    if not pictures:
+        raise ValueError("a sheet needs at least one image")
+    if len({picture.shape for picture in pictures}) > 1:
+        raise ValueError(f"images of a sheet must have one size, got {sorted({p.shape[:2] for p in pictures})}")
+    columns = math.ceil(math.sqrt(len(pictures))) if columns is None else columns
+    if columns < 1 or gap < 0:
+        raise ValueError(f"a sheet needs columns >= 1 and gap >= 0, got {columns} and {gap}")
+    rows = math.ceil(len(pictures) / columns)
+    height, width = pictures[0].shape[:2]
+    sheet = np.empty((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), np.float32)
+    sheet[...] = background
+    for index, picture in enumerate(pictures):
+        row, column = divmod(index, columns)
+        y, x = row * (height + gap), column * (width + gap)
+        sheet[y : y + height, x : x + width] = picture
+    return sheet
+
+
+def disparity_range(disparity: ArrayLike, *, percentiles: tuple[float, float] = (2.0, 98.0)) -> tuple[float, float]:
+    """A scale for `colour_disparity` that a few outliers do not spoil.
+
+    Args:
+        disparity: Disparities of any shape, 0 where nothing is seen.
+        percentiles: Of what is seen, the ends of the scale.
+
+    Returns:
+        Low and high end; 0 and 1 where nothing is seen.
+    """
+    values = np.asarray(disparity, np.float32)
+    seen = values[np.isfinite(values) & (values > 0)]
+    if seen.size == 0:
+        return 0.0, 1.0
+    low, high = (float(value) for value in np.percentile(seen, percentiles))
+    # what is farthest should still differ from nothing at all
+    return low - FAR_ROOM * (high - low), high
+
+
+def colour_disparity(
+    disparity: ArrayLike, *, alpha: ArrayLike | None = None, scale: tuple[float, float] | None = None
+) -> np.ndarray:
+    """Disparity in colour: near is light, far is dark, nothing seen is black.
+
+    Args:
+        disparity: (h, w) float, 0 where nothing is seen.
+        alpha: (h, w) opacity in [0, 1], which fades what is hardly there: a frame has a depth for the faintest haze.
+            None fades nothing.
+        scale: Disparities of the darkest and the lightest colour, which values beyond take too. None is
+            `disparity_range` of this image; give one scale to a whole video.
+
+    Returns:
+        (h, w, 3) float32 in [0, 1].
+
+    Raises:
+        ValueError: For another shape or a scale without extent.
+    """
+    values = np.asarray(disparity, np.float32)
+    if values.ndim != 2:
+        raise ValueError(f"disparity must be (h, w), got {values.shape}")
+    if alpha is not None and np.shape(alpha) != values.shape:
+        raise ValueError(f"alpha must be {values.shape} as the disparity, got {np.shape(alpha)}")
+    low, high = disparity_range(values) if scale is None else scale
+    if not (np.isfinite([low, high]).all() and high >= low):
+        raise ValueError(f"a disparity scale needs finite low <= high, got {low} and {high}")
+    seen = np.isfinite(values) & (values > 0)
+    level = np.clip((np.where(seen, values, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
+    place = level * (len(_WARM) - 1)
+    colour = np.stack([np.interp(place, np.arange(len(_WARM)), channel) for channel in _WARM.T], axis=-1)
+    share = seen if alpha is None else seen * np.asarray(alpha, np.float32)
+    return (share[..., None] * colour).astype(np.float32)

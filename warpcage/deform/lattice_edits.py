@@ -1,0 +1,310 @@
+"""Edits whose maps and signed distances are looked up on lattices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..cage.cage import Cage
+from ..core.arrays import empty_array
+from ..core.devices import launch, load_modules
+from ..kernels.deform import cells as cell_tables
+from ..kernels.deform import points, render, render_single
+from ..kernels.deform.edits import LatticeEdit
+from ..kernels.field import skip as grid_skip
+from ..kernels.lattice import (
+    closed_form,
+    corrections,
+    crossings,
+    cut_rows,
+    distance,
+    gap_sides,
+    harmonic,
+    harmonic_coarse,
+    narrow_gaps,
+    nodes,
+    rings,
+    side_values,
+)
+from ..kernels.lattice.cage_map import CageMap
+from ..kernels.mesh import fans
+from ..lattice.lattice import CageLattice
+from ..lattice.position_map import PositionMap
+from ..mesh.containment import SURFACE_TOLERANCE
+from .edits import CageEdit, PosedEdits
+
+#: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
+#: the trilinear signed distance errs by up to half a cell at corners.
+LATTICE_SLACK = 0.5
+
+#: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
+POSE_MODULES = (crossings, distance, nodes, rings, narrow_gaps, gap_sides, side_values, cell_tables, grid_skip)
+SOLVER_MODULES = {
+    "harmonic": (harmonic, harmonic_coarse, cut_rows),
+    "mean_value": (closed_form, fans, cut_rows, corrections),
+    "green": (closed_form, fans),
+}
+
+
+def load_pose_modules(coordinates: str, others: Sequence[ModuleType], device: wp.Device) -> None:
+    """Compile and load the kernels of a pose side by side, with others.
+
+    Args:
+        coordinates: Kind of coordinates.
+        others: Modules that frames need beside them.
+        device: Warp device.
+    """
+    load_modules([*POSE_MODULES, *SOLVER_MODULES[coordinates], *others], device)
+
+
+class LatticeEdits(PosedEdits):
+    """Edits on lattices, for the kernel of one edit or that of several.
+
+    Args:
+        edits: The edits in their order.
+        coordinates: Kind of coordinates.
+        resolution: Cells of each lattice along the longest side of its cage.
+        origin: (3,) world point that positions on the device are relative to.
+        device: Warp device.
+        store: "map" or "weights", as Deformer has it.
+
+    Attributes:
+        lattices: The EditLattices that hold the maps.
+    """
+
+    def __init__(
+        self,
+        edits: list[CageEdit],
+        coordinates: str,
+        resolution: int,
+        origin: ArrayLike,
+        device: wp.Device,
+        store: str = "map",
+    ):
+        self._device, self._is_single = device, len(edits) == 1
+        super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
+        load_pose_modules(coordinates, [render_single if self._is_single else render], device)
+        self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store)
+        self._look: wp.array | None = None
+
+    def pose(self, cages: Sequence[Cage | None]) -> None:
+        self.lattices.pose(cages)
+        self.array, self.scene = self.lattices.array, None
+
+    def prepare(self, grid: Any, step: float) -> None:
+        if self.lattices.mark_empty(grid, step) or self.scene is None:
+            self.scene = self.single_edit() if self._is_single else self.array
+
+    def single_edit(self) -> Any:
+        """The one edit of a scene as its own kernel takes it: a SingleEdit of kernels/deform/render_single.py."""
+        ((edit, skip),) = self.lattices.posed()
+        node_count = edit.deformed.distance.size
+        if self._look is None or self._look.size != node_count:
+            self._look = wp.zeros(node_count, dtype=wp.uint8, device=self._device)
+        return flat_edit(edit, skip, self._look)
+
+
+def flat_edit(edit: Any, skip: wp.array, look: wp.array) -> Any:
+    """A LatticeEdit with flat arrays.
+
+    Args:
+        edit: The posed LatticeEdit.
+        skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
+        look: (nodes,) uint8 array to fill: what a sample reads of the cell above each node.
+
+    Returns:
+        A SingleEdit of kernels/deform/render_single.py.
+    """
+    single = render_single.SingleEdit()
+    single.lower, single.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
+    single.node_counts = wp.vec3i(*edit.deformed.distance.shape)
+    single.distance = edit.deformed.distance.flatten()
+    if not edit.removes:
+        single.positions = edit.deformed.positions.flatten()
+    single.look, single.rest = look, edit.rest
+    side_index = edit.deformed.side_index
+    single.has_sides = int(side_index is not None and side_index.size > 0)
+    if single.has_sides:
+        single.side_index, single.sides = side_index, edit.deformed.sides
+    single.tolerance, single.slack = edit.tolerance, edit.slack
+    single.keeps_source, single.removes = edit.keeps_source, edit.removes
+    launch(
+        render_single.join_cell_tables,
+        edit.cells.size,
+        [edit.cells, skip, single.node_counts],
+        [look],
+        device=look.device,
+    )
+    return single
+
+
+class EditLattices:
+    """The maps and signed distances of edits on lattices, and tables of what whole cells of them say.
+
+    Args:
+        edits: The edits in their order.
+        coordinates: Kind of coordinates.
+        resolution: Cells of each lattice along the longest side of its cage.
+        origin: (3,) world point that positions on the device are relative to.
+        device: Warp device.
+        store: "map" or "weights", as Deformer has it.
+
+    Attributes:
+        rests: A CageLattice of each rest cage.
+        maps: A PositionMap of each edit, None for an edit that removes.
+        skips: For each edit (nx-1, ny-1, nz-1) uint8, how far a cell is from the nearest that may hold anything.
+        array: (edits,) LatticeEdit, once posed.
+    """
+
+    def __init__(
+        self,
+        edits: list[CageEdit],
+        coordinates: str,
+        resolution: int,
+        origin: ArrayLike,
+        device: wp.Device,
+        store: str = "map",
+    ):
+        self._edits, self._device = edits, device
+        self.rests = [CageLattice(edit.cage, resolution, origin=origin, device=device).measure() for edit in edits]
+        options: dict[str, Any] = {
+            "coordinates": coordinates,
+            "resolution": resolution,
+            "origin": origin,
+            "device": device,
+            "store": store,
+        }
+        self.maps = [None if edit.remove else PositionMap(edit.cage, **options) for edit in edits]
+        self.skips: list[wp.array] = []
+        self._cells: list[wp.array] = []
+        self._structs: list[Any] = []
+        self.array: wp.array | None = None
+        self._marked_step = 0.0
+
+    def pose(self, cages: Sequence[Cage | None]) -> None:
+        """Compute the maps.
+
+        Args:
+            cages: The deformed cages in the order of the edits, None for an edit that removes.
+        """
+        self._structs = [
+            posed_struct(edit, rest, None if position_map is None else position_map.pose(cage).data, cage)
+            for edit, rest, position_map, cage in zip(self._edits, self.rests, self.maps, cages, strict=True)
+        ]
+        shapes = [cell_shape(struct.deformed) for struct in self._structs]
+        self._cells = cell_buffers(self._cells, shapes, self._device)
+        self.skips = cell_buffers(self.skips, shapes, self._device)
+        for struct, cells, skip in zip(self._structs, self._cells, self.skips, strict=True):
+            struct.cells, struct.skip = cells, skip
+        self.settle_cells()
+
+    def settle_cells(self) -> None:
+        """Make the tables of the posed maps anew, of what holds for whole cells."""
+        for struct in self._structs:
+            launch(cell_tables.mark_edit_cases, struct.cells.size, [struct], [struct.cells], device=self._device)
+        # the structs stay, as they own what the array on the device points to
+        self.array = wp.array(self._structs, dtype=LatticeEdit, device=self._device)
+        self._marked_step = 0.0
+
+    def mark_empty(self, grid: Any, step: float) -> bool:
+        """Find the cells that a march through the deformed grid may skip.
+
+        Args:
+            grid: VoxelGrid of the field.
+            step: March step, world units.
+
+        Returns:
+            Whether they were looked for: not again for the same pose and no longer step.
+        """
+        if step <= self._marked_step:
+            return False
+        for index, skip in enumerate(self.skips):  # in order: each looks at the ones before it
+            marks = wp.empty_like(skip)
+            inputs = [grid, self.array, index, step]
+            launch(cell_tables.mark_edit_cells, skip.size, inputs, [marks], device=self._device)
+            source, target = marks, skip
+            for axis in range(3):
+                launch(grid_skip.spread_distance, skip.size, [axis, source], [target], device=self._device)
+                source, target = target, source
+        self._marked_step = step
+        return True
+
+    def rest_maps(self) -> list[Any]:
+        """A CageMap of each rest cage, which holds signed distances only."""
+        return [distance_map(rest) for rest in self.rests]
+
+    def posed(self) -> list[tuple[Any, wp.array]]:
+        """The LatticeEdit of each posed edit, and the array in which `mark_empty` leaves what may be skipped."""
+        return list(zip(self._structs, self.skips, strict=True))
+
+
+def posed_struct(edit: CageEdit, rest: CageLattice, deformed: Any, cage: Cage | None) -> Any:
+    """An edit for kernels, without its tables of cells.
+
+    Args:
+        edit: The edit.
+        rest: Lattice of its rest cage.
+        deformed: CageMap of its posed cage. None for an edit that removes.
+        cage: The posed cage. None for an edit that removes.
+
+    Returns:
+        A LatticeEdit of kernels/deform/edits.py.
+    """
+    struct = LatticeEdit()
+    struct.rest = distance_map(rest)
+    struct.deformed = struct.rest if deformed is None else deformed
+    struct.tolerance = SURFACE_TOLERANCE * (edit.cage if cage is None else cage).size
+    struct.slack = LATTICE_SLACK * rest.spacing
+    struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
+    return struct
+
+
+def distance_map(lattice: CageLattice) -> Any:
+    """A map that holds distances only.
+
+    Args:
+        lattice: Lattice of a cage.
+
+    Returns:
+        A CageMap of kernels/lattice/cage_map.py.
+    """
+    data = CageMap()
+    data.lower = lattice.local_lower
+    data.spacing = lattice.spacing
+    data.inverse_spacing = 1.0 / lattice.spacing
+    data.distance = lattice.distance
+    return data
+
+
+def cell_shape(cage_map: Any) -> tuple[int, ...]:
+    """Number of cells of a map along each axis.
+
+    Args:
+        cage_map: A CageMap.
+
+    Returns:
+        (3,) counts.
+    """
+    return tuple(side - 1 for side in cage_map.distance.shape)
+
+
+def cell_buffers(held: list[wp.array], shapes: list[tuple[int, ...]], device: wp.Device) -> list[wp.array]:
+    """One byte for each cell of several lattices.
+
+    Args:
+        held: The arrays of the last pose, or none; those that fit are used again.
+        shapes: Cells of each lattice along each axis.
+        device: Warp device.
+
+    Returns:
+        A uint8 array of each shape.
+    """
+    last = [*held, *[None] * (len(shapes) - len(held))]
+    return [
+        array if array is not None and array.shape == shape else empty_array(shape, wp.uint8, device)
+        for array, shape in zip(last, shapes, strict=True)
+    ]

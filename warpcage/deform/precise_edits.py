@@ -1,0 +1,145 @@
+"""Edits whose closed-form coordinates are evaluated at every sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..cage.cage import Cage
+from ..coordinates.deform import stretched_normals
+from ..core.arrays import empty_array
+from ..core.devices import launch
+from ..kernels.deform import points_precise, render_precise, settled_cells
+from ..kernels.deform.edits import CellTable, ClosedFormEdit
+from ..mesh.containment import SURFACE_TOLERANCE
+from ..mesh.fans import prepared_fans
+from .edits import CageEdit, PosedEdits
+from .lattice_edits import EditLattices, cell_shape, load_pose_modules
+
+#: How far the map may lead out of the rest cage before a sample counts as outside, as a share of the cage's size:
+#: float32 evaluates the maps to about 1e-5.
+CLOSED_FORM_SLACK = 1e-4
+
+#: Cells, along the longest side of a cage, of the lattice that tells the closed forms what they can leave out; and how
+#: much larger than a cell the box is that must show nothing, in cells.
+GUIDE_RESOLUTION, GUIDE_MARGIN = 96, 0.5
+
+
+class ClosedFormEdits(PosedEdits):
+    """Edits whose mean value or Green coordinates are evaluated at every sample ("precise").
+
+    A lattice map of the same coordinates finds the cells where that can be left out: those that are clear of a cage,
+    and those that show nothing.
+
+    Args:
+        edits: The edits in their order.
+        coordinates: "mean_value" or "green".
+        origin: (3,) world point that positions on the device are relative to.
+        device: Warp device.
+
+    Attributes:
+        guide: The EditLattices that find those cells.
+    """
+
+    def __init__(self, edits: list[CageEdit], coordinates: str, origin: np.ndarray, device: wp.Device):
+        super().__init__(points_precise.map_points_precisely, render_precise.render_precisely)
+        self._edits, self._origin, self._device = edits, origin, device
+        self._is_green = coordinates == "green"
+        load_pose_modules(coordinates, [render_precise, settled_cells], device)
+        self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device)
+        self._rest_cells = [
+            settled_rest_cells(rest, CLOSED_FORM_SLACK * edit.cage.size, device)
+            for edit, rest in zip(edits, self.guide.rest_maps(), strict=True)
+        ]
+        self._structs: list[Any] = []
+
+    def pose(self, cages: Sequence[Cage | None]) -> None:
+        self.guide.pose(cages)
+        self._structs = [
+            self._struct(edit, cage, rest_cells, settled_deformed_cells(guide, skip, self._device))
+            for edit, cage, rest_cells, (guide, skip) in zip(
+                self._edits, cages, self._rest_cells, self.guide.posed(), strict=True
+            )
+        ]
+        self.array = self.scene = wp.array(self._structs, dtype=ClosedFormEdit, device=self._device)
+
+    def prepare(self, grid: Any, step: float) -> None:
+        # half a cell larger, as the lattice's map is only near the exact one
+        margin = GUIDE_MARGIN * max(guide.deformed.spacing for guide, _ in self.guide.posed())
+        self.guide.mark_empty(grid, step + margin)
+
+    def _struct(self, edit: CageEdit, cage: Cage | None, rest_cells: Any, deformed_cells: Any) -> Any:
+        """An edit for kernels, with the tables of its cells. cage: None for an edit that removes."""
+        rest, fans = edit.cage, edit.cage.topology.fans
+        deformed = rest if cage is None else cage
+        struct = ClosedFormEdit()
+        struct.deformed_vertices = self._local(deformed.vertices)
+        struct.rest_vertices = self._local(rest.vertices)
+        struct.faces = wp.array(fans.faces, dtype=wp.vec3i, device=self._device)
+        struct.fans = prepared_fans(struct.deformed_vertices, struct.faces, deformed.size)
+        if self._is_green:
+            normals = stretched_normals(deformed, rest)[fans.order].astype(np.float32)
+            struct.rest_normals = wp.array(normals, dtype=wp.vec3, device=self._device)
+        struct.size = deformed.size
+        struct.tolerance = SURFACE_TOLERANCE * deformed.size
+        struct.slack = CLOSED_FORM_SLACK * rest.size
+        struct.deformed_cells, struct.rest_cells = deformed_cells, rest_cells
+        struct.is_green = int(self._is_green)
+        struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
+        return struct
+
+    def _local(self, vertices: np.ndarray) -> wp.array:
+        """(v,) vec3 on the device, relative to the origin."""
+        return wp.array((vertices - self._origin).astype(np.float32), dtype=wp.vec3, device=self._device)
+
+
+def settled_rest_cells(rest: Any, slack: float, device: wp.Device) -> Any:
+    """Where all of a cell lies on one side of a rest cage.
+
+    Args:
+        rest: CageMap of the rest cage.
+        slack: Outside means farther than this from the cage, world units.
+        device: Warp device.
+
+    Returns:
+        A CellTable of kernels/deform/edits.py.
+    """
+    table = cell_table(rest, device)
+    launch(settled_cells.settle_rest_cells, table.flags.size, [rest, slack], [table.flags], device=device)
+    return table
+
+
+def settled_deformed_cells(guide: Any, skip: wp.array, device: wp.Device) -> Any:
+    """What holds for whole cells over a deformed cage.
+
+    Args:
+        guide: The posed LatticeEdit.
+        skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
+        device: Warp device.
+
+    Returns:
+        A CellTable of kernels/deform/edits.py.
+    """
+    table = cell_table(guide.deformed, device)
+    table.skip = skip
+    launch(settled_cells.settle_deformed_cells, skip.size, [guide], [table.flags], device=device)
+    return table
+
+
+def cell_table(cage_map: Any, device: wp.Device) -> Any:
+    """A table over the cells of a map, its flags not set yet.
+
+    Args:
+        cage_map: A CageMap.
+        device: Warp device.
+
+    Returns:
+        A CellTable of kernels/deform/edits.py.
+    """
+    table = CellTable()
+    table.lower, table.spacing = cage_map.lower, cage_map.spacing
+    table.flags = empty_array(cell_shape(cage_map), wp.uint8, device)
+    return table

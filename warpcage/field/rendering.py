@@ -1,0 +1,59 @@
+"""What all renderers of a field share: the arrays of a picture, its background, and several rays per pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..core.arrays import empty_array
+from ..view.camera import Camera, camera_struct, tile_threads
+from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera
+from .background import LayeredBackground
+
+#: A march ends where less than this share of the light is left.
+STOP_TRANSMITTANCE = 1e-3
+
+#: Launches a kernel that marches the rays of a picture. It gets the number of threads, the PinholeCamera, the colour
+#: behind the picture and the arrays to fill, (h * w,) each, by the names of a Frame's parts and masks.
+March = Callable[[int, Any, wp.vec3, dict[str, wp.array]], None]
+
+
+def render_frame(
+    march: March,
+    camera: Camera,
+    *,
+    origin: ArrayLike,
+    colour: np.ndarray,
+    layers: LayeredBackground | None,
+    supersampling: int,
+    device: wp.Device,
+    masks: Sequence[str] = (),
+) -> Frame:
+    """The view of a camera, by any march.
+
+    Args:
+        march: Fills the arrays of the picture.
+        camera: The camera.
+        origin: (3,) world point that the kernel's positions are relative to.
+        colour: (3,) float32 colour behind everything.
+        layers: Background layers that are put behind the picture, which then must be on black. None is none.
+        supersampling: Rays along each side of a pixel.
+        device: Warp device of the arrays.
+        masks: Names of the masks that the march fills beside colour, opacity and depth.
+
+    Returns:
+        The frame, its arrays on the device.
+    """
+    fine = finer_camera(camera, supersampling)
+    count = fine.width * fine.height
+    arrays = {
+        name: empty_array(count, wp.vec3 if name == "rgb" else wp.float32, device) for name in (*PART_NAMES, *masks)
+    }
+    march(tile_threads(fine), camera_struct(fine, origin), wp.vec3(*map(float, colour)), arrays)
+    if layers is not None:
+        layers.add_behind(fine, arrays["rgb"], arrays["alpha"])
+    return average_frame(Frame(fine.width, fine.height, **arrays), supersampling)

@@ -1,0 +1,207 @@
+"""Motion: how cages and cameras go from keyframe to keyframe."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..mesh.closed_mesh import ClosedMesh
+from .camera import Camera
+
+#: How a film goes through its keyframes: there and back, there, or at the last one throughout.
+MOTIONS = ("swing", "once", "hold")
+
+#: How it goes from one keyframe to the next.
+INTERPOLATIONS = ("smooth", "linear")
+
+#: A cage of any class that has `vertices` and `with_vertices`.
+Mesh = TypeVar("Mesh", bound=ClosedMesh)
+
+
+def pose_weights(count: int, motion: str = "swing") -> np.ndarray:
+    """Weights of one pose in the frames of a film, gentle at both ends.
+
+    Args:
+        count: Number of frames.
+        motion: "swing" goes from rest to the pose and back, so that the film loops without a repeated frame; "once"
+            from rest to the pose; "hold" is the pose throughout.
+
+    Returns:
+        (count,) float64 in [0, 1].
+
+    Raises:
+        ValueError: For no frames or another motion.
+    """
+    return frame_places(count, 2, motion)
+
+
+def frame_places(count: int, keyframe_count: int, motion: str = "swing", interpolation: str = "smooth") -> np.ndarray:
+    """Places of a film's frames among keyframes.
+
+    Args:
+        count: Number of frames.
+        keyframe_count: Number of keyframes.
+        motion: "swing" goes there and back, "once" there, "hold" is at the last keyframe throughout.
+        interpolation: "linear" goes at one speed, "smooth" sets out and arrives gently.
+
+    Returns:
+        (count,) float64, 0 for the first keyframe and keyframe_count - 1 for the last.
+
+    Raises:
+        ValueError: For no frames or keyframes, or another name.
+    """
+    if count < 1 or keyframe_count < 1:
+        raise ValueError(f"a film needs at least one frame and one keyframe, got {count} and {keyframe_count}")
+    if motion not in MOTIONS:
+        raise ValueError(f"motion {motion!r} is not known: {', '.join(MOTIONS)}")
+    _check_interpolation(interpolation)
+    if motion == "hold":
+        return np.full(count, keyframe_count - 1.0)
+    phase = np.arange(count) / count if motion == "swing" else 0.5 * np.arange(count) / max(1, count - 1)
+    # phase 0 is the first keyframe, 1/2 the last
+    weights = 0.5 - 0.5 * np.cos(2 * np.pi * phase) if interpolation == "smooth" else 1.0 - np.abs(1.0 - 2.0 * phase)
+    return weights * (keyframe_count - 1)
+
+
+def keyframe_weights(place: float, keyframe_count: int, interpolation: str = "smooth") -> np.ndarray:
+    """Weights by which keyframes make up the state at a place among them.
+
+    Args:
+        place: 0 for the first keyframe to keyframe_count - 1 for the last.
+        keyframe_count: Number of keyframes.
+        interpolation: "linear" joins keyframes by straight lines, "smooth" by cubics whose speed does not jump at
+            keyframes (Catmull and Rom 1974; straight at both ends).
+
+    Returns:
+        (keyframe_count,) float64 of sum 1.
+
+    Raises:
+        ValueError: For a place beyond the keyframes, or another name.
+    """
+    _check_interpolation(interpolation)
+    if not 0 <= place <= keyframe_count - 1:
+        raise ValueError(f"a place among {keyframe_count} keyframes must be 0 to {keyframe_count - 1}, got {place}")
+    weights = np.zeros(keyframe_count)
+    if keyframe_count == 1:
+        return np.ones(1)
+    begin = min(int(place), keyframe_count - 2)
+    f = place - begin
+    weights[begin], weights[begin + 1] = 1 - f, f
+    if interpolation == "smooth" and keyframe_count > 2:
+        # Hermite form; what is added to the straight line, for tangents m_i = (p_(i+1) - p_(i-1)) / 2
+        value_begin, value_end = 2 * f**3 - 3 * f**2 + 1, 3 * f**2 - 2 * f**3
+        weights[begin], weights[begin + 1] = value_begin, value_end
+        for index, share in ((begin, f**3 - 2 * f**2 + f), (begin + 1, f**3 - f**2)):
+            after, before = min(index + 1, keyframe_count - 1), max(index - 1, 0)
+            weights[after] += share / (after - before)
+            weights[before] -= share / (after - before)
+    return weights
+
+
+def pose_between(rest: Mesh, posed: Mesh, weight: float) -> Mesh:
+    """The cage on the straight way from one to another.
+
+    Args:
+        rest: The cage at weight 0.
+        posed: The cage at weight 1, of the same faces.
+        weight: Share of the way.
+
+    Returns:
+        `rest` with the vertices moved.
+    """
+    return rest.with_vertices((1.0 - weight) * rest.vertices + weight * posed.vertices)
+
+
+def pose_along(keyframes: Sequence[Mesh], place: float, interpolation: str = "smooth") -> Mesh:
+    """The cage at a place among keyframes.
+
+    Args:
+        keyframes: Cages of the same faces.
+        place: 0 for the first keyframe to len(keyframes) - 1 for the last.
+        interpolation: As for `keyframe_weights`.
+
+    Returns:
+        The first cage with the vertices moved.
+
+    Raises:
+        ValueError: For a place beyond the keyframes, or another interpolation.
+    """
+    weights = keyframe_weights(place, len(keyframes), interpolation)
+    vertices = sum(weight * cage.vertices for weight, cage in zip(weights, keyframes, strict=True))
+    return keyframes[0].with_vertices(vertices)
+
+
+def cameras_along(cameras: Sequence[Camera], count: int, interpolation: str = "smooth") -> list[Camera]:
+    """Cameras on the way through a list of cameras.
+
+    Centres go as keyframes do, rotations by the shortest turn from one to the next.
+
+    Args:
+        cameras: The keyframes, all of one picture size.
+        count: Number of cameras, the first and the last keyframe included.
+        interpolation: As for `keyframe_weights`.
+
+    Returns:
+        `count` cameras.
+
+    Raises:
+        ValueError: For no cameras, pictures of several sizes, or another interpolation.
+    """
+    if not cameras:
+        raise ValueError("a camera path needs at least one camera")
+    sizes = {(camera.width, camera.height) for camera in cameras}
+    if len(sizes) > 1:
+        raise ValueError(f"cameras of a path must have one picture size, got {sorted(sizes)}")
+    return [_camera_at(cameras, place, interpolation) for place in np.linspace(0, len(cameras) - 1, count)]
+
+
+def axis_rotation(axis: ArrayLike, angle: float) -> np.ndarray:
+    """The rotation about an axis (Rodrigues' formula).
+
+    Args:
+        axis: (3,) unit vector.
+        angle: Radians, counterclockwise seen from the tip of the axis.
+
+    Returns:
+        (3, 3) float64.
+    """
+    x, y, z = np.asarray(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _camera_at(cameras: Sequence[Camera], place: float, interpolation: str) -> Camera:
+    weights = keyframe_weights(place, len(cameras), interpolation)
+    begin = min(int(place), max(0, len(cameras) - 2))
+    end = min(begin + 1, len(cameras) - 1)
+    pose = np.eye(4)
+    pose[:3, 3] = sum(weight * camera.centre for weight, camera in zip(weights, cameras, strict=True))
+    pose[:3, :3] = _rotation_between(cameras[begin].rotation, cameras[end].rotation, place - begin)
+    names = ("fx", "fy", "cx", "cy")
+    lens = {name: float(sum(w * getattr(c, name) for w, c in zip(weights, cameras, strict=True))) for name in names}
+    return dataclasses.replace(cameras[begin], camera_to_world=pose, **lens)
+
+
+def _rotation_between(first: np.ndarray, second: np.ndarray, share: float) -> np.ndarray:
+    """Rotation (3, 3) at a share of the shortest turn from `first` to `second`."""
+    turn = first.T @ second
+    cosine = np.clip(0.5 * (np.trace(turn) - 1), -1.0, 1.0)
+    angle = np.arccos(cosine)
+    if angle < 1e-9:
+        return np.array(first)
+    symmetric = 0.5 * (turn + turn.T)
+    if angle > np.pi - 1e-4:  # half a turn: the axis is the eigenvector of the symmetric part
+        axis = np.linalg.eigh(symmetric)[1][:, -1]
+    else:
+        axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        axis /= np.linalg.norm(axis)
+    return first @ axis_rotation(axis, share * angle)
+
+
+def _check_interpolation(interpolation: str) -> None:
+    if interpolation not in INTERPOLATIONS:
+        raise ValueError(f"interpolation {interpolation!r} is not known: {', '.join(INTERPOLATIONS)}")
