@@ -1,18 +1,49 @@
-"""Fixtures: every device present, and the folder of real data where there is one."""
+"""Fixtures: every device present, and the folder of real data where there is one; and how a run uses several cores."""
 
 import os
 import pathlib
 
-import pytest
-import warp as wp
+# Workers of pytest-xdist share the cores: each takes its part of them for kernels on the CPU, and so do the processes
+# that its tests start. Set before warpcage is imported. Tests of threads ask for them by the fixture `two_threads`.
+if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+    share = (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+    os.environ.setdefault("WARPCAGE_THREADS", str(max(1, share)))
+
+import pytest  # noqa: E402
+import warp as wp  # noqa: E402
 
 wp.config.quiet = True
 wp.init()
+
+#: Most workers of a run on a CPU, and beside a GPU, where each of them has a context of its own.
+MOST_WORKERS, MOST_WORKERS_CUDA = 8, 4
+
+#: Files whose tests take longest come first, so that no worker is left with one of them at the end.
+SLOWEST = ("test_examples.py", "test_cage_generation.py", "test_background.py", "test_optimize.py", "test_kernels.py")
+
+
+def pytest_xdist_auto_num_workers(config):
+    return min(os.cpu_count() or 1, MOST_WORKERS_CUDA if wp.is_cuda_available() else MOST_WORKERS)
+
+
+def pytest_collection_modifyitems(items):
+    ranks = {name: rank for rank, name in enumerate(SLOWEST)}
+    items.sort(key=lambda item: ranks.get(item.path.name, len(ranks)))
 
 
 @pytest.fixture(params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])
 def device(request):
     return request.param
+
+
+@pytest.fixture
+def two_threads():
+    """Kernels on the CPU are cut over two threads, and fits have two shards of gradients, whatever this run's workers
+    are given."""
+    from warpcage.core.threads import limit_threads
+
+    with limit_threads(2):
+        yield
 
 
 @pytest.fixture
