@@ -70,3 +70,33 @@ def _from_foreign(array, name: str) -> wp.array:
         return wp.from_dlpack(array) if hasattr(array, "__dlpack__") else wp.array(array, copy=False)
     except Exception as error:
         raise ValueError(f"{name} of type {type(array).__name__} could not be read through DLPack: {error}") from error
+
+
+def array_view(
+    owner: wp.array, dtype, shape: int | tuple[int, ...], *, device=None, offset: int = 0, strides=None
+) -> wp.array:
+    """The memory of an array as an array of another type, shape or device. It keeps its owner alive.
+
+    Warp's own views (slices, `reshape`, `view`) do so as well, where they can say what is wanted.
+
+    Args:
+        owner: The array whose memory it is.
+        dtype: Type of the items of the view.
+        shape: Items along each axis of the view.
+        device: Device that the view is used on: for pinned host memory a CUDA device. None is the owner's.
+        offset: Bytes from the owner's first item to the view's.
+        strides: Bytes from item to item along each axis of the view. None is without gaps.
+
+    Returns:
+        The view. It holds the same memory as `owner`, whose lifetime it extends.
+    """
+    view = wp.array(
+        ptr=owner.ptr + offset,
+        dtype=dtype,
+        shape=shape,
+        strides=strides,
+        device=owner.device if device is None else device,
+        copy=False,
+    )
+    view._ref = owner  # where Warp's own views keep theirs
+    return view
