@@ -25,9 +25,9 @@ import warp as wp
 
 import warpcage
 from warpcage.core.devices import launch
+from warpcage.field.voxel_field import STOP_TRANSMITTANCE
 from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.fitting.memory import array_bytes, device_arrays
-from warpcage.fitting.optimizer import STOP_TRANSMITTANCE, FieldOptimizer
+from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.kernels.reference.sample_count import count_samples
 
 
@@ -179,7 +179,7 @@ def measure_fit(scene, test, device, points: int, options: dict, allocations: Co
         "samples_matter_per_second": round(samples[1] / spent),
         "render_milliseconds": round(1e3 * float(np.median(times)), 3),
         "peak_device_bytes": allocations.peak,
-        "image_bytes": array_bytes(device_arrays(optimizer.pictures)),
+        "image_bytes": optimizer.pictures.held_bytes,
         "image_bits": optimizer.pictures.bits,
         "curve": curve,
     }

@@ -1,1 +1,1 @@
-"""Gradients, optimiser steps and what a fit needs around them."""
+"""Fitting a field: gradients, optimiser steps, visual hulls."""

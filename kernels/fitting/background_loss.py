@@ -1,9 +1,9 @@
 """Gradients of the photometric and total-variation losses by the values of background layers.
 
 A ray's background is C = sum_l w_l c_l, w_l = T_l (1 - exp(-tau_l)); with g = dL/dC, dL/dc_l = w_l g and
-dL/dtau_l = T_{l+1} c_l . g - sum_{j>l} w_j c_j . g: field_loss's hand-written adjoint with layers for samples
-(Plenoxels 2022, section 3.2). Total variation as there, over the neighbours on a cube's surface (Eq. 3).
-Needs: field/background, fitting/loss, fitting/pictures, view/rays.
+dL/dtau_l = T_{l+1} c_l . g - sum_{j>l} w_j c_j . g: the hand-written adjoint of fitting/loss with layers for samples
+(Plenoxels 2022, section 3.2). The total variation is over the neighbours on a cube's surface (Eq. 3).
+Needs: field/background, fitting/loss, fitting/pictures, fitting/rmsprop, view/rays.
 """
 
 import warp as wp
@@ -22,6 +22,7 @@ from ..field.background import (
 from ..view.rays import pixel_direction
 from .loss import TrainingRays, batch_pixel, in_picture
 from .pictures import Pictures, picture_pixel
+from .rmsprop import rmsprop_update
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,7 +35,7 @@ def variation_slope(dx: float, dy: float, dz: float, scale: float):
 
 @wp.kernel
 def gather_background(first: int, layers: BackgroundLayers, rays: TrainingRays, behind: wp.array(dtype=wp.vec3)):
-    """behind: (rays,) what the layers show each ray of a batch."""
+    """behind: (rays,) what each ray of a batch sees of the layers. One item per ray."""
     n = first + wp.tid()
     pixel = batch_pixel(rays, n)
     if in_picture(rays, pixel):
@@ -53,8 +54,8 @@ def compare_surroundings(
 ):
     """grad_behind: (rays,) scale * the gradient of sum over channels of (s C - S)^2 by the background C of a ray.
 
-    surroundings: (views, h, w) what masks split off a picture, its colour S times its share s, and s. The layers of
-    such pictures are fitted to that alone, beside the object.
+    One item per ray. surroundings: (views, h, w) what masks split off a picture: S, its colour times its share s, and
+    s. The layers of such pictures are fitted to that alone, independently of the object.
     """
     n = first + wp.tid()
     grad_behind[n] = wp.vec3(0.0, 0.0, 0.0)
@@ -77,8 +78,11 @@ def accumulate_background_gradient(
     grad_behind: wp.array(dtype=wp.vec3),
     grad_values: wp.array2d(dtype=wp.vec4),
 ):
-    """Adds the gradient by the layers' values. grad_behind: (rays,) that by each ray's background colour. Nodes are
-    shared: on the CPU each thread needs grad_values of its own."""
+    """Adds the gradient of the loss by the layers' values.
+
+    One item per ray. grad_behind: (rays,) its gradient by each ray's background colour. grad_values: (layers, nodes).
+    Nodes are shared: on the CPU each thread needs grad_values of its own.
+    """
     n = first + wp.tid()
     pixel = batch_pixel(rays, n)
     grad_colour = grad_behind[n]
@@ -119,17 +123,13 @@ def apply_layer_rmsprop(
     moments: wp.array(dtype=wp.float32),
     values: wp.array(dtype=wp.float32),
 ):
-    """field_step's RMSProp on numbers one after another: a step where there is a gradient, which is cleared."""
+    """Step of RMSProp where the gradient is not zero, which is cleared. One item per number of the layers."""
     n = first + wp.tid()
     gradient = gradients[n]
     if gradient != 0.0:
-        v = moments[n]
-        if v == 0.0:
-            v = gradient * gradient
-        else:
-            v = beta * v + (1.0 - beta) * gradient * gradient
-        moments[n] = v
-        values[n] = values[n] - rate * gradient / (wp.sqrt(v) + epsilon)
+        value, moment = rmsprop_update(values[n], moments[n], gradient, rate, beta, epsilon)
+        values[n] = value
+        moments[n] = moment
         gradients[n] = 0.0
 
 
@@ -145,9 +145,9 @@ def accumulate_layer_variation(
 ):
     """Adds the gradient of scale_colour * TV(colours) + scale_depth * TV(optical depths) over a run of nodes.
 
-    A node counts its differences to the next along each axis on the cube's surface, where both have been seen
-    (moments, (layers, nodes), not zero): what no ray met stays as it was. Nodes are shared: on the CPU each thread
-    needs grad_values of its own.
+    One item per node, from first_node on. A node counts its differences to the next node along each axis on the cube's
+    surface, where a ray has met both (their moments, (layers, nodes), are not zero): what no ray met stays as it was.
+    Nodes are shared: on the CPU each thread needs grad_values of its own.
     """
     count = layers.values.shape[1]
     n = (first_node + first + wp.tid()) % (count * layers.values.shape[0])

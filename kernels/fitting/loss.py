@@ -2,8 +2,8 @@
 
 Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. With g = dL/dC, w_k = T_k alpha_k and the
 background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
-hand-written adjoint of volume_render.march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop
-of unknown length).
+hand-written adjoint of the march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop of unknown
+length).
 Needs: field/grid, field/harmonics, field/samples, fitting/pictures, view/rays.
 """
 
@@ -57,14 +57,14 @@ def in_picture(rays: TrainingRays, pixel: wp.vec3i):
 
 @wp.func
 def training_colour(rays: TrainingRays, pixel: wp.vec3i, behind: wp.vec3):
-    """What a pixel of the pictures shows before a background."""
+    """What a pixel of the pictures shows in front of a background."""
     rgba = picture_pixel(rays.pictures, pixel[0], pixel[1], pixel[2])
     return wp.vec3(rgba[0], rgba[1], rgba[2]) + (1.0 - rgba[3]) * behind
 
 
 @wp.func
 def subray_direction(rays: TrainingRays, camera: PinholeCamera, pixel: wp.vec3i, subray: int, seed: int, n: int):
-    """Direction of a sub-ray of the n-th pixel of a batch: in the middle, or anywhere in its share of the pixel."""
+    """Direction of a sub-ray of the n-th pixel of a batch: through the middle, or anywhere in its part of the pixel."""
     side = rays.rays_per_side
     right = float(0.5)
     down = float(0.5)
@@ -101,12 +101,13 @@ def accumulate_photometric_gradient(
     squared_error: wp.array(dtype=wp.float32),
     grad_background: wp.array(dtype=wp.vec3),
 ):
-    """Adds scale * d(sum over channels of (C - C*)^2) for each pixel of a batch; squared_error: (pixels,) that sum.
+    """Adds scale * d(sum over channels of (C - C*)^2) for each pixel of a batch. squared_error: (pixels,) that sum.
 
-    random_background: a colour drawn for each pixel goes behind both the image's alpha and the render, so that opacity
-    is supervised too; 0 takes `background` for all. own_background: (pixels,) a colour of each pixel's own instead,
-    whose gradient goes to grad_background (pixels,); both are empty where there is none. Gradient rows are shared: on
-    the CPU each thread needs its own.
+    One item per pixel. random_background: 1 puts a random colour behind both the image's alpha and the render of each
+    pixel, so that opacity is supervised too; 0 takes `background` for all. own_background: (pixels,) a colour for each
+    pixel instead, whose gradient goes to grad_background (pixels,); both are empty where there is none. stop:
+    transmittance at which a march ends. grad_density: (rows,). grad_sh: (rows, 3). Rows are shared: on the CPU each
+    thread needs gradients of its own.
     """
     n = first + wp.tid()
     squared_error[n] = 0.0

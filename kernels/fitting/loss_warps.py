@@ -1,9 +1,9 @@
-"""The photometric gradient of field_loss, for CUDA: one warp a ray, one lane a coefficient.
+"""The photometric gradient of fitting/loss, for CUDA: one warp per ray, one lane per coefficient.
 
-The same sums as field_loss.accumulate_photometric_gradient, which says what they are. Densities of 32 samples in a row
-are looked up at once, one a lane; then the samples that hold matter are taken one by one, and the 27 coefficients of a
-voxel are read, and their gradients added, by 27 neighbouring lanes: a voxel's row is one run of memory instead of 27
-scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
+The sums are those of accumulate_photometric_gradient there, which documents them. The densities of 32 successive
+samples are looked up at once, one per lane. Then the samples that hold matter are taken one by one: 27 neighbouring
+lanes read the 27 coefficients of a voxel and add their gradients, so that a voxel's row is one run of memory instead of
+27 scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
 Needs: core/lanes, field/grid, field/harmonics, field/samples, fitting/loss, fitting/rmsprop.
 """
 
@@ -75,7 +75,7 @@ def accumulate_photometric_gradient_by_warps(
     squared_error: wp.array(dtype=wp.float32),
     grad_background: wp.array(dtype=wp.vec3),
 ):
-    """As field_loss.accumulate_photometric_gradient, 32 items a pixel, in blocks of at most 128.
+    """As accumulate_photometric_gradient of fitting/loss, with 32 items per pixel, in blocks of at most 128.
 
     coefficients: (rows, 27), grid.sh as numbers. gradients: (rows, 28), coefficients, then density. touched: (rows,)
     set to 1 where there is a gradient.

@@ -1,4 +1,4 @@
-"""Pictures of four numbers a pixel, in 16 or 8 bits each: what the losses compare with.
+"""Pictures of four numbers per pixel, in 16 or 8 bits each: what the losses compare with.
 
 Needs: none.
 """

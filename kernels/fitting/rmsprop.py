@@ -1,7 +1,7 @@
 """Optimiser step of a voxel field: RMSProp on the values that a gradient touched.
 
 v <- beta v + (1 - beta) g^2 (v = g^2 at the first touch), x <- x - rate g / (sqrt(v) + eps): Tieleman and Hinton 2012,
-with the start of Plenoxels' optimiser. One item a number, so that neighbouring threads read neighbouring numbers.
+with the start of Plenoxels' optimiser. One item per number, so that neighbouring threads read neighbouring numbers.
 Needs: field/harmonics.
 """
 
@@ -17,6 +17,15 @@ BASIS_COUNT = wp.constant(9)
 
 #: Numbers of a gradient row: 27 coefficients, red first, then the density.
 GRADIENT_ROW = wp.constant(28)
+
+
+@wp.func
+def rmsprop_update(value: float, moment: float, gradient: float, rate: float, beta: float, epsilon: float):
+    """(value, moment) after a step by a gradient. A moment of 0 has met no gradient before."""
+    v = gradient * gradient
+    if moment != 0.0:
+        v = beta * moment + (1.0 - beta) * gradient * gradient
+    return value - rate * gradient / (wp.sqrt(v) + epsilon), v
 
 
 @wp.kernel
@@ -36,9 +45,10 @@ def apply_rmsprop(
 ):
     """Step where the gradient is not zero, and clear the gradient for the next batch.
 
-    GRADIENT_ROW items a row. gradients, moments: (rows, 28), 27 coefficients, then density. coefficients: (rows, 27),
-    whose constant terms step by rate_sh and whose others, which tell directions apart, by rate_directional. Moments
-    have 8 bits of mantissa: they only scale steps, and a share of 1 - beta moves them by more than a last bit.
+    GRADIENT_ROW items per row. touched: (rows,) 1 where any gradient may be. gradients, moments: (rows, 28), 27
+    coefficients, then density. density: (rows,) per world unit. coefficients: (rows, 27): constant terms step by
+    rate_sh, the others, which depend on direction, by rate_directional. Moments have 8 bits of mantissa: they only
+    scale steps, and a share of 1 - beta moves them by more than a last bit.
     """
     n = first + wp.tid()
     row = n // GRADIENT_ROW
@@ -47,23 +57,23 @@ def apply_rmsprop(
         return
     gradient = gradients[row, number]
     if gradient != 0.0:
-        v = float(moments[row, number])
-        if v == 0.0:
-            v = gradient * gradient
-        else:
-            v = beta * v + (1.0 - beta) * gradient * gradient
-        moments[row, number] = wp.bfloat16(v)
-        gradients[row, number] = 0.0
+        moment = float(moments[row, number])
         if number < COEFFICIENTS:
             rate = wp.where(number % BASIS_COUNT == 0, rate_sh, rate_directional)
-            coefficients[row, number] = coefficients[row, number] - rate * gradient / (wp.sqrt(v) + epsilon_sh)
+            value = coefficients[row, number]
+            value, moment = rmsprop_update(value, moment, gradient, rate, beta, epsilon_sh)
+            coefficients[row, number] = value
         else:
-            density[row] = density[row] - rate_density * gradient / (wp.sqrt(v) + epsilon_density)
+            sigma = density[row]
+            sigma, moment = rmsprop_update(sigma, moment, gradient, rate_density, beta, epsilon_density)
+            density[row] = sigma
+        moments[row, number] = wp.bfloat16(moment)
+        gradients[row, number] = 0.0
 
 
 @wp.kernel
 def add_gradients(first: int, other: wp.array(dtype=wp.float32), total: wp.array(dtype=wp.float32)):
-    """Move one thread's gradients into the total and clear them."""
+    """Move one thread's gradients into the total and clear them. One item per number."""
     n = first + wp.tid()
     gradient = other[n]
     if gradient != 0.0:
@@ -73,6 +83,7 @@ def add_gradients(first: int, other: wp.array(dtype=wp.float32), total: wp.array
 
 @wp.kernel
 def join_maximum(first: int, other: wp.array(dtype=wp.float32), values: wp.array(dtype=wp.float32)):
+    """The larger of two numbers, in `values`. One item per number."""
     n = first + wp.tid()
     values[n] = wp.max(values[n], other[n])
 
@@ -85,7 +96,11 @@ def gather_moments(
     moments: wp.array2d(dtype=wp.bfloat16),
     kept: wp.array2d(dtype=wp.bfloat16),
 ):
-    """Moments of the nodes that stay, from the rows that `links` gave them. GRADIENT_ROW items a row."""
+    """Moments of the nodes that stay, from the rows that `links` gave them before.
+
+    GRADIENT_ROW items per row. links: (nx, ny, nz) row of each node, or -1. nodes: (rows,) grid indices of the rows
+    that stay. moments: (rows before, 28); kept: (rows, 28).
+    """
     n = first + wp.tid()
     row = n // GRADIENT_ROW
     node = nodes[row]
@@ -93,12 +108,12 @@ def gather_moments(
     kept[row, n % GRADIENT_ROW] = moments[before, n % GRADIENT_ROW]
 
 
-wp.set_module_options({"enable_backward": False})
-
-
 @wp.kernel
 def shrink_view_dependence(first: int, factor: float, sh: wp.array2d(dtype=vec9)):
-    """One item a row and channel, in memory order."""
+    """Multiplies the coefficients that depend on direction by a factor. One item per row and channel, in memory order.
+
+    sh: (rows, 3) coefficients of red, green and blue.
+    """
     n = first + wp.tid()
     value = sh[n // sh.shape[1], n % sh.shape[1]]
     mean = value[0]

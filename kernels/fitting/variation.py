@@ -38,10 +38,11 @@ def accumulate_variation_gradient(
 ):
     """Adds the gradient of scale_density * TV(density / density_unit) + scale_sh * TV(sh) over a run of rows.
 
-    GRADIENT_ROW items a row, one a number, so that neighbouring threads read neighbouring numbers. coefficients:
-    (rows, 27), grid.sh as numbers. nodes: (rows,) grid indices of each row. gradients: (rows, 28). touched: (rows,) set
-    to 1 where there is a gradient. A difference to a node without a row counts as zero. Rows are shared with
-    neighbours: on the CPU each thread needs gradients of its own.
+    GRADIENT_ROW items per row, one per number, so that neighbouring threads read neighbouring numbers. coefficients:
+    (rows, 27), grid.sh as numbers. nodes: (rows,) grid indices of each row. first_row: where the run begins; it goes on
+    at row 0 after the last one. gradients: (rows, 28). touched: (rows,) set to 1 where there is a gradient. The
+    difference to a node without a row counts as zero. Rows are shared with neighbours: on the CPU each thread needs
+    gradients of its own.
     """
     n = first + wp.tid()
     number = n % GRADIENT_ROW

@@ -9,7 +9,7 @@ from ..view.rays import PinholeCamera
 
 wp.set_module_options({"enable_backward": False})
 
-#: A silhouette that leaves the image may reach this many times as far along its border as out of it.
+#: A silhouette that leaves the image may reach this many times as far along the border as beyond it.
 BEYOND_SPREAD = wp.constant(3.0)
 
 
@@ -17,7 +17,7 @@ BEYOND_SPREAD = wp.constant(3.0)
 def sum_rows(first: int, opaque: wp.array3d(dtype=wp.uint8), sums: wp.array3d(dtype=wp.int32)):
     """Running sums along each image row: sums[v, y + 1, x + 1] = opaque[v, y, 0] + .. + opaque[v, y, x].
 
-    opaque: (views, h, w) 0 or 1; sums: (views, h + 1, w + 1), zero before.
+    One item per row. opaque: (views, h, w) 0 or 1; sums: (views, h + 1, w + 1), zero before.
     """
     n = first + wp.tid()
     view = n // opaque.shape[1]
@@ -30,7 +30,7 @@ def sum_rows(first: int, opaque: wp.array3d(dtype=wp.uint8), sums: wp.array3d(dt
 
 @wp.kernel
 def sum_columns(first: int, sums: wp.array3d(dtype=wp.int32)):
-    """Running sums down each column of what sum_rows made: summed-area tables (Crow 1984)."""
+    """Running sums down each column of the result of sum_rows: summed-area tables (Crow 1984). One item per column."""
     n = first + wp.tid()
     view = n // sums.shape[2]
     x = n % sums.shape[2]
@@ -50,12 +50,13 @@ def carve_visual_hull(
     bounded: wp.array(dtype=wp.int32),
     mask: wp.array3d(dtype=wp.uint8),
 ):
-    """1 where no image shows a node's voxel as transparent (Laurentini 1994, conservative in the voxel's extent).
+    """mask: 1 where no image shows a node's voxel as transparent (Laurentini 1994, conservative in the voxel's extent).
 
-    opaque_sums: (views, h + 1, w + 1) summed-area tables of the opaque pixels. bounded: (views,) 1 where the silhouette
-    keeps clear of the image's border, so that whatever lies beyond the image is transparent too. Where it touches the
-    border, a voxel beyond it is carved when nothing is opaque along the border within BEYOND_SPREAD times its distance
-    from the image: silhouettes are taken to widen no faster than that. A voxel that no image sees is carved.
+    One item per node. lower: position of the first voxel's centre. opaque_sums: (views, h + 1, w + 1) summed-area
+    tables of the opaque pixels. bounded: (views,) 1 where the silhouette keeps clear of the image's border, so that
+    everything beyond the image is transparent too. Where it touches the border, a voxel beyond it is carved if nothing
+    is opaque along the border within BEYOND_SPREAD times its distance from the image: silhouettes are assumed to widen
+    no faster than that. A voxel that no image sees is carved.
     """
     n = first + wp.tid()
     k = n % mask.shape[2]
@@ -111,7 +112,7 @@ def keep_seen_voxels(
     least: int,
     mask: wp.array3d(dtype=wp.uint8),
 ):
-    """Clears `mask` at the nodes that fewer than `least` cameras have in their image."""
+    """Clears `mask` at the nodes that fewer than `least` cameras have in their image. One item per node."""
     n = first + wp.tid()
     k = n % mask.shape[2]
     j = (n // mask.shape[2]) % mask.shape[1]

@@ -1,35 +1,62 @@
-"""Fit the layers behind a field, beside the field's own fit."""
+"""Fit the layers behind a field, together with the field."""
 
 from __future__ import annotations
 
 import math
+import pathlib
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from ..core.arrays import array_view
 from ..core.devices import launch
 from ..core.files import require_numbers
-from ..core.threads import run_parallel
 from ..field.background import LayeredBackground, surface_node_count
 from ..kernels.field.background import BackgroundLayers, refine_layers
 from ..kernels.fitting import background_loss
-from ..kernels.fitting import rmsprop as field_step
+from ..scene.scene import Scene
 from ..view.backgrounds import FIT_BACKGROUNDS
+from .options import FitOptions
+from .shards import ShardedWork, launch_shards, sum_shards
 
-#: Opacity of all layers before the last together, at the start.
+#: Opacity of all layers in front of the last one together, at the start.
 START_OPACITY = 0.5
 
 #: Where this share of the pictures' border pixels has the scene's background colour, nothing else is taken to be there.
 PLAIN_SHARE, PLAIN_DIFFERENCE = 0.95, 2.5 / 255
 
+#: Share of the memory of a fit that layers may take, and least cells along an edge that the images ask for.
+MEMORY_SHARE, LEAST_SIDE = 0.25, 16
 
-def chosen_background(scene, kind: str) -> tuple[bool, bool]:
-    """Whether random colours, and whether layers go behind the pictures: what `kind` means for a scene.
+#: Bytes of a node's colour and optical depth, and of a colour.
+NODE_BYTES, COLOUR_BYTES = 16, 12
 
-    kind: of FIT_BACKGROUNDS. "auto" is random colours where the pictures carry opacity, with layers where masks split
-    their surroundings off; without opacity layers, unless the pictures' border says that there is nothing but the
-    background colour.
-    Raises ValueError for another kind, or one that does not go with the scene.
+#: Nodes that differ from the start by no more than this were met by no ray: interpolation rounds.
+UNMET_DIFFERENCE = 1e-6
+
+#: Every how many pixels the mean colour takes one.
+COLOUR_STRIDE = 8
+
+#: Keeps a step finite where the second moment is almost zero.
+EPSILON = 1e-12
+
+
+def chosen_background(scene: Scene, kind: str) -> tuple[bool, bool]:
+    """What is behind a field while it is fitted to a scene.
+
+    "auto" is random colours where the pictures carry opacity, with layers where masks split their surroundings off. For
+    pictures without opacity it is layers, unless the border of the pictures shows the background colour alone.
+
+    Args:
+        scene: The scene.
+        kind: One of FIT_BACKGROUNDS.
+
+    Returns:
+        Whether there are random colours, and whether there are layers.
+
+    Raises:
+        ValueError: For another kind, or one that the scene does not allow.
     """
     if kind not in FIT_BACKGROUNDS:
         raise ValueError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
@@ -47,159 +74,205 @@ def chosen_background(scene, kind: str) -> tuple[bool, bool]:
     return kind == "random" or (kind == "layers" and scene.alphas is not None), kind == "layers"
 
 
-def _is_plain(scene) -> bool:
+def _is_plain(scene: Scene) -> bool:
     images = scene.images
     border = np.concatenate([images[:, [0, -1]].reshape(-1, 3), images[:, :, [0, -1]].reshape(-1, 3)])
     same = (np.abs(border - scene.background) < PLAIN_DIFFERENCE).all(axis=1)
     return bool(same.mean() >= PLAIN_SHARE)
 
 
-def layers_that_fit(scene, options, shards: int, limit: int) -> tuple[int, int]:
-    """Cells along a layer's edge that the options ask for, or fewer for a quarter of `limit` bytes, and the bytes that
-    the layers and their gradients then take."""
+def layers_that_fit(scene: Scene, options: FitOptions, shards: int, limit: int) -> tuple[int, int]:
+    """The resolution of the layers.
+
+    Args:
+        scene: The scene.
+        options: Options of the fit.
+        shards: Arrays of gradients, one for each CPU thread.
+        limit: Bytes that the fit may take. The layers take a quarter at most.
+
+    Returns:
+        Cells along a layer's edge, and the bytes that the layers, their moments and their gradients then take.
+    """
     side = options.background_side
     if side is None:
-        focal = float(np.median([camera.fx for camera in scene.cameras]))  # pixels a unit of a face's half side
-        side = int(
-            np.clip(
-                2.0 * focal * options.background_detail,
-                min(16, options.max_background_side),
-                options.max_background_side,
-            )
-        )
-    node_bytes = options.background_layers * 16 * (2 + shards)  # vec4: values, moments and gradients
-    side = max(2, min(side, math.isqrt(int(limit / (4 * 6 * node_bytes)))))
-    return side, node_bytes * surface_node_count(side)
+        focal = float(np.median([camera.fx for camera in scene.cameras]))  # pixels per unit of a face's half side
+        least = min(LEAST_SIDE, options.max_background_side)
+        side = int(np.clip(2.0 * focal * options.background_detail, least, options.max_background_side))
+    surface_bytes = options.background_layers * NODE_BYTES * (2 + shards)  # values, moments and gradients
+    side = max(2, min(side, math.isqrt(int(limit * MEMORY_SHARE / (6 * surface_bytes)))))
+    return side, surface_bytes * surface_node_count(side)
 
 
 class BackgroundOptimizer:
-    """RMSProp on the layers behind a field, one step beside each of the field's.
+    """RMSProp on the layers behind a field, one step with each of the field's.
 
-    scene: Scene of whole pictures, whose every ray the field and the layers explain together; or of split ones, whose
-    surroundings the layers explain alone. pictures: TrainingPictures of it. bounds: (2, 3) of the field. options:
-    FitOptions. side: cells along a layer's edge in the end. batch_rays: of a batch. shards: gradient arrays, one a CPU
-    thread. `prepare`, `accumulate` and `apply` make a step.
+    `prepare`, `accumulate` and `apply` make a step.
+
+    Args:
+        colour: (3,) of all nodes at the start.
+        split: False for whole pictures, whose every ray the field and the layers explain together. True for split ones,
+            whose surroundings the layers explain alone.
+        bounds: (2, 3) box of the field, world units.
+        options: Options of the fit.
+        side: Cells along a layer's edge in the last level.
+        batch_rays: Rays per batch.
+        shards: Arrays of gradients, one for each CPU thread.
+        device: Warp device.
+
+    Attributes:
+        sides: Cells along a layer's edge in each level.
+        layers: BackgroundLayers of the level: colours and optical depths of their nodes.
+        moments: (layers, nodes) vec4 second moments.
+        gradients: (layers, nodes) vec4 for each shard.
+        behind: (rays,) vec3, what each ray of a batch sees behind the field. None for split pictures, where the field
+            does not need it.
     """
 
-    def __init__(self, scene, pictures, bounds, options, side: int, batch_rays: int, shards: int, device):
+    def __init__(
+        self,
+        colour: np.ndarray,
+        split: bool,
+        bounds: np.ndarray,
+        options: FitOptions,
+        side: int,
+        batch_rays: int,
+        shards: int,
+        device: wp.Device,
+    ):
         self.options, self.device, self.batch_rays, self.shards = options, device, batch_rays, shards
-        self.pictures = pictures
         self.center, self.half = bounds.mean(axis=0), 0.5 * float((bounds[1] - bounds[0]).max())
         self.sides = [max(2, round(side / 2 ** (options.levels - 1 - level))) for level in range(options.levels)]
         self.start = np.empty(4, np.float32)  #: of each node
-        self.start[:3] = _mean_colour(scene)
+        self.start[:3] = colour
         self.start[3] = -math.log(1.0 - START_OPACITY) / (options.background_layers - 1)
-        self.layers = None
-        self.start_level(0)
-        self.behind = None  #: (rays,) vec3 what each ray of a batch sees behind the field, where the field's march asks
-        if scene.surroundings is None:
-            self.behind = wp.zeros(batch_rays, dtype=wp.vec3, device=device)
+        self.layers = self._untouched(0)
+        self.gradients: list[wp.array] = []
+        self.moments = wp.zeros(0, dtype=wp.vec4, device=device)
+        self._allocate()
+        self.behind = None if split else wp.zeros(batch_rays, dtype=wp.vec3, device=device)
         self._grad_behind = wp.zeros(batch_rays, dtype=wp.vec3, device=device)
 
     def start_level(self, level: int) -> None:
-        """Cells for a level of the field's, interpolated from the ones before; fresh gradients and moments."""
-        self.gradients = self.moments = None  # room for the new ones
-        coarse = self.layers
-        shape = (self.options.background_layers, surface_node_count(self.sides[level]))
-        layers = BackgroundLayers()
+        """Layers of a level, interpolated from the ones before. Gradients and moments start anew.
+
+        Args:
+            level: Index of the level.
+        """
+        self._release()
+        coarse, self.layers = self.layers, self._untouched(level)
+        values = self.layers.values
+        launch(refine_layers, values.size, [coarse, self.layers.side], [values], device=self.device)
+        del coarse
+        self._allocate()
+
+    def _untouched(self, level: int) -> Any:
+        """BackgroundLayers of a level as they start."""
+        layers: Any = BackgroundLayers()
         layers.half, layers.side = self.half, self.sides[level]
-        if coarse is None:
-            layers.values = wp.full(shape, wp.vec4(*self.start), dtype=wp.vec4, device=self.device)
-        else:
-            layers.values = wp.empty(shape, dtype=wp.vec4, device=self.device)
-            launch(refine_layers, layers.values.size, [coarse, layers.side], [layers.values], device=self.device)
-        self.layers = layers
+        shape = (self.options.background_layers, surface_node_count(layers.side))
+        layers.values = wp.full(shape, wp.vec4(*self.start), dtype=wp.vec4, device=self.device)
+        return layers
+
+    def _release(self) -> None:
+        """Free the memory of gradients and second moments."""
+        self.gradients, self.moments = [], wp.zeros(0, dtype=wp.vec4, device=self.device)
+
+    def _allocate(self) -> None:
+        """Fresh gradients and second moments."""
+        shape = self.layers.values.shape
         self.moments = wp.zeros(shape, dtype=wp.vec4, device=self.device)
         self.gradients = [wp.zeros(shape, dtype=wp.vec4, device=self.device) for _ in range(self.shards)]
 
     @property
+    def held_bytes(self) -> int:
+        """Device memory of the layers of this level, and of the colours behind a batch."""
+        colours = self.batch_rays * (1 if self.behind is None else 2)
+        return NODE_BYTES * self.layers.values.size * (2 + self.shards) + COLOUR_BYTES * colours
+
+    @property
     def grad_behind(self) -> wp.array | None:
-        """(rays,) vec3, where the field's march leaves the loss's gradient by `behind`."""
+        """(rays,) vec3, where the field's march leaves the loss's gradient by `behind`. None where that is None."""
         return None if self.behind is None else self._grad_behind
 
-    def prepare(self, rays) -> None:
-        """Before the field's march of a batch: fill `behind`, or compare with the surroundings."""
-        if self.pictures.surroundings is None:
-            launch(
-                background_loss.gather_background,
-                self.batch_rays,
-                [self.layers, rays],
-                [self.behind],
-                device=self.device,
-            )
-        else:
-            inputs = [self.layers, rays, self.pictures.surroundings, 1.0 / (3.0 * self.batch_rays)]
-            launch(
-                background_loss.compare_surroundings, self.batch_rays, inputs, [self._grad_behind], device=self.device
-            )
+    def prepare(self, rays: Any, surroundings: Any) -> None:
+        """Before the field's march of a batch: fill `behind`, or compare with the surroundings.
 
-    def accumulate(self, rays, random: np.random.Generator) -> None:
-        """Gradients of the batch, after the field's march, and of the total variation."""
+        Args:
+            rays: TrainingRays that begin at the batch's first tile.
+            surroundings: Pictures that masks split off. None for whole pictures.
+        """
+        if self.behind is not None:
+            inputs = [self.layers, rays]
+            launch(background_loss.gather_background, self.batch_rays, inputs, [self.behind], device=self.device)
+        else:
+            inputs = [self.layers, rays, surroundings, 1.0 / (3.0 * self.batch_rays)]
+            outputs = [self._grad_behind]
+            launch(background_loss.compare_surroundings, self.batch_rays, inputs, outputs, device=self.device)
+
+    def accumulate(self, rays: Any, random: np.random.Generator) -> None:
+        """Add the gradients of the batch, after the field's march, and of the total variation.
+
+        Args:
+            rays: TrainingRays that begin at the batch's first tile.
+            random: Chooses the first node that gets a gradient of the total variation.
+        """
         options = self.options
         nodes = self.layers.values.size
         varied = max(1, int(options.variation_share * nodes))
-        first_node = int(random.integers(nodes))
         boost = nodes / varied / nodes
         variation = [
             self.layers,
             self.moments,
-            first_node,
+            int(random.integers(nodes)),
             options.variation_background * boost,
             options.variation_background_depth * boost,
         ]
-
-        def shard(index: int) -> None:
-            begin, end = (self.batch_rays * i // self.shards for i in (index, index + 1))
-            wp.launch(
-                background_loss.accumulate_background_gradient,
-                dim=end - begin,
-                inputs=[begin, self.layers, rays, self._grad_behind],
-                outputs=[self.gradients[index]],
-                device=self.device,
-            )
-            begin, end = (varied * i // self.shards for i in (index, index + 1))
-            if end > begin:
-                wp.launch(
-                    background_loss.accumulate_layer_variation,
-                    dim=end - begin,
-                    inputs=[begin, *variation],
-                    outputs=[self.gradients[index]],
-                    device=self.device,
-                )
-
-        wp.load_module(background_loss, device=self.device)
-        run_parallel([lambda i=i: shard(i) for i in range(self.shards)], self.shards)
-
-    def apply(self, progress: float) -> None:
-        """One step; progress: 0 to 1 through the fit."""
-        options = self.options
-        start, end = options.rate_background, options.rate_background_end
-        rate = math.exp((1.0 - progress) * math.log(start) + progress * math.log(end))
-        total, *others = map(_numbers, self.gradients)
-        for other in others:
-            launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
-        launch(
-            background_loss.apply_layer_rmsprop,
-            total.size,
-            [rate, options.beta, 1e-12, total, _numbers(self.moments)],
-            [_numbers(self.layers.values)],
-            device=self.device,
+        outputs = [[gradients] for gradients in self.gradients]
+        photometric = [self.layers, rays, self._grad_behind]
+        launch_shards(
+            [
+                ShardedWork(background_loss.accumulate_background_gradient, self.batch_rays, photometric, outputs),
+                ShardedWork(background_loss.accumulate_layer_variation, varied, variation, outputs),
+            ],
+            self.shards,
+            self.device,
         )
+
+    def apply(self, rate: float) -> None:
+        """One step of RMSProp by the gradients, which are cleared.
+
+        Args:
+            rate: Learning rate.
+        """
+        total = sum_shards([_numbers(gradients) for gradients in self.gradients])
+        inputs = [rate, self.options.beta, EPSILON, total, _numbers(self.moments)]
+        outputs = [_numbers(self.layers.values)]
+        launch(background_loss.apply_layer_rmsprop, total.size, inputs, outputs, device=self.device)
 
     def state(self) -> dict[str, np.ndarray]:
         """Values and second moments of the nodes that a ray has met, for a checkpoint."""
         values = self.layers.values.numpy()
-        met = (np.abs(values - self.start) > 1e-6).any(axis=-1)  # interpolation rounds
+        met = (np.abs(values - self.start) > UNMET_DIFFERENCE).any(axis=-1)
         return {
             "layers_met": np.packbits(met.ravel()),
             "layers_values": values[met],
             "layers_moments": self.moments.numpy()[met],
         }
 
-    def restore(self, contents: dict, level: int, path) -> None:
-        """Take over the state of a level. Raises ValueError for one that does not fit."""
-        self.layers = None
-        self.start_level(level)
+    def restore(self, contents: dict[str, np.ndarray], level: int, path: pathlib.Path) -> None:
+        """Take over the state of a level.
+
+        Args:
+            contents: Arrays of a checkpoint.
+            level: Index of the level.
+            path: The checkpoint, for errors.
+
+        Raises:
+            ValueError: For a state that does not fit.
+        """
+        self._release()
+        self.layers = self._untouched(level)
+        self._allocate()
         shape = self.moments.shape
         size = shape[0] * shape[1]
         packed = require_numbers(contents, "layers_met", (-(-size // 8),), path)
@@ -222,14 +295,15 @@ class BackgroundOptimizer:
         )
 
 
-def _mean_colour(scene) -> np.ndarray:
-    """(3,) of the pictures, or of their surroundings."""
-    if scene.surroundings is None:
-        return scene.images[:, ::8, ::8].reshape(-1, 3).mean(axis=0)
-    share = (1.0 - scene.alphas[:, ::8, ::8]).sum()
-    return scene.surroundings[:, ::8, ::8].reshape(-1, 3).sum(axis=0) / max(float(share), 1.0)
+def mean_colour(scene: Scene) -> np.ndarray:
+    """(3,) mean colour of a scene's pictures, or of what masks split off them."""
+    thinned = slice(None), slice(None, None, COLOUR_STRIDE), slice(None, None, COLOUR_STRIDE)
+    if scene.surroundings is None or scene.alphas is None:
+        return scene.images[thinned].reshape(-1, 3).mean(axis=0)
+    share = (1.0 - scene.alphas[thinned]).sum()
+    return scene.surroundings[thinned].reshape(-1, 3).sum(axis=0) / max(float(share), 1.0)
 
 
 def _numbers(array: wp.array) -> wp.array:
     """The numbers of an array of vec4, one after another, without a copy."""
-    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=4 * array.size, device=array.device, copy=False)
+    return array_view(array, wp.float32, (4 * array.size,))

@@ -1,4 +1,4 @@
-"""Progress of a fit on disk, so that a killed one goes on."""
+"""Progress of a fit on disk, so that a fit that was stopped goes on."""
 
 from __future__ import annotations
 
@@ -6,52 +6,87 @@ import hashlib
 import json
 import math
 import pathlib
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
 
+from ..core.arrays import array_view
 from ..core.files import atomic_path, read_npz, require_numbers
 from ..kernels.field.harmonics import vec9
+from ..scene.scene import Scene
+from .background import BackgroundOptimizer
+from .batches import Batches
+from .level import ROW_NUMBERS, Level
 from .pictures import PRECISIONS
+from .schedule import Schedule
 
-VERSION = 2
+KIND, VERSION = "warpcage fit", 2
+
+#: Exponent bits of a bfloat16: all of them are set in numbers that are not finite.
+EXPONENT_BITS = 0x7F80
+
+#: The fingerprint takes every so many pixels, along both sides of an image.
+FINGERPRINT_STRIDE = 7
 
 
-def require_writable(path) -> pathlib.Path:
-    """`path` as a Path. Raises ValueError where it does not end in .npz or is a folder."""
+class Fit(Protocol):
+    """What a checkpoint holds and restores of a fit: FieldOptimizer has it."""
+
+    scene: Scene
+    given: dict[str, Any]
+    device: wp.Device
+    random: np.random.Generator
+    shapes: list[tuple[int, ...]]
+    current: Level
+    batches: Batches
+    schedule: Schedule
+    background: BackgroundOptimizer | None
+
+    def restore(self, mask: wp.array, bits: int) -> None: ...
+
+
+def require_writable(path: str | pathlib.Path) -> pathlib.Path:
+    """A checkpoint's path. Raises ValueError where it does not end in .npz or is a folder."""
     path = pathlib.Path(path)
     if path.suffix != ".npz" or path.is_dir():
         raise ValueError(f"a checkpoint is a file that ends in .npz, got {str(path)!r}")
     return path
 
 
-def save_progress(optimizer, path) -> None:
-    """Write what a FieldOptimizer has reached, atomically: voxels, values, second moments, order of the pixels."""
-    grid = optimizer.field.grid
+def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
+    """Write voxels, second moments and the order of the pixels, whole or not at all.
+
+    Args:
+        optimizer: The fit.
+        path: File (.npz).
+    """
+    field, grid = optimizer.current.field, optimizer.current.field.grid
+    schedule, batches = optimizer.schedule, optimizer.batches
     occupied = grid.links.numpy() >= 0
     contents = {
-        "format": np.array("warpcage fit"),
+        "format": np.array(KIND),
         "version": np.array(VERSION),
         "fingerprint": np.array(fingerprint(optimizer)),
         "state": np.array(
             json.dumps(
                 {
-                    "step_count": optimizer.step_count,
-                    "level": optimizer.level,
-                    "level_steps": optimizer.level_steps,
+                    "step_count": schedule.step_count,
+                    "level": schedule.level,
+                    "level_steps": schedule.level_steps,
                     "shapes": optimizer.shapes,
-                    "picture_bits": optimizer.pictures.bits,
-                    "cursor": optimizer.cursor,
+                    "picture_bits": batches.pictures.bits,
+                    "cursor": batches.cursor,
                     "random": optimizer.random.bit_generator.state,
                 }
             )
         ),
-        "resolution": np.array(optimizer.field.resolution, np.int32),
+        "resolution": np.array(field.resolution, np.int32),
         "occupancy": np.packbits(occupied.ravel()),
         "density": grid.density.numpy(),
         "sh": grid.sh.numpy(),
-        "tiles": optimizer.rays.tiles.numpy(),
-        "moments": moment_bits(optimizer.moments).numpy(),
+        "tiles": batches.rays.tiles.numpy(),
+        "moments": moment_bits(optimizer.current.moments).numpy(),
     }
     if optimizer.background is not None:
         contents |= optimizer.background.state()
@@ -59,31 +94,38 @@ def save_progress(optimizer, path) -> None:
         np.savez(temporary, **contents)
 
 
-def load_progress(optimizer, path) -> None:
-    """Put a fresh FieldOptimizer where a saved one was.
+def load_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
+    """Put a fresh fit where a saved one was.
 
-    Raises ValueError for a file that is no checkpoint, or one of another scene, seed or options.
+    Args:
+        optimizer: A fit of the same scene, seed and options, before its first step.
+        path: File (.npz).
+
+    Raises:
+        ValueError: For a file that is not a checkpoint, or is one of another scene, seed or options.
+        FileNotFoundError: Where there is no file.
     """
     contents = read_npz(path, "checkpoint")
-    if str(contents.get("format", "")) != "warpcage fit" or str(contents.get("version")) != str(VERSION):
+    if str(contents.get("format", "")) != KIND or str(contents.get("version")) != str(VERSION):
         raise ValueError(f"{path} is no fit checkpoint of this version: remove it or name another file")
     if str(contents.get("fingerprint")) != fingerprint(optimizer):
         raise ValueError(
             f"{path} is the checkpoint of another fit (scene, seed or options differ): remove it or name another file"
         )
     try:
-        _restore(optimizer, contents, path)
+        _restore(optimizer, contents, pathlib.Path(path))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{path} is a damaged fit checkpoint, remove it or name another file: {reason}") from error
 
 
-def _restore(optimizer, contents: dict, path) -> None:
-    """Everything is looked at before it reaches a kernel, which would not."""
+def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path) -> None:
+    """Check everything before it reaches a kernel: kernels do not."""
+    schedule, batches = optimizer.schedule, optimizer.batches
     state = json.loads(str(contents["state"]))
     level, cursor = int(state["level"]), int(state["cursor"])
     level_steps = [int(count) for count in state["level_steps"]]
-    if not 0 <= level < len(optimizer.shapes) or len(level_steps) != len(optimizer.level_steps):
+    if not 0 <= level < len(optimizer.shapes) or len(level_steps) != len(schedule.level_steps):
         raise ValueError(f"level {level} of {len(level_steps)} steps")
     shape = tuple(int(n) for n in require_numbers(contents, "resolution", (3,), path))
     shapes = [tuple(int(n) for n in held) for held in state["shapes"]]  # coarser than planned where memory was short
@@ -98,41 +140,40 @@ def _restore(optimizer, contents: dict, path) -> None:
     rows = int(occupied.sum())
     density = require_numbers(contents, "density", (rows,), path)
     sh = require_numbers(contents, "sh", (rows, 3, 9), path)
-    moments = require_numbers(contents, "moments", (rows, 28), path).astype(np.uint16)
-    if not all(np.isfinite(values).all() for values in (density, sh)) or (moments & 0x7F80 == 0x7F80).any():
+    moments = require_numbers(contents, "moments", (rows, ROW_NUMBERS), path).astype(np.uint16)
+    infinite = (moments & EXPONENT_BITS == EXPONENT_BITS).any()
+    if infinite or not all(np.isfinite(values).all() for values in (density, sh)):
         raise ValueError("values that are not finite")
     tiles = require_numbers(contents, "tiles", (None,), path)
     picture_bits = state.get("picture_bits", PRECISIONS[0])
     if picture_bits not in PRECISIONS:
-        raise ValueError(f"pictures of {picture_bits!r} bits a channel, {PRECISIONS} are known")
+        raise ValueError(f"pictures of {picture_bits!r} bits per channel, {PRECISIONS} are known")
 
-    optimizer.keep_pictures(picture_bits)
-    optimizer.restore_field(wp.array(occupied.astype(np.uint8), device=optimizer.device))
-    if len(tiles) != optimizer.active_tiles or tiles.min() < 0 or tiles.max() >= optimizer.tile_total:
-        raise ValueError(f"{len(tiles)} tiles of pixels, {optimizer.active_tiles} expected")
+    optimizer.restore(wp.array(occupied.astype(np.uint8), device=optimizer.device), picture_bits)
+    if len(tiles) != batches.active_tiles or tiles.min() < 0 or tiles.max() >= batches.tile_total:
+        raise ValueError(f"{len(tiles)} tiles of pixels, {batches.active_tiles} expected")
     if not 0 <= cursor <= len(tiles):
         raise ValueError(f"cursor {cursor} among {len(tiles)} tiles")
     for target, values, dtype in (
-        (optimizer.field.grid.density, density, wp.float32),
-        (optimizer.field.grid.sh, sh, vec9),
-        (moment_bits(optimizer.moments), moments, wp.uint16),
+        (optimizer.current.field.grid.density, density, wp.float32),
+        (optimizer.current.field.grid.sh, sh, vec9),
+        (moment_bits(optimizer.current.moments), moments, wp.uint16),
     ):
         target.assign(wp.array(values, dtype=dtype, device=optimizer.device))
     if optimizer.background is not None:
         optimizer.background.restore(contents, level, path)
-    optimizer.step_count, optimizer.level = int(state["step_count"]), level
-    optimizer.level_steps, optimizer.shapes = level_steps, shapes
-    optimizer.total_steps = sum(level_steps)
+    schedule.step_count, schedule.level, schedule.level_steps = int(state["step_count"]), level, level_steps
+    optimizer.shapes = shapes
     optimizer.random.bit_generator.state = state["random"]
-    optimizer.rays.tiles = wp.array(tiles, dtype=wp.int32, device=optimizer.device)
-    optimizer.cursor = cursor
+    batches.order(tiles, cursor)
 
 
-def fingerprint(optimizer) -> str:
-    """Hash of the scene's pixels and cameras, and of the options: what a fit depends on."""
+def fingerprint(optimizer: Fit) -> str:
+    """Hash of what a fit depends on: pixels and cameras of the scene, seed, bounds and options."""
     scene = optimizer.scene
+    thinned = scene.images[:, ::FINGERPRINT_STRIDE, ::FINGERPRINT_STRIDE]
     digest = hashlib.sha256(json.dumps(optimizer.given, sort_keys=True).encode())
-    digest.update(np.ascontiguousarray(scene.images[:, ::7, ::7]).tobytes())
+    digest.update(np.ascontiguousarray(thinned).tobytes())
     digest.update(str(scene.images.shape).encode())
     for camera in scene.cameras:
         digest.update(camera.camera_to_world.tobytes())
@@ -142,4 +183,4 @@ def fingerprint(optimizer) -> str:
 
 def moment_bits(moments: wp.array) -> wp.array:
     """bfloat16 numbers as their bits, without a copy: NumPy has no such type."""
-    return wp.array(ptr=moments.ptr, dtype=wp.uint16, shape=moments.shape, device=moments.device, copy=False)
+    return array_view(moments, wp.uint16, moments.shape)

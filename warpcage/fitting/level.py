@@ -1,36 +1,367 @@
-"""One level of a fit: its rows, gradients and moments."""
+"""One level of a fit: a field, and what optimises the values of its voxels."""
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+import numpy as np
 import warp as wp
 
+from ..core.arrays import array_view
+from ..core.devices import lane_count, launch
+from ..field.voxel_field import STOP_TRANSMITTANCE, VoxelField, field_from_mask
+from ..kernels.field import refine as grid_refine
 from ..kernels.field.harmonics import vec9
-from ..kernels.fitting.rmsprop import COEFFICIENTS as _COEFFICIENTS
-from ..kernels.fitting.rmsprop import GRADIENT_ROW
+from ..kernels.field.render import record_weights
+from ..kernels.fitting import rmsprop
+from ..kernels.fitting.loss import accumulate_photometric_gradient
+from ..kernels.fitting.loss_warps import accumulate_photometric_gradient_by_warps
+from ..kernels.fitting.variation import accumulate_variation_gradient
+from .batches import Batch
+from .memory import FitMemory
+from .schedule import Rates
+from .shards import ShardedWork, launch_shards, sum_shards
+from .silhouettes import dilated
 
-COEFFICIENTS = int(_COEFFICIENTS)
+COEFFICIENTS = int(rmsprop.COEFFICIENTS)
 
 #: Numbers of a gradient's row: the coefficients, red first, then the density.
-ROW_NUMBERS = int(GRADIENT_ROW)
+ROW_NUMBERS = int(rmsprop.GRADIENT_ROW)
+
+#: Bytes per row of the field: density, coefficients and the place of its node.
+FIELD_ROW_BYTES = 4 + 4 * COEFFICIENTS + 12
+
+#: Bytes per row of one shard's gradients, of the second moments, and of the mark of rows that a gradient touched.
+GRADIENT_BYTES, MOMENT_BYTES, MARK_BYTES = 4 * ROW_NUMBERS, 2 * ROW_NUMBERS, 1
+
+#: Bytes of the field per node of the box (its row), and per cell (how far a march may skip).
+LINK_BYTES, SKIP_BYTES = 4, 1
+
+#: Voxels along the longest side for which the weights of the total variation are meant.
+VARIATION_SIDE = 256.0
+
+#: Optical depth of half the box at the start.
+START_DEPTH = 0.1
+
+#: Keeps a step finite where the second moment is almost zero.
+EPSILON = 1e-12
+
+
+class Level:
+    """The rows of the level that a fit has reached: their values, gradients and second moments.
+
+    Args:
+        mask: (nx, ny, nz) uint8, the voxels that get a row.
+        bounds: (2, 3) box of the field, world units.
+        background: (3,) colour behind the field.
+        shards: Arrays of gradients, one for each CPU thread.
+
+    Raises:
+        ValueError: Where the mask is empty.
+
+    Attributes:
+        field: The field so far.
+        nodes: (rows,) vec3i, grid indices of each row.
+        gradients: (rows, 28) float32 for each shard: 27 coefficients, then density. None of them while pruning.
+        moments: (rows, 28) bfloat16 second moments; no rows while the level changes.
+        touched: (rows,) uint8, 1 where there is a gradient.
+    """
+
+    def __init__(self, mask: wp.array, bounds: np.ndarray, background: np.ndarray, shards: int):
+        self.shards = shards
+        self.field, self.nodes = _started(mask, bounds, background)
+        self.gradients: list[wp.array] = []
+        self.touched, self.moments = _marks(0, mask.device), _moments(0, mask.device)
+        self.allocate()
+
+    # Memory
+
+    def allocate(self) -> None:
+        """Fresh gradients and second moments."""
+        self.allocate_gradients()
+        self.moments = _moments(self.field.voxel_count, self.field.device)
+
+    def allocate_gradients(self) -> None:
+        """Fresh gradients."""
+        rows, device = self.field.voxel_count, self.field.device
+        self.gradients = [wp.zeros((rows, ROW_NUMBERS), dtype=wp.float32, device=device) for _ in range(self.shards)]
+        self.touched = _marks(rows, device)
+
+    def release_gradients(self) -> None:
+        """Free the memory of the gradients, which are zero between steps."""
+        self.gradients = []
+
+    def release(self) -> None:
+        """Free the memory of gradients and second moments."""
+        self.release_gradients()
+        self.moments = _moments(0, self.field.device)
+
+    @property
+    def held_bytes(self) -> int:
+        """Device memory of the level while it is optimised."""
+        return row_bytes(self.shards) * self.field.voxel_count + node_bytes(self.field.resolution)
+
+    def memory(self, fixed: int, tiles: int) -> FitMemory:
+        """What this level and others take. See `level_memory`."""
+        return level_memory(self.field.resolution, self.shards, fixed, tiles)
+
+    # Rows
+
+    def restart(self, mask: wp.array) -> None:
+        """Rows for a mask (nx, ny, nz) uint8 with fresh state, whatever was there before."""
+        self.release()
+        self.field, self.nodes = _started(mask, self.field.bounds, self.field.background)
+        self.allocate()
+
+    def refine(self, shape: tuple[int, ...], kept: wp.array) -> None:
+        """Values on a finer grid, interpolated. Gradients and second moments stay released.
+
+        Args:
+            shape: (nx, ny, nz) voxels of the finer grid.
+            kept: uint8 mask over the nodes of this grid: voxels with children.
+        """
+        mask = wp.empty(shape, dtype=wp.uint8, device=kept.device)  # pyright: ignore[reportArgumentType]
+        launch(grid_refine.refine_mask, mask.size, [_ratio(shape, kept.shape), kept], [mask], device=mask.device)
+        self.resample(mask)
+
+    def resample(self, mask: wp.array) -> None:
+        """The field at the voxels of a mask (nx, ny, nz) uint8 of any resolution, interpolated from what it was."""
+        coarse = self.field
+        fine, self.nodes = _started(mask, coarse.bounds, coarse.background)
+        launch(
+            grid_refine.resample_rows,
+            fine.voxel_count,
+            [coarse.grid, _ratio(fine.resolution, coarse.resolution), self.nodes],
+            [fine.grid.density, fine.grid.sh],
+            device=mask.device,
+        )
+        self.field = fine
+
+    def keep(self, mask: wp.array) -> None:
+        """Only the rows of a mask (nx, ny, nz) uint8 over the grid, with their second moments."""
+        links, moments = self.field.grid.links, self.moments
+        self.resample(mask)
+        self.moments = wp.empty(
+            (self.field.voxel_count, ROW_NUMBERS),
+            dtype=wp.bfloat16,  # pyright: ignore[reportArgumentType]
+            device=mask.device,
+        )
+        inputs = [links, self.nodes, moments]
+        launch(rmsprop.gather_moments, self.moments.size, inputs, [self.moments], device=mask.device)
+        del links, moments, inputs
+        self.allocate_gradients()
+
+    def finish(self, rays: Any, threshold: float) -> VoxelField:
+        """The field of the voxels that matter to the pictures, with its rendering weights.
+
+        Args:
+            rays: TrainingRays, whose cameras are taken.
+            threshold: Rendering weight from which a voxel matters.
+
+        Returns:
+            The field.
+        """
+        self.release()
+        self.resample(self.weighty_mask(rays, threshold))
+        self.field.weights = self.measure_weights(rays)
+        return self.field
+
+    def measure_weights(self, rays: Any, pixel_stride: int = 1) -> wp.array:
+        """The largest rendering weight that training rays give to each voxel.
+
+        Args:
+            rays: TrainingRays, whose cameras are taken.
+            pixel_stride: Every how many pixels there is a ray, along both sides of a picture.
+
+        Returns:
+            (rows,) float32.
+        """
+        field, rows = self.field, self.field.voxel_count
+        count = rays.cameras.shape[0] * -(-rays.width // pixel_stride) * -(-rays.height // pixel_stride)
+        weights = [wp.zeros(rows, dtype=wp.float32, device=field.device) for _ in range(self.shards)]
+        inputs = [field.grid, rays.cameras, pixel_stride, field.step, STOP_TRANSMITTANCE]
+        work = ShardedWork(record_weights, count, inputs, [[shard] for shard in weights])
+        launch_shards([work], self.shards, field.device)
+        for other in weights[1:]:
+            launch(rmsprop.join_maximum, rows, [other], [weights[0]], device=field.device)
+        return weights[0]
+
+    def weighty_mask(self, rays: Any, threshold: float) -> wp.array:
+        """The voxels that matter to the pictures, and their neighbours, among those that have a row.
+
+        Args:
+            rays: TrainingRays, whose cameras are taken.
+            threshold: Rendering weight from which a voxel matters.
+
+        Returns:
+            (nx, ny, nz) uint8.
+        """
+        field = self.field
+        stride = max(1, int(0.5 * field.resolution[0] ** -1 * rays.width))
+        weights = self.measure_weights(rays, stride)
+        mask = wp.zeros(field.resolution, dtype=wp.uint8, device=field.device)
+        inputs = [self.nodes, weights, threshold]
+        launch(grid_refine.mark_weighty_nodes, field.voxel_count, inputs, [mask], device=field.device)
+        mask = dilated(mask)
+        launch(grid_refine.keep_linked, mask.size, [field.grid.links], [mask], device=field.device)
+        return mask
+
+    # Steps
+
+    def accumulate(self, batch: Batch, weights: tuple[float, float], share: float, random: np.random.Generator) -> None:
+        """Add the gradients of the photometric loss of a batch, and of the total variation.
+
+        Args:
+            batch: The batch. Its squared errors are written.
+            weights: Of the total variation of density and of SH, per voxel of the box.
+            share: Of the rows that get a gradient of the total variation.
+            random: Chooses the first of those rows.
+        """
+        field, device = self.field, self.field.device
+        coefficients = coefficient_rows(field.grid.sh)
+        photometric = [
+            batch.rays,
+            wp.vec3(*map(float, field.background)),
+            int(batch.random_background),
+            batch.seed,
+            field.step,
+            STOP_TRANSMITTANCE,
+            1.0 / (3.0 * batch.size),
+            batch.behind,
+        ]
+        varied = max(1, int(share * field.voxel_count))
+        # a share of the rows stands for all of them
+        boost = field.voxel_count / varied / float(np.prod(field.resolution)) * (max(field.resolution) / VARIATION_SIDE)
+        variation = ShardedWork(
+            accumulate_variation_gradient,
+            varied,
+            [
+                field.grid,
+                coefficients,
+                self.nodes,
+                int(random.integers(field.voxel_count)),
+                1.0 / (0.5 * float((field.bounds[1] - field.bounds[0]).max())),
+                weights[0] * boost,
+                weights[1] * boost,
+            ],
+            [[gradients, self.touched] for gradients in self.gradients],
+            items=ROW_NUMBERS,
+        )
+        works = [variation] if max(weights) > 0 else []
+        if device.is_cpu:
+            outputs = [
+                [*gradient_parts(gradients), batch.squared_error, batch.grad_behind] for gradients in self.gradients
+            ]
+            inputs = [field.grid, *photometric]
+            works.insert(0, ShardedWork(accumulate_photometric_gradient, batch.size, inputs, outputs))
+        else:
+            launch(
+                accumulate_photometric_gradient_by_warps,
+                lane_count(device) * batch.size,
+                [field.grid, coefficients, *photometric],
+                [self.gradients[0], self.touched, batch.squared_error, batch.grad_behind],
+                device=device,
+            )
+        launch_shards(works, self.shards, device)
+
+    def apply(self, rates: Rates, beta: float) -> None:
+        """One step of RMSProp by the gradients, which are cleared.
+
+        Args:
+            rates: Learning rates.
+            beta: Decay of the second moments.
+        """
+        field = self.field
+        voxel = float(field.voxel_size.max())
+        if field.device.is_cpu:  # its photometric gradient leaves no marks
+            self.touched.fill_(1)
+        total = sum_shards([gradients.flatten() for gradients in self.gradients])
+        inputs = [
+            rates.density / voxel,
+            rates.sh,
+            rates.directional,
+            beta,
+            EPSILON * voxel,  # a density's gradient is a length
+            EPSILON,
+            self.touched,
+            self.gradients[0],
+            self.moments,
+        ]
+        outputs = [field.grid.density, coefficient_rows(field.grid.sh)]
+        launch(rmsprop.apply_rmsprop, total.size, inputs, outputs, device=field.device)
+        self.touched.zero_()
+        if rates.directional_kept < 1:
+            inputs = [rates.directional_kept]
+            launch(rmsprop.shrink_view_dependence, 3 * field.voxel_count, inputs, [field.grid.sh], device=field.device)
+
+
+def row_bytes(shards: int) -> int:
+    """Device memory per row of a level that is optimised with `shards` arrays of gradients."""
+    return FIELD_ROW_BYTES + shards * GRADIENT_BYTES + MOMENT_BYTES + MARK_BYTES
+
+
+def node_bytes(shape: tuple[int, ...]) -> int:
+    """Device memory of a level for a grid of (nx, ny, nz), whatever rows it has."""
+    return LINK_BYTES * math.prod(shape) + SKIP_BYTES * math.prod(n - 1 for n in shape)
+
+
+def level_memory(shape: tuple[int, ...], shards: int, fixed: int, tiles: int) -> FitMemory:
+    """What levels of a fit take.
+
+    Args:
+        shape: (nx, ny, nz) of a level, for the cells per node.
+        shards: Arrays of gradients.
+        fixed: Bytes of all that does not depend on the grid.
+        tiles: Bytes of one number for each tile of the pictures.
+
+    Returns:
+        The memory of levels of any resolution.
+    """
+    return FitMemory(
+        fixed=fixed,
+        node=node_bytes(shape) / math.prod(shape),
+        row=row_bytes(shards),
+        field_row=FIELD_ROW_BYTES,
+        moment_row=MOMENT_BYTES,
+        shards=shards,
+        tiles=tiles,
+    )
 
 
 def coefficient_rows(sh: wp.array) -> wp.array:
     """Coefficients (rows, 3) of vec9 as numbers (rows, 27), without a copy."""
-    return wp.array(ptr=sh.ptr, dtype=wp.float32, shape=(sh.shape[0], COEFFICIENTS), device=sh.device, copy=False)
+    return array_view(sh, wp.float32, (sh.shape[0], COEFFICIENTS))
 
 
 def gradient_parts(gradients: wp.array) -> tuple[wp.array, wp.array]:
-    """The densities (rows,) and the coefficients (rows, 3) of vec9 of gradients (rows, 28), without a copy."""
-    rows, stride = gradients.shape[0], gradients.strides[0]
-    density = wp.array(
-        ptr=gradients.ptr + COEFFICIENTS * 4,
-        dtype=wp.float32,
-        shape=rows,
-        strides=(stride,),
-        device=gradients.device,
-        copy=False,
-    )
-    sh = wp.array(
-        ptr=gradients.ptr, dtype=vec9, shape=(rows, 3), strides=(stride, 36), device=gradients.device, copy=False
-    )
-    return density, sh
+    """Densities (rows,) and coefficients (rows, 3) of vec9 of gradients (rows, 28) float32, without a copy."""
+    rows, stride = gradients.shape[0], 4 * ROW_NUMBERS
+    channel = 4 * COEFFICIENTS // 3
+    density = array_view(gradients, wp.float32, (rows,), offset=4 * COEFFICIENTS, strides=(stride,))
+    return density, array_view(gradients, vec9, (rows, 3), strides=(stride, channel))
+
+
+def _started(mask: wp.array, bounds: np.ndarray, background: np.ndarray) -> tuple[VoxelField, wp.array]:
+    """A grey field with a row for each voxel of a mask, and its nodes."""
+    density = START_DEPTH / (0.5 * float((bounds[1] - bounds[0]).max()))
+    field, nodes = field_from_mask(bounds, mask, density, background=background, device=mask.device)
+    if not field.voxel_count:
+        raise ValueError(
+            "nothing is left to render after pruning: all images may show the background alone, or "
+            "not fit their cameras"
+        )
+    return field, nodes
+
+
+def _moments(rows: int, device: wp.Device) -> wp.array:
+    return wp.zeros((rows, ROW_NUMBERS), dtype=wp.bfloat16, device=device)
+
+
+def _marks(rows: int, device: wp.Device) -> wp.array:
+    return wp.zeros(rows, dtype=wp.uint8, device=device)
+
+
+def _ratio(fine: tuple[int, ...], coarse: tuple[int, ...]) -> wp.vec3:
+    """Voxels of a grid per voxel of another one over the same bounds, along each axis."""
+    return wp.vec3(*(n / m for n, m in zip(fine, coarse, strict=True)))

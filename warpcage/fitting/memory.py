@@ -5,26 +5,36 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 import warp as wp
 
 from ..core.memory import free_bytes
 
-#: Share of what is free that a fit takes where nothing is said.
+#: Share of the free memory that a fit takes by default.
 FREE_SHARE = 0.9
 
-#: A level is refined in steps of this factor of its resolution; below the smallest it is not worth its time.
+#: Factors by which a level may be refined are this far apart; a smaller one than the smallest is not worth its time.
 FACTOR_STEP, SMALLEST_FACTOR = 1.0 / 16.0, 1.125
 
-#: Voxels along the longest side under which a first level says nothing.
+#: Voxels along the longest side below which a first level is of no use.
 SMALLEST_LEVEL = 8
 
-#: Where the factor is no whole number, a voxel may become a few more than its cube, or less.
+#: Where the factor is not a whole number, a voxel may become a few more than its cube, or fewer.
 ROUNDING = 1.05
 
-#: Bytes of a node in a mask, and of a row's weight while a level is pruned.
+#: A first level that is too large is made coarser by this much more than the estimate says.
+SHRINKAGE = 0.9
+
+#: Images that do not fit should take this share of the memory after they are shrunk.
+IMAGE_SHARE = 0.5
+
+#: Bytes per node of a mask, and per row of a weight while a level is pruned.
 _MASK, _WEIGHT = 1, 4
+
+_Shape = TypeVar("_Shape")
 _UNITS = {
     "": 1,
     "b": 1,
@@ -36,10 +46,17 @@ _UNITS = {
 }
 
 
-def memory_size(size) -> int:
-    """Bytes of a number of bytes, or of text such as "4GB" (10^9) or "512 MiB" (2^20).
+def memory_size(size: object) -> int:
+    """A memory size in bytes.
 
-    Raises ValueError for anything else, and for sizes that are not positive.
+    Args:
+        size: A number of bytes, or text such as "4GB" (10^9) or "512 MiB" (2^20).
+
+    Returns:
+        Whole bytes.
+
+    Raises:
+        ValueError: For anything else, and for sizes that are not positive.
     """
     value = math.nan
     if isinstance(size, str):
@@ -53,139 +70,137 @@ def memory_size(size) -> int:
     return int(value)
 
 
-def device_arrays(*things) -> list[wp.array]:
-    """Each Warp array once that objects hold: in their attributes, lists, dictionaries and Warp structs."""
-    found, visited, waiting = {}, set(), list(things)
-    while waiting:
-        thing = waiting.pop()
-        if id(thing) in visited:
-            continue
-        visited.add(id(thing))
-        if isinstance(thing, wp.array):
-            if thing.ptr:
-                found[thing.ptr] = thing
-        elif isinstance(thing, dict):
-            waiting += thing.values()
-        elif isinstance(thing, (list, tuple)):
-            waiting += thing
-        elif hasattr(thing, "_cls") and hasattr(thing._cls, "vars"):  # a Warp struct
-            waiting += [getattr(thing, name) for name in thing._cls.vars]
-        elif type(thing).__module__.startswith("warpcage"):
-            waiting += [value for name, value in vars(thing).items() if name != "scene"]
-    return list(found.values())
-
-
-def array_bytes(arrays) -> int:
-    return sum(array.capacity for array in arrays)
-
-
 @dataclasses.dataclass(frozen=True)
 class FitMemory:
-    """Bytes that a FieldOptimizer's arrays take, by what they grow with; read off the arrays that it holds.
+    """Bytes that a fit takes on its device, by what they grow with, as the owners of the arrays state them.
 
-    fixed: images and whatever else does not depend on the grid. node: for each node of the box. field_node: the part of
-    it that is the field's. row, field_row: for each voxel that holds values. shards: copies of the weights while it
-    prunes. tiles: one number for each tile of the images.
+    Args:
+        fixed: All that does not depend on the grid: pictures, batches, layers.
+        node: For each node of the box.
+        row: For each voxel that holds values.
+        field_row: The part of `row` that is the field's.
+        moment_row: The part of `row` that is the optimiser's second moments.
+        shards: Copies of the weights while a level is pruned.
+        tiles: One number for each tile of the images.
     """
 
     fixed: int
     node: float
-    field_node: float
-    row: float
-    field_row: float
+    row: int
+    field_row: int
+    moment_row: int
     shards: int
     tiles: int
 
-    @classmethod
-    def of(cls, optimizer) -> FitMemory:
-        """Measured on an optimiser that holds a level."""
-        rows, shape = optimizer.field.voxel_count, optimizer.field.resolution
-        nodes = math.prod(shape)
-        totals = {"fixed": 0, "node": 0, "row": 0}
-        field_totals = dict(totals)
-        field_pointers = {array.ptr for array in device_arrays(optimizer.field, optimizer.nodes)}
-        for array in device_arrays(optimizer):
-            kind = _growth(array, rows, shape)
-            totals[kind] += array.capacity
-            if array.ptr in field_pointers:
-                field_totals[kind] += array.capacity
-        tiles = 4 * optimizer.tile_total
-        fixed = totals["fixed"] + (tiles if optimizer.rays.tiles is None else 0)  # there will be
-        return cls(
-            fixed,
-            totals["node"] / nodes,
-            field_totals["node"] / nodes,
-            totals["row"] / rows,
-            field_totals["row"] / rows,
-            optimizer.shards,
-            tiles,
-        )
-
     def without(self, size: int) -> FitMemory:
-        """As it were with so many bytes less of what does not depend on the grid."""
+        """The same with `size` bytes less of what does not depend on the grid."""
         return dataclasses.replace(self, fixed=self.fixed - size)
 
-    def first_shapes(self, shapes, rows: int, limit: int) -> list | None:
-        """The levels' shapes, made coarser where the first, of `rows`, would not fit into `limit` bytes; None where
-        nothing worth the name would."""
+    def first_shapes(self, shapes: Sequence[tuple[int, ...]], rows: int, limit: int) -> list[tuple[int, ...]] | None:
+        """The resolutions of all levels that the first one allows.
+
+        Args:
+            shapes: (nx, ny, nz) voxels of each level, as planned.
+            rows: Voxels of the first that hold values.
+            limit: Bytes that the fit may take.
+
+        Returns:
+            The shapes, made coarser where the first level would not fit. None where too few voxels would be left.
+        """
         needed = self.level_bytes(rows, shapes[0])
         if needed <= limit:
             return list(shapes)
-        factor = 0.9 * max((limit - self.fixed) / (needed - self.fixed), 0.0) ** (1 / 3)
+        factor = SHRINKAGE * max((limit - self.fixed) / (needed - self.fixed), 0.0) ** (1 / 3)
         coarser = [scaled_shape(shape, factor) for shape in shapes]
         return None if max(coarser[0]) < SMALLEST_LEVEL else coarser
 
-    def refuse(self, rows: int, shape, limit: int) -> None:
-        """Raise the ValueError of a first level that does not fit."""
-        raise ValueError(
+    def refusal(self, rows: int, shape: tuple[int, ...], limit: int) -> ValueError:
+        """The error for a first level of (nx, ny, nz) with `rows` voxels that does not fit into `limit` bytes."""
+        return ValueError(
             f"a fit within {_text(limit)} (max_memory) is not possible: the images take "
             f"{_text(self.fixed)}, the coarsest level {_text(self.level_bytes(rows, shape) - self.fixed)}"
         )
 
-    def level_bytes(self, rows: int, shape) -> int:
-        """At most what a level takes while its tiles are found, and while it is optimised and pruned."""
+    def level_bytes(self, rows: int, shape: tuple[int, ...]) -> int:
+        """Most that a level of (nx, ny, nz) with `rows` voxels takes, while its tiles are found and while it is
+        optimised and pruned."""
         nodes = math.prod(shape)
         pruning = 2 * _MASK * nodes + _WEIGHT * self.shards * rows
         return math.ceil(self.fixed + self.node * nodes + self.row * rows + max(pruning, 2 * self.tiles))
 
-    def change_bytes(self, rows: int, shape, new_rows: int, new_shape) -> int:
-        """At most what is held while a finer field takes another's place: both, and the masks between them."""
+    def change_bytes(self, rows: int, shape: tuple[int, ...], new_rows: int, new_shape: tuple[int, ...]) -> int:
+        """Most that is held while a finer field replaces a level's: both fields, and the masks between them."""
         nodes, new_nodes = math.prod(shape), math.prod(new_shape)
-        old = self.field_row * rows + (self.field_node + _MASK) * nodes
-        new = self.field_row * new_rows + (self.field_node + 2 * _MASK) * new_nodes
+        old = self.field_row * rows + (self.node + _MASK) * nodes
+        new = self.field_row * new_rows + (self.node + 2 * _MASK) * new_nodes
         return math.ceil(self.fixed + old + new)
 
-    def thinning_bytes(self, rows: int, new_rows: int, shape, moment_row: float) -> int:
-        """At most what is held while rows go and the optimiser's moments, of `moment_row` bytes each, stay."""
-        both = (self.field_row + moment_row) * (rows + new_rows)
+    def thinning_bytes(self, rows: int, new_rows: int, shape: tuple[int, ...]) -> int:
+        """Most that is held while a level of (nx, ny, nz) goes from `rows` to `new_rows` and keeps its moments."""
+        both = (self.field_row + self.moment_row) * (rows + new_rows)
         return math.ceil(self.fixed + both + (2 * self.node + 2 * _MASK) * math.prod(shape))
 
-    def refinement(self, rows: int, pruned: int, shape, new_shape, limit: int):
-        """(nx, ny, nz), at most `new_shape`, to which a level of `rows` at `shape`, of which `pruned` stay, can be
-        refined within `limit` bytes; None where that is not worth its time."""
+    def refinement(
+        self, rows: int, kept: int, shape: tuple[int, ...], new_shape: tuple[int, ...], limit: int
+    ) -> tuple[int, ...] | None:
+        """The resolution to which a level can be refined.
+
+        Args:
+            rows: Voxels of the level that hold values.
+            kept: Those of them that have children.
+            shape: (nx, ny, nz) voxels of the level.
+            new_shape: (nx, ny, nz) voxels of the next one, as planned.
+            limit: Bytes that the fit may take.
+
+        Returns:
+            (nx, ny, nz), at most `new_shape`. None where the refinement would not be worth its time.
+        """
         whole = new_shape[0] / shape[0]
         for factor in np.arange(whole, SMALLEST_FACTOR - 1e-9, -FACTOR_STEP):
             finer = new_shape if factor == whole else scaled_shape(shape, factor)
-            grown = math.ceil(pruned * math.prod(finer) / math.prod(shape) * ROUNDING)
+            grown = math.ceil(kept * math.prod(finer) / math.prod(shape) * ROUNDING)
             needed = max(self.level_bytes(grown, finer), self.change_bytes(rows, shape, grown, finer))
             if needed <= limit:
                 return tuple(finer)
         return None
 
 
-def scaled_shape(shape, factor: float) -> tuple[int, ...]:
+def finest(memory: FitMemory, spare: int, choice: Callable[[FitMemory], _Shape | None]) -> tuple[_Shape | None, bool]:
+    """The most voxels that the memory allows.
+
+    Args:
+        memory: What the fit takes.
+        spare: Bytes that pictures of the lowest precision would give back.
+        choice: The shape, or shapes, for a memory; None where there is none.
+
+    Returns:
+        The choice, and whether it needs pictures of the lowest precision: they are taken where they leave room for more
+        voxels.
+    """
+    shape, finer = (choice(memory.without(size)) for size in (0, spare))
+    if finer is None or (shape is not None and _voxels(finer) <= _voxels(shape)):
+        return shape, False
+    return finer, True
+
+
+def _voxels(shape) -> float:
+    return float(np.prod(shape, dtype=float))
+
+
+def scaled_shape(shape: tuple[int, ...], factor: float) -> tuple[int, ...]:
+    """(nx, ny, nz) times a factor, at least 2 voxels along each axis."""
     return tuple(max(2, round(n * factor)) for n in shape)
 
 
-def memory_limit(max_memory: int | None, device) -> int:
-    """Bytes that a fit may take: as asked, else most of what is free."""
+def memory_limit(max_memory: int | None, device: wp.Device) -> int:
+    """Bytes that a fit may take: `max_memory`, or most of what is free on the device where that is None."""
     return int(FREE_SHARE * free_bytes(device)) if max_memory is None else max_memory
 
 
 def require_image_memory(size: int, limit: int) -> None:
-    """Raise ValueError where the images alone do not fit, with the factor by which to shrink them."""
+    """Raise ValueError, with the factor by which to shrink the images, where their `size` bytes exceed `limit`."""
     if size > limit:
-        factor = math.ceil(math.sqrt(size / (0.5 * limit)))
+        factor = math.ceil(math.sqrt(size / (IMAGE_SHARE * limit)))
         raise ValueError(
             f"the images take {_text(size)} of device memory and the fit may take {_text(limit)} "
             f"(max_memory): load them with downscale={factor}, or fewer of them"
@@ -194,10 +209,3 @@ def require_image_memory(size: int, limit: int) -> None:
 
 def _text(size: float) -> str:
     return f"{size / 1e9:.2f} GB" if size >= 1e8 else f"{size / 1e6:.2f} MB"
-
-
-def _growth(array: wp.array, rows: int, shape) -> str:
-    """Whether an array grows with the nodes of the box, the rows of the field, or with neither."""
-    if array.ndim == 3 and all(0 <= n - m <= 1 for n, m in zip(shape, array.shape, strict=True)):
-        return "node"
-    return "row" if array.ndim and array.shape[0] == rows else "fixed"

@@ -4,62 +4,78 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import pathlib
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, require_type
-from ..core.devices import lane_count, launch, load_modules, module_block_dim, resolve_device
-from ..core.threads import CPU_THREADS, run_parallel
+from ..core.devices import load_modules, resolve_device
 from ..field.sparse import mask_count
-from ..field.voxel_field import VoxelField, field_from_mask
-from ..kernels.field import refine as grid_refine
-from ..kernels.field import skip as grid_skip
-from ..kernels.field.render import record_weights
-from ..kernels.fitting import active_tiles, visual_hull
-from ..kernels.fitting import loss as field_loss
-from ..kernels.fitting import loss_warps as field_loss_warps
-from ..kernels.fitting import rmsprop as field_step
-from ..kernels.fitting import variation as field_variation
-from ..kernels.fitting.pictures import Pictures
-from ..kernels.fitting.rmsprop import shrink_view_dependence
+from ..field.voxel_field import VoxelField
+from ..kernels.field import refine, skip
+from ..kernels.fitting import active_tiles, loss, loss_warps, rmsprop, variation, visual_hull
 from ..scene.box import scene_box
 from ..scene.scene import Scene
-from ..view.camera import camera_array
-from .background import BackgroundOptimizer, chosen_background, layers_that_fit
+from .background import BackgroundOptimizer, chosen_background, layers_that_fit, mean_colour
+from .batches import Batch, Batches
 from .checkpoint import load_progress, require_writable, save_progress
-from .level import ROW_NUMBERS, coefficient_rows, gradient_parts
-from .memory import FitMemory, array_bytes, device_arrays, memory_limit, require_image_memory
+from .level import Level, level_memory
+from .memory import FitMemory, finest, memory_limit
 from .options import checked_options, checked_seed
-from .pictures import PRECISIONS, TrainingPictures, picture_bytes
-from .plan import directional_rate, plan_batches, plan_grid
-from .silhouettes import Silhouettes, keep_seen
+from .pictures import PRECISIONS, TrainingPictures
+from .plan import plan_batches, plan_grid
+from .schedule import Schedule
+from .shards import shard_count
+from .silhouettes import Silhouettes, possible_voxels
 
-#: A training march ends where less than this share of the light is left, as a render does.
-STOP_TRANSMITTANCE = 1e-3
+#: The cells per node of the first level are those of this grid: its own resolution follows from the memory.
+SMALLEST_GRID = (2, 2, 2)
 
-#: Steps from one pass over the SH coefficients that shrinks them to the next.
-SHRINK_EVERY = 4
-
-#: A CPU thread's own gradients are worth their memory up to this many.
-MAX_SHARDS = 8
+#: Seconds between two updates of the progress bar.
+SHOWN_EVERY = 1.0
 
 
 class FieldOptimizer:
     """Plenoxels' optimisation of a VoxelField, step by step: coarse to fine, RMSProp, total variation, pruning by
     rendering weight (Fridovich-Keil and Yu et al. 2022, section 3).
 
-    scene: Scene. device: Warp device, None is CUDA where there is one. seed: of the pixel order and the backgrounds;
-    on the CPU the same seed, scene and number of cores give the same field to the bit. bounds: (2, 3) world units, None
-    finds the object. options: quality, and FitOptions fields by name, which come before it.
+    Use `fit` unless you need the steps.
 
-    Use `fit` unless you need the steps. `.field` is the field so far, `.psnr` of the last measured batch,
-    `.step_count` of `.total_steps`, `.shapes` the levels' resolutions and `.pictures.bits` a channel of the pictures
-    what memory allows so far. Raises ValueError for options out of range or a scene with nothing in it.
+    Args:
+        scene: The images with their cameras.
+        device: Warp device. None is CUDA where there is one.
+        seed: Of the pixel order and the backgrounds. On the CPU the same seed, scene and number of cores give the same
+            field to the bit.
+        bounds: (2, 3) box of the object, world units. None finds it.
+        options: `quality`, and fields of FitOptions by name, which have priority over it.
+
+    Raises:
+        ValueError: For options out of range, a scene with nothing in it, or too little memory.
+
+    Attributes:
+        scene: The scene.
+        options: All options, with the number of levels that the fit has.
+        device: The Warp device.
+        bounds: (2, 3) box of the field, world units.
+        shapes: (nx, ny, nz) voxels of each level; made coarser during the fit where memory is short.
+        memory_limit: Bytes that the fit may take, beside the layers.
+        psnr: Of the last measured batch, in dB.
     """
 
-    def __init__(self, scene: Scene, *, device=None, seed: int = 0, bounds=None, **options):
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        device: wp.DeviceLike = None,
+        seed: int = 0,
+        bounds: ArrayLike | None = None,
+        **options: Any,
+    ):
         require_type(scene, Scene, "a fit needs")
         self.scene = scene
         self.options = checked_options(options)
@@ -72,420 +88,245 @@ class FieldOptimizer:
         }
         self.random = np.random.default_rng(self.seed)
         self.psnr = float("nan")
-        self.step_count = 0
-        self.level = 0
-        self.shards = min(CPU_THREADS, MAX_SHARDS) if self.device.is_cpu else 1
-        self.random_background, self.layered = chosen_background(scene, self.options.background)
+        self.shards = shard_count(self.device)
+        self.random_background, layered = chosen_background(scene, self.options.background)
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
+        gradients = loss if self.device.is_cpu else loss_warps
+        load_modules([visual_hull, refine, skip, active_tiles, gradients, variation, rmsprop], self.device)
 
-        gradients = field_loss if self.device.is_cpu else field_loss_warps
-        load_modules(
-            [visual_hull, grid_refine, grid_skip, active_tiles, gradients, field_variation, field_step], self.device
-        )
-        self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
+        silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
             bounds = scene_box(scene)
-            if self._silhouettes is not None:
-                bounds = self._silhouettes.bound(bounds)
-        if self.layered:
-            self.background_side, layer_bytes = layers_that_fit(scene, self.options, self.shards, self.memory_limit)
-            self.memory_limit -= layer_bytes
-        grid = plan_grid(scene, self.options, checked_bounds(bounds), self.layered)
+            if silhouettes is not None:
+                bounds = silhouettes.bound(bounds)
+        box = checked_bounds(bounds)
+        layer_side, layer_bytes = 0, 0
+        if layered:
+            layer_side, layer_bytes = layers_that_fit(scene, self.options, self.shards, self.memory_limit)
+        self.memory_limit -= layer_bytes
+        grid = plan_grid(scene, self.options, box, layered)
         self.options = dataclasses.replace(self.options, levels=grid.levels)
-        self.bounds, self.shapes, self.scarcity = grid.bounds, grid.shapes, grid.scarcity
-        self.variation_density, self.variation_sh = grid.variation
-        self._upload_images()
-        self._start_level(self._first_mask(), None)
-        self._allocate_state()
+        self.bounds, self.shapes, self.variation = grid.bounds, grid.shapes, grid.variation
+
+        self.batches = Batches(
+            scene,
+            self.bounds.mean(axis=0),
+            self.options.tile_size,
+            self.random,
+            self.device,
+            held=0 if silhouettes is None else silhouettes.held_bytes,
+            limit=self.memory_limit,
+        )
+        mask = self._first_mask(silhouettes)
+        del silhouettes  # its tables are as large as the images
+        self.current = Level(mask, self.bounds, scene.background, self.shards)
+        del mask
+        self.layered = layered
         self._activate_tiles()
-        self._plan()
-        self.background = (
-            None
-            if not self.layered
-            else BackgroundOptimizer(
-                scene,
-                self.pictures,
+        batch_tiles, level_steps = plan_batches(
+            self.options, math.prod(scene.images.shape[:3]), self.batches.active_tiles
+        )
+        self.batches.size(batch_tiles)
+        self.schedule = Schedule(self.options, level_steps, grid.scarcity)
+        self.background: BackgroundOptimizer | None = None
+        if layered:
+            self.background = BackgroundOptimizer(
+                mean_colour(scene),
+                scene.surroundings is not None,
                 self.bounds,
                 self.options,
-                self.background_side,
-                self.batch_rays,
+                layer_side,
+                self.batches.batch_rays,
                 self.shards,
                 self.device,
             )
-        )
 
-    # Set-up
-
-    def _upload_images(self) -> None:
-        scene, size = self.scene, self.options.tile_size
-        count, height, width = scene.images.shape[:3]
-        self.rays = rays = field_loss.TrainingRays()
-        rays.cameras = camera_array(scene.cameras, self.bounds.mean(axis=0), self.device)
-        rays.height, rays.width = height, width
-        rays.tile_size = size
-        rays.rays_per_side = 1
-        self.tile_total = count * -(-height // size) * -(-width // size)
-        held = array_bytes(device_arrays(self))
-        needed = {bits: held + picture_bytes(scene, bits) for bits in PRECISIONS}
-        require_image_memory(needed[PRECISIONS[-1]], self.memory_limit)
-        self.pictures = TrainingPictures(
-            scene, next(bits for bits in PRECISIONS if needed[bits] <= self.memory_limit), self.device
-        )
-        rays.pictures = self.pictures.seen
-
-    def keep_pictures(self, bits: int) -> None:
-        """Go on with the pictures at another precision, one of PRECISIONS."""
-        if bits != self.pictures.bits:
-            self.rays.pictures = Pictures()  # lets go of those before
-            self.pictures.keep(bits)
-            self.rays.pictures = self.pictures.seen
-
-    def _finest(self, memory: FitMemory, choice):
-        """The shape, or shapes, that `choice` makes of what memory there is; None where it makes none.
-
-        Where pictures of the lowest precision leave room for more voxels they are kept so from then on.
-        """
-        shape, finer = (choice(memory.without(spare)) for spare in (0, self.pictures.spare_bytes))
-        if finer is None or (shape is not None and np.prod(finer, dtype=float) <= np.prod(shape, dtype=float)):
-            return shape
-        self.keep_pictures(PRECISIONS[-1])
-        return finer
-
-    def _first_mask(self) -> wp.array:
-        """Voxels of the first level; pictures at 8 bits a channel, then coarser voxels, where memory would not do."""
-        silhouettes, self._silhouettes = self._silhouettes, None  # its tables are as large as the images
-        self._start_level(wp.ones((2, 2, 2), dtype=wp.uint8, device=self.device), None)
-        self._allocate_state()
+    def _first_mask(self, silhouettes: Silhouettes | None) -> wp.array:
+        """Voxels of the first level; pictures at 8 bits per channel, then coarser voxels, where memory is short."""
         while True:
-            memory = FitMemory.of(self)  # what a node and a row take
-            mask = self._possible_voxels(silhouettes)
+            shape = self.shapes[0]
+            mask = possible_voxels(
+                silhouettes, self.scene.cameras, self.bounds, shape, self.options.view_share, self.device
+            )
             rows = mask_count(mask)
+            memory = level_memory(SMALLEST_GRID, self.shards, self.batches.held_bytes, self.batches.mark_bytes)
             shapes = self._finest(
                 memory, lambda held, rows=rows: held.first_shapes(self.shapes, rows, self.memory_limit)
             )
             if shapes is None:
-                memory.without(self.pictures.spare_bytes).refuse(rows, self.shapes[0], self.memory_limit)
+                raise memory.without(self.pictures.spare_bytes).refusal(rows, shape, self.memory_limit)
             if shapes == self.shapes:
                 return mask
             self.shapes = shapes
 
-    def _possible_voxels(self, silhouettes) -> wp.array:
-        """Voxels of the first level that enough cameras see, inside all silhouettes where there are any."""
-        if silhouettes is None:
-            mask = wp.ones(self.shapes[0], dtype=wp.uint8, device=self.device)
-        else:
-            mask = silhouettes.carve(self.bounds, self.shapes[0])
-        least = max(1, math.ceil(self.options.view_share * len(self.scene)))
-        keep_seen(self.bounds, self.scene.cameras, least, mask)
-        if not mask_count(mask):
-            raise ValueError(
-                "no camera sees the bounds of the field: check the bounds and the cameras' axes"
-                if silhouettes is None
-                else "no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas"
-            )
-        return mask if silhouettes is None else self._dilated(mask)
+    # State
 
-    def _plan(self) -> None:
-        options = self.options
-        self.batch_tiles, self.level_steps = plan_batches(
-            options, math.prod(self.scene.images.shape[:3]), self.active_tiles
-        )
-        self.batch_rays = self.batch_tiles * options.tile_size**2
-        self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
-        self.total_steps = sum(self.level_steps)
-        self.directional = directional_rate(self.total_steps) if options.directional is None else options.directional
+    @property
+    def field(self) -> VoxelField:
+        """The field so far."""
+        return self.current.field
+
+    @property
+    def pictures(self) -> TrainingPictures:
+        """The scene's pictures on the device, at the precision that memory allows."""
+        return self.batches.pictures
+
+    @property
+    def rays(self) -> Any:
+        """TrainingRays, what the losses take of the batches."""
+        return self.batches.rays
+
+    @property
+    def tile_total(self) -> int:
+        """Tiles of all pictures."""
+        return self.batches.tile_total
+
+    @property
+    def active_tiles(self) -> int:
+        """Tiles that see anything of the field."""
+        return self.batches.active_tiles
+
+    @property
+    def batch_rays(self) -> int:
+        """Rays per batch."""
+        return self.batches.batch_rays
+
+    @property
+    def level(self) -> int:
+        """Index of the level that the fit has reached."""
+        return self.schedule.level
+
+    @property
+    def level_steps(self) -> list[int]:
+        """Steps of each level."""
+        return self.schedule.level_steps
+
+    @property
+    def level_done(self) -> bool:
+        """Whether the steps of the level are done."""
+        return self.schedule.level_done
+
+    @property
+    def step_count(self) -> int:
+        """Steps done."""
+        return self.schedule.step_count
+
+    @property
+    def total_steps(self) -> int:
+        """Steps of all levels."""
+        return self.schedule.total_steps
+
+    @property
+    def held_bytes(self) -> int:
+        """Device memory of the fit between two steps."""
+        return self._fixed_bytes() + self.current.held_bytes
+
+    def _fixed_bytes(self) -> int:
+        """Device memory that does not depend on the grid."""
+        return self.batches.held_bytes + (0 if self.background is None else self.background.held_bytes)
+
+    def memory(self) -> FitMemory:
+        """What levels of the fit take, as their owners state it."""
+        return self.current.memory(self._fixed_bytes(), self.batches.mark_bytes)
 
     # Levels
 
-    def _start_level(self, mask: wp.array, coarse: VoxelField | None) -> None:
-        """A field of the rows of a mask, filled from a coarser one where there is one."""
-        start_density = 0.1 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
-        field, self.nodes = field_from_mask(
-            self.bounds, mask, start_density, background=self.scene.background, device=self.device
-        )
-        if not field.voxel_count:
-            raise ValueError(
-                "nothing is left to render after pruning: all images may show the background alone, or "
-                "not fit their cameras"
-            )
-        if coarse is not None:
-            launch(
-                grid_refine.resample_rows,
-                field.voxel_count,
-                [coarse.grid, _ratio(field, coarse), self.nodes],
-                [field.grid.density, field.grid.sh],
-                device=self.device,
-            )
-        self.field = field
-
-    def _allocate_state(self) -> None:
-        self._allocate_gradients()
-        self.moments = wp.zeros((self.field.voxel_count, ROW_NUMBERS), dtype=wp.bfloat16, device=self.device)
-
-    def _allocate_gradients(self) -> None:
-        rows = self.field.voxel_count
-        self.gradients = [
-            wp.zeros((rows, ROW_NUMBERS), dtype=wp.float32, device=self.device) for _ in range(self.shards)
-        ]
-        self.touched = wp.zeros(rows, dtype=wp.uint8, device=self.device)
+    def _finest(self, memory: FitMemory, choice: Callable[[FitMemory], Any]) -> Any:
+        """The shape, or shapes, that `choice` makes of the memory. Pictures change to the lowest precision for it."""
+        shape, coarse_pictures = finest(memory, self.pictures.spare_bytes, choice)
+        if coarse_pictures:
+            self.batches.keep_pictures(PRECISIONS[-1])
+        return shape
 
     def _activate_tiles(self) -> None:
-        if self.layered:  # every pixel shows something
-            self.tile_ids, self.active_tiles = np.arange(self.tile_total, dtype=np.int32), self.tile_total
-            self._shuffle_tiles()
-            return
-        active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
-        inputs = [self.field.grid, self.rays.cameras, self.rays.tile_size, 2.0 * self.field.step]
-        launch(active_tiles.mark_active_tiles, self.tile_total, inputs, [active], device=self.device)
-        self.tile_ids = np.flatnonzero(active.numpy()).astype(np.int32)
-        if len(self.tile_ids) == 0:
-            raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
-        self.active_tiles = len(self.tile_ids)
-        self._shuffle_tiles()
-
-    def _shuffle_tiles(self) -> None:
-        self.rays.tiles = wp.array(self.random.permutation(self.tile_ids), dtype=wp.int32, device=self.device)
-        self.cursor = 0
-
-    def _dilated(self, mask: wp.array) -> wp.array:
-        result = wp.empty_like(mask)
-        launch(grid_refine.dilate_mask, mask.size, [mask], [result], device=self.device)
-        return result
-
-    def measure_weights(self, pixel_stride: int = 1) -> wp.array:
-        """(rows,) float32 largest rendering weight that any training ray gives each voxel."""
-        rows = self.field.voxel_count
-        camera = self.scene.cameras[0]
-        count = len(self.scene) * -(-camera.width // pixel_stride) * -(-camera.height // pixel_stride)
-        shards = [wp.zeros(rows, dtype=wp.float32, device=self.device) for _ in range(self.shards)]
-        edges = [count * i // self.shards for i in range(self.shards + 1)]
-        inputs = [self.field.grid, self.rays.cameras, pixel_stride, self.field.step, STOP_TRANSMITTANCE]
-        wp.load_module(record_weights.module, device=self.device)
-        run_parallel(
-            [
-                lambda begin=begin, end=end, weights=weights: wp.launch(
-                    record_weights,
-                    dim=end - begin,
-                    inputs=[begin, *inputs],
-                    outputs=[weights],
-                    device=self.device,
-                    block_dim=module_block_dim(record_weights),
-                )
-                for begin, end, weights in zip(edges, edges[1:], shards, strict=False)
-            ],
-            self.shards,
-        )
-        for other in shards[1:]:
-            launch(field_step.join_maximum, rows, [other], [shards[0]], device=self.device)
-        return shards[0]
-
-    def _pruned_mask(self, threshold: float) -> wp.array:
-        """The voxels whose rendering weight reaches a threshold, and their neighbours, among those that there are."""
-        stride = max(1, int(0.5 * self.field.resolution[0] ** -1 * self.scene.images.shape[2]))
-        weights = self.measure_weights(stride)
-        mask = wp.zeros(self.field.resolution, dtype=wp.uint8, device=self.device)
-        launch(
-            grid_refine.mark_weighty_nodes,
-            self.field.voxel_count,
-            [self.nodes, weights, threshold],
-            [mask],
-            device=self.device,
-        )
-        mask = self._dilated(mask)
-        launch(grid_refine.keep_linked, mask.size, [self.field.grid.links], [mask], device=self.device)
-        return mask
+        """Batches of the tiles that see the field; of all of them with layers, as every pixel shows something."""
+        self.batches.activate(None if self.layered else self.field)
 
     def _refine(self) -> None:
-        """On to the next level: prune, halve the voxels, interpolate; pictures at 8 bits a channel, then less fine
-        voxels, where the memory would not do."""
-        self.level += 1
-        coarse, memory = self.field.resolution, FitMemory.of(self)
-        self.gradients = self.moments = None  # one level's state at a time: this is where memory peaks
-        pruned = self._pruned_mask(self.options.prune_weight / max(coarse))
-        rows, kept = self.field.voxel_count, mask_count(pruned)
-        shape = self._finest(
-            memory, lambda held: held.refinement(rows, kept, coarse, self.shapes[self.level], self.memory_limit)
-        )
+        """On to the next level: prune, halve the voxels, interpolate; pictures at 8 bits per channel, then larger
+        voxels, where memory is short."""
+        level, coarse, memory = self.current, self.field.resolution, self.memory()
+        level.release()  # one level's state at a time: this is where memory peaks
+        kept = level.weighty_mask(self.rays, self.options.prune_weight / max(coarse))
+        rows, kept_rows = self.field.voxel_count, mask_count(kept)
+        self.schedule.level += 1
+        planned = self.shapes[self.level]
+        shape = self._finest(memory, lambda held: held.refinement(rows, kept_rows, coarse, planned, self.memory_limit))
         self.shapes[self.level] = coarse if shape is None else shape
         if shape is not None:
-            mask = wp.empty(shape, dtype=wp.uint8, device=self.device)
-            ratio = wp.vec3(*(n / m for n, m in zip(shape, coarse, strict=True)))
-            launch(grid_refine.refine_mask, mask.size, [ratio, pruned], [mask], device=self.device)
-            self._start_level(mask, self.field)
+            level.refine(shape, kept)
         if self.background is not None:
             self.background.start_level(self.level)
-        self._allocate_state()
-        self._activate_tiles()
-
-    def restore_field(self, mask: wp.array) -> None:
-        """Rows for a mask, with fresh optimiser state: what a checkpoint fills."""
-        self.gradients = self.moments = None
-        self._start_level(mask, None)
-        self._allocate_state()
+        level.allocate()
         self._activate_tiles()
 
     def _thin_out(self) -> None:
-        """Drop what no view shows, and keep the optimiser's state of the rest."""
-        memory = FitMemory.of(self)
-        self.gradients = None  # cleared between steps
-        mask = self._pruned_mask(self.options.keep_weight)
-        needed = memory.thinning_bytes(
-            self.field.voxel_count,
-            mask_count(mask),
-            self.field.resolution,
-            self.moments.capacity / self.field.voxel_count,
-        )
-        if needed > self.memory_limit:
-            self._allocate_gradients()
+        """Remove what no view shows, and keep the optimiser's state of the rest."""
+        level, rows, memory = self.current, self.field.voxel_count, self.memory()
+        level.release_gradients()
+        mask = level.weighty_mask(self.rays, self.options.keep_weight)
+        if memory.thinning_bytes(rows, mask_count(mask), self.field.resolution) > self.memory_limit:
+            level.allocate_gradients()
             return
-        links, moments = self.field.grid.links, self.moments
-        self._start_level(mask, self.field)
-        self.moments = wp.empty((self.field.voxel_count, ROW_NUMBERS), dtype=wp.bfloat16, device=self.device)
-        launch(
-            field_step.gather_moments,
-            self.moments.size,
-            [links, self.nodes, moments],
-            [self.moments],
-            device=self.device,
-        )
-        del links, moments
-        self._allocate_gradients()
+        level.keep(mask)
+        self._activate_tiles()
+
+    def restore(self, mask: wp.array, bits: int) -> None:
+        """Rows for a mask and fresh state: what a checkpoint fills.
+
+        Args:
+            mask: (nx, ny, nz) uint8, voxels that hold values.
+            bits: Of the pictures per channel.
+        """
+        self.batches.keep_pictures(bits)
+        self.current.restart(mask)
         self._activate_tiles()
 
     # Steps
 
-    @property
-    def level_done(self) -> bool:
-        return self.step_count >= sum(self.level_steps[: self.level + 1])
-
     def step(self) -> None:
-        """One batch: gradients, RMSProp step; refines when a level is done."""
-        if self.step_count >= self.total_steps:
+        """One batch: gradients and a step of RMSProp. Refines first when a level is done.
+
+        Raises:
+            ValueError: When all steps are done.
+        """
+        if self.schedule.is_done:
             raise ValueError(f"all {self.total_steps} steps are done")
-        if self.level_done and self.level + 1 < self.options.levels:
+        if self.schedule.refines:
             self._refine()
-        if self.step_count == self.total_steps - round((1.0 - self.options.keep_at) * self.level_steps[-1]):
+        if self.schedule.thins_out:
             self._thin_out()
-        if self.cursor + self.batch_tiles > self.active_tiles:
-            self._shuffle_tiles()
-        self.rays.first_tile = self.cursor
-        # coarse voxels are wider than a pixel's parts
-        self.rays.rays_per_side = self.options.supersampling if self.level + 1 == self.options.levels else 1
-        self.cursor += self.batch_tiles
+        self.batches.advance(self.schedule.rays_per_side)
         self._accumulate_gradients()
         self._apply_gradients()
-        self.step_count += 1
+        self.schedule.step_count += 1
 
     def _accumulate_gradients(self) -> None:
-        options, field = self.options, self.field
         behind, grad_behind = None, None
         if self.background is not None:
-            self.background.prepare(self.rays)
+            self.background.prepare(self.rays, self.pictures.surroundings)
             behind, grad_behind = self.background.behind, self.background.grad_behind
-        photometric = [
-            self.rays,
-            wp.vec3(*map(float, field.background)),
-            int(self.random_background),
-            (self.seed * 1_000_003 + self.step_count) % (2**31 - 1),
-            field.step,
-            STOP_TRANSMITTANCE,
-            1.0 / (3.0 * self.batch_rays),
-            behind,
-        ]
-        cells = float(np.prod(field.resolution))
-        scale = max(field.resolution) / 256.0
-        variation_rows = max(1, int(options.variation_share * field.voxel_count))
-        boost = field.voxel_count / variation_rows / cells * scale
-        first_row = int(self.random.integers(field.voxel_count))
-        unit = 1.0 / (0.5 * float((self.bounds[1] - self.bounds[0]).max()))
-        coefficients = coefficient_rows(field.grid.sh)
-        if not self.device.is_cpu:
-            launch(
-                field_loss_warps.accumulate_photometric_gradient_by_warps,
-                lane_count(self.device) * self.batch_rays,
-                [field.grid, coefficients, *photometric],
-                [self.gradients[0], self.touched, self.squared_error, grad_behind],
-                device=self.device,
-            )
-        vary = self.variation_density > 0 or self.variation_sh > 0
-        variation = [
-            field.grid,
-            coefficients,
-            self.nodes,
-            first_row,
-            unit,
-            self.variation_density * boost,
-            self.variation_sh * boost,
-        ]
-
-        def shard(index: int) -> None:
-            gradients = self.gradients[index]
-            begin, end = (self.batch_rays * i // self.shards for i in (index, index + 1))
-            if self.device.is_cpu:
-                wp.launch(
-                    field_loss.accumulate_photometric_gradient,
-                    dim=end - begin,
-                    inputs=[begin, field.grid, *photometric],
-                    outputs=[*gradient_parts(gradients), self.squared_error, grad_behind],
-                    device=self.device,
-                )
-            begin, end = (ROW_NUMBERS * (variation_rows * i // self.shards) for i in (index, index + 1))
-            if end > begin and vary:
-                wp.launch(
-                    field_variation.accumulate_variation_gradient,
-                    dim=end - begin,
-                    inputs=[begin, *variation],
-                    outputs=[gradients, self.touched],
-                    device=self.device,
-                )
-
-        if self.device.is_cpu:  # before the threads, so that each is compiled once
-            wp.load_module(field_loss, device=self.device)
-            wp.load_module(field_variation, device=self.device)
-        run_parallel([lambda i=i: shard(i) for i in range(self.shards)], self.shards)
+        batch = Batch(
+            rays=self.rays,
+            squared_error=self.batches.squared_error,
+            seed=(self.seed * 1_000_003 + self.step_count) % (2**31 - 1),
+            random_background=self.random_background,
+            behind=behind,
+            grad_behind=grad_behind,
+        )
+        self.current.accumulate(batch, self.variation, self.options.variation_share, self.random)
         if self.background is not None:
             self.background.accumulate(self.rays, self.random)
 
     def _apply_gradients(self) -> None:
-        options, field = self.options, self.field
-        progress = (self.step_count / max(1, self.total_steps - 1)) ** options.decay_power
+        rates = self.schedule.rates()
         if self.background is not None:
-            self.background.apply(progress)
-        if self.device.is_cpu:
-            self.touched.fill_(1)
-        voxel = float(field.voxel_size.max())
-        rate_density = _log_interpolate(options.rate_density, options.rate_density_end, progress) / voxel
-        rate_sh = _log_interpolate(options.rate_sh, options.rate_sh_end, progress)
-        total, *others = (gradients.flatten() for gradients in self.gradients)
-        for other in others:
-            launch(field_step.add_gradients, total.size, [other], [total], device=self.device)
-        inputs = [
-            rate_density,
-            rate_sh,
-            self.directional * rate_sh,
-            options.beta,
-            1e-12 * voxel,
-            1e-12,  # a density's gradient is a length
-            self.touched,
-            self.gradients[0],
-            self.moments,
-        ]
-        launch(
-            field_step.apply_rmsprop,
-            total.size,
-            inputs,
-            [field.grid.density, coefficient_rows(field.grid.sh)],
-            device=self.device,
-        )
-        self.touched.zero_()
-        if self.scarcity > 1 and options.shrink_sh > 0 and self.step_count % SHRINK_EVERY == 0:
-            kept = max(0.0, 1.0 - rate_sh * options.shrink_sh * self.scarcity) ** SHRINK_EVERY
-            launch(shrink_view_dependence, 3 * field.voxel_count, [kept], [field.grid.sh], device=self.device)
+            self.background.apply(rates.background)
+        self.current.apply(rates, self.options.beta)
 
     def measure_psnr(self) -> float:
-        """PSNR in dB of the last batch, over all pixels of the images: those that see no voxel count as right."""
-        error = float(self.squared_error.numpy().mean()) / 3.0 * self.active_tiles / self.tile_total
-        self.psnr = -10.0 * math.log10(max(error, 1e-12))
+        """PSNR in dB of the last batch over all pixels of the images: those that see no voxel count as right."""
+        self.psnr = self.batches.psnr()
         return self.psnr
 
     def finish(self) -> VoxelField:
@@ -493,71 +334,67 @@ class FieldOptimizer:
 
         What is left is what a cage has to enclose: faint floaters would stay behind when the object moves.
         """
-        self.gradients = self.moments = None
-        mask = self._pruned_mask(self.options.keep_weight)
-        self._start_level(mask, self.field)
-        self.field.weights = self.measure_weights()
-        self.field.up = self.scene.up
-        self.field.supersampling = self.options.supersampling
+        field = self.current.finish(self.rays, self.options.keep_weight)
+        field.up = self.scene.up
+        field.supersampling = self.options.supersampling
         if self.background is not None:
-            self.field.background_model = self.background.result()
-        return self.field
+            field.background_model = self.background.result()
+        return field
 
 
 def fit(
     scene: Scene,
     *,
     quality: str = "standard",
-    device=None,
+    device: wp.DeviceLike = None,
     seed: int = 0,
     progress: bool = True,
-    bounds=None,
-    checkpoint=None,
+    bounds: ArrayLike | None = None,
+    checkpoint: str | pathlib.Path | None = None,
     checkpoint_seconds: float = 60.0,
-    **options,
+    **options: Any,
 ) -> VoxelField:
     """Optimise a VoxelField from a Scene.
 
-    quality: "fast", "standard" or "high" (see fit_options.QUALITIES and the README for times and dB).
-    device: Warp device, None is CUDA where there is one. seed: see FieldOptimizer. progress: a bar with the PSNR of the
-    last batch. bounds: (2, 3) world units of the object, None finds it (visual hull where the images have alpha).
-    checkpoint: file (.npz) that holds the progress, written every checkpoint_seconds, whole or not at all. Where it is
-    there already the fit goes on from it; when the fit is done it is removed.
-    options: FitOptions fields by name, e.g. resolution=256, epochs=12, max_memory="4GB" (for which the precision of the
-    pictures on the device and the resolution are chosen).
+    Args:
+        scene: The images with their cameras.
+        quality: "fast", "standard" or "high": time against detail.
+        device: Warp device. None is CUDA where there is one.
+        seed: Of the pixel order and the backgrounds; see FieldOptimizer.
+        progress: Whether to show a bar with the PSNR of the last batch.
+        bounds: (2, 3) box of the object, world units. None finds it: the visual hull where the images have alpha.
+        checkpoint: File (.npz) that holds the progress, always whole. The fit goes on from a file that is there, and
+            removes it when it is done. None keeps no progress.
+        checkpoint_seconds: Time between two writes of the checkpoint.
+        options: Fields of FitOptions by name, e.g. resolution=256, epochs=12 or max_memory="4GB".
 
-    Raises ValueError for a scene with nothing in it, options out of range, or a checkpoint of another scene or options.
+    Returns:
+        The field, pruned, with its rendering weights.
+
+    Raises:
+        ValueError: For a scene with nothing in it, options out of range, too little memory, or a checkpoint of another
+            scene or other options.
     """
     from tqdm import tqdm
 
-    if checkpoint is not None:
-        checkpoint = require_writable(checkpoint)
+    held = None if checkpoint is None else require_writable(checkpoint)
     optimizer = FieldOptimizer(scene, device=device, seed=seed, bounds=bounds, quality=quality, **options)
-    if checkpoint is not None and checkpoint.exists():
-        load_progress(optimizer, checkpoint)
+    if held is not None and held.exists():
+        load_progress(optimizer, held)
     with tqdm(total=optimizer.total_steps, initial=optimizer.step_count, desc="fit", disable=not progress) as bar:
         shown = saved = time.monotonic()
         while optimizer.step_count < optimizer.total_steps:
             optimizer.step()
             bar.update()
-            if progress and time.monotonic() - shown > 1.0:
+            if progress and time.monotonic() - shown > SHOWN_EVERY:
                 shown = time.monotonic()
                 size = "x".join(str(n) for n in optimizer.field.resolution)
                 bar.set_postfix_str(f"{optimizer.measure_psnr():.2f} dB at {size}")
-            if checkpoint is not None and time.monotonic() - saved > checkpoint_seconds:
-                save_progress(optimizer, checkpoint)
+            if held is not None and time.monotonic() - saved > checkpoint_seconds:
+                save_progress(optimizer, held)
                 saved = time.monotonic()
     optimizer.measure_psnr()
     field = optimizer.finish()
-    if checkpoint is not None:
-        checkpoint.unlink(missing_ok=True)
+    if held is not None:
+        held.unlink(missing_ok=True)
     return field
-
-
-def _ratio(fine: VoxelField, coarse: VoxelField) -> wp.vec3:
-    """Voxels of one field a voxel of another over the same bounds, along each axis."""
-    return wp.vec3(*(n / m for n, m in zip(fine.resolution, coarse.resolution, strict=True)))
-
-
-def _log_interpolate(start: float, end: float, progress: float) -> float:
-    return math.exp((1.0 - progress) * math.log(start) + progress * math.log(end))

@@ -1,8 +1,10 @@
-"""What a fit may be told, and what it is told for a quality."""
+"""Options of a fit: defaults, ranges, and what each quality sets."""
 
 from __future__ import annotations
 
 import dataclasses
+import textwrap
+from typing import Any
 
 import numpy as np
 
@@ -11,119 +13,208 @@ from .memory import memory_size
 
 MAX_LEVELS = 6
 
+#: Ends of the range of numbers that must be positive, and of factors that may be zero.
+SMALLEST, LARGEST = 1e-9, 1e9
+LARGEST_FACTOR, LARGEST_WEIGHT = 1e6, 1e3
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """The values that an option may have, both ends included. whole: only whole numbers."""
+
+    low: float
+    high: float
+    whole: bool
+
+    def __str__(self) -> str:
+        return f"{'a whole number' if self.whole else 'a number'} from {self.low:g} to {self.high:g}"
+
+    def holds(self, value: object) -> bool:
+        """Whether a value is a number of this kind within the range."""
+        kinds = (int, np.integer) if self.whole else (int, float, np.integer, np.floating)
+        return isinstance(value, kinds) and not isinstance(value, bool) and bool(self.low <= value <= self.high)
+
+
+def _option(default: object, text: str, values: Range | None = None) -> Any:
+    return dataclasses.field(default=default, metadata={"text": text, "range": values})
+
+
+def _whole(default: int | None, low: int, high: int, text: str) -> Any:
+    return _option(default, text, Range(low, high, whole=True))
+
+
+def _number(default: float | None, low: float, high: float, text: str) -> Any:
+    return _option(default, text, Range(low, high, whole=False))
+
+
+def _positive(default: float, text: str) -> Any:
+    return _number(default, SMALLEST, LARGEST, text)
+
+
+def _weight(default: float, text: str) -> Any:
+    return _number(default, 0.0, LARGEST_WEIGHT, text)
+
 
 @dataclasses.dataclass(frozen=True)
 class FitOptions:
-    """What `fit` may be told. Lengths are relative to the scene, so that the defaults suit objects of any size."""
+    """Options of `fit` and `FieldOptimizer`.
 
-    resolution: int | None = None  #: voxels along the longest side at the end; None follows the images' pixel footprint
-    max_resolution: int = 512
-    footprint: float = 0.7  #: voxel side over a pixel's footprint at the object, where resolution is None
-    levels: int = 3  #: the resolution doubles from level to level; more where a fit has to start coarse
-    level_growth: float = 2.2  #: each level gets this many times the rays of the one before
-    epochs: float = 8.0  #: passes over the pixels that see the object
-    least_steps: int = 600  #: steps that a fit takes even so, where `epochs` is not given: few pixels are soon through
-    batch_rays: int | None = None  #: None follows the number of pixels, so that there are steps enough
-    tile_size: int = 2  #: a batch is made of square tiles of this many pixels, neighbours share voxels
-    rate_density: float = 0.25  #: first learning rate, in optical depth a voxel of the level
-    rate_density_end: float = 0.0125
-    rate_sh: float = 3e-2
-    rate_sh_end: float = 1.5e-3
-    decay_power: float = 2.0  #: rates fall with this power of the share of steps done: slowly first, fast at the end
-    directional: float | None = None  #: rate of the coefficients that tell directions apart, over that of the constant
-    #: ones; None follows the number of steps (see fit_defaults)
-    beta: float = 0.95  #: RMSProp's decay
-    scarcity: float | None = None  #: factor of the variations and the shrinkage; None follows how few pixels see a
-    #: voxel (see fit_defaults)
-    variation_density: float = 3e-6  #: total variation of density (per half extent) a voxel of the box
-    variation_sh: float = 3e-4
-    variation: float | None = None  #: factor on both; None is what the number of pixels that see a voxel asks for, and
-    #: fit_plan.CAPTURED_VARIATION at least with layers behind the field or where opacity comes from mask files
-    shrink_sh: float = 0.06  #: decay of SH of degree 1 and up, relative to a step of rate_sh, where views are scarce
-    variation_share: float = 0.125  #: of the voxels that get their variation gradient in one step
-    prune_weight: float = 0.13  #: largest rendering weight under which a voxel goes, times 1 / resolution
-    keep_weight: float = 0.01  #: late in the last level and at the end, a voxel stays where it or a neighbour reaches
-    #: this rendering weight
-    keep_at: float = 0.4  #: share of the last level's steps after which that happens first
-    supersampling: int = 1  #: rays a side of a pixel in the last level, and in renders of the field: 1 or 2
-    view_share: float = 0.1  #: voxels that fewer of the cameras see than this share of them are left empty
-    background: str = "auto"  #: behind the field: "random" colours that supervise opacity where the images have alpha,
-    #: "layers" (see LayeredBackground) for whole or split pictures, the scene's "constant" colour, or what suits
-    background_layers: int = 16
-    background_side: int | None = None  #: cells along a layer's edge; None follows the images' pixels
-    max_background_side: int = 512
-    background_detail: float = 0.25  #: cells a pixel, where background_side is None
-    rate_background: float = 0.2  #: learning rates of the layers' colours and optical depths
-    rate_background_end: float = 0.01
-    variation_background: float = 0.03  #: total variation of the layers' colours
-    variation_background_depth: float = 0.03
-    max_memory: int | str | None = None  #: bytes, or "4GB", that the fit may take on its device, images included; None
+    Lengths are relative to the scene, so that the defaults suit objects of any size. None can be chosen where it is the
+    default.
+    """
 
-    #: is most of what is free. Where it is short the images are kept at 8 bits a channel instead of 16, if that leaves
-    #: room for more voxels, and the last levels are refined less far
+    resolution: int | None = _whole(
+        None,
+        8,
+        2048,
+        "Voxels along the longest side of the last level. None follows the size of a pixel at the object.",
+    )
+    max_resolution: int = _whole(512, 8, 2048, "Most voxels along the longest side where `resolution` is None.")
+    footprint: float = _positive(
+        0.7, "Side of a voxel over the width of a pixel at the object, where `resolution` is None."
+    )
+    levels: int = _whole(
+        3,
+        1,
+        MAX_LEVELS,
+        "Levels of the fit. The resolution doubles from each to the next. A fit adds levels if it "
+        "has to start coarser.",
+    )
+    level_growth: float = _positive(2.2, "Rays of a level over the rays of the level before.")
+    epochs: float = _positive(8.0, "Passes over the pixels that see the object.")
+    least_steps: int = _whole(
+        600,
+        0,
+        2**24,
+        "Smallest number of steps. It is 0 where `epochs` is given. A pass over few pixels takes few steps.",
+    )
+    batch_rays: int | None = _whole(
+        None, 1, 2**24, "Rays per batch. None follows the number of pixels, so that there are enough steps."
+    )
+    tile_size: int = _whole(
+        2, 1, 64, "Side in pixels of the square tiles that make up a batch. Pixels of a tile share voxels."
+    )
+    rate_density: float = _positive(0.25, "First learning rate of density, in optical depth per voxel of the level.")
+    rate_density_end: float = _positive(0.0125, "Last learning rate of density.")
+    rate_sh: float = _positive(3e-2, "First learning rate of the SH coefficients.")
+    rate_sh_end: float = _positive(1.5e-3, "Last learning rate of the SH coefficients.")
+    decay_power: float = _positive(
+        2.0, "Rates fall with this power of the share of steps done. Above 1 they fall slowly first, then fast."
+    )
+    directional: float | None = _number(
+        None,
+        SMALLEST,
+        LARGEST,
+        "Learning rate of the coefficients that depend on direction over the rate of the "
+        "constant ones. None follows the number of steps.",
+    )
+    beta: float = _number(0.95, 0.0, 1.0 - 1e-6, "Decay of RMSProp's second moments per step.")
+    scarcity: float | None = _number(
+        None,
+        0.0,
+        LARGEST_FACTOR,
+        "Factor that stands for few views: it raises the total variation and `shrink_sh`. "
+        "None follows the number of rays that see a voxel.",
+    )
+    variation_density: float = _weight(
+        3e-6, "Weight of the total variation of density (per half of the box) per voxel of the box."
+    )
+    variation_sh: float = _weight(3e-4, "Weight of the total variation of the SH coefficients per voxel of the box.")
+    variation: float | None = _number(
+        None,
+        0.0,
+        LARGEST_FACTOR,
+        "Factor on both total variations. None follows the scarcity, and is at least 30 "
+        "with layers behind the field or with opacity from mask files.",
+    )
+    shrink_sh: float = _weight(
+        0.06,
+        "Decay of the coefficients that depend on direction, relative to a step of `rate_sh`, where views are scarce.",
+    )
+    variation_share: float = _number(
+        0.125, 1e-6, 1.0, "Share of the voxels that get a gradient of the total variation in one step."
+    )
+    prune_weight: float = _weight(
+        0.13, "A voxel is removed after a level if its largest rendering weight is below this over the resolution."
+    )
+    keep_weight: float = _number(
+        0.01,
+        0.0,
+        1.0,
+        "Late in the last level and at the end, a voxel stays if its own largest rendering weight or "
+        "that of a neighbour reaches this.",
+    )
+    keep_at: float = _number(0.4, 0.0, 1.0, "Share of the last level's steps after which `keep_weight` is first used.")
+    supersampling: int = _whole(
+        1, 1, 2, "Rays along each side of a pixel, in the last level and in renders of the field."
+    )
+    view_share: float = _number(0.1, 0.0, 1.0, "Voxels that fewer than this share of the cameras see are left empty.")
+    background: str = _option(
+        "auto",
+        'What is behind the field. "random": random colours that supervise opacity, for images with alpha. '
+        '"layers": a LayeredBackground, for whole or split images. "constant": the colour of the scene. '
+        '"auto": what suits the scene.',
+    )
+    background_layers: int = _whole(16, 2, MAX_LAYERS, "Layers behind the field.")
+    background_side: int | None = _whole(
+        None, 2, MAX_SIDE, "Cells along the edge of a layer. None follows the pixels of the images."
+    )
+    max_background_side: int = _whole(
+        512, 2, MAX_SIDE, "Most cells along the edge of a layer where `background_side` is None."
+    )
+    background_detail: float = _positive(0.25, "Cells per pixel where `background_side` is None.")
+    rate_background: float = _positive(0.2, "First learning rate of the layers' colours and optical depths.")
+    rate_background_end: float = _positive(0.01, "Last learning rate of the layers.")
+    variation_background: float = _weight(0.03, "Weight of the total variation of the layers' colours.")
+    variation_background_depth: float = _weight(0.03, "Weight of the total variation of the layers' optical depths.")
+    max_memory: int | str | None = _option(
+        None,
+        'Memory that the fit may take on its device, images included, in bytes or as text such as "4GB". None '
+        "is most of what is free. Where memory is short, images are kept at 8 bits per channel instead of 16 if that "
+        "leaves room for more voxels, and the last levels have larger voxels.",
+    )
 
 
-#: What `quality` stands for, over the defaults.
-QUALITIES = {
+def _arguments() -> str:
+    """The `Args:` block of FitOptions, with the default and the range of each option."""
+    blocks = ["Args:"]
+    for field in dataclasses.fields(FitOptions):
+        values, default = field.metadata["range"], field.default
+        span = "" if values is None else f" {str(values)[0].upper()}{str(values)[1:]}."
+        text = f"{field.name}: {field.metadata['text']}{span} Default: {default}."
+        blocks.append(textwrap.fill(text, 116, initial_indent=" " * 4, subsequent_indent=" " * 8))
+    return "\n".join(blocks)
+
+
+FitOptions.__doc__ = f"{(FitOptions.__doc__ or '').rstrip()}\n\n{textwrap.indent(_arguments(), ' ' * 4)}\n"
+
+#: What each quality sets in place of the defaults.
+QUALITIES: dict[str, dict[str, Any]] = {
     "fast": {"epochs": 4.0},
     "standard": {},
     "high": {"epochs": 16.0, "max_resolution": 720, "supersampling": 2},
 }
 
-#: name -> smallest, largest, kind, whether None will do
-OPTION_RANGES = {
-    "resolution": (8, 2048, int, True),
-    "max_resolution": (8, 2048, int, False),
-    "levels": (1, MAX_LEVELS, int, False),
-    "least_steps": (0, 2**24, int, False),
-    "batch_rays": (1, 2**24, int, True),
-    "tile_size": (1, 64, int, False),
-    "directional": (1e-9, 1e9, float, True),
-    "scarcity": (0.0, 1e6, float, True),
-    "variation": (0.0, 1e6, float, True),
-    "variation_density": (0.0, 1e3, float, False),
-    "variation_sh": (0.0, 1e3, float, False),
-    "shrink_sh": (0.0, 1e3, float, False),
-    "variation_share": (1e-6, 1.0, float, False),
-    "prune_weight": (0.0, 1e3, float, False),
-    "keep_weight": (0.0, 1.0, float, False),
-    "keep_at": (0.0, 1.0, float, False),
-    "supersampling": (1, 2, int, False),
-    "view_share": (0.0, 1.0, float, False),
-    "background_layers": (2, MAX_LAYERS, int, False),
-    "background_side": (2, MAX_SIDE, int, True),
-    "max_background_side": (2, MAX_SIDE, int, False),
-    "variation_background": (0.0, 1e3, float, False),
-    "variation_background_depth": (0.0, 1e3, float, False),
-    "beta": (0.0, 1.0 - 1e-6, float, False),
-    **{
-        name: (1e-9, 1e9, float, False)
-        for name in (
-            "footprint",
-            "level_growth",
-            "epochs",
-            "rate_density",
-            "rate_density_end",
-            "rate_sh",
-            "rate_sh_end",
-            "decay_power",
-            "background_detail",
-            "rate_background",
-            "rate_background_end",
-        )
-    },
-}
 
-
-def checked_seed(seed) -> int:
-    """Raises ValueError for a seed that is no whole number of at least 0."""
+def checked_seed(seed: object) -> int:
+    """A seed as an int. Raises ValueError unless it is a whole number of at least 0."""
     if not (isinstance(seed, (int, np.integer)) and seed >= 0):
         raise ValueError(f"the seed must be a whole number of at least 0, got {seed!r}")
     return int(seed)
 
 
 def checked_options(options: dict) -> FitOptions:
-    """FitOptions of a quality and of fields by name. Raises ValueError for what is not known or out of range."""
+    """Check the options that a caller gave.
+
+    Args:
+        options: `quality` and fields of FitOptions by name. Fields have priority over the quality.
+
+    Returns:
+        All options, `max_memory` in bytes.
+
+    Raises:
+        ValueError: For unknown names, and for values out of range.
+    """
     options = dict(options)
     names = {field.name for field in dataclasses.fields(FitOptions)} | {"quality"}
     unknown = sorted(set(options) - names)
@@ -137,12 +228,10 @@ def checked_options(options: dict) -> FitOptions:
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
     checked = FitOptions(**{**QUALITIES[quality], **options})
-    for name, (low, high, kind, optional) in OPTION_RANGES.items():
-        value = getattr(checked, name)
-        if value is None and optional:
+    for field in dataclasses.fields(FitOptions):
+        value, values = getattr(checked, field.name), field.metadata["range"]
+        if values is None or (value is None and field.default is None):
             continue
-        wanted = (int, np.integer) if kind is int else (int, float, np.integer, np.floating)
-        if not isinstance(value, wanted) or isinstance(value, bool) or not low <= value <= high:
-            what = "a whole number" if kind is int else "a number"
-            raise ValueError(f"{name} must be {what} from {low:g} to {high:g}, got {value!r}")
+        if not values.holds(value):
+            raise ValueError(f"{field.name} must be {values}, got {value!r}")
     return checked

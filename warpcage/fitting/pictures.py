@@ -2,61 +2,114 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
 from ..core.threads import run_parallel
 from ..kernels.fitting.pictures import Pictures
+from ..scene.scene import Scene
 from ..view.pictures import to_uint8
+from .memory import require_image_memory
 
-#: Bits a channel that pictures may be kept at, the better first. Files have 8; opacity and averaging make more of them.
+#: Bits per channel that pictures may be kept at, the better first. Files have 8; opacity and averaging need more.
 PRECISIONS = (16, 8)
 
 
-def picture_bytes(scene, bits: int) -> int:
-    """Device memory that a scene's pictures take, with what masks split off them."""
+def picture_bytes(scene: Scene, bits: int) -> int:
+    """Device memory that pictures take.
+
+    Args:
+        scene: The scene, with what masks split off its pictures.
+        bits: Per channel.
+
+    Returns:
+        Bytes of four channels per pixel.
+    """
     kinds = 1 if scene.surroundings is None else 2
     return kinds * scene.images.size // 3 * 4 * bits // 8
 
 
-class TrainingPictures:
-    """The pictures of a scene at `bits` a channel, and what masks split off them.
+def chosen_bits(scene: Scene, held: int, limit: int) -> int:
+    """The best precision of a scene's pictures that fits into the memory.
 
-    seen: Pictures, premultiplied colours and opacity. surroundings: Pictures, colours times their share, and the share;
-    None for a scene that is not split. At 8 bits numbers are rounded to the nearest of 0 to 1 in 255 steps.
+    Args:
+        scene: The scene.
+        held: Bytes that are taken already.
+        limit: Bytes that may be taken.
+
+    Returns:
+        Bits per channel, one of PRECISIONS.
+
+    Raises:
+        ValueError: Where not even the lowest precision fits.
+    """
+    needed = {bits: held + picture_bytes(scene, bits) for bits in PRECISIONS}
+    require_image_memory(needed[PRECISIONS[-1]], limit)
+    return next(bits for bits in PRECISIONS if needed[bits] <= limit)
+
+
+class TrainingPictures:
+    """The pictures of a scene on a device, and what masks split off them.
+
+    At 8 bits numbers are rounded to the nearest of 0 to 1 in 255 steps.
+
+    Args:
+        scene: The scene.
+        bits: Per channel, one of PRECISIONS.
+        device: Warp device.
+
+    Attributes:
+        seen: Pictures of premultiplied colours and opacity.
+        surroundings: Pictures of the colours that masks split off times their share, and the share. None for a scene
+            that is not split.
+        bits: Per channel.
     """
 
-    def __init__(self, scene, bits: int, device):
-        self.scene, self.device = scene, device
+    def __init__(self, scene: Scene, bits: int, device: wp.Device):
+        self.scene, self.device, self.bits = scene, device, bits
+        self.seen: Any = None
+        self.surroundings: Any = None
         self.keep(bits)
 
     def keep(self, bits: int) -> None:
-        """Upload them at another precision; the arrays before are let go first, where nothing else holds them."""
+        """Upload them at another precision. The arrays before are freed first, where nothing else holds them.
+
+        Args:
+            bits: Per channel, one of PRECISIONS.
+        """
         self.seen = self.surroundings = None
         self.bits = bits
         scene = self.scene
-        alphas = np.ones(scene.images.shape[:3], np.float32) if scene.alphas is None else scene.alphas
-        self.seen = self._uploaded(scene.images, alphas, -scene.background)
+        opacity = np.ones(scene.images.shape[:3], np.float32) if scene.alphas is None else scene.alphas
+        self.seen = _uploaded(scene.images, opacity, -scene.background, bits, self.device)
         if scene.surroundings is not None:
-            self.surroundings = self._uploaded(scene.surroundings, 1.0 - scene.alphas, np.zeros(3, np.float32))
+            self.surroundings = _uploaded(scene.surroundings, 1.0 - opacity, np.zeros(3, np.float32), bits, self.device)
 
-    def _uploaded(self, images, shares, behind) -> Pictures:
-        """colours + (1 - share) * behind, and share, of each pixel."""
-        pixels = np.empty((*images.shape[:3], 4), np.float16 if self.bits == 16 else np.uint8)
-
-        def pack(target, image, share) -> None:
-            values = np.concatenate([image + (1.0 - share[..., None]) * behind, share[..., None]], axis=-1)
-            target[...] = values if self.bits == 16 else to_uint8(values)
-
-        run_parallel([lambda parts=parts: pack(*parts) for parts in zip(pixels, images, shares, strict=True)])
-        pictures = Pictures()
-        if self.bits == 16:
-            pictures.halves = wp.array(pixels, dtype=wp.vec4h, device=self.device)
-        else:
-            pictures.bytes = wp.array(pixels, dtype=wp.vec4ub, device=self.device)
-        return pictures
+    @property
+    def held_bytes(self) -> int:
+        """Device memory of the pictures."""
+        return picture_bytes(self.scene, self.bits)
 
     @property
     def spare_bytes(self) -> int:
         """Device memory that the lowest precision would give back."""
-        return picture_bytes(self.scene, self.bits) - picture_bytes(self.scene, PRECISIONS[-1])
+        return self.held_bytes - picture_bytes(self.scene, PRECISIONS[-1])
+
+
+def _uploaded(images: np.ndarray, shares: np.ndarray, behind: np.ndarray, bits: int, device: wp.Device) -> Any:
+    """Pictures of each pixel's colour + (1 - share) * behind, and of its share."""
+    pixels = np.empty((*images.shape[:3], 4), np.float16 if bits == 16 else np.uint8)
+
+    def pack(target: np.ndarray, image: np.ndarray, share: np.ndarray) -> None:
+        values = np.concatenate([image + (1.0 - share[..., None]) * behind, share[..., None]], axis=-1)
+        target[...] = values if bits == 16 else to_uint8(values)
+
+    run_parallel([lambda parts=parts: pack(*parts) for parts in zip(pixels, images, shares, strict=True)])
+    pictures: Any = Pictures()
+    if bits == 16:
+        pictures.halves = wp.array(pixels, dtype=wp.vec4h, device=device)
+    else:
+        pictures.bytes = wp.array(pixels, dtype=wp.vec4ub, device=device)
+    return pictures

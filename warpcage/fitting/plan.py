@@ -8,43 +8,78 @@ import math
 import numpy as np
 
 from ..scene.scene import Scene
+from ..view.camera import Camera
 from .options import MAX_LEVELS, FitOptions
 
-#: Pictures that were taken are fewer and less exact than rendered ones: so much more total variation suits them.
+#: Factor on the total variation, at least, for pictures that were taken: they are fewer and less exact than rendered
+#: ones.
 CAPTURED_VARIATION = 30.0
 
-#: Rays of a batch that is made smaller for the sake of more steps, at least.
+#: Least rays of a batch that is made smaller for the sake of more steps.
 SMALLEST_BATCH = 4096
+
+#: Least and most rays of a batch that follows the number of pixels, and pixels per ray of it.
+BATCH_RAYS, BATCH_SHARE = (4096, 65536), 128
+
+#: Least voxels along the longest side that the pixels ask for.
+SMALLEST_RESOLUTION = 32
 
 #: Without silhouettes, fine voxels turn to fog before the cameras unless a coarse fit has told them where matter is.
 COARSE_SIDE = 24
+
+#: Rays per voxel from which on the regularisers of FitOptions hold as they are: 87 views of 800x800 at 512 voxels along
+#: the longest side, or at 720 with four rays per pixel.
+PLENTY = 160.0
+
+#: How the weights of the total variations follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
+DENSITY_POWER, SH_POWER = 1.8, 1.0
+
+#: Regularisers grow by this factor at most: no smoothing finds what no view tells.
+MOST_SCARCE = 32.0
+
+#: Directional coefficients step more slowly than the constant ones, so that they come about as far in a long fit as in
+#: one of this many steps; at least by this factor.
+DIRECTIONAL_STEPS, LEAST_DIRECTIONAL = 250.0, 0.15
 
 
 @dataclasses.dataclass(frozen=True)
 class GridPlan:
     """The grid of a fit: cubic voxels that halve from level to level.
 
-    levels: how many. bounds: (2, 3) float64, world units, grown around the object's box to whole voxels. shapes: of
-    each level, (nx, ny, nz) voxels. scarcity: see fit_defaults. variation: weights of the total variation of density
-    and of SH.
+    Args:
+        levels: How many levels.
+        bounds: (2, 3) float64, world units: the object's box, grown to whole voxels.
+        shapes: (nx, ny, nz) voxels of each level.
+        scarcity: How few rays see a voxel; see `scarcity`.
+        variation: Weights of the total variation of density and of SH.
     """
 
     levels: int
     bounds: np.ndarray
-    shapes: list[tuple[int, int, int]]
+    shapes: list[tuple[int, ...]]
     scarcity: float
     variation: tuple[float, float]
 
 
 def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool) -> GridPlan:
-    """The grid over an object's box (2, 3), world units. layered: background layers are fitted too; without
-    silhouettes there are then as many more levels as the first needs to have COARSE_SIDE voxels a side at most."""
+    """The grid over the box of an object.
+
+    Args:
+        scene: The scene.
+        options: Options of the fit.
+        box: (2, 3) world units.
+        layered: Whether background layers are fitted too. Without silhouettes there are then as many more levels as it
+            takes for the first to have at most COARSE_SIDE voxels along its longest side.
+
+    Returns:
+        The plan.
+    """
     extent = box[1] - box[0]
     longest = float(extent.max())
     resolution = options.resolution
     if resolution is None:
-        pixel = pixel_size(scene.cameras, box.mean(axis=0))
-        resolution = int(np.clip(math.ceil(longest / (options.footprint * pixel)), 32, options.max_resolution))
+        voxels = math.ceil(longest / (options.footprint * pixel_size(scene.cameras, box.mean(axis=0))))
+        resolution = int(np.clip(voxels, SMALLEST_RESOLUTION, options.max_resolution))
     levels = options.levels
     if layered and scene.alphas is None:
         needed = 1 + math.ceil(math.log2(max(1.0, resolution / COARSE_SIDE)))
@@ -55,26 +90,40 @@ def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool)
     scarce = options.scarcity
     if scarce is None:
         scarce = scarcity(scene.cameras, box.mean(axis=0), voxel, options.supersampling)
-    factors = scarce**DENSITY_POWER, scarce**SH_POWER
-    if options.variation is not None:
-        factors = options.variation, options.variation
-    elif layered or scene.captured:
-        factors = tuple(max(CAPTURED_VARIATION, factor) for factor in factors)
     half = 0.5 * shape * voxel
     return GridPlan(
         levels=levels,
         bounds=np.stack([box.mean(axis=0) - half, box.mean(axis=0) + half]),
         shapes=[tuple(int(n) for n in shape // 2 ** (levels - 1 - i)) for i in range(levels)],
         scarcity=scarce,
-        variation=(options.variation_density * factors[0], options.variation_sh * factors[1]),
+        variation=_variation(options, scarce, layered or scene.captured),
     )
 
 
+def _variation(options: FitOptions, scarce: float, captured: bool) -> tuple[float, float]:
+    """Weights of the total variation of density and of SH."""
+    if options.variation is not None:
+        factors = options.variation, options.variation
+    else:
+        least = CAPTURED_VARIATION if captured else 0.0
+        factors = max(least, scarce**DENSITY_POWER), max(least, scarce**SH_POWER)
+    return options.variation_density * factors[0], options.variation_sh * factors[1]
+
+
 def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[int, list[int]]:
-    """Tiles of a batch, and the steps of each level. pixels: of all pictures; active_tiles: those that see the grid."""
+    """Batches and steps of a fit.
+
+    Args:
+        options: Options of the fit.
+        pixels: Of all pictures.
+        active_tiles: Tiles that see the grid.
+
+    Returns:
+        Tiles per batch, and the steps of each level.
+    """
     batch = options.batch_rays
     if batch is None:
-        batch = np.clip(pixels // 128, 4096, 65536)
+        batch = np.clip(pixels // BATCH_SHARE, *BATCH_RAYS)
         if options.least_steps:
             active_pixels = active_tiles * options.tile_size**2
             batch = min(batch, max(SMALLEST_BATCH, options.epochs * active_pixels / options.least_steps))
@@ -85,40 +134,39 @@ def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[i
     return batch_tiles, [max(1, round(float(share) * steps)) for share in shares]
 
 
-#: Rays a voxel from which on FitOptions' regularisers hold as they stand: 87 views of 800x800, 512 voxels a side, or
-#: 720 of them and four rays a pixel.
-PLENTY = 160.0
-
-#: How the variations' weights follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
-DENSITY_POWER, SH_POWER = 1.8, 1.0
-
-#: Directional coefficients step so much slower than the constant ones that they come about as far in a long fit as in
-#: one of this many steps; at least by this factor.
-DIRECTIONAL_STEPS, LEAST_DIRECTIONAL = 250.0, 0.15
-
-#: Regularisers grow at most by this much: what no view tells, no smoothing finds.
-MOST_SCARCE = 32.0
-
-
-def pixel_size(cameras, centre) -> float:
+def pixel_size(cameras: list[Camera], centre: np.ndarray) -> float:
     """Median over the views of the width of a pixel at `centre` (3,), world units."""
     return float(np.median([np.linalg.norm(camera.centre - centre) / camera.fx for camera in cameras]))
 
 
-def scarcity(cameras, centre, voxel: float, supersampling: int = 1) -> float:
-    """How few rays see a voxel, against PLENTY: 1 where there are as many, 2 where there are half of them.
+def scarcity(cameras: list[Camera], centre: np.ndarray, voxel: float, supersampling: int = 1) -> float:
+    """How few rays see a voxel, relative to PLENTY.
 
-    A prior weighs against the evidence, and the photometric loss is a mean: where the views show each voxel by fewer
-    pixels, the variation's weight must grow by as much, or the field matches these views and little else.
-    voxel: side of a voxel of the last level, world units. supersampling: rays a side of a pixel.
+    A prior has to be weighed against the evidence, and the photometric loss is a mean. Where fewer pixels show each
+    voxel, the weight of the total variation must grow as much, or the field matches these views and little else.
+
+    Args:
+        cameras: Of all views.
+        centre: (3,) of the object, world units.
+        voxel: Side of a voxel of the last level, world units.
+        supersampling: Rays along each side of a pixel.
+
+    Returns:
+        1 where there are as many rays as PLENTY, 2 where there are half as many; at most MOST_SCARCE.
     """
     seen = len(cameras) * (supersampling * voxel / pixel_size(cameras, centre)) ** 2
     return float(np.clip(PLENTY / max(seen, 1e-9), 1.0, MOST_SCARCE))
 
 
 def directional_rate(steps: int) -> float:
-    """Rate of the coefficients that tell directions apart over that of the constant ones, in a fit of `steps`.
+    """Learning rate of the coefficients that depend on direction, over that of the constant ones.
 
-    In a long fit fast ones learn what each view has of its own; in a short one slow ones do not get anywhere.
+    In a long fit fast ones learn what is particular to each view; in a short one slow ones do not get anywhere.
+
+    Args:
+        steps: Steps of the fit.
+
+    Returns:
+        The factor, at most 1.
     """
     return float(np.clip(DIRECTIONAL_STEPS / max(steps, 1), LEAST_DIRECTIONAL, 1.0))

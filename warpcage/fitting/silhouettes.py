@@ -1,15 +1,19 @@
-"""Where the object of a scene is: a box from its cameras, tightened by its alphas."""
+"""Where the object of a scene is: boxes and masks of voxels, from its cameras and silhouettes."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import warp as wp
 
 from ..core.devices import launch
+from ..field.sparse import mask_count
+from ..kernels.field.refine import dilate_mask
 from ..kernels.fitting.visual_hull import carve_visual_hull, keep_seen_voxels, sum_columns, sum_rows
 from ..scene.box import scene_box
 from ..scene.scene import Scene
-from ..view.camera import camera_array
+from ..view.camera import Camera, camera_array
 
 #: Alpha above which a pixel counts as part of the object (of 1).
 OPAQUE = 0.5 / 255
@@ -18,10 +22,19 @@ OPAQUE = 0.5 / 255
 class Silhouettes:
     """The outlines of a scene's object in its images, on a device.
 
-    Raises ValueError where the scene has no alphas or every pixel is transparent.
+    Args:
+        scene: The scene, with alphas.
+        device: Warp device.
+
+    Raises:
+        ValueError: Where the scene has no alphas, or every pixel is transparent.
+
+    Attributes:
+        sums: (views, h + 1, w + 1) int32, summed-area tables of the opaque pixels.
+        bounded: (views,) int32, 1 where the silhouette keeps clear of the image's border.
     """
 
-    def __init__(self, scene: Scene, device):
+    def __init__(self, scene: Scene, device: wp.Device):
         if scene.alphas is None:
             raise ValueError("the scene's images have no alpha: there are no silhouettes")
         opaque = (scene.alphas > OPAQUE).view(np.uint8)
@@ -35,17 +48,46 @@ class Silhouettes:
         launch(sum_columns, count * (width + 1), [], [self.sums], device=device)
         touching = opaque[:, [0, -1]].any(axis=(1, 2)) | opaque[:, :, [0, -1]].any(axis=(1, 2))
         showing = opaque.any(axis=(1, 2))  # a view of nothing only says where the object is not
-        self.bounded = wp.array(showing & ~touching, dtype=wp.int32, device=device)
+        self.bounded = wp.array(np.asarray(showing & ~touching), dtype=wp.int32, device=device)
 
-    def carve(self, bounds, resolution) -> wp.array:
-        """(nx, ny, nz) uint8 mask of the voxels that no image shows as transparent, at `resolution` over `bounds`."""
-        mask = wp.empty(tuple(int(n) for n in resolution), dtype=wp.uint8, device=self.device)
+    @property
+    def held_bytes(self) -> int:
+        """Device memory of the tables."""
+        return 4 * self.sums.size + 4 * self.bounded.size
+
+    def carve(self, bounds: np.ndarray, resolution: tuple[int, ...]) -> wp.array:
+        """The visual hull: the voxels that no image shows as transparent.
+
+        Args:
+            bounds: (2, 3) box, world units.
+            resolution: (nx, ny, nz) voxels of the box.
+
+        Returns:
+            (nx, ny, nz) uint8 mask.
+        """
+        mask = wp.empty(
+            tuple(int(n) for n in resolution),
+            dtype=wp.uint8,  # pyright: ignore[reportArgumentType]
+            device=self.device,
+        )
         inputs = [*_node_places(bounds, resolution, self.cameras, self.device), self.sums, self.bounded]
         launch(carve_visual_hull, mask.size, inputs, [mask], device=self.device)
         return mask
 
-    def bound(self, box, *, resolution: int = 64, rounds: int = 2) -> np.ndarray:
-        """(2, 3) `box` shrunk to the visual hull. Raises ValueError where the silhouettes have no common inside."""
+    def bound(self, box: np.ndarray, *, resolution: int = 64, rounds: int = 2) -> np.ndarray:
+        """A box shrunk to the visual hull.
+
+        Args:
+            box: (2, 3), world units.
+            resolution: Voxels along its longest side.
+            rounds: How many times it is shrunk.
+
+        Returns:
+            (2, 3), world units.
+
+        Raises:
+            ValueError: Where the silhouettes have no common inside.
+        """
         for _ in range(rounds):
             shape = np.maximum(8, np.ceil(resolution * (box[1] - box[0]) / (box[1] - box[0]).max()).astype(int))
             occupied = np.argwhere(self.carve(box, shape).numpy())
@@ -56,13 +98,79 @@ class Silhouettes:
         return box
 
 
-def keep_seen(bounds, cameras, least: int, mask: wp.array) -> None:
-    """Clear the voxels of a mask (nx, ny, nz) uint8 over `bounds` that fewer than `least` cameras see."""
+def object_bounds(scene: Scene, device: wp.Device) -> np.ndarray:
+    """The box of a scene's object.
+
+    Args:
+        scene: The scene.
+        device: Warp device.
+
+    Returns:
+        (2, 3) world units: `scene_box`, shrunk to the visual hull where the scene has alphas.
+    """
+    box = scene_box(scene)
+    return box if scene.alphas is None else Silhouettes(scene, device).bound(box)
+
+
+def keep_seen(bounds: np.ndarray, cameras: list[Camera], least: int, mask: wp.array) -> None:
+    """Clear the voxels of a mask that too few cameras see.
+
+    Args:
+        bounds: (2, 3) box of the mask, world units.
+        cameras: The cameras.
+        least: Number of cameras that must see a voxel.
+        mask: (nx, ny, nz) uint8, changed.
+    """
     inputs = [*_node_places(bounds, mask.shape, cameras, mask.device), least]
     launch(keep_seen_voxels, mask.size, inputs, [mask], device=mask.device)
 
 
-def _node_places(bounds, resolution, cameras, device) -> list:
+def dilated(mask: wp.array) -> wp.array:
+    """The voxels of a mask (nx, ny, nz) uint8 and their 26 neighbours."""
+    result = wp.empty_like(mask)
+    launch(dilate_mask, mask.size, [mask], [result], device=mask.device)
+    return result
+
+
+def possible_voxels(
+    silhouettes: Silhouettes | None,
+    cameras: list[Camera],
+    bounds: np.ndarray,
+    resolution: tuple[int, ...],
+    view_share: float,
+    device: wp.Device,
+) -> wp.array:
+    """The voxels that may hold something of the object.
+
+    Args:
+        silhouettes: Of the object, where its pictures have opacity.
+        cameras: The scene's cameras.
+        bounds: (2, 3) box, world units.
+        resolution: (nx, ny, nz) voxels of the box.
+        view_share: Share of the cameras that must see a voxel.
+        device: Warp device.
+
+    Returns:
+        (nx, ny, nz) uint8 mask: voxels that enough cameras see, inside all silhouettes, and then their neighbours.
+
+    Raises:
+        ValueError: Where there are none.
+    """
+    if silhouettes is None:
+        mask = wp.ones(resolution, dtype=wp.uint8, device=device)
+    else:
+        mask = silhouettes.carve(bounds, resolution)
+    keep_seen(bounds, cameras, max(1, math.ceil(view_share * len(cameras))), mask)
+    if not mask_count(mask):
+        raise ValueError(
+            "no camera sees the bounds of the field: check the bounds and the cameras' axes"
+            if silhouettes is None
+            else "no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas"
+        )
+    return mask if silhouettes is None else dilated(mask)
+
+
+def _node_places(bounds, resolution, cameras: list[Camera], device: wp.Device) -> list:
     """Position of the first voxel's centre, voxel size and cameras, relative to the middle of `bounds`."""
     bounds = np.asarray(bounds, np.float64)
     voxel_size = (bounds[1] - bounds[0]) / resolution
@@ -72,9 +180,3 @@ def _node_places(bounds, resolution, cameras, device) -> list:
         wp.vec3(*voxel_size),
         camera_array(cameras, center, device),
     ]
-
-
-def object_bounds(scene: Scene, device) -> np.ndarray:
-    """(2, 3) box of the object: `scene_box`, shrunk to the visual hull where the scene has alphas."""
-    box = scene_box(scene)
-    return box if scene.alphas is None else Silhouettes(scene, device).bound(box)

@@ -1,0 +1,195 @@
+"""The pixels of a scene's pictures, in batches of square tiles."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.devices import launch
+from ..field.voxel_field import VoxelField
+from ..kernels.fitting.active_tiles import mark_active_tiles
+from ..kernels.fitting.loss import TrainingRays
+from ..kernels.fitting.pictures import Pictures
+from ..scene.scene import Scene
+from ..view.camera import camera_array
+from .pictures import TrainingPictures, chosen_bits
+
+#: Bytes of a tile's index, and of the squared error of a ray of a batch.
+TILE_BYTES, ERROR_BYTES = 4, 4
+
+#: Steps of a field's march along which a tile is looked through.
+ACTIVE_STEP = 2.0
+
+#: Least mean squared error that a PSNR is computed from.
+LEAST_ERROR = 1e-12
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """One batch, as the photometric loss takes it.
+
+    Args:
+        rays: TrainingRays that begin at the batch's first tile.
+        squared_error: (rays,) float32, where the loss leaves the error of each ray.
+        seed: Of the places within pixels and of random backgrounds.
+        random_background: Whether a random colour is behind each ray.
+        behind: (rays,) vec3, what is behind the field for each ray. None is one colour.
+        grad_behind: (rays,) vec3, where the loss leaves its gradient by `behind`. None where that is None.
+    """
+
+    rays: Any
+    squared_error: wp.array
+    seed: int
+    random_background: bool
+    behind: wp.array | None
+    grad_behind: wp.array | None
+
+    @property
+    def size(self) -> int:
+        """Rays of the batch."""
+        return self.squared_error.size
+
+
+class Batches:
+    """The pixels of a scene's pictures in batches: runs of square tiles in a shuffled order.
+
+    Args:
+        scene: The scene.
+        center: (3,) world point that positions are relative to.
+        tile_size: Side of a tile in pixels.
+        random: Shuffles the tiles.
+        device: Warp device.
+        held: Bytes on the device that others hold while the pictures are uploaded.
+        limit: Bytes that the fit may take: decides the precision of the pictures.
+
+    Raises:
+        ValueError: Where the pictures do not fit into the memory.
+
+    Attributes:
+        rays: TrainingRays, what the losses take.
+        pictures: The scene's pictures on the device.
+        tile_total: Tiles of all pictures.
+        tile_ids: (tiles,) int32, tiles that see anything of the field.
+        batch_tiles: Tiles per batch.
+        cursor: Where the next batch begins in the shuffled order.
+        squared_error: (rays,) float32 of the last batch, summed over the channels.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        center: np.ndarray,
+        tile_size: int,
+        random: np.random.Generator,
+        device: wp.Device,
+        *,
+        held: int,
+        limit: int,
+    ):
+        count, height, width = scene.images.shape[:3]
+        self.device, self.random = device, random
+        self.rays: Any = TrainingRays()
+        self.rays.cameras = camera_array(scene.cameras, center, device)
+        self.rays.height, self.rays.width = height, width
+        self.rays.tile_size = tile_size
+        self.rays.rays_per_side = 1
+        self.tile_total = count * -(-height // tile_size) * -(-width // tile_size)
+        self.tile_ids = np.empty(0, np.int32)
+        self.batch_tiles = self.cursor = 0
+        self.squared_error = wp.zeros(0, dtype=wp.float32, device=device)
+        self.pictures = TrainingPictures(scene, chosen_bits(scene, held + self.rays.cameras.capacity, limit), device)
+        self.rays.pictures = self.pictures.seen
+
+    def keep_pictures(self, bits: int) -> None:
+        """Go on with the pictures at another precision.
+
+        Args:
+            bits: Per channel, one of PRECISIONS.
+        """
+        if bits != self.pictures.bits:
+            self.rays.pictures = Pictures()  # lets go of the ones before
+            self.pictures.keep(bits)
+            self.rays.pictures = self.pictures.seen
+
+    @property
+    def held_bytes(self) -> int:
+        """Device memory of pictures, cameras, tiles and errors; of all tiles, where it is not known yet which count."""
+        tiles = len(self.tile_ids) or self.tile_total
+        errors = ERROR_BYTES * self.squared_error.size
+        return self.pictures.held_bytes + self.rays.cameras.capacity + TILE_BYTES * tiles + errors
+
+    @property
+    def mark_bytes(self) -> int:
+        """Device memory of one number for each tile of the pictures, held while the active ones are found."""
+        return TILE_BYTES * self.tile_total
+
+    @property
+    def active_tiles(self) -> int:
+        """Tiles that see anything of the field."""
+        return len(self.tile_ids)
+
+    @property
+    def batch_rays(self) -> int:
+        """Rays per batch."""
+        return self.batch_tiles * self.rays.tile_size**2
+
+    def activate(self, field: VoxelField | None) -> None:
+        """Find the tiles that see anything of a field, and shuffle them.
+
+        Args:
+            field: The field. None where all tiles count, as every pixel shows something.
+
+        Raises:
+            ValueError: Where no tile sees the field.
+        """
+        self.tile_ids = np.arange(self.tile_total, dtype=np.int32) if field is None else self._seeing(field)
+        if len(self.tile_ids) == 0:
+            raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
+        self.shuffle()
+
+    def _seeing(self, field: VoxelField) -> np.ndarray:
+        """(tiles,) int32 the tiles with a pixel that looks through a cell of a field."""
+        active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
+        inputs = [field.grid, self.rays.cameras, self.rays.tile_size, ACTIVE_STEP * field.step]
+        launch(mark_active_tiles, self.tile_total, inputs, [active], device=self.device)
+        return np.flatnonzero(active.numpy()).astype(np.int32)
+
+    def size(self, batch_tiles: int) -> None:
+        """Make batches of so many tiles from now on."""
+        self.batch_tiles = batch_tiles
+        self.squared_error = wp.zeros(self.batch_rays, dtype=wp.float32, device=self.device)
+
+    def shuffle(self) -> None:
+        """Another order of the active tiles, from its beginning."""
+        self.order(self.random.permutation(self.tile_ids), 0)
+
+    def order(self, tiles: np.ndarray, cursor: int) -> None:
+        """Go on in a given order.
+
+        Args:
+            tiles: (tiles,) int32, the active tiles.
+            cursor: Where the next batch begins.
+        """
+        self.rays.tiles = wp.array(tiles, dtype=wp.int32, device=self.device)
+        self.cursor = cursor
+
+    def advance(self, rays_per_side: int) -> None:
+        """On to the next batch.
+
+        Args:
+            rays_per_side: Rays along each side of a pixel.
+        """
+        if self.cursor + self.batch_tiles > self.active_tiles:
+            self.shuffle()
+        self.rays.first_tile = self.cursor
+        self.rays.rays_per_side = rays_per_side
+        self.cursor += self.batch_tiles
+
+    def psnr(self) -> float:
+        """PSNR in dB of the last batch over all pixels of the pictures: those that see no voxel count as right."""
+        error = float(self.squared_error.numpy().mean()) / 3.0 * self.active_tiles / self.tile_total
+        return -10.0 * math.log10(max(error, LEAST_ERROR))

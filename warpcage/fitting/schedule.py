@@ -1,0 +1,111 @@
+"""The steps of a fit: how many each level takes, and how far each goes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from .options import FitOptions
+from .plan import directional_rate
+
+#: Steps from one pass over the SH coefficients that shrinks them to the next.
+SHRINK_EVERY = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class Rates:
+    """How far one step goes.
+
+    Args:
+        density: Learning rate of density, in optical depth per voxel of the level.
+        sh: Learning rate of the constant SH coefficients.
+        directional: Learning rate of the SH coefficients that depend on direction.
+        directional_kept: Factor on those coefficients after the step; 1 leaves them.
+        background: Learning rate of the layers behind the field.
+    """
+
+    density: float
+    sh: float
+    directional: float
+    directional_kept: float
+    background: float
+
+
+class Schedule:
+    """The steps of a fit and its place among them.
+
+    Args:
+        options: Options of the fit, with the number of its levels.
+        level_steps: Steps of each level.
+        scarcity: How few rays see a voxel; see `plan.scarcity`.
+
+    Attributes:
+        level_steps: Steps of each level.
+        step_count: Steps done.
+        level: Index of the level that the fit has reached.
+    """
+
+    def __init__(self, options: FitOptions, level_steps: list[int], scarcity: float):
+        self.options, self.scarcity, self.level_steps = options, scarcity, level_steps
+        total = self.total_steps
+        self.directional = directional_rate(total) if options.directional is None else options.directional
+        self.step_count = self.level = 0
+
+    @property
+    def total_steps(self) -> int:
+        """Steps of all levels."""
+        return sum(self.level_steps)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all steps are done."""
+        return self.step_count >= self.total_steps
+
+    @property
+    def level_done(self) -> bool:
+        """Whether the steps of the level are done."""
+        return self.step_count >= sum(self.level_steps[: self.level + 1])
+
+    @property
+    def is_last_level(self) -> bool:
+        """Whether no level follows."""
+        return self.level + 1 == self.options.levels
+
+    @property
+    def refines(self) -> bool:
+        """Whether the next level begins before the next step."""
+        return self.level_done and not self.is_last_level
+
+    @property
+    def thins_out(self) -> bool:
+        """Whether voxels that no view shows are removed before the next step, late in the last level."""
+        left = round((1.0 - self.options.keep_at) * self.level_steps[-1])
+        return self.step_count == self.total_steps - left
+
+    @property
+    def rays_per_side(self) -> int:
+        """Rays along each side of a pixel. Coarse voxels are wider than a part of a pixel: there it is one."""
+        return self.options.supersampling if self.is_last_level else 1
+
+    def rates(self) -> Rates:
+        """How far the next step goes."""
+        options = self.options
+        progress = (self.step_count / max(1, self.total_steps - 1)) ** options.decay_power
+        sh = _log_interpolate(options.rate_sh, options.rate_sh_end, progress)
+        return Rates(
+            density=_log_interpolate(options.rate_density, options.rate_density_end, progress),
+            sh=sh,
+            directional=self.directional * sh,
+            directional_kept=self._directional_kept(sh),
+            background=_log_interpolate(options.rate_background, options.rate_background_end, progress),
+        )
+
+    def _directional_kept(self, rate: float) -> float:
+        """The decay of the coefficients that depend on direction over SHRINK_EVERY steps, where it is due."""
+        if self.scarcity <= 1 or self.step_count % SHRINK_EVERY:
+            return 1.0
+        return max(0.0, 1.0 - rate * self.options.shrink_sh * self.scarcity) ** SHRINK_EVERY
+
+
+def _log_interpolate(start: float, end: float, progress: float) -> float:
+    return math.exp((1.0 - progress) * math.log(start) + progress * math.log(end))

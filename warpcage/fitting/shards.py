@@ -1,0 +1,78 @@
+"""Kernels whose items add to shared outputs, cut over CPU threads that each have outputs of their own.
+
+CPU atomics are plain reads and writes, so threads must not share an output. A GPU needs one shard.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from ..core.devices import launch, module_block_dim
+from ..core.threads import CPU_THREADS, run_parallel
+from ..kernels.fitting.rmsprop import add_gradients
+
+#: Outputs of their own are worth their memory for up to this many CPU threads.
+MAX_SHARDS = 8
+
+
+def shard_count(device: wp.Device) -> int:
+    """Shards of a fit on a device."""
+    return min(CPU_THREADS, MAX_SHARDS) if device.is_cpu else 1
+
+
+@dataclasses.dataclass(frozen=True)
+class ShardedWork:
+    """A kernel to launch in shards.
+
+    Args:
+        kernel: Kernel whose first parameter is `first`, the index of a shard's first item.
+        count: Parts of the work that stay together in one shard.
+        inputs: What the kernel takes after `first`, the same for all shards.
+        outputs: What it then takes, for each shard.
+        items: Items of the kernel per part.
+    """
+
+    kernel: Any  # Warp's decorator hides its type
+    count: int
+    inputs: list
+    outputs: Sequence[Sequence]
+    items: int = 1
+
+
+def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) -> None:
+    """Launch kernels one after another in each of several threads.
+
+    Args:
+        works: The kernels, in their order.
+        shards: Number of threads. Each takes one run of the parts of each work.
+        device: Warp device of all arrays.
+    """
+    for work in works:  # before the threads, so that each module is compiled once
+        wp.load_module(work.kernel.module, device=device)
+
+    def run(shard: int) -> None:
+        for work in works:
+            begin, end = (work.items * (work.count * edge // shards) for edge in (shard, shard + 1))
+            if end > begin:
+                wp.launch(
+                    work.kernel,
+                    dim=end - begin,
+                    inputs=[begin, *work.inputs],
+                    outputs=list(work.outputs[shard]),
+                    device=device,
+                    block_dim=module_block_dim(work.kernel),
+                )
+
+    run_parallel([lambda shard=shard: run(shard) for shard in range(shards)], shards)
+
+
+def sum_shards(gradients: Sequence[wp.array]) -> wp.array:
+    """Move the gradients of all shards, (numbers,) float32 each, into the first, and return it."""
+    total, *others = gradients
+    for other in others:
+        launch(add_gradients, total.size, [other], [total], device=total.device)
+    return total
