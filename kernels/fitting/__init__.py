@@ -1,1 +1,1 @@
-"""Gradients, optimiser steps and what a fit needs around them."""
+"""Losses and their gradients, optimiser steps, and what else a fit launches."""

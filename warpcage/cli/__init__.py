@@ -11,10 +11,10 @@ import os
 import sys
 import warnings
 
-from . import animate, bake, cage, check, evaluate, fit, info, mesh, pose, render
+from . import animate, bake, cage, check, evaluate, fit, info, kernels, mesh, pose, render
 from .options import package_version
 
-COMMANDS = (fit, mesh, cage, check, pose, render, animate, bake, evaluate, info)
+COMMANDS = (fit, mesh, cage, check, pose, render, animate, bake, evaluate, info, kernels)
 EXAMPLE = """\
 example, from pictures to a bent object:
   warpcage fit data/lego --downscale 2 -o lego.npz
