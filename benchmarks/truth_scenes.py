@@ -21,7 +21,7 @@ import numpy as np
 import warpcage
 from warpcage.reference.carried_mesh import CarriedMesh
 from warpcage.reference.inverse_map import InverseMap
-from warpcage.reference.shapes import subdivided_model
+from warpcage.reference.models import subdivided_model
 from warpcage.scene.scene import Scene
 
 SCENES = ("bricks", "animal", "chair")
