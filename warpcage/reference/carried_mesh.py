@@ -92,8 +92,8 @@ class CarriedMesh:
         origin = posed.mean(axis=0)
         mesh = device_mesh(posed, self.faces, origin, self.device)
         directions = wp.array(np.ascontiguousarray(matrices, np.float32), dtype=wp.mat33, device=self.device)
-        rgba = wp.empty(height * width, dtype=wp.vec4, device=self.device)
-        depth = wp.empty(height * width, dtype=wp.float32, device=self.device)
+        rgba = wp.empty(height * width, dtype=wp.vec4, device=self.device)  # pyright: ignore[reportArgumentType]
+        depth = wp.empty(height * width, dtype=wp.float32, device=self.device)  # pyright: ignore[reportArgumentType]
         colours = np.empty((len(cameras), height, width, 4), np.float32)
         distances = np.empty((len(cameras), height, width), np.float32)
         scene = [mesh.id, self._rest.id, self._colours, directions, self._texture, self._lighting, int(light_stays)]

@@ -103,7 +103,7 @@ class InverseMap:
             (n, 3) float64, world units.
         """
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        positions = wp.empty(len(points), dtype=wp.vec3d, device=self.device)
+        positions = wp.empty(len(points), dtype=wp.vec3d, device=self.device)  # pyright: ignore[reportArgumentType]
         inputs = [self._map, _vectors(points - self._origin, self.device)]
         launch(map_exactly, len(points), inputs, [positions], device=self.device)
         return positions.numpy() + self._target_origin
@@ -119,9 +119,9 @@ class InverseMap:
         """
         points = np.asarray(points, np.float64).reshape(-1, 3)
         guesses = deform_points(points, self.rest, self.deformed, coordinates="mean_value", device=self.device)
-        found = wp.empty(len(points), dtype=wp.vec3d, device=self.device)
-        residuals = wp.empty(len(points), dtype=wp.float64, device=self.device)
-        jacobians = wp.empty(len(points), dtype=wp.mat33d, device=self.device)
+        found = wp.empty(len(points), dtype=wp.vec3d, device=self.device)  # pyright: ignore[reportArgumentType]
+        residuals = wp.empty(len(points), dtype=wp.float64, device=self.device)  # pyright: ignore[reportArgumentType]
+        jacobians = wp.empty(len(points), dtype=wp.mat33d, device=self.device)  # pyright: ignore[reportArgumentType]
         targets = _vectors(points - self._target_origin, self.device)
         starts = _vectors(guesses - self._origin, self.device)
         inputs = [self._map, targets, starts, wp.float64(TOLERANCE * self.rest.size)]
@@ -140,11 +140,11 @@ def _boundary_fluxes(corners: np.ndarray, data: np.ndarray, device: wp.DeviceLik
     corners, data (e, 3, 3): corners of the elements and the values there.
     """
     count = len(corners)
-    single_layer = wp.empty((count, count), dtype=wp.float64, device=device)
-    double_layer = wp.empty(count, dtype=wp.vec3d, device=device)
+    single_layer = wp.empty((count, count), dtype=wp.float64, device=device)  # pyright: ignore[reportArgumentType]
+    double_layer = wp.empty(count, dtype=wp.vec3d, device=device)  # pyright: ignore[reportArgumentType]
     inputs = [_vectors(corners, device), _vectors(data, device)]
     launch(assemble_layers, count, inputs, [single_layer, double_layer], device=device)
-    return np.linalg.solve(single_layer.numpy(), data.mean(axis=1) - double_layer.numpy())
+    return np.linalg.solve(np.asarray(single_layer.numpy(), np.float64), data.mean(axis=1) - double_layer.numpy())
 
 
 def _cut_towards_edges(corners: np.ndarray, cuts: int) -> np.ndarray:

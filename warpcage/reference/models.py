@@ -39,5 +39,5 @@ def subdivided_model(name: str, longest_edge: float) -> Model:
     if name not in MODELS:
         raise ValueError(f"model {name!r} is not known: {', '.join(MODELS)}")
     vertices, faces, colours = MODELS[name]()
-    vertices, faces, source = trimesh.remesh.subdivide_to_size(vertices, faces, longest_edge, return_index=True)
+    vertices, faces, source = trimesh.remesh.subdivide_to_size(vertices, faces, longest_edge, return_index=True)  # pyright: ignore[reportAssignmentType]
     return np.asarray(vertices), faces.astype(np.int32), colours[source]

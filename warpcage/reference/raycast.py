@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -64,7 +65,7 @@ def render_mesh_views(
     return views
 
 
-def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = SHININESS) -> MeshLighting:
+def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = SHININESS) -> Any:
     """The light of all reference scenes.
 
     Args:
@@ -73,13 +74,13 @@ def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = 
         shininess: Exponent of the specular term.
 
     Returns:
-        The struct that the kernels take.
+        The struct MeshLighting of the kernels.
     """
     lighting = MeshLighting()
     lighting.highlight, lighting.shininess = highlight, shininess
-    lighting.key_direction = wp.normalize(wp.vec3(0.45, -0.6, 0.9))
+    lighting.key_direction = wp.normalize(wp.vec3(0.45, -0.6, 0.9))  # pyright: ignore[reportCallIssue, reportArgumentType]
     lighting.key_colour = wp.vec3(0.66, 0.64, 0.59)
-    lighting.fill_direction = wp.normalize(wp.vec3(-0.6, 0.7, 0.25))
+    lighting.fill_direction = wp.normalize(wp.vec3(-0.6, 0.7, 0.25))  # pyright: ignore[reportCallIssue, reportArgumentType]
     lighting.fill_colour = wp.vec3(0.24, 0.26, 0.29)
     lighting.sky_colour = wp.vec3(0.60, 0.62, 0.66)
     lighting.ground_colour = wp.vec3(0.46, 0.43, 0.40)
