@@ -117,7 +117,7 @@ BAD = {
     "animate: a preset that is none": (["animate", "@ball.npz", "-o", "@new.mp4", "--cage", "@cage.obj", "--posed",
                                         "bend:wide"], "not a preset"),
     "animate: masks of a plain field": (["animate", "@ball.npz", "-o", "@new.mp4", "--show", "masks"], "--show masks"),
-    "animate: two paths": (["animate", "@ball.npz", "-o", "@new.mp4", "--turn", "9", "--cameras", "@scene"], "combined"),
+    "animate: two paths": (["animate", "@ball.npz", "-o", "@new.mp4", "--turn", "9", "--cameras", "@scene"], "combine"),
     "animate: cameras": (["animate", "@ball.npz", "-o", "@new.mp4", "--cameras", "@nowhere"], "nowhere"),
     "render: masks of a plain field": (["render", "@ball.npz", "-o", "@new.png", "--masks", "@m.png"], "--masks"),
     "render: zero size": (["render", "@ball.npz", "-o", "@new.png", "--size", "0"], "at least 1"),
