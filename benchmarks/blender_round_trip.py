@@ -4,9 +4,9 @@
     python benchmarks/blender_round_trip.py
     python benchmarks/blender_round_trip.py --fixtures tests/fixtures/blender
 
-Each row is one way through: a cage written by warpcage, read by Blender, bent by a Simple Deform modifier, written by
-Blender in one of its dialects, loaded and matched. The error is the largest distance between a matched vertex and
-where Blender has it, as a share of the cage's size; text files keep six decimals, PLY and glTF float32.
+Each row is one route: warpcage writes a cage, Blender reads it, bends it by a Simple Deform modifier and writes it in
+one of its dialects, and warpcage loads and matches it. The error is the largest distance between a matched vertex and
+its place in Blender, as a share of the cage's size. Text files keep six decimals, PLY and glTF float32.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ import numpy as np
 
 import warpcage
 
-#: name: (format, up, what is done to the mesh in Blender, options of the exporter). "through" reads the cage in the
-#: same format and with Blender's own axes for it, as a user does who changes no setting; the others read OBJ, z up.
+#: Name: (format, up, changes of the mesh in Blender, options of the exporter). "through" reads the cage in the same
+#: format with Blender's default axes, as for a user who changes no setting; the others read OBJ, z up.
 WAYS = {
     "obj_plain": ("obj", "z", "", {"export_normals": False, "export_uv": False, "export_materials": False}),
     "obj_default": ("obj", "y", "materials", {}),
@@ -46,7 +46,7 @@ WAYS = {
 
 def main(argv=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--fixtures", help="folder to keep the rest cage and Blender's files of the cylinder in")
+    parser.add_argument("--fixtures", help="folder for the rest cage and Blender's files of the cylinder")
     args = parser.parse_args(argv)
     try:
         import bpy
@@ -71,7 +71,7 @@ def main(argv=None) -> int:
                 for file in folder.glob("*.mtl"):
                     file.unlink()
                 np.savetxt(folder / "bent.txt", vertices, fmt="%.9g")
-    print("\n".join(rows))  # at the end: Blender's own lines come in between
+    print("\n".join(rows))  # at the end, since Blender prints lines of its own in between
     print(f"worst error {worst:.1e} of the size")
     return 0 if worst < 2e-6 else 1
 
@@ -103,7 +103,7 @@ def through(cage, folder, way: str) -> tuple[int, float, np.ndarray]:
     thing.data.attributes.remove(thing.data.attributes["cage_vertex"])
     rest_file = folder / f"{way}_rest.{ending}"
     if any(word in changes for word in ("quads", "ngons")):
-        export(rest_file, ending, up, options)  # other faces than the cage had: a cage of its own
+        export(rest_file, ending, up, options)  # other faces than the cage has: another cage
 
     modifier = thing.modifiers.new("bend", "SIMPLE_DEFORM")
     modifier.deform_method, modifier.deform_axis, modifier.angle = "BEND", "X", 0.7
@@ -139,7 +139,7 @@ def bring_in(cage, folder: pathlib.Path, ending: str, changes: str) -> None:
 
 
 def prepare(thing, changes: str) -> None:
-    """Give the mesh what the way asks for; the attribute cage_vertex keeps each vertex's number in the cage."""
+    """Change the mesh as a route asks for. The attribute cage_vertex keeps the index of each vertex in the cage."""
     import bpy
 
     mesh = thing.data

@@ -1,13 +1,14 @@
-"""Generated cages in figures: what they enclose, how tight and how even they are, and what they cost.
+"""Generated cages measured: what they enclose, how tight and how even they are, and what they cost.
 
     python benchmarks/cages.py --out out
     python benchmarks/cages.py --field lego.npz --counts 42 100 200 --methods auto shell voxel
 
-A row a scene, method and count. Enclosed: share of the visible voxels that are inside; gap: least distance between the
-faces and the visible voxels (boxes around their nodes), in voxels; hull: volume of the cage over that of the object's
-convex hull; even: mean over the faces of 4 sqrt(3) area / sum of squared sides (1 for equilateral), and that of the
-worst face; sides: 95th over 5th percentile of the lengths of the edges; sharp: the largest share of its full angle that
-a vertex lacks (0 flat, 1/4 the corner of a box, near 1 a spike). Written with --out: cages.json and the cages.
+One row per scene, method and count. Enclosed: share of the visible voxels that are inside; gap: smallest distance
+between the faces and the visible voxels (boxes around their nodes), in voxels; hull: volume of the cage over that of
+the object's convex hull; even: mean over the faces of 4 sqrt(3) area / sum of squared sides (1 for equilateral), and
+that of the worst face; sides: 95th over 5th percentile of the lengths of the edges; sharp: the largest share of its
+full angle that a vertex lacks (0 flat, 1/4 the corner of a box, near 1 a spike). Written with --out: cages.json and the
+cages.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def holds(row: dict, margin: float | None) -> bool:
 
 
 def gap(cage, field) -> float:
-    """Least distance from points on the faces, half a voxel apart, to the boxes of visible voxels; in voxels."""
+    """Smallest distance, in voxels, from points on the faces, half a voxel apart, to the boxes of visible voxels."""
     from scipy.spatial import KDTree
 
     voxel = np.broadcast_to(field.voxel_size, 3)
@@ -147,8 +148,8 @@ def parse_arguments(argv):
     parser.add_argument("--counts", nargs="+", type=int, default=[42, 100, 200], help="(default: 42 100 200)")
     parser.add_argument("--methods", nargs="+", choices=("auto", "shell", "voxel"), default=["auto"])
     parser.add_argument("--margin", type=float, help="voxels (default: the generator's own, 1)")
-    parser.add_argument("--resolution", type=int, default=64, help="voxels a side of the scenes (default: 64)")
-    parser.add_argument("--again", action="store_true", help="make each cage twice and compare them bit for bit")
+    parser.add_argument("--resolution", type=int, default=64, help="voxels along each side of the scenes (default: 64)")
+    parser.add_argument("--again", action="store_true", help="make each cage twice and compare the two bit by bit")
     return parser.parse_args(argv)
 
 

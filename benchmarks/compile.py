@@ -1,13 +1,13 @@
-"""Seconds of a first start: import, first fit step, first pose, first frame, kernels to be compiled or all there.
+"""Seconds of a first start: import, first fit step, first pose, first frame, with kernels compiled anew or cached.
 
     python benchmarks/compile.py --device cpu --json docs/results/compile_cpu.json
     python benchmarks/compile.py --device cuda:0 --json compile_cuda.json
 
-Beside seconds of the clock stand the processor seconds of all threads: on a machine that others use only these tell.
-After the measured stages the process goes the rest of the way (fit, frames of every kind), not counted, so that all
-modules are seen. Each run is a process of its own with a kernel cache of its own, empty for the cold run and filled by
-it for the warm ones (median). What compiling adds is cold less warm; it should stay below 25 s on a CPU and 10 s on
-CUDA, and no module may be compiled twice in one process: Warp's report of each module is read, and counted by name.
+Wall-clock seconds are followed by the processor seconds of all threads, which alone are meaningful on a shared machine.
+After the measured stages the process runs the rest (fit, frames of every kind) unmeasured, so that all modules are
+seen. Each run is a process with its own kernel cache, empty for the cold run and filled by it for the warm ones
+(median). Compiling costs the difference between cold and warm. It should stay below 25 s on a CPU and 10 s on CUDA, and
+no module may be compiled twice in one process: Warp's report of each module is read, and counted by name.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import tempfile
 import time
 
 LIMITS = {"cpu": 25.0, "cuda": 10.0}
-UNITS = ("", "_work")  # of the clock, and of processors
+UNITS = ("", "_work")  # wall-clock time, and processor time
 STAGES = ("import", "first fit step", "first pose", "first frame")
 MARK = "-- the rest of the way, not measured --"
 REPORT = re.compile(r"Module (\S+) (\w+) load on device '[^']*' took ([\d.]+) ms\s+\((\w+)\)")
@@ -34,7 +34,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--warm-runs", type=int, default=3)
-    parser.add_argument("--cache", help="folder for the kernel cache, to be kept filled; must be empty at first")
+    parser.add_argument("--cache", help="folder for the kernel cache, which is kept; it must be empty at first")
     parser.add_argument("--json")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()

@@ -4,9 +4,9 @@
 
 Harmonic weights of a convex cage (an icosphere with displaced vertices) and of a concave one (an L) at inside points
 clear of the cage by 0.1 of its size, against boundary elements in float64 on faces that are cut finer towards edges
-(the fluxes of weights are singular there). Printed are RMS and largest error a resolution, the order between one
-resolution and the next, and what two cuts of the reference differ by, below which nothing can be read; then the
-largest error at points up to the cage.
+(the fluxes of weights are singular there). Printed are the RMS and the largest error per resolution, the order between
+one resolution and the next, and the difference between two cuts of the reference, below which errors mean nothing; then
+the largest error at points up to the cage.
 """
 
 import argparse
@@ -24,7 +24,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent / "tests")
 import oracles  # noqa: E402
 from test_containment import reference_distance  # noqa: E402
 
-#: Orders asked for, and over which resolutions they are fitted: those that the reference can still tell.
+#: Orders required, and the resolutions over which they are fitted: those that the reference still resolves.
 CASES = {"icosphere": 1.7, "concave": 1.2}
 
 
@@ -34,7 +34,7 @@ def clear_points(vertices, faces, count):
 
 
 def points_up_to_the_cage(vertices, faces, count):
-    """Random inside points, and such within a hundredth of the size of random places of the faces."""
+    """Random points inside, and points inside within a hundredth of the size of random points on the faces."""
     random = np.random.default_rng(2)
     chosen = faces[random.integers(len(faces), size=count)]
     normal = np.cross(vertices[chosen[:, 1]] - vertices[chosen[:, 0]], vertices[chosen[:, 2]] - vertices[chosen[:, 0]])

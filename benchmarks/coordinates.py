@@ -1,12 +1,12 @@
-"""Time of one new pose's position map, and of the closed forms a point.
+"""Time of the position map of a new pose, and of the closed forms per point.
 
     python benchmarks/coordinates.py --device cuda:0 --json coordinates.json
     python benchmarks/coordinates.py --device cpu --resolution 64 128 --runs 3
 
 A map is what `PositionMap.pose` does, host and device: lattice, distances, coordinates on the deformed cage, and the
-extension beyond it; on CUDA one graph. Median of warm runs, alternating between two poses, each a new Cage so that its
-checks are paid for as well. Memory is what the map's buffers hold. On a CPU the ratio to one thread is printed, from
-poses that take turns with such on one thread. Several vertex counts show how the cost grows.
+extension beyond it; on CUDA one graph. Times are medians of warm runs that alternate between two poses, each a new
+Cage, so that its checks are included. Memory is what the map's buffers hold. On a CPU the ratio to one thread is
+printed too, from runs that alternate with runs on one thread. Several vertex counts show how the cost grows.
 """
 
 import argparse
@@ -20,12 +20,13 @@ from timing import median_seconds
 
 import warpcage
 from warpcage.core import devices
+from warpcage.core.devices import resolve_device
 
 KINDS = ("mean_value", "harmonic", "green")
 
 
 def test_cage(vertex_count: int) -> warpcage.Cage:
-    """The icosphere of 42 vertices, or a bumpy sphere whose mesh is decimated to about a count."""
+    """The icosphere of 42 vertices, or a bumpy sphere decimated to about vertex_count vertices."""
     if vertex_count == 42:
         return warpcage.Cage.icosphere((0, 0, 0), 1.0, subdivisions=1)
     mesh = warpcage.Cage.icosphere((0, 0, 0), 1.0, subdivisions=3)
@@ -38,7 +39,7 @@ def test_cage(vertex_count: int) -> warpcage.Cage:
 
 
 def interleaved_seconds(action, runs: int) -> tuple[float, float]:
-    """Median seconds of action() on all threads and on one, in turns, so that other work on the machine meets both."""
+    """Median seconds of action() on all threads and on one, by turns, so that other work affects both."""
     threads = devices.CPU_THREADS
     times = {threads: [], 1: []}
     action()
@@ -60,11 +61,11 @@ def main() -> None:
     parser.add_argument("--cage", nargs="*", default=[], help="cage files instead (where pymeshlab is missing)")
     parser.add_argument("--kinds", nargs="*", default=KINDS)
     parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--points", type=int, help="for the closed forms: 16 million, or 400,000 on a CPU")
+    parser.add_argument("--points", type=int, help="points of the closed forms (default: 16 million, CPU 400,000)")
     parser.add_argument("--json")
     args = parser.parse_args()
     wp.config.quiet = True
-    device = warpcage.core.devices.resolve_device(args.device)
+    device = resolve_device(args.device)
     args.points = args.points or (400_000 if device.is_cpu else 16_000_000)
     cages = [warpcage.Cage.load(file) for file in args.cage] or [test_cage(count) for count in args.vertices]
     rows = []

@@ -1,9 +1,9 @@
-"""Where the time of a new pose's position map goes: kernel by kernel on a GPU, step by step on the host.
+"""Where the time for the position map of a new pose goes: by kernel on a GPU, by step on the host.
 
     python benchmarks/coordinates_profile.py --device cuda:0 --resolution 64
 
-Kernels are timed by events around each launch of a pose that runs outside its graph (a few microseconds of each are the
-events' own); below stand the graph of the whole pose, and the host's steps before it.
+Kernels are timed by events around each launch of a pose that runs outside its graph; the events themselves take a few
+microseconds. The graph of the whole pose and the host's steps before it follow.
 """
 
 import argparse
@@ -15,10 +15,11 @@ from coordinates import KINDS, test_cage
 from timing import median_seconds
 
 import warpcage
+from warpcage.core.devices import resolve_device
 
 
 def kernel_times(position_map, runs: int) -> dict:
-    """{kernel: (launches a pose, microseconds a pose)} of the launches that the graph of a pose holds."""
+    """{kernel: (launches per pose, microseconds per pose)} of the launches that the graph of a pose holds."""
     graph = position_map._graph
     graph.launch()
     total, launches = collections.Counter(), collections.Counter()
@@ -41,7 +42,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=10)
     args = parser.parse_args()
     wp.config.quiet = True
-    device = warpcage.core.devices.resolve_device(args.device)
+    device = resolve_device(args.device)
     rest = test_cage(args.vertices)
     poses = [rest.twist(25).bend(20), rest.twist(-20)]
     for kind in args.kinds:

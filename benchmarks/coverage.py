@@ -2,8 +2,8 @@
 
     python benchmarks/coverage.py --device cpu --json docs/results/coverage.json
 
-The PSNR of a picture falls by 10 log10 of the share that is covered, whatever the field: what a pose loses or gains
-that way is no fault of the deformation. Poses by mean value coordinates; the kinds differ little.
+The PSNR of a picture falls by 10 log10 of the share that is covered, whatever the field. What a pose loses or gains
+that way is not due to the deformation. Poses use mean value coordinates; the other kinds differ little.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import warp as wp
 from results import write_results
 from truth_scenes import SCENES, TruthScene, pose_cages
 
-import warpcage
+from warpcage.core.devices import resolve_device
 
 
 def main() -> None:
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--json")
     args = parser.parse_args()
     wp.config.quiet = True
-    device = warpcage.core.devices.resolve_device(args.device)
+    device = resolve_device(args.device)
     rows = []
     for name in SCENES:
         scene = TruthScene(

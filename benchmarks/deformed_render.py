@@ -1,13 +1,13 @@
-"""Time of a canonical frame, a deformed frame with its lattice ready, a new pose with its frame, and posing in a loop.
+"""Time of a canonical frame, a deformed frame with its lattice ready, a new pose with its frame, and poses in a loop.
 
     python benchmarks/deformed_render.py --field field.npz --cage cage.obj --device cuda:0 --json render.json
     python benchmarks/deformed_render.py --field room.npz --cage cage.obj --scene DIR --device cuda:0
 
-A field with layers behind it is rendered with them, and the rows of frames say what they add (layers_milliseconds:
-against the same frame on black, by turns). --scene takes a held-out view of a scene, whose surroundings such a field
-shows.
+A field with background layers is rendered with them, and the rows of frames say what they add (layers_milliseconds,
+compared with the same frame on black, by turns). --scene takes a held-out view of a scene, since such a field shows its
+surroundings.
 
-The kernels behind a frame and a pose are listed with --profile (CUDA only); NOTES-render.md holds what was found.
+--profile lists the kernels of a frame and of a pose (CUDA only); see NOTES-render.md for findings.
 """
 
 import argparse
@@ -18,12 +18,13 @@ import warp as wp
 from timing import median_seconds, median_seconds_by_turns
 
 import warpcage
+from warpcage.core.devices import resolve_device
 
 
 def main() -> None:
     args = parse_arguments()
     wp.config.quiet = True
-    device = warpcage.core.devices.resolve_device(args.device)
+    device = resolve_device(args.device)
     field = warpcage.VoxelField.load(args.field, device=device)
     rest = warpcage.Cage.load(args.cage)
     camera = chosen_camera(field, args)
@@ -88,9 +89,9 @@ def parse_arguments():
     parser.add_argument("--field", required=True)
     parser.add_argument("--cage", required=True)
     parser.add_argument("--device", default=None)
-    parser.add_argument("--size", type=int, default=800, help="pixels a side, without --scene")
+    parser.add_argument("--size", type=int, default=800, help="pixels along each side, without --scene")
     parser.add_argument("--scene", help="scene folder: its first held-out view instead of one from a turntable")
-    parser.add_argument("--downscale", type=int, default=1, help="of the scene's pictures")
+    parser.add_argument("--downscale", type=int, default=1, help="factor on the scene's pictures")
     parser.add_argument("--resolution", type=int, default=128)
     parser.add_argument("--bend", type=float, default=45.0)
     parser.add_argument("--runs", type=int, default=10)
@@ -110,7 +111,7 @@ def chosen_camera(field, args):
 
 
 class Cycle:
-    """Poses by turns, so that each is a new one."""
+    """Poses by turns, so that each one is new."""
 
     def __init__(self, deformer, poses):
         self.deformer, self.poses, self.turn = deformer, poses, 0
@@ -121,8 +122,8 @@ class Cycle:
 
 
 def posing_loop(deformer, rest, camera, args, count: int = 60) -> float:
-    """Seconds a frame of a bend that swings, each frame a new pose, cages made beforehand. The device may run behind
-    the host within the loop, as it would in a viewer; the solver's cycles replay CUDA graphs."""
+    """Seconds per frame of a swinging bend: each frame is a new pose, its cage made beforehand. The device may lag
+    behind the host within the loop, as in a viewer; the solver's cycles replay CUDA graphs."""
     cages = [rest.bend(args.bend * (0.5 + 0.5 * k / count), axis="y", towards="z") for k in range(count)]
     for cage in cages[:3]:
         deformer.pose(cage).render(camera)

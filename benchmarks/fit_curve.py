@@ -1,16 +1,16 @@
-"""PSNR on held-out views against seconds of fitting, and what the fit does a second.
+"""PSNR on held-out views against seconds of fitting, and the work that the fit does per second.
 
     python benchmarks/fit_curve.py --data ../shared/data/lego_800 --device cuda:0 --json curve.json
     python benchmarks/fit_curve.py --data ../shared/data/lego_800 --downscale 8 --option footprint=0.7 epochs=16
 
-Clock: from the images in host memory to the finished field, kernels compiled beforehand, evaluations and counts left
-out. Samples are counted in passes of their own, at each point of the curve and at both ends of a level, over the
-training rays that see the object, and summed over the steps in between: `marched` in cells that hold values, `matter`
-those of them with density. A step takes them once for the colour and once more for the gradient; they count once.
+The clock runs from the images in host memory to the finished field. Kernels are compiled beforehand; evaluations and
+counts are left out. Samples are counted in separate passes, at each point of the curve and at both ends of a level,
+over the training rays that see the object, and summed over the steps between: `marched` in cells that hold values,
+`matter` those of them with density. A step takes them once for the colour and again for the gradient; they count once.
 
-`peak_device_bytes` is the most that the arrays of the timed fit held at once, images included: each is counted as it is
-made. A memory pool's own high-water mark would be that of the process, with the warm-up, earlier runs and the renders
-between, and cannot be reset. Scratch of a few MB that Warp takes for scans is left out.
+`peak_device_bytes` is the most that the arrays of the timed fit held at once, images included; each is counted when it
+is made. The high-water mark of a memory pool cannot be reset, and would include the warm-up, earlier runs and the
+renders between. A few MB of scratch that Warp takes for scans are left out.
 """
 
 import argparse
@@ -24,7 +24,7 @@ import numpy as np
 import warp as wp
 
 import warpcage
-from warpcage.core.devices import launch
+from warpcage.core.devices import launch, resolve_device
 from warpcage.field.voxel_field import STOP_TRANSMITTANCE
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.optimizer import FieldOptimizer
@@ -32,7 +32,7 @@ from warpcage.kernels.reference.sample_count import count_samples
 
 
 def samples_per_ray(optimizer, *, wanted_rays: int = 1 << 20) -> np.ndarray:
-    """(2,) samples marched, and those with density, of a mean ray of a batch."""
+    """(2,) samples marched and samples with density, per ray of a batch on average."""
     camera = optimizer.scene.cameras[0]
     total = len(optimizer.scene) * camera.width * camera.height
     stride = max(1, int((total / wanted_rays) ** 0.5))
@@ -46,12 +46,12 @@ def samples_per_ray(optimizer, *, wanted_rays: int = 1 << 20) -> np.ndarray:
         counts,
         device=optimizer.device,
     )
-    active = optimizer.active_tiles / optimizer.tile_total  # the others, which batches leave out, march nothing
+    active = optimizer.active_tiles / optimizer.tile_total  # batches leave the other tiles out, which march nothing
     return np.array([each.numpy().mean(dtype=np.float64) for each in counts]) / active
 
 
 class CountedAllocator:
-    """Stands before a device's allocator and counts what arrays hold from now on; `peak` while it is `watching`."""
+    """Wraps a device's allocator and counts what arrays hold from now on; `peak` grows while it is `watching`."""
 
     def __init__(self, device):
         self.inner = device.get_allocator()
@@ -68,18 +68,18 @@ class CountedAllocator:
         return pointer
 
     def deallocate(self, pointer: int, size: int) -> None:
-        self.held -= self.sizes.pop(pointer, 0)  # 0: it is older
+        self.held -= self.sizes.pop(pointer, 0)  # 0: made before the count began
         self.inner.deallocate(pointer, size)
 
 
 @contextlib.contextmanager
 def counted_allocations(device):
-    """A CountedAllocator in the place of a device's own."""
+    """A CountedAllocator in place of a device's own."""
     counted = CountedAllocator(device)
     try:
         if device.is_cuda:
             wp.set_device_allocator(device, counted)
-        else:  # Warp has no call for it
+        else:  # Warp has no call for this
             device.default_allocator = counted
         yield counted
     finally:
@@ -90,8 +90,8 @@ def counted_allocations(device):
 
 
 class Clock:
-    """Seconds since it was made, and what allocations hold, less the pauses; the device has caught up whenever it is
-    read."""
+    """Seconds since it was made, without the pauses, and what allocations hold. The device is synchronised whenever
+    it is read."""
 
     def __init__(self, device, allocations: CountedAllocator):
         self.device, self.allocations, self.seconds = device, allocations, 0.0
@@ -195,7 +195,7 @@ def main() -> None:
     parser.add_argument("--json", help="file for the results")
     args = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
-    device = warpcage.core.devices.resolve_device(args.device)
+    device = resolve_device(args.device)
     scene = warpcage.load_scene(args.data, downscale=args.downscale)
     test = warpcage.load_scene(args.data, split="test", downscale=args.downscale)
     results = []

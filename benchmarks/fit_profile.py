@@ -1,4 +1,4 @@
-"""Where a fit's device time goes, kernel by kernel, at each level.
+"""Where the device time of a fit goes, by kernel, at each level.
 
 python benchmarks/fit_profile.py --data ../shared/data/lego_800 --device cuda:0
 """

@@ -4,8 +4,8 @@
     python benchmarks/fit_scenes.py --kind "20 views" thin --size 200 --views 60 --option epochs=16
     python benchmarks/fit_scenes.py --kind --data ../shared/data/lego_800 --every 4 --downscale 8
 
-Seconds run from images in host memory to the finished field; the first scene's hold the compilation of kernels that are
-not in Warp's cache yet.
+Seconds run from images in host memory to the finished field. Those of the first scene include the compilation of
+kernels that are not in Warp's cache yet.
 """
 
 import argparse
@@ -17,6 +17,7 @@ import time
 import warp as wp
 
 import warpcage
+from warpcage.core.devices import resolve_device
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.reference.fit_scenes import KINDS, synthetic_scene
 
@@ -50,7 +51,7 @@ def without_alphas(scene):
 
 
 def scenes_of(args, device):
-    """(name, training views, test views) one after another."""
+    """Yields (name, training views, test views)."""
     for kind in args.kind:
         train, test = synthetic_scene(
             kind, train_views=args.views, size=args.size, alpha=not args.opaque, device=device
@@ -68,9 +69,9 @@ def scenes_of(args, device):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kind", nargs="*", choices=list(KINDS), default=list(KINDS), help="which of our own scenes")
-    parser.add_argument("--views", type=int, default=60, help="training views, of the kinds that do not fix it")
-    parser.add_argument("--size", type=int, default=100, help="pixels a side")
-    parser.add_argument("--opaque", action="store_true", help="leave the alphas out")
+    parser.add_argument("--views", type=int, default=60, help="training views, for kinds that do not fix their number")
+    parser.add_argument("--size", type=int, default=100, help="pixels along each side")
+    parser.add_argument("--opaque", action="store_true", help="fit without the alphas")
     parser.add_argument("--data", help="one more scene: a folder with train and test splits")
     parser.add_argument("--downscale", type=int, default=8, help="of --data")
     parser.add_argument("--every", type=int, default=4, help="take every n-th training view of --data")
@@ -78,7 +79,7 @@ def main() -> None:
     parser.add_argument("--option", nargs="*", default=[], help="FitOptions as name=value")
     parser.add_argument("--json", help="file for the results")
     args = parser.parse_args()
-    device = warpcage.core.devices.resolve_device(args.device)
+    device = resolve_device(args.device)
     options = {name: ast.literal_eval(value) for name, value in (pair.split("=", 1) for pair in args.option)}
     results = []
     print(f"{'scene':32} views  PSNR dB  training  seconds    voxels  resolution")

@@ -1,18 +1,18 @@
-"""Deformed fields against ground truth: fields of ray cast models, posed by cages, beside the models posed in float64.
+"""Deformed fields against ground truth: fields of ray cast models posed by cages, and the models posed in float64.
 
     python benchmarks/ground_truth.py --device cuda:0 --json docs/results/ground_truth.json --figures docs/pictures
     python benchmarks/ground_truth.py --quick
 
 For each scene a field is fitted to pictures of the model at rest. Its PSNR, SSIM and depth error on test views at rest
-are the ceiling: a deformed field can hardly be better than the field. Then the same for each pose, kind of coordinates
-and lattice resolution ("null" is precise), against pictures of the posed model; what that is, and how it is lit, is in
-truth_scenes.py. "fit of the pose" is a field fitted to as many pictures of the pose itself, which tells what any field
-can show of this very scene. Depth errors are means over pixels that truth and field both cover, as a share of the
-cage's size.
+are the ceiling: a deformed field can hardly be better than the field. The same is measured for each pose, kind of
+coordinates and lattice resolution ("null" is precise), against pictures of the posed model; truth_scenes.py says what
+those are and how they are lit. "fit of the pose" is a field fitted to as many pictures of the pose itself, which shows
+what any field can achieve on this scene. Depth errors are means over pixels that truth and field both cover, as a share
+of the cage's size.
 
-Against the harmonic truth also: other truths of the light, half the march step, the paper's density; and what the
-shortcuts of shortcuts.py cost, at 128 cells. "march" rows are composited by this script, so that they check the
-deformer's frames and show the colour of plain directions beside that of mapped ones.
+Against the harmonic truth these are measured too: other kinds of light, half the march step, the paper's density, and
+the cost of the shortcuts of shortcuts.py at 128 cells. "march" rows are composited by this script. They check the
+deformer's frames, and compare colours along plain directions with colours along mapped ones.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from results import write_jpeg, write_results
 from truth_scenes import POSES, SCENES, TRUTHS, TruthScene, View, pose_cages
 
 import warpcage
+from warpcage.core.devices import resolve_device
 from warpcage.fitting.evaluation import ssim
 from warpcage.view.pictures import contact_sheet
 
@@ -38,7 +39,7 @@ KINDS = ("mean_value", "harmonic", "green")
 def main() -> None:
     args = parse_arguments()
     wp.config.quiet = True
-    device = warpcage.core.devices.resolve_device(args.device)
+    device = resolve_device(args.device)
     scenes, rows = [], []
     for name in args.scenes:
         begin = time.perf_counter()
@@ -72,7 +73,7 @@ def main() -> None:
             sheet = contact_sheet([cell for line in lines for cell in line], columns=4)
             write_jpeg(pathlib.Path(args.figures) / f"ground_truth_{name}.jpg", sheet, quality=85)
         print(f"{name}: {time.perf_counter() - begin:.1f} s", flush=True)
-        if args.json:  # after each scene: what was measured is kept
+        if args.json:  # after each scene, so that an interruption loses little
             write_results(
                 args.json,
                 device,
@@ -97,14 +98,14 @@ def parse_arguments():
     parser.add_argument("--resolution", type=int, nargs="*", default=[64, 128, 256])
     parser.add_argument("--middle", type=int, default=128, help="resolution of the extra rows")
     parser.add_argument("--extra", nargs="*", default=["bend"], help="poses of march and nearest-voxel rows")
-    parser.add_argument("--refit", nargs="*", default=list(POSES), help="poses that a field of their own is fitted to")
-    parser.add_argument("--size", type=int, default=400, help="pixels a side")
+    parser.add_argument("--refit", nargs="*", default=list(POSES), help="poses to which a separate field is fitted")
+    parser.add_argument("--size", type=int, default=400, help="pixels along each side")
     parser.add_argument("--train-views", type=int, default=120)
     parser.add_argument("--test-views", type=int, default=6)
-    parser.add_argument("--samples", type=int, default=3, help="a side of a pixel, of the ray caster")
+    parser.add_argument("--samples", type=int, default=3, help="rays along each side of a pixel, for the ray caster")
     parser.add_argument("--edge", type=float, default=0.08, help="longest edge of the models' triangles")
-    parser.add_argument("--cuts", type=int, default=3, help="of the boundary elements")
-    parser.add_argument("--quality", default="standard", help="of the fits")
+    parser.add_argument("--cuts", type=int, default=3, help="cuts of each face into boundary elements")
+    parser.add_argument("--quality", default="standard", help="quality of the fits")
     parser.add_argument("--shown", nargs="*", default=["twist", "bend"], help="poses in the figure")
     parser.add_argument("--json")
     parser.add_argument("--figures", help="folder for pictures: at rest, truth, deformed field, error x 5")
@@ -159,7 +160,7 @@ def measure_scene(scene, field, ceiling: float, args):
 
 
 def report_more(deformer, posed, views, truths, frames, report, args, slow: bool) -> None:
-    """The rows of one harmonic pose beside the plain ones."""
+    """The extra rows of one harmonic pose."""
     middle = {"resolution": args.middle}
     for truth in TRUTHS[1:]:
         report(frames, f"truth {truth}", truths[truth], **middle)
@@ -194,7 +195,7 @@ def measure(frames, views, size: float, *, similarity: bool = True) -> dict:
 
     for frame in frames:
         if not isinstance(frame, np.ndarray):
-            frame.rgb, frame.alpha, frame.depth  # noqa: B018 (copied to the host here, one after the other)
+            frame.rgb, frame.alpha, frame.depth  # noqa: B018 (copied to the host here, one after another)
     with ThreadPoolExecutor() as pool:
         psnrs, ssims, errors = zip(*pool.map(one, frames, views), strict=True)
     result = {"psnr": float(np.mean(psnrs))} | ({"ssim": float(np.mean(ssims))} if similarity else {})
@@ -205,7 +206,7 @@ def measure(frames, views, size: float, *, similarity: bool = True) -> dict:
 
 
 def picture_line(scene, view, frame) -> list[np.ndarray]:
-    """At rest, truth, deformed field, and five times their difference on white."""
+    """At rest, truth, deformed field, and five times the difference of the last two on white."""
     rest = scene.rest_views()[0].image
     rgb = np.clip(frame.rgb, 0, 1)
     return [rest, view.image, rgb, np.clip(1 - 5 * np.abs(rgb - view.image), 0, 1)]

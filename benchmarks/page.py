@@ -1,8 +1,8 @@
-"""The page docs/results.md, from the JSON files that the benchmarks wrote.
+"""Write the page docs/results.md from the JSON files of the benchmarks.
 
     python benchmarks/page.py --results docs/results --page docs/results.md
 
-Sections whose file is not there are left out and named on the way.
+Sections whose file is missing are left out, and named on the way.
 """
 
 from __future__ import annotations
@@ -264,7 +264,7 @@ COSTS = {
 
 
 def own_fits(rows, middle: int) -> str:
-    """Deformed fields beside fields fitted to the pose, harmonic, at the middle resolution."""
+    """Deformed fields compared with fields fitted to the pose, harmonic, at the middle resolution."""
     found = {
         (row["scene"], row["pose"], row["what"]): row
         for row in rows
@@ -294,7 +294,7 @@ def difference(row) -> str:
 
 
 def differences(rows, middle: int, whats: list[str]) -> str:
-    """Mean dB to the ceiling at the middle resolution, harmonic, a line for each pose."""
+    """Mean dB to the ceiling at the middle resolution, harmonic, one line per pose."""
     found = collections.defaultdict(list)
     for row in rows:
         if row["kind"] == "harmonic" and row["resolution"] == middle:

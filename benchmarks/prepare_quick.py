@@ -1,4 +1,4 @@
-"""The small brick scene, its field and its cage that the quick benchmarks of run_all.py work on.
+"""Make the small brick scene, field and cage that the quick benchmarks of run_all.py use.
 
 python benchmarks/prepare_quick.py FOLDER
 """

@@ -1,4 +1,4 @@
-"""Results of a benchmark as a JSON file that says on what machine, and with which versions, they were measured."""
+"""Write results of a benchmark to a JSON file, with the machine and the versions that they were measured on."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _processor() -> str:
 
 
 def command_line() -> str:
-    """How this script was called, from the project's folder; folders of the machine left out."""
+    """How this script was called from the project's folder, without the folders of this machine."""
     words = [f"python benchmarks/{pathlib.Path(sys.argv[0]).name}"]
     given = [os.path.basename(word) if os.path.isabs(word) else word for word in sys.argv[1:]]
     return " ".join(words + [shlex.quote(word) for word in given])

@@ -1,10 +1,10 @@
-"""Every benchmark in a row; with --quick, small ones on the CPU in a few minutes: that all of them still run.
+"""Run every benchmark; with --quick, small versions on the CPU, to see in a few minutes that all of them still run.
 
     python benchmarks/run_all.py --quick
     python benchmarks/run_all.py --device cuda:0 --data ../shared/data/lego_800 --cage lego_42.obj --out results
 
-Each benchmark is a process of its own; its JSON file and its output go to --out (default: a temporary folder). Ends
-with status 1 when one of them fails. Left out: blender_round_trip.py, which needs Blender, and with --quick those whose
+Each benchmark is a separate process. Its JSON file and its output go to --out (default: a temporary folder). The exit
+status is 1 if one of them fails. Left out are blender_round_trip.py, which needs Blender, and with --quick those whose
 figures mean nothing at a small size (fit_profile.py: CUDA events).
 """
 

@@ -52,7 +52,7 @@ def use_nearest_voxels(deformer, posed, tolerance: float = 1e-5) -> int:
 
 
 def _surface_values(cage, targets, lower, spacing, shape):
-    """Nodes nearest to points spread over the cage, and the mean of the targets' interpolation over each one's."""
+    """Nodes nearest to points spread over the cage, and for each the mean of the targets interpolated at its points."""
     a, b, c = (cage.vertices[cage.faces[:, k]] for k in range(3))
     longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)])
     steps = int(np.ceil(3 * longest / spacing))
@@ -68,7 +68,7 @@ def _surface_values(cage, targets, lower, spacing, shape):
 
 
 def use_weight_sums(deformer, threshold: float) -> None:
-    """Tell inside from outside, in both cages of a posed deformer, by the sum of weights."""
+    """Decide inside or outside, in both cages of a posed deformer, by the sum of weights."""
     edit = deformer._edits.lattices.posed()[0][0]
     origin = deformer.field.center
     inside = edit.deformed.distance.numpy() < 0
@@ -97,8 +97,8 @@ def _remark(deformer, edit) -> None:
 def march(deformer, camera, *, plain_directions: bool, stride: int = 1, chunk: int = 4_000_000) -> np.ndarray:
     """A frame of a posed deformer on white, (h, w, 3), composited from Deformer.to_canonical and VoxelField.sample.
 
-    stride: only every so many pixels along either side. Samples one march step of the field apart, opacity by canonical
-    arc length, as the deformer's own frames have it.
+    stride: take every stride-th pixel along each side. Samples are one march step of the field apart, and opacity
+    follows canonical arc length, as in the deformer's own frames.
     """
     frame = deformer.render(camera, background="white")
     field, step = deformer.field, deformer.field.step

@@ -1,15 +1,15 @@
-"""The paper's Table 1 and Fig. 8: seconds a frame for each kind of coordinates and resolution, and what it looks like.
+"""The paper's Table 1 and Fig. 8: seconds per frame for each kind of coordinates and resolution, and pictures.
 
     python benchmarks/table1.py --data ../shared/data/lego_800 --cage lego_42.obj --device cuda:0 \\
         --json docs/results/table1.json --figure docs/pictures/table1.jpg
     python benchmarks/table1.py --quick
 
 A frame is a new pose, never seen before (checks, coordinates, map, marks), and its picture at 800x800 with 512 samples
-a ray, as the paper counts it: samples are 1/512 of the longest way through the deformed scene's box apart. Median of
-frames of a bend that swings, on a GPU after one whole swing, device idle before and after each. "precise" evaluates the
-closed forms at every sample. PSNR is that of one pose's picture against precise; harmonic coordinates have no closed
-form and are compared with the finest lattice (512 cells). Without --data the scene is the brick model, as it is with
---quick, small and on the CPU.
+per ray, as the paper counts it: samples are 1/512 of the longest way through the deformed scene's box apart. Times are
+medians over frames of a swinging bend, on a GPU after one whole swing, with the device idle before and after each.
+"precise" evaluates the closed forms at every sample. PSNR is that of one pose's picture against precise; harmonic
+coordinates have no closed form and are compared with the finest lattice (512 cells). Without --data the scene is the
+brick model; so it is with --quick, which is small and runs on the CPU.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ from results import write_jpeg, write_results
 from timing import median_seconds
 
 import warpcage
+from warpcage.core.devices import resolve_device
 from warpcage.reference.brick_scene import write_brick_scene
 from warpcage.view.pictures import contact_sheet
 
 KINDS = ("mean_value", "harmonic", "green")
 FINEST = 512
 
-#: Poses of a swing: once through it before the clock counts, on a GPU, so that graphs have room for all of them.
+#: Poses of a swing. A GPU runs through all of them before the clock starts, so that graphs have room for each.
 SWING = 9
 
-#: Seconds a frame of the paper's Table 1 (one A100).
+#: Seconds per frame in the paper's Table 1 (one A100).
 PAPER = {
     "mean_value": {64: 0.31, 128: 0.98, 256: 5.71, None: 102.0},
     "harmonic": {64: 0.23, 128: 0.90, 256: 6.32},
@@ -52,7 +53,7 @@ AUTHORS_RENDER = 0.563
 def main() -> None:
     args = parse_arguments()
     wp.config.quiet = True
-    device = warpcage.core.devices.resolve_device(args.device)
+    device = resolve_device(args.device)
     if args.field:
         field, test_psnr, scene = warpcage.VoxelField.load(args.field, device=device), None, args.scene
     else:
@@ -125,16 +126,16 @@ def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", help="scene folder to fit; default: the brick model")
     parser.add_argument("--field", help="a fitted field instead")
-    parser.add_argument("--scene", help="what that field is of")
+    parser.add_argument("--scene", help="name of the scene that this field shows")
     parser.add_argument("--cage", help="cage file of 42 vertices; default: one is made around the field")
-    parser.add_argument("--quality", default="fast", help="of the fit")
+    parser.add_argument("--quality", default="fast", help="quality of the fit")
     parser.add_argument("--device", default=None)
     parser.add_argument("--size", type=int, default=800)
     parser.add_argument("--samples", type=int, default=512)
     parser.add_argument("--resolution", type=int, nargs="*", default=[64, 128, 256])
     parser.add_argument("--bend", type=float, default=40.0)
-    parser.add_argument("--view", type=float, default=30.0, help="degrees around the object")
-    parser.add_argument("--distance", type=float, default=1.75, help="of the camera, times the field's longest side")
+    parser.add_argument("--view", type=float, default=30.0, help="angle of the camera around the object, degrees")
+    parser.add_argument("--distance", type=float, default=1.75, help="of the camera, in longest sides of the field")
     parser.add_argument(
         "--crop",
         type=float,
@@ -178,7 +179,7 @@ def authors_seconds(kind, resolution):
 
 
 class NewPoses:
-    """Frames of a swinging bend; each call poses a cage that was not posed before."""
+    """Frames of a swinging bend. Each call poses a cage that was not posed before."""
 
     def __init__(self, deformer, rest, camera, step, bend):
         self.deformer, self.rest, self.camera, self.step, self.bend, self.turn = deformer, rest, camera, step, bend, 0

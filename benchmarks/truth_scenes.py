@@ -1,14 +1,14 @@
 """Scenes with ground truth: models at rest and posed, ray cast, with the cages that pose them.
 
 Truth of a pose: a Deformer shows at x what the field holds at phi(x), phi from coordinates of the *deformed* cage. So a
-vertex p of the model belongs where phi(x) = p, which Newton's iteration finds in float64 (warpcage.inverse_map: closed
-forms, or boundary elements for harmonic coordinates). Coordinates on the rest cage applied to the deformed one, the
-usual way with meshes, are another map.
+vertex p of the model belongs where phi(x) = p, which Newton's iteration finds in float64
+(warpcage.reference.inverse_map: closed forms, or boundary elements for harmonic coordinates). Coordinates on the rest
+cage applied to the deformed one, the usual way with meshes, are another map.
 
 Light: a captured field holds the light that fell on the object at rest, so the truth carries colour, shadows and
 highlights along, seen in the direction J d with J the Jacobian of phi (the limit of the paper's Eq. 4). TRUTHS names
-two others, to tell what this costs against a picture taken anew: "turned" takes highlights along by the rotation
-nearest to J only, "relit" lights the posed object by lights fixed to the world.
+two others, to measure what this costs against a new capture: "turned" takes highlights along by the rotation nearest to
+J only, "relit" lights the posed object by lights fixed to the world.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 import warpcage
 from warpcage.reference.carried_mesh import CarriedMesh
 from warpcage.reference.inverse_map import InverseMap
-from warpcage.reference.shapes import subdivided_model
+from warpcage.reference.models import subdivided_model
 from warpcage.scene.scene import Scene
 
 SCENES = ("bricks", "animal", "chair")
@@ -49,7 +49,7 @@ def pose_cages(name: str, rest: warpcage.Cage) -> dict[str, warpcage.Cage]:
 
 
 def cameras(target, count: int, size: int, *, sphere: bool) -> list[warpcage.Camera]:
-    """Even over the sphere (training), or once around between 5 and 50 degrees up (test)."""
+    """Spread evenly over the sphere (training), or once around between 5 and 50 degrees up (test)."""
     k = np.arange(count) + 0.5
     turn = 2 * np.pi * k * (np.sqrt(5) - 1) / 2 if sphere else 2 * np.pi * k / count
     height = 1 - 2 * k / count if sphere else np.sin(np.radians(27.5 + 22.5 * np.sin(2 * turn + 0.5)))
@@ -60,7 +60,7 @@ def cameras(target, count: int, size: int, *, sphere: bool) -> list[warpcage.Cam
 
 @dataclasses.dataclass
 class View:
-    """A camera, what it must see on white (h, w, 3), and how far that is (h, w), inf where not covered whole."""
+    """A camera, what it must see on white (h, w, 3), and the depth (h, w), inf where a pixel is not covered whole."""
 
     camera: warpcage.Camera
     image: np.ndarray
@@ -105,7 +105,7 @@ class TruthScene:
         return Scene(images=_on_white(rgba), cameras=views, alphas=rgba[..., 3])
 
     def posed_training(self, posed: warpcage.Cage, kind: str) -> Scene:
-        """As many pictures of a pose, "carried", from around it: what a field of the pose itself is fitted to."""
+        """As many "carried" pictures of a pose, from all around it, to which a field of the pose itself is fitted."""
         place = self._place(posed, kind)
         views = cameras(place.middle, self.train_views, self.size, sphere=True)
         rgba, _ = self.mesh.render(views, posed=place.points, view_matrices=place.jacobians, samples=self.samples)

@@ -1,9 +1,9 @@
-"""A field that is no voxel grid: a formula in a Warp function of one's own, deformed through to_canonical.
+"""A field that is not a voxel grid: a formula in a Warp function of your own, deformed through to_canonical.
 
     python examples/analytic_field.py
 
 The samples of all rays stay on their device: `to_canonical` takes Warp arrays (or torch, CuPy, JAX through DLPack)
-without a copy and gives Warp arrays back. The formula is asked where, and along which direction, they came from.
+without a copy and returns Warp arrays. The formula is evaluated at the points, and along the directions, that result.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ import warpcage
 
 @wp.func
 def radiance(x: wp.vec3, direction: wp.vec3):
-    """Colour and density of a ball with soft edge; what faces the viewer is lighter."""
+    """Colour and density of a ball with a soft edge, lighter where it faces the viewer."""
     facing = wp.max(-wp.dot(wp.normalize(x), direction), 0.0)
     stripes = 0.5 + 0.5 * wp.sin(12.0 * x[2] + 6.0 * x[0])
     return wp.vec3(0.3 + 0.7 * facing, 0.7 * stripes, 0.2), 40.0 * wp.clamp((0.5 - wp.length(x)) / 0.1, 0.0, 1.0)

@@ -3,8 +3,8 @@
     python examples/cage_contact_sheet.py --out out
     python examples/cage_contact_sheet.py --counts 60 120 --method shell --mesh statue.obj
 
-Written to the folder of --out: cages.png (a row a scene: the mesh, then its cages), reports.json (every report whole)
-and the cages as <scene>_<count>.obj.
+Writes to the folder of --out: cages.png (one row per scene: the mesh, then its cages), reports.json (all reports in
+full) and the cages as <scene>_<count>.obj.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ def main(argv=None) -> dict:
         f"closed, and without crossings; at most {max(report['seconds'] for report in reports.values())} s each"
     )
     if bad:
-        raise SystemExit(f"not to be trusted: {', '.join(bad)}")
+        raise SystemExit(f"cages that cannot be trusted: {', '.join(bad)}")
     return reports
 
 
 def scenes(args) -> dict:
-    """name -> (what the cage is made around, the mesh to show): the five fields, the brick model, or a mesh file."""
+    """Name -> (object of the cage, mesh to show), for the five fields and the brick model, or for a mesh file."""
     import trimesh
 
     if args.mesh is not None:
@@ -121,8 +121,8 @@ def parse_arguments(argv):
     parser.add_argument("--mesh", help="a mesh file instead of the scenes")
     parser.add_argument("--counts", nargs="+", type=int, default=[42, 100, 200], help="vertices (default: 42 100 200)")
     parser.add_argument("--method", choices=("auto", "shell", "voxel"), default="auto", help="(default: auto)")
-    parser.add_argument("--resolution", type=int, default=64, help="voxels a side of the fields (default: 64)")
-    parser.add_argument("--size", type=int, default=300, help="pixels a picture (default: 300)")
+    parser.add_argument("--resolution", type=int, default=64, help="voxels along each side of the fields (default: 64)")
+    parser.add_argument("--size", type=int, default=300, help="pixels along each side of a picture (default: 300)")
     return parser.parse_args(argv)
 
 

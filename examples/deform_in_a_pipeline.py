@@ -1,9 +1,9 @@
-"""Deformer in a pipeline of one's own: the samples of another renderer, mapped to where the field is undeformed.
+"""A Deformer in a pipeline of your own: it maps the samples of another renderer to the undeformed field.
 
     python examples/deform_in_a_pipeline.py
 
-Any radiance field that answers "colour and density at these points, seen along these directions" can be deformed so:
-send the samples through `to_canonical`, ask the field there, and leave out what is cleared.
+Any radiance field that gives colour and density at points, seen along directions, can be deformed like this: send the
+samples through `to_canonical`, evaluate the field there, and leave out what is cleared.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ def make_field():
 
 
 def render(field, deformer, camera, steps=192, near=1.5, far=4.5):
-    """A plain volume renderer in NumPy; only the line with to_canonical knows of the deformation."""
+    """A plain volume renderer in NumPy; only the line with to_canonical knows about the deformation."""
     origins, directions = (rays.reshape(-1, 1, 3) for rays in camera.rays())
     dt = (far - near) / steps
     points = origins + directions * (near + (np.arange(steps)[:, None] + 0.5) * dt)

@@ -2,8 +2,8 @@
 
     python examples/deform_mesh.py
 
-`deform_points` moves any array of points (NumPy, or of a GPU through DLPack); faces, colours and texture coordinates of
-a mesh stay as they are. The checks at the end are what the coordinates promise.
+`deform_points` moves any array of points (NumPy, or on a GPU through DLPack). Faces, colours and texture coordinates of
+a mesh stay as they are. The checks at the end are properties of the coordinates.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from warpcage import Cage, deform_points, mean_value_coordinates
 mesh = trimesh.creation.torus(major_radius=1.0, minor_radius=0.3, major_sections=96, minor_sections=32)
 rest = Cage.box(mesh.bounds * 1.05, segments=(3, 3, 1))
 
-# Pose the cage, then the model follows: once for each kind of coordinates.
+# Pose the cage and let the model follow, once for each kind of coordinates.
 posed = rest.bend(70, axis="x", towards="z").twist(25, axis="x")
 for kind in ("mean_value", "green", "harmonic"):
     moved = mesh.copy()
@@ -25,7 +25,7 @@ for kind in ("mean_value", "green", "harmonic"):
     assert np.isfinite(moved.vertices).all() and moved.is_watertight
     assert 0.5 * mesh.volume < moved.volume < 2.0 * mesh.volume
 
-# The same by weights, for many poses of one model: points = weights @ vertices of the posed cage.
+# The same with weights, for many poses of one model: points = weights @ vertices of the posed cage.
 weights = mean_value_coordinates(mesh.vertices, rest)
 by_weights = weights @ posed.vertices
 assert np.abs(by_weights - deform_points(mesh.vertices, rest, posed)).max() < 1e-4 * posed.size

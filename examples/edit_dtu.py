@@ -1,13 +1,14 @@
-"""An edit of a captured object before its unmoved background, as in Fig. 5 of the paper: DTU scan 24, the toy house.
+"""Edits of a captured object in front of its unmoved background, as in Fig. 5 of the paper: DTU scan 24, the toy house.
 
     python examples/edit_dtu.py --data data/dtu_scan24 --out out
     python examples/edit_dtu.py --data data/dtu_scan24 --downscale 8 --device cpu     # pictures of 100 x 75, minutes
 
-The pictures are split at the masks: the object goes into voxels, what is around it into layers behind them (--whole
-takes the pictures whole instead, so that voxels and layers share them out by themselves). Two edits then: a box made by
-hand around one wing of the house, stretched upwards, and a cage generated around the object, twisted and tapered.
-Written to the folder of --out: edits.png (above the scene as it was; then each edit; from left to right the picture,
-the cage over it, the object's disparity), views.png (held-out pictures over renders), field.npz, cages, summary.json.
+The pictures are split at the masks: the object is fitted by voxels, its surroundings by layers behind them. (--whole
+takes whole pictures instead, so that the fit itself divides them between voxels and layers.) Two edits follow: a box
+made by hand around one wing of the house, stretched upwards, and a cage generated around the object, twisted and
+tapered. Writes to the folder of --out: edits.png (top row: the scene at rest, then one row per edit; from left to right
+the picture, the cage over it, the object's disparity), views.png (held-out pictures over renders), field.npz, the cages
+and summary.json.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from warpcage.view.pictures import colour_disparity, contact_sheet, disparity_ra
 #: A box around the wing on the right, above its ground floor, in the house's own upright axes (see `upright_axes`).
 WING = ([-1.05, -0.62, -0.15], [0.05, 0.47, 0.66])
 
-#: Around the house without the blocks behind it, likewise.
+#: Around the house without the blocks behind it, in the same axes.
 HOUSE = ([-1.1, -1.05, -0.75], [1.0, 0.55, 0.66])
 
 
@@ -79,7 +80,7 @@ def main(argv=None) -> dict:
         ),
     }
     camera = test.cameras[min(args.view, len(test) - 1)]
-    camera = dataclasses.replace(camera, fx=0.85 * camera.fx, fy=0.85 * camera.fy)  # room for what the edits lift
+    camera = dataclasses.replace(camera, fx=0.85 * camera.fx, fy=0.85 * camera.fy)  # so that the edits fit in
     figures["unmoved"] = show(out, field, edits, camera)
     for name, (rest, moved) in edits.items():
         rest.save(out / f"{name}.obj")
@@ -114,7 +115,7 @@ def parse_arguments(argv):
 
 
 def generate(field, scene, axes):
-    """A cage around what the masks of all pictures agree to be the object, without the blocks behind it."""
+    """A cage around what all masks show to be the object, without the blocks behind it."""
     chosen = warpcage.select_nodes(field, cameras=scene.cameras, masks=list(scene.alphas), floaters=0.1)
     inside = chosen.mask.copy()
     inside[chosen.mask] = turned(warpcage.Cage.box(*HOUSE), axes).contains(chosen.points)
@@ -131,18 +132,18 @@ def upright_axes(scene) -> np.ndarray:
 
 
 def turned(cage, axes):
-    """A cage given in upright axes, in the world's."""
+    """A cage given in upright axes, in world axes."""
     return cage.with_vertices(cage.vertices @ axes)
 
 
 def posed(cage, axes, pose):
-    """A pose along the upright axes of a cage in the world's."""
+    """A pose along the upright axes, of a cage in world axes."""
     upright = cage.with_vertices(cage.vertices @ axes.T)
     return cage.with_vertices(pose(upright).vertices @ axes)
 
 
 def show(out, field, edits, camera) -> float:
-    """Write edits.png; the largest change of a pixel that shows nothing but background before and after."""
+    """Write edits.png. Returns the largest change of a pixel that shows only background before and after."""
     before = field.render(camera)
     frames = [(before, None)]
     unmoved = 0.0

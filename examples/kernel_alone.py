@@ -2,15 +2,23 @@
 
     python examples/kernel_alone.py
 
-Copy kernels/coordinates/mean_value.py and the siblings that it names (entries, face_fans, triangle) into a folder
-beside a program of your own, take them from there, and it works the same: nothing else of the library is used here.
+The command `warpcage kernels copy mean_value DEST` copies one kernel file with the files that it needs into a package.
+This program copies them to a temporary folder and imports the copy: nothing else of the library is used.
 """
+
+import subprocess
+import sys
+import tempfile
 
 import numpy as np
 import warp as wp
 
-from warpcage.kernels.coordinates.mean_value import mean_value_position
-from warpcage.kernels.mesh.fans import prepare_fans
+with tempfile.TemporaryDirectory() as folder:
+    command = [sys.executable, "-m", "warpcage", "kernels", "copy", "mean_value", f"{folder}/borrowed"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    sys.path.insert(0, folder)
+    from borrowed.coordinates.mean_value import mean_value_position
+    from borrowed.mesh.fans import prepare_fans
 
 
 @wp.kernel
@@ -23,15 +31,15 @@ def move_points(
     size: float,
     moved: wp.array(dtype=wp.vec3),
 ):
-    """The device function runs inside any kernel: here one point a thread."""
+    """The device function runs inside any kernel: here one point per thread."""
     tid = wp.tid()
     moved[tid] = mean_value_position(points[tid], vertices, faces, fans, targets, size)
 
 
 def main():
-    wp.init()
+    assert "warpcage" not in sys.modules
     device = wp.get_preferred_device()
-    # an octahedron as cage, anticlockwise seen from outside
+    # an octahedron as cage, counterclockwise seen from outside
     corners = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
     upper = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4]], np.int32)
     triangles = np.concatenate([upper, np.where(upper == 4, 5, upper)[:, ::-1]])

@@ -1,12 +1,12 @@
-"""Pictures to a bent object, the whole way: fit a field, put a cage around it, bend it, render pictures and a film.
+"""From pictures to a bent object: fit a field, put a cage around it, bend it, render pictures and a film.
 
-    python examples/render_lego.py --out out                        # a brick-built excavator that it makes itself
+    python examples/render_lego.py --out out                        # an excavator of bricks, rendered for this
     python examples/render_lego.py --data data/lego --quick         # NeRF-synthetic Lego, shrunk to about 100 pixels
     python examples/render_lego.py --data data/lego --device cuda:0
 
-Written to the folder of --out: deformed.png (above the canonical view, below the deformed one; from left to right the
-picture, the cage over it, the disparity), bend.mp4 and bend.gif (the bend comes and goes while the camera turns around
-it), mesh.obj, cage.obj, posed.obj, field.npz, and summary.json with figures.
+Writes to the folder of --out: deformed.png (the view at rest above the deformed one; from left to right the picture,
+the cage over it, the disparity), bend.mp4 and bend.gif (the bend comes and goes while the camera turns around the
+object), mesh.obj, cage.obj, posed.obj, field.npz, and summary.json with figures.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def main(argv=None) -> dict:
         deformer.pose(posed)
 
     with stage("pictures", seconds):
-        points = np.concatenate([cage.vertices, posed.vertices])  # both states stay in the picture
+        points = np.concatenate([cage.vertices, posed.vertices])  # so that both states are in the picture
         side = {"x": -60.0, "y": 30.0}[bend["axis"]]
         size = {"width": args.picture, "height": args.picture}
         camera = framing_orbit(points, 1, start_degrees=side, fill=0.98, **size)[0]
@@ -126,17 +126,17 @@ def parse_arguments(argv):
     parser.add_argument("--bend", type=float, default=45.0, metavar="DEGREES", help="(default: %(default)s)")
     parser.add_argument("--coordinates", default="harmonic", choices=("harmonic", "mean_value", "green"))
     parser.add_argument("--cage", metavar="FILE", help="use this cage instead of making one")
-    parser.add_argument("--vertices", type=int, default=100, help="of the cage that is made (default: %(default)s)")
+    parser.add_argument("--vertices", type=int, default=100, help="vertices of a cage made here (default: %(default)s)")
     parser.add_argument("--no-video", action="store_true", help="leave bend.mp4 and bend.gif out")
     small = parser.add_argument_group("sizes (default: by --quick and device)")
-    small.add_argument("--size", type=int, default=100, help="pixels of the brick scene's views (default: %(default)s)")
+    small.add_argument("--size", type=int, default=100, help="pixels of a brick picture's side (default: %(default)s)")
     small.add_argument("--views", type=int, default=60, help="training views of the brick scene (default: %(default)s)")
     small.add_argument("--picture", type=int, help="pixels of one panel of deformed.png")
-    small.add_argument("--frames", type=int, help="of the film")
+    small.add_argument("--frames", type=int, help="frames of the film")
     small.add_argument("--film", type=int, help="pixels of the film")
     small.add_argument("--lattice", type=int, help="cells of the cage's lattice along its longest side")
     args = parser.parse_args(argv)
-    # a GPU poses and renders in milliseconds what takes a CPU seconds
+    # a GPU takes milliseconds for poses and frames, a CPU seconds
     large = resolve_device(args.device).is_cuda and not args.quick
     sizes = (("picture", 800, 280), ("frames", 90, 36), ("film", 480, 220), ("lattice", 128, 64))
     for name, on_gpu, otherwise in sizes:
@@ -147,7 +147,7 @@ def parse_arguments(argv):
 
 @contextlib.contextmanager
 def stage(name: str, seconds: dict):
-    """Time a stage and say so."""
+    """Time a stage and print it."""
     start = time.perf_counter()
     yield
     wp.synchronize()
@@ -174,7 +174,7 @@ def bend_film(deformer, cage, cameras, degrees: float, bend: dict):
 
 
 def check(out, frames, test_psnr: float, args):
-    """What every run must hold."""
+    """Checks that every run must pass."""
     names = ["deformed.png", "mesh.obj", "cage.obj", "posed.obj", "field.npz", "summary.json"]
     names += [] if args.no_video else ["bend.mp4", "bend.gif"]
     for name in names:

@@ -1,6 +1,9 @@
-"""Warp modules, one topic a file, for use with or without the rest of warpcage.
+"""Warp modules, one topic per file, in folders of the same names as those of warpcage that launch them.
 
-To use one in another Warp program copy it, the siblings that its docstring names, and those that they name in turn,
-into one package of that program (a folder, since the files import each other as `from .rays import ...`). Kernels
-begin with `first`, the number of the launch's first item: 0, unless a launch is cut into parts (over CPU threads).
+They also work without the rest of warpcage. `warpcage kernels copy mean_value DEST` copies one file and all that it
+needs into a package DEST of another program, in the same folders, because the files import each other as in
+`from ..view.rays import ...`. Each docstring ends with what its file needs: `Needs: folder/file, folder/file.`
+
+The first argument of a kernel is `first`, the number of the launch's first item. It is 0 unless a launch is cut into
+parts, one for each CPU thread.
 """

@@ -119,7 +119,7 @@ def test_presets(text, expected):
     ["bend", "bend:x", "bend:nan", "bend:3:w", "bend:3:-x", "twist:3:x:y", "rest:1", "translate:1:2", "scale:1:x"],
 )
 def test_presets_that_are_none(text):
-    with pytest.raises(ValueError, match="no preset: rest, bend:"):
+    with pytest.raises(ValueError, match="not a preset: rest, bend:"):
         Preset(text)
 
 

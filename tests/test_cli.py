@@ -47,7 +47,8 @@ def test_help_shows_an_example(name, capsys):
     assert leave.value.code == 0
     text = capsys.readouterr().out
     assert f"warpcage {name}" in text.split("example:")[1]
-    for option in {"fit": ["--device", "--downscale"], "pose": ["--bend"]}.get(name, ["--device"]):
+    options = {"fit": ["--device", "--downscale"], "pose": ["--bend"], "kernels": ["copy"]}
+    for option in options.get(name, ["--device"]):
         assert option in text
 
 
@@ -75,7 +76,7 @@ BAD = {
     "fit: background": (["fit", "@scene", "-o", "@new.npz", "--background", "mauve"], "mauve"),
     "fit: memory": (["fit", "@scene", "-o", "@new.npz", "--max-memory", "4 apples"], "4 apples"),
     "fit: memory too short": (["fit", "@scene", "-o", "@new.npz", "--max-memory", "20kB"], "max_memory"),
-    "fit: under a file": (["fit", "@scene", "-o", "@text.txt/new.npz"], "no folder"),
+    "fit: under a file": (["fit", "@scene", "-o", "@text.txt/new.npz"], "not a folder"),
     "mesh: missing": (["mesh", "@nowhere.npz", "-o", "@new.obj"], "nowhere.npz"),
     "mesh: no field": (["mesh", "@broken.npz", "-o", "@new.obj"], "broken.npz"),
     "mesh: ending": (["mesh", "@ball.npz", "-o", "@new.txt"], "must end in"),
@@ -114,9 +115,9 @@ BAD = {
     "animate: ending": (["animate", "@ball.npz", "-o", "@new.avi"], ".mp4 or .gif"),
     "animate: frames": (["animate", "@ball.npz", "-o", "@new.mp4", "--frames", "0"], "at least 1"),
     "animate: a preset that is none": (["animate", "@ball.npz", "-o", "@new.mp4", "--cage", "@cage.obj", "--posed",
-                                        "bend:wide"], "no preset"),
+                                        "bend:wide"], "not a preset"),
     "animate: masks of a plain field": (["animate", "@ball.npz", "-o", "@new.mp4", "--show", "masks"], "--show masks"),
-    "animate: two paths": (["animate", "@ball.npz", "-o", "@new.mp4", "--turn", "9", "--cameras", "@scene"], "exclude"),
+    "animate: two paths": (["animate", "@ball.npz", "-o", "@new.mp4", "--turn", "9", "--cameras", "@scene"], "combine"),
     "animate: cameras": (["animate", "@ball.npz", "-o", "@new.mp4", "--cameras", "@nowhere"], "nowhere"),
     "render: masks of a plain field": (["render", "@ball.npz", "-o", "@new.png", "--masks", "@m.png"], "--masks"),
     "render: zero size": (["render", "@ball.npz", "-o", "@new.png", "--size", "0"], "at least 1"),

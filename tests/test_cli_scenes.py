@@ -51,7 +51,7 @@ def test_info_of_scenes(files, capsys, name):
 def test_info_of_files(files, capsys):
     rows = info(capsys, files / "ball.npz")
     assert rows["kind"] == "field" and rows["resolution"] == "16x16x16"
-    assert rows["density"] == "0 to 40 a world unit" and rows["file"].endswith("kB")
+    assert rows["density"] == "0 to 40 per world unit" and rows["file"].endswith("kB")
     rows = info(capsys, files / "cage.ply")
     assert rows["kind"] == "cage" and rows["vertices"] == "26" and rows["usable"] == "yes"
 
@@ -135,11 +135,11 @@ def test_film_of_a_pose_through_the_cameras(files, tmp_path):
     "words, expected",
     [
         (["-o", "new", "--cameras", "interpolate"], "--cameras needs --scene"),
-        (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--camera", "@dtu:0"], "--camera exclude"),
-        (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--depth", "new.png"], "--depth exclude"),
+        (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--camera", "@dtu:0"], "combined with --camera"),
+        (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--depth", "new.png"], "combined with --depth"),
         (["-o", "new", "--cameras", "given", "--scene", "@dtu", "--frames", "3"], "--frames belongs"),
         (["-o", "new.png", "--cameras", "given", "--scene", "@dtu"], "must end in .mp4 or .gif"),
-        (["-o", "@dtu", "--cameras", "given", "--scene", "@dtu"], "is there"),
+        (["-o", "@dtu", "--cameras", "given", "--scene", "@dtu"], "exists"),
         (["-o", "new", "--cameras", "given", "--scene", "@nowhere"], "nowhere"),
         (["-o", "new", "--cameras", "given", "--scene", "@dtu:validation"], "validation"),
         (["-o", "new.png", "--scene", "@dtu"], "belong to --cameras"),

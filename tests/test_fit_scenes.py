@@ -12,7 +12,8 @@ from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.fitting.plan import MOST_SCARCE, PLENTY, scarcity
 from warpcage.kernels.field.harmonics import vec9
 from warpcage.kernels.fitting.rmsprop import shrink_view_dependence
-from warpcage.reference.fit_scenes import KINDS, MODELS, synthetic_scene
+from warpcage.reference.fit_scenes import KINDS, synthetic_scene
+from warpcage.reference.models import MODELS
 from warpcage.view.camera import turntable
 
 SMALL = {"progress": False, "least_steps": 120, "batch_rays": 2048}

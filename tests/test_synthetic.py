@@ -88,7 +88,7 @@ def test_highlight_depends_on_the_view(device):
 
 
 @pytest.mark.parametrize("change, message", [
-    ({"faces": [[0, 1, 8]]}, "faces"), ({"colours": np.ones((3, 3))}, "one colour a face"), ({"cameras": []}, "camera"),
+    ({"faces": [[0, 1, 8]]}, "faces"), ({"colours": np.ones((3, 3))}, "per face"), ({"cameras": []}, "camera"),
     ({"vertices": np.full((8, 3), np.nan)}, "vertices"), ({"samples": 0}, "samples"),
 ])  # fmt: skip
 def test_render_mesh_views_refuses(change, message):

@@ -1,1 +1,1 @@
-"""Closed forms: mean value and green coordinates."""
+"""Mean value and Green coordinates in closed form."""

@@ -1,1 +1,1 @@
-"""Helpers of kernels: lanes of threads, entries of vectors."""
+"""Helpers that kernels share: lanes of a warp, entries of arrays."""

@@ -1,1 +1,1 @@
-"""Deformed marches, edits and baking."""
+"""Ray marching of deformed scenes, cage edits, and baking."""

@@ -1,1 +1,1 @@
-"""Voxel grids: samples, rendering, refinement, background layers."""
+"""Sparse voxel grids: samples, rendering, refinement and background layers."""

@@ -1,1 +1,1 @@
-"""Fitting a field: gradients, optimiser steps, visual hulls."""
+"""Losses and their gradients, optimiser steps, and what else a fit launches."""

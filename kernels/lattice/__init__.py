@@ -1,1 +1,1 @@
-"""Crossings, distances, nodes, solvers and gaps on a lattice over a cage."""
+"""Lattices over a cage: crossings, distances, nodes, solvers, narrow gaps and position maps."""

@@ -1,1 +1,1 @@
-"""Triangles, fans of faces, containment."""
+"""Triangles, fans of faces, and containment in closed meshes."""

@@ -1,1 +1,1 @@
-"""Ray casting and inverse maps: ground truth."""
+"""Ray casting of meshes and inverse maps: ground truth for tests and benchmarks."""

@@ -1,16 +1,16 @@
-"""Ray casting of a deformed mesh that carries its colour and light along: what a captured field shows when it is posed.
+"""Ray casting of a deformed mesh that carries its colour and light along, as a posed radiance field does.
 
-Where a ray meets the posed mesh, the same place of the mesh at rest is shaded as mesh_raycast does it, with the
-texture, the normal, the shadows and the light that it has there; the view direction is taken to rest space by a matrix
-given at each vertex ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4, if that is the Jacobian of
-the map from posed to rest space). With the mesh at rest in both places and unit matrices it is the picture of the mesh
-at rest.
+Where a ray meets the posed mesh, the same point of the mesh at rest is shaded as in mesh_raycast, with the texture, the
+normal, the shadows and the light that it has there. A matrix given at each vertex takes the view direction to rest
+space; with the Jacobian of the map from posed to rest space this is Eq. 4 of "Deforming Radiance Fields with Cages"
+(ECCV 2022). With the mesh at rest as both meshes and unit matrices, the result is the picture of the mesh at rest.
 
-For comparison the posed mesh can be lit where it is instead, by lights fixed to the world: then only its texture comes
-from rest.
+For comparison the posed mesh can be lit in its posed place instead, by lights fixed to the world. Only its texture then
+comes from rest.
 
-The texture is solid: Perlin noise of the place at rest, in two octaves, over the colours of the faces.
-Positions relative to any one origin for each of the two meshes; depths in the posed mesh's unit.
+The texture is solid: Perlin noise of the position at rest, in two octaves, over the colours of the faces. Positions of
+each of the two meshes are relative to one origin; depths are in the unit of the posed mesh.
+
 Needs: reference/mesh_raycast, view/rays.
 """
 
@@ -25,13 +25,13 @@ TEXTURE_SEED = wp.constant(7)
 
 @wp.struct
 class SolidTexture:
-    amplitude: float  # of the darkening and lightening, 0: plain colours
+    amplitude: float  # of the noise, 0 leaves colours plain
     frequency: float  # of the coarser octave, in the rest mesh's unit
 
 
 @wp.func
 def texture_factor(texture: SolidTexture, place: wp.vec3):
-    """What a colour is multiplied with at a place at rest, about 1 on average."""
+    """Factor on a colour at a position at rest, about 1 on average."""
     p = texture.frequency * place
     noise = wp.noise(wp.rand_init(TEXTURE_SEED), p) + 0.5 * wp.noise(wp.rand_init(TEXTURE_SEED + 1), 2.3 * p)
     return 1.0 + texture.amplitude * wp.clamp(2.0 * noise, -1.0, 1.0)
@@ -61,10 +61,10 @@ def cast_carried_rays(
     rgba: wp.array(dtype=wp.vec4),
     depth: wp.array(dtype=wp.float32),
 ):
-    """One pixel an item, as mesh_raycast.cast_mesh_rays; both meshes have the same faces.
+    """One item per pixel, as in cast_mesh_rays; both meshes have the same faces.
 
     light_stays: 1 lights the posed mesh by lights fixed to the world. view_matrices (v,): posed to rest directions.
-    depth (height * width,): mean distance over the samples that hit, inf where not all do.
+    depth (height * width,): mean distance over the samples that hit, inf unless all do.
     """
     item = first + wp.tid()
     column = item % camera.width

@@ -1,8 +1,8 @@
 """The inverse of a cage's map in float64: which point of the deformed cage a point of the rest cage comes from.
 
 A Deformer maps posed space to rest space, x -> sum_j w_j(x) v_j with coordinates of the *deformed* cage; matter at p in
-the rest cage is seen at the x that is mapped to p. Newton's iteration finds it. Coordinates computed on the rest cage
-and applied to the deformed one give another map, good as a first guess only.
+the rest cage is seen at the x that is mapped to p, which Newton's iteration finds. Coordinates computed on the rest
+cage and applied to the deformed one give a different map, which serves as a first guess.
 
 Mean value coordinates as in mean_value (Floater, Kos and Reimers 2005; Ju, Schaefer and Warren 2005); Green coordinates
 (Lipman, Levin and Cohen-Or 2008) and harmonic ones as layer potentials: u(x) = sum over triangles of the double layer
@@ -13,7 +13,9 @@ e in the plane, d_e the distance of the foot point behind it, L_e = log((r + s +
 and Omega the signed solid angle: psi = (sum_e d_e L_e - h Omega) / 4 pi,
 phi_i = (lambda_i Omega - h grad(lambda_i) . sum_e m_e L_e) / 4 pi.
 
-All in float64, written for accuracy at points clear of the cage, not for speed; corners (f, 3), one unit of length.
+All in float64, written for accuracy at points clear of the cage, not for speed. Corners are (f, 3), in one unit of
+length.
+
 Needs: none.
 """
 
@@ -52,7 +54,7 @@ class Layers:
 
 @wp.func
 def mean_value_weights(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Corner weights of a face seen from the origin; none where the origin is in its plane."""
+    """Corner weights of a face seen from the origin; zero where the origin is in its plane."""
     det = wp.dot(a, wp.cross(b, c))
     cross_a = wp.cross(b, c - b)
     cross_b = wp.cross(c, a - c)
@@ -81,8 +83,8 @@ def edge_logarithm(p: wp.vec3d, q: wp.vec3d):
 
 @wp.func
 def triangle_layers(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, on_triangle: int):
-    """Layer potentials of a triangle at the origin; on_triangle: the origin lies on it, and takes the limit from
-    behind its face."""
+    """Layer potentials of a triangle at the origin. on_triangle: 1 where the origin lies on the triangle and takes the
+    limit from behind."""
     normal = wp.cross(b - a, c - a)
     double_area = wp.length(normal)
     normal = normal / double_area
@@ -113,7 +115,7 @@ def triangle_layers(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, on_triangle: int):
 
 @wp.func
 def exact_position(exact: ExactMap, x: wp.vec3d):
-    """Where the map takes x."""
+    """The position that the map takes x to."""
     total = _ZERO
     position = wp.vec3d(_ZERO, _ZERO, _ZERO)
     for f in range(exact.corners.shape[0]):
@@ -181,10 +183,10 @@ def invert_map(
     residuals: wp.array(dtype=wp.float64),
     jacobians: wp.array(dtype=wp.mat33d),
 ):
-    """points (n,) that the map takes to targets (n,), what is left of the distance, and the map's Jacobian there.
+    """points (n,) that the map takes to targets (n,), the remaining distances (n,), and the map's Jacobians (n,) there.
 
-    Newton's iteration from guesses (n,), steps halved until the distance shrinks; it ends below `tolerance`, or where
-    no step helps. Lengths in the unit of the corners.
+    Newton's iteration from guesses (n,), with steps halved until the distance shrinks. It ends below `tolerance`, or
+    where no step helps. Lengths are in the unit of the corners.
     """
     n = first + wp.tid()
     x = guesses[n]
@@ -221,7 +223,7 @@ def assemble_layers(
     double_layer: wp.array(dtype=wp.vec3d),
 ):
     """Single layer matrix (f, f) and double layer (f,) of linear data at the centroids of the triangles, the limit from
-    inside; one item a centroid."""
+    inside; one item per centroid."""
     n = first + wp.tid()
     x = (corners[n, 0] + corners[n, 1] + corners[n, 2]) / wp.float64(3.0)
     total = wp.vec3d(_ZERO, _ZERO, _ZERO)

@@ -1,11 +1,11 @@
-"""Ray casting of a triangle mesh with per-face colour: the pictures of the project's own scene.
+"""Ray casting of a triangle mesh with one colour per face, for the pictures of the reference scenes.
 
-Each sample of a pixel casts one ray (Moeller and Trumbore 1997, inside `wp.mesh_query_ray`) and shades what it hits:
-hemispheric ambient light times the openness of the place, Lambert's cosine for two distant lights (the first with a
-shadow ray) and a modest Blinn-Phong highlight (Blinn 1977), which is what makes the colour depend on the view.
-Everything is a fixed function of position and view direction: two cameras that see one point agree about it.
+Each sample of a pixel casts one ray (Moeller and Trumbore 1997, inside `wp.mesh_query_ray`) and shades the point that
+it hits: hemispheric ambient light times the openness there, Lambert's cosine for two distant lights (the first with a
+shadow ray) and a modest Blinn-Phong highlight (Blinn 1977), which makes the colour depend on the view. The colour is a
+fixed function of position and view direction, so that two cameras that see the same point agree about it.
 
-Positions in any one unit, relative to any one origin; directions unit length; colours in [0, 1], display-referred.
+Positions are in one unit, relative to one origin; directions have unit length; colours are in [0, 1], display-referred.
 
 Needs: view/rays.
 """
@@ -16,13 +16,13 @@ from ..view.rays import PinholeCamera
 
 wp.set_module_options({"enable_backward": False})
 
-#: Directions that look for nearby matter.
+#: Directions in which a surface point looks for nearby matter.
 OPENNESS_RAYS = wp.constant(6)
 
 
 @wp.struct
 class MeshLighting:
-    """Light of the scene. Reach and offset are lengths in the unit of the mesh."""
+    """The light of the scene. Reach and offset are lengths in the unit of the mesh."""
 
     key_direction: wp.vec3  # towards the light that casts shadows
     key_colour: wp.vec3
@@ -33,7 +33,7 @@ class MeshLighting:
     highlight: float  # strength of the specular term
     shininess: float  # its exponent
     reach: float  # matter nearer than this darkens the ambient light
-    offset: float  # second rays start this far off the surface
+    offset: float  # secondary rays start this far off the surface
 
 
 @wp.func
@@ -46,7 +46,7 @@ def sample_direction(camera: PinholeCamera, x: float, y: float):
 
 @wp.func
 def openness(mesh: wp.uint64, position: wp.vec3, normal: wp.vec3, reach: float):
-    """Share in [0, 1] of fixed directions over a surface that are free of matter, nearer matter counting more."""
+    """Share in [0, 1] of fixed directions above a surface that are free of matter; nearer matter counts more."""
     free = float(0.0)
     total = float(0.0)
     for i in range(OPENNESS_RAYS):
@@ -72,7 +72,7 @@ def openness(mesh: wp.uint64, position: wp.vec3, normal: wp.vec3, reach: float):
 def shaded_colour(
     mesh: wp.uint64, lighting: MeshLighting, colour: wp.vec3, position: wp.vec3, normal: wp.vec3, view: wp.vec3
 ):
-    """Colour that leaves a surface point towards the eye; `view` points from the eye to the surface."""
+    """Colour of a surface point as the eye sees it; `view` points from the eye to the surface."""
     start = position + lighting.offset * normal
     up = 0.5 * normal[2] + 0.5
     ambient = up * lighting.sky_colour + (1.0 - up) * lighting.ground_colour
@@ -102,9 +102,9 @@ def cast_mesh_rays(
     side_samples: int,
     rgba: wp.array(dtype=wp.vec4),
 ):
-    """One pixel an item: side_samples^2 samples on a regular grid, averaged to straight (not premultiplied) RGBA.
+    """One item per pixel: side_samples^2 samples on a regular grid, averaged to straight (not premultiplied) RGBA.
 
-    face_colours (f,); rgba (height * width,): colour is the mean over the samples that hit (0 where none does).
+    face_colours (f,); rgba (height * width,): the colour is the mean over the samples that hit (0 if none does).
     """
     item = first + wp.tid()
     column = item % camera.width

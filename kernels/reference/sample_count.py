@@ -1,6 +1,7 @@
-"""Count the samples that a march takes along the rays of cameras: what a step of a fit has to do.
+"""Number of samples that a march takes along the rays of cameras: the work of a step of a fit.
 
-Marches as volume_render.march does.
+Steps along a ray as `march` of field/render does.
+
 Needs: field/grid, field/samples, view/rays.
 """
 
@@ -24,10 +25,10 @@ def count_samples(
     marched_count: wp.array(dtype=wp.int32),
     matter_count: wp.array(dtype=wp.int32),
 ):
-    """One item a ray, every pixel_stride-th row and column of every camera, all of one size.
+    """One item per ray: every pixel_stride-th row and column of every camera, all of one size.
 
-    Outputs (rays,): samples in cells that hold values, until less than `stop` of the light is left; those of them with
-    density.
+    marched_count (rays,): samples in cells that hold values, until less than `stop` of the light is left.
+    matter_count (rays,): those of them with density.
     """
     n = first + wp.tid()
     per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride

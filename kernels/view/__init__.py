@@ -1,1 +1,1 @@
-"""Rays of cameras, pictures made smaller."""
+"""Camera rays and downsampling of pictures."""

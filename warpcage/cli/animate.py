@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import pathlib
+from collections.abc import Iterable
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..cage.cage import Cage
 from ..core.files import atomic_path
+from ..deform.deformer import Deformer
+from ..field.voxel_field import VoxelField
+from ..view.camera import Camera
 from ..view.film import write_gif, write_video
+from ..view.frame import Frame
 from ..view.motion import axis_rotation, cameras_along, frame_places
 from ..view.pictures import write_png
 from . import inputs, options, outputs, view
 from .keyframes import Keyframes, is_preset, pose_file
-from .render import background_option
 
 NAME = "animate"
-HELP = "render a film: from rest through the poses and back, the camera turning around it"
+HELP = "render a film from rest through the poses and back, with the camera turning around the object"
 EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
   warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
@@ -23,21 +32,23 @@ EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
 
-An output without an ending is a folder of PNG files: run the same command again after an interruption and it renders
-what is missing. The film goes from rest through the poses of --posed in their order. Each vertex takes its own way from
-pose to pose; where all poses are one preset, the amount of it changes, so that a bend stays an arc.
+An output without an ending is a folder of PNG files. If the command is interrupted, run it again: it renders only what
+is missing. The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from
+pose to pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
 """
 SETTINGS_NAME = "animation.json"
 
 
-def add_arguments(parser):
-    parser.add_argument("field", help="field file (.npz)")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
     parser.add_argument(
         "-o", "--output", required=True, metavar="FILM", help="film (.mp4, .gif) or folder of PNG files"
     )
-    parser.add_argument("--frames", type=options.positive_int, default=48, metavar="N", help="(default: %(default)s)")
     parser.add_argument(
-        "--fps", type=options.positive_float, default=24.0, help="frames a second (default: %(default)s)"
+        "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--fps", type=options.positive_float, default=24.0, help="frames per second (default: %(default)s)"
     )
     parser.add_argument(
         "--motion",
@@ -49,8 +60,8 @@ def add_arguments(parser):
         "--interpolation",
         choices=("smooth", "linear"),
         default="smooth",
-        help="linear: straight from pose to pose at one speed; smooth: through the poses without a "
-        "jolt, gentle at both ends (default: %(default)s)",
+        help="linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at "
+        "both ends (default: %(default)s)",
     )
     path = parser.add_argument_group("camera path")
     path.add_argument(
@@ -58,20 +69,19 @@ def add_arguments(parser):
         type=options.finite_float,
         default=None,
         metavar="DEGREES",
-        help="how far the camera goes around the target; 0 keeps it where it is (default: 360)",
+        help="how far the camera turns around the target; 0 keeps it still (default: 360)",
     )
     path.add_argument(
         "--cameras",
         metavar="SCENE[:SPLIT]",
-        help="go through the cameras of a scene's pictures instead, e.g. data/lego:test (split: train)",
+        help="move through the cameras of a scene's pictures instead, e.g. data/lego:test (default split: train)",
     )
     parser.add_argument(
         "--show",
         choices=outputs.KINDS,
         default="rgb",
-        help="rgb; alpha; depth (near is white) or disparity, of one scale for the film; masks: where "
-        "the map folds, what it uncovers and loses, and a warning of their shares "
-        "(default: %(default)s)",
+        help="rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: where the map "
+        "folds, what it uncovers and what it loses, with a warning of how much (default: %(default)s)",
     )
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the pictures")
     options.add_background(parser, "the field's own")
@@ -82,20 +92,19 @@ def add_arguments(parser):
     options.add_quiet(parser)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     output = _checked_output(args.output)
-    if args.overlay and args.cage is None:
-        raise ValueError("--overlay draws a cage: it needs --cage and --posed")
-    if args.show == "masks" and args.cage is None:
-        raise ValueError("--show masks needs a deformation: --cage and --posed")
+    if args.overlay:
+        inputs.require_deformation(args, "--overlay")
+    if args.show == "masks":
+        inputs.require_deformation(args, "--show masks")
     rest = inputs.read_rest(args)
     keyframes = None if rest is None else Keyframes(rest, args.posed, args.interpolation, args.cage_up)
     field = inputs.read_field(args)
-    points = inputs.visible_points(field) if rest is None else keyframes.vertices
+    points = inputs.visible_points(field) if keyframes is None else keyframes.vertices
     cameras = _chosen_cameras(args, points)
-    renderer = field if rest is None else inputs.make_deformer(field, rest, args)
-    shot = _Shot(renderer, keyframes, cameras, args)
-
+    deformer = None if rest is None else inputs.make_deformer(field, rest, args)
+    shot = _Shot(field, deformer, keyframes, cameras, args)
     from tqdm import tqdm
 
     frames = tqdm(range(args.frames), desc="animate", disable=args.quiet)
@@ -105,7 +114,7 @@ def run(args):
         write_gif(output, map(shot.picture, frames), args.fps)
     else:
         kept = _write_folder(output, shot, frames, _settings(args, cameras))
-        print(f"wrote {output}: {args.frames - kept} frames, {kept} were there")
+        print(f"wrote {output}: {args.frames - kept} frames, {kept} were there already")
         shot.warn()
         return
     print(
@@ -116,31 +125,43 @@ def run(args):
 
 
 class _Shot:
-    """Renders frame by index, so that a folder can be taken up anywhere."""
+    """Renders frames by index, so that a folder can be continued anywhere.
 
-    def __init__(self, renderer, keyframes, cameras, args):
-        self.renderer, self.keyframes, self.cameras, self.args = renderer, keyframes, cameras, args
+    deformer and keyframes are None where the field is shown as it is.
+    """
+
+    def __init__(
+        self,
+        field: VoxelField,
+        deformer: Deformer | None,
+        keyframes: Keyframes | None,
+        cameras: list[Camera],
+        args: argparse.Namespace,
+    ):
+        self.field, self.deformer, self.keyframes, self.cameras, self.args = field, deformer, keyframes, cameras, args
         count = 1 if keyframes is None else len(keyframes.cages)
         self.places = frame_places(args.frames, count, args.motion, args.interpolation)
-        self.held = None  # the place that the renderer is posed at
-        self.shares: dict[str, list] = {}
+        self.held: float | None = None  # the place that the deformer is posed at
+        self.shares: dict[str, list[float]] = {}
         self.scale = self._scale() if args.show in ("depth", "disparity") else None
 
-    def frame(self, index: int):
-        """The frame, and the cage it shows."""
-        cage = None
-        if self.keyframes is not None:
-            place = float(self.places[index])
-            try:
-                cage = self.keyframes.at(place)
-                if place != self.held:
-                    self.renderer.pose(cage)
-                    self.held = place
-            except ValueError as error:
-                raise ValueError(f"frame {index}, between the poses: {error}") from error
-        return self.renderer.render(self.cameras[index], **background_option(self.args)), cage
+    def frame(self, index: int) -> tuple[Frame, Cage | None]:
+        """The frame, and the cage that it shows."""
+        camera, background = self.cameras[index], inputs.background_option(self.args)
+        if self.deformer is None or self.keyframes is None:
+            return self.field.render(camera, **background), None
+        place = float(self.places[index])
+        try:
+            cage = self.keyframes.at(place)
+            if place != self.held:
+                self.deformer.pose(cage)
+                self.held = place
+        except ValueError as error:
+            raise ValueError(f"frame {index}, between the poses: {error}") from error
+        return self.deformer.render(camera, **background), cage
 
-    def picture(self, index: int):
+    def picture(self, index: int) -> np.ndarray:
+        """What the film shows of a frame, (h, w, 3) or (h, w)."""
         frame, cage = self.frame(index)
         if self.args.show == "masks":
             for name, share in outputs.mask_shares(frame).items():
@@ -148,23 +169,23 @@ class _Shot:
         drawn = cage if self.args.overlay else None
         return outputs.picture(frame, self.args.show, self.cameras[index], drawn, self.scale)
 
-    def _scale(self):
-        """From a few frames, always the same ones, so that a folder taken up again keeps its colours."""
+    def _scale(self) -> tuple[float, float]:
+        """From a few frames, always the same ones, so that a folder that is continued keeps its colours."""
         probes = sorted({round(share * (self.args.frames - 1)) for share in (0.0, 0.25, 0.5, 0.75)})
         return outputs.disparity_scale([self.frame(index)[0] for index in probes])
 
     def warn(self) -> None:
-        """Say what the masks marked on average, if they were asked for."""
+        """Print what the masks marked on average, if they were asked for."""
         outputs.warn_of_masks({name: sum(shares) / len(shares) for name, shares in self.shares.items()}, "the film")
 
 
-def _chosen_cameras(args, points) -> list:
-    """One camera a frame."""
+def _chosen_cameras(args: argparse.Namespace, points: np.ndarray) -> list[Camera]:
+    """One camera per frame."""
     if args.cameras is None:
         camera, pivot = view.chosen_camera(args, points), view.chosen_target(args, points)
         return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)
     if any(given is not None for given in (args.turn, args.camera, args.eye, args.target)):
-        raise ValueError("--cameras and --turn, --camera, --eye or --target exclude each other")
+        raise ValueError("--cameras cannot be combined with --turn, --camera, --eye or --target")
 
     cameras, size = view.scene_cameras(args.cameras), view.image_size(args)
     if size is not None:
@@ -172,10 +193,22 @@ def _chosen_cameras(args, points) -> list:
     return cameras_along(cameras, args.frames, args.interpolation)
 
 
-def turned_cameras(camera, pivot, up, degrees: float, count: int):
-    """`count` cameras: this one carried around the line through `pivot` along `up`; a full turn closes."""
-    import numpy as np
+def turned_cameras(camera: Camera, pivot: np.ndarray, up: ArrayLike, degrees: float, count: int) -> list[Camera]:
+    """A camera carried around an axis.
 
+    Args:
+        camera: The first camera.
+        pivot: (3,) a point of the axis, world units.
+        up: (3,) direction of the axis.
+        degrees: How far it is carried in all. After a full turn the next camera would be the first one again.
+        count: Number of cameras.
+
+    Returns:
+        The cameras in order.
+
+    Raises:
+        ValueError: For an axis without a direction.
+    """
     axis = np.asarray(up, np.float64)
     if np.linalg.norm(axis) == 0:
         raise ValueError("--up must not be 0 0 0")
@@ -200,8 +233,8 @@ def _checked_output(text: str) -> pathlib.Path:
     return path
 
 
-def _settings(args, cameras) -> dict:
-    """What decides how frames look, so that a folder never mixes two films."""
+def _settings(args: argparse.Namespace, cameras: list[Camera]) -> dict:
+    """All that decides how frames look, so that a folder never mixes two films."""
     names = (
         "frames",
         "motion",
@@ -226,15 +259,15 @@ def _settings(args, cameras) -> dict:
 
 
 def _fingerprint(text: str | None) -> str | None:
-    """What a file holds, or the preset itself."""
+    """A hash of what a file holds, or the preset itself."""
     if text is None or is_preset(text):
         return text
     path, name = pose_file(text) or (text, "")
     return hashlib.sha256(pathlib.Path(path).read_bytes() + name.encode()).hexdigest()
 
 
-def _write_folder(folder: pathlib.Path, shot: _Shot, frames, settings: dict) -> int:
-    """Write the frames that are not there yet; returns how many were. Frames appear whole, so those there are good."""
+def _write_folder(folder: pathlib.Path, shot: _Shot, frames: Iterable[int], settings: dict) -> int:
+    """Write the frames that are not there yet, and return how many are. A frame's file appears whole or not at all."""
     note = folder / SETTINGS_NAME
     if note.exists():
         try:
@@ -245,7 +278,7 @@ def _write_folder(folder: pathlib.Path, shot: _Shot, frames, settings: dict) -> 
             changed = [name for name in settings if not isinstance(found, dict) or found.get(name) != settings[name]]
             raise ValueError(
                 f"folder {str(folder)!r} holds frames of another film (other {', '.join(changed)}): "
-                "give another folder or empty this one"
+                "give another folder, or empty this one"
             )
     elif folder.is_dir() and any(folder.glob("frame_*.png")):
         raise ValueError(f"folder {str(folder)!r} holds other frames (no {SETTINGS_NAME}): give another folder")

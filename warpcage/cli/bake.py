@@ -2,45 +2,46 @@
 
 from __future__ import annotations
 
+import argparse
+
 from ..deform.bake import bake
 from . import inputs, options
 
 NAME = "bake"
-HELP = "resample a deformed field into a new one, which needs no cage and renders faster"
+HELP = "resample a deformed field into a new field that needs no cage and renders faster"
 EXAMPLE = """\
   warpcage bake lego.npz --cage cage.obj --posed posed.obj -o bent.npz
   warpcage bake lego.npz --cage cage.obj --posed twist:60 -o twisted.npz --format svox2 --voxels 512
 """
 
 
-def add_arguments(parser):
-    parser.add_argument("field", help="field file (.npz)")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
     parser.add_argument("-o", "--output", required=True, metavar="FIELD", help="field to write (.npz)")
     parser.add_argument(
         "--voxels",
         type=options.positive_int,
         metavar="N",
-        help="voxels along the longest side of the deformed scene (default: as large as the field's)",
+        help="voxels along the longest side of the deformed scene (default: voxels as large as the field's)",
     )
     parser.add_argument(
         "--format",
         choices=("warpcage", "svox2"),
         default="warpcage",
-        help="warpcage, or svox2: a Plenoxels checkpoint (default: %(default)s)",
+        help="file format; svox2 is a Plenoxels checkpoint (default: %(default)s)",
     )
     options.add_deformation(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, (".npz",), "field file")
-    if args.cage is None:
-        raise ValueError("bake needs a deformation: --cage and --posed")
-    rest, posed = inputs.read_cages(args)
-    field = inputs.read_field(args)
-
-    baked = bake(inputs.make_deformer(field, rest, args).pose(posed), resolution=args.voxels)
+    inputs.require_deformation(args, "bake")
+    cages = inputs.read_cages(args)
+    assert cages is not None
+    deformer = inputs.make_deformer(inputs.read_field(args), cages[0], args).pose(cages[1])
+    baked = bake(deformer, resolution=args.voxels)
     baked.save(output, format=args.format)
     size = "x".join(map(str, baked.resolution))
-    print(f"wrote {output}: {baked.voxel_count} voxels of {size}, {output.stat().st_size / 1e6:.1f} MB")
+    print(f"wrote {output}: {baked.voxel_count} voxels in a grid of {size}, {output.stat().st_size / 1e6:.1f} MB")

@@ -1,16 +1,23 @@
-"""`warpcage cage`: a cage around a field or a mesh."""
+"""`warpcage cage`: put a cage around a field or a mesh."""
 
 from __future__ import annotations
 
+import argparse
 import pathlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..cage.cage import Cage
 from ..core.files import require_file
-from ..field.selection import select_nodes
+from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
 from ..scene.load import load_scene
 from . import inputs, options
-from .mesh import TO_Y_UP
+from .mesh import MESH_ENDINGS, TO_Y_UP
+
+if TYPE_CHECKING:
+    import trimesh
 
 NAME = "cage"
 HELP = "put a cage around a field or a mesh"
@@ -21,11 +28,13 @@ EXAMPLE = """\
   warpcage cage lego.obj -o box.obj --box --segments 2 2 3
   warpcage cage lego.obj -o tube.obj --cylinder --axis z --sides 12 --rings 4
 """
-MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
+
+#: Distance of a box or a cylinder from the object by default, as a share of the object's size.
+MARGIN = 0.03
 
 
-def add_arguments(parser):
-    parser.add_argument("field", metavar="object", help="field (.npz) or mesh (.obj .ply .off .stl .glb)")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("field", metavar="object", help=f"field (.npz) or mesh ({' '.join(MESH_ENDINGS)})")
     parser.add_argument(
         "-o", "--output", required=True, metavar="CAGE", help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})"
     )
@@ -34,22 +43,22 @@ def add_arguments(parser):
         "--vertices",
         type=options.positive_int,
         metavar="N",
-        help="about this many vertices, 30 to 200, wrapped around the object (default: 100)",
+        help="approximate number of vertices of a cage wrapped around the object, 30 to 200 (default: 100)",
     )
     parser.add_argument(
         "--margin",
         type=options.positive_float,
         metavar="LENGTH",
-        help="room between object and cage, world units (default: 0.03 of the object's size for a "
-        "box or a cylinder, chosen from the object otherwise)",
+        help="distance between object and cage, world units (default: 0.03 of the object's size for a box or a "
+        "cylinder, otherwise chosen from the object)",
     )
     parser.add_argument(
         "--method",
         choices=("auto", "shell", "voxel"),
-        help="shell: offset, decimated, drawn close; voxel: of more even faces, as the paper's; auto: "
-        "the tighter of both (default: auto)",
+        help="shell: an offset surface, decimated and pulled close; voxel: more even faces, like the paper's; "
+        "auto: the tighter of the two (default: auto)",
     )
-    parser.add_argument("--symmetry", choices="xyz", help="mirror-symmetric across the middle of this axis (voxel)")
+    parser.add_argument("--symmetry", choices="xyz", help="mirror the cage across the middle of this axis (voxel only)")
     _add_selection(parser)
     shape = parser.add_mutually_exclusive_group()
     shape.add_argument("--box", action="store_true", help="a box along the axes")
@@ -59,52 +68,57 @@ def add_arguments(parser):
         type=options.positive_int,
         nargs="+",
         metavar="N",
-        help="pieces along each axis of the box, one number or three (default: 1)",
+        help="segments along each axis of the box: one number, or one per axis (default: 1)",
     )
     parser.add_argument("--axis", choices="xyz", help="axis of the cylinder (default: z)")
     parser.add_argument("--sides", type=options.positive_int, metavar="N", help="sides of the cylinder (default: 12)")
     parser.add_argument(
-        "--rings", type=options.positive_int, metavar="N", help="pieces of the cylinder along its axis (default: 4)"
+        "--rings", type=options.positive_int, metavar="N", help="segments of the cylinder along its axis (default: 4)"
     )
-    parser.add_argument("--quiet", action="store_true", help="do not tell what is tried")
+    parser.add_argument("--quiet", action="store_true", help="do not print what is tried")
     options.add_scene_scale(parser)
     options.add_device(parser)
 
 
-def _add_selection(parser):
-    group = parser.add_argument_group("object of a larger field (each leaves away from what is left)")
+def _add_selection(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "part of a larger field (if several are given, each selects from what the ones before leave)"
+    )
     group.add_argument(
         "--in-box",
         type=options.finite_float,
         nargs=6,
         metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        help="what lies between two corners, world units",
+        help="what lies between two opposite corners, world units",
     )
-    group.add_argument("--masks", metavar="SCENE", help="what the opacity of every training picture of a scene shows")
+    group.add_argument("--masks", metavar="SCENE", help="what is opaque in every training picture of a scene")
     group.add_argument(
-        "--seed", type=options.finite_float, nargs=3, metavar=("X", "Y", "Z"), help="what connects to a point"
+        "--seed",
+        type=options.finite_float,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="what is connected to this point, world units",
     )
     group.add_argument("--parts", type=options.positive_int, metavar="N", help="the N largest connected parts")
     group.add_argument(
         "--floaters",
         type=options.positive_float,
         metavar="SHARE",
-        help="leave out connected parts of fewer voxels than this share of the largest, e.g. 0.01",
+        help="leave out connected parts with fewer voxels than this share of the largest, e.g. 0.01",
     )
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
     _check_combination(args)
     inputs.require_field_scale(args)
     inputs.quiet_warp()
     is_field = pathlib.Path(args.field).suffix.lower() == ".npz"
-    thing = inputs.read_field(args) if is_field else read_mesh(args.field)
-
+    thing: Any = inputs.read_field(args) if is_field else read_mesh(args.field)
     if any(value is not None for value in _selection(args).values()):
         thing = _selected(thing, is_field, args)
     if args.box or args.cylinder:
-        mesh = _surface(thing) if is_field else thing
+        mesh = extract_mesh(thing, components="all") if is_field else thing
         cage = _box_around(mesh, args) if args.box else _cylinder_around(mesh, args)
     else:
         make = Cage.from_field if is_field else Cage.from_mesh
@@ -121,7 +135,7 @@ def run(args):
     print(f"wrote {output}: {len(cage.vertices)} vertices, {len(cage.faces)} faces")
 
 
-def _check_combination(args):
+def _check_combination(args: argparse.Namespace) -> None:
     needs = {
         "segments": ("box", args.box),
         "axis": ("cylinder", args.cylinder),
@@ -133,7 +147,7 @@ def _check_combination(args):
             raise ValueError(f"--{name} belongs to --{shape}")
     if args.vertices is not None and (args.box or args.cylinder):
         raise ValueError(
-            "--vertices is for a cage wrapped around the object; a box takes --segments, a cylinder --sides and --rings"
+            "--vertices is for a cage wrapped around the object: a box takes --segments, a cylinder --sides and --rings"
         )
     for name in ("method", "symmetry"):
         if getattr(args, name) is not None and (args.box or args.cylinder):
@@ -142,15 +156,16 @@ def _check_combination(args):
         raise ValueError(f"--segments takes one number or three, got {len(args.segments)}")
 
 
-def _selection(args) -> dict:
+def _selection(args: argparse.Namespace) -> dict:
+    """What select_nodes takes, None where an option is not given."""
     return {"box": args.in_box, "masks": args.masks, "seed": args.seed, "parts": args.parts, "floaters": args.floaters}
 
 
-def _selected(field, is_field: bool, args):
-    """The chosen nodes of a field; what was left out goes to standard output."""
+def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelection:
+    """The chosen nodes of a field. What was left out is printed."""
     chosen = {name: value for name, value in _selection(args).items() if value is not None}
     if not is_field:
-        raise ValueError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields: cut a mesh yourself")
+        raise ValueError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields, not for meshes")
     if "box" in chosen:
         chosen["box"] = [args.in_box[:3], args.in_box[3:]]
     if "masks" in chosen:
@@ -164,18 +179,24 @@ def _selected(field, is_field: bool, args):
     return selection
 
 
-def _surface(field):
-    return extract_mesh(field, components="all")
+def read_mesh(name: str) -> trimesh.Trimesh:
+    """Read a mesh file.
 
+    Args:
+        name: Path of the file.
 
-def read_mesh(path):
-    """A trimesh.Trimesh with its vertices in the file's order, z up: what glTF holds is turned."""
-    import numpy as np
+    Returns:
+        The mesh with its vertices in the order of the file, z up: glTF, which has y up, is turned.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For a file that cannot be read or holds no triangles.
+    """
     import trimesh
 
-    path = require_file(path, "mesh file")
+    path = require_file(name, "mesh file")
     if path.suffix.lower() not in MESH_ENDINGS:
-        raise ValueError(f"mesh file {str(path)!r} must end in {' or '.join(MESH_ENDINGS)}, a field in .npz")
+        raise ValueError(f"mesh file {str(path)!r} must end in {' or '.join(MESH_ENDINGS)}, or in .npz for a field")
     try:
         mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
     except Exception as error:
@@ -185,21 +206,19 @@ def read_mesh(path):
     return mesh.apply_transform(np.transpose(TO_Y_UP)) if path.suffix.lower() == ".glb" else mesh
 
 
-def _margin(mesh, args) -> float:
-    return 0.03 * float(mesh.extents.max()) if args.margin is None else args.margin
+def _margin(mesh: trimesh.Trimesh, args: argparse.Namespace) -> float:
+    return MARGIN * float(mesh.extents.max()) if args.margin is None else args.margin
 
 
-def _box_around(mesh, args):
+def _box_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
     margin = _margin(mesh, args)
     segments = args.segments or [1]
     low, high = mesh.bounds
     return Cage.box(low - margin, high + margin, segments=segments[0] if len(segments) == 1 else tuple(segments))
 
 
-def _cylinder_around(mesh, args):
-    """About the middle of the bounding box, so wide that the flat sides clear every vertex."""
-    import numpy as np
-
+def _cylinder_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
+    """Around the middle of the bounding box, wide enough for the flat sides to clear every vertex."""
     margin, axis, sides = _margin(mesh, args), args.axis or "z", args.sides or 12
     if sides < 3:
         raise ValueError(f"a cylinder needs at least 3 sides, got {sides}")

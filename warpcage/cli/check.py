@@ -1,7 +1,8 @@
-"""`warpcage check`: whether a cage, and a pose of it, can be trusted."""
+"""`warpcage check`: examine a cage and a pose of it."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import pathlib
 
@@ -11,7 +12,7 @@ from .cage import read_mesh
 from .keyframes import is_preset, pose_file, read_pose
 
 NAME = "check"
-HELP = "examine a cage, what it encloses and what a pose does; exit status 1 if it cannot be used"
+HELP = "examine a cage, what it encloses and what a pose does to it; exit status 1 if it cannot be used"
 EXAMPLE = """\
   warpcage check cage.obj
   warpcage check cage.obj --object lego.npz --posed posed.obj
@@ -20,16 +21,18 @@ EXAMPLE = """\
 """
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cage", help=f"cage to examine ({' '.join(options.CAGE_ENDINGS)})")
-    parser.add_argument("--object", dest="field", metavar="OBJECT", help="field (.npz) or mesh that ought to be inside")
+    parser.add_argument("--object", dest="field", metavar="OBJECT", help="field (.npz) or mesh that should be inside")
     parser.add_argument(
-        "--posed", metavar="POSED", help="a pose of the cage, a file or a preset: inverted volume, stretch, folds"
+        "--posed",
+        metavar="POSED",
+        help="a pose of the cage, a file or a preset, to examine for inverted volume, stretch and folds",
     )
     parser.add_argument(
         "--repair",
         metavar="MENDED",
-        help="mend what can be mended safely, say what was done, write the cage here and examine it",
+        help="repair what can be repaired safely, print what was done, write the cage to this file and examine it",
     )
     parser.add_argument("--json", action="store_true", help="print the report as JSON instead of a table")
     options.add_cage_up(parser)
@@ -37,7 +40,7 @@ def add_arguments(parser):
     options.add_device(parser)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> int:
     inputs.require_field_scale(args)
     output = None if args.repair is None else options.check_output(args.repair, options.CAGE_ENDINGS, "cage file")
     inputs.quiet_warp()
@@ -61,10 +64,10 @@ def run(args):
     return 0 if report.usable else 1
 
 
-def _enclosed(args) -> dict:
+def _enclosed(args: argparse.Namespace) -> dict:
+    """The object of --object, as Cage.check takes it."""
     if args.field is None:
         return {}
     if pathlib.Path(args.field).suffix.lower() == ".npz":
         return {"field": inputs.read_field(args)}
-
     return {"mesh": read_mesh(args.field)}

@@ -1,7 +1,8 @@
-"""`warpcage evaluate`: a field against pictures that it has not seen."""
+"""`warpcage evaluate`: compare a field with pictures that it was not fitted to."""
 
 from __future__ import annotations
 
+import argparse
 import json
 
 from ..core.files import atomic_path
@@ -18,28 +19,20 @@ EXAMPLE = """\
 """
 
 
-def add_arguments(parser):
-    parser.add_argument("field", help="field file (.npz)")
-    parser.add_argument("scene", help="folder with pictures and cameras")
-    parser.add_argument("--split", default="test", help="which pictures (default: %(default)s)")
-    parser.add_argument("--format", metavar="NAME", help="scene format (default: found out)")
-    options.add_masks(parser)
-    parser.add_argument(
-        "--downscale",
-        type=options.positive_int,
-        default=1,
-        metavar="N",
-        help="shrink the pictures by averaging N x N pixels (default: %(default)s)",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
+    options.add_scene(parser, split="test")
     options.add_background(parser, "the field's own")
-    parser.add_argument("--json", metavar="FILE", help="write the figures too")
-    parser.add_argument("--worst", metavar="FILE", help="PNG of the worst view: picture, render, and where it errs")
+    parser.add_argument("--json", metavar="FILE", help="also write the figures to this file (.json)")
+    parser.add_argument(
+        "--worst", metavar="FILE", help="write the worst view (.png): picture, render, and their difference"
+    )
     options.add_scene_scale(parser)
     options.add_device(parser)
     options.add_quiet(parser)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     report = None if args.json is None else options.check_output(args.json, (".json",), "report")
     worst = None if args.worst is None else options.check_output(args.worst, (".png",), "picture")
     options.require_folder(args.scene)
@@ -73,7 +66,7 @@ def run(args):
         behind, images = comparison(field, scene)
         image, rgb = images[index], field.render(scene.cameras[index], background=behind).rgb
         write_png(worst, side_by_side([image, rgb, error_image(rgb, image)]))
-        print(f"wrote {worst}: view {rows[index]['view']}, its picture, the render, and where it errs")
+        print(f"wrote {worst}: view {rows[index]['view']}, its picture, the render, and their difference")
     if report is not None:
         content = {
             "field": args.field,
@@ -93,5 +86,5 @@ def run(args):
 
 
 def finite(decibels: float | None) -> float | None:
-    """JSON knows no infinity, which is the PSNR of equal pictures."""
+    """The same number, or None for infinity (the PSNR of equal pictures), which JSON does not have."""
     return decibels if decibels is not None and decibels < float("inf") else None

@@ -1,9 +1,14 @@
-"""Pictures from all cameras of a scene, or from cameras in between, for `warpcage render --cameras`."""
+"""`warpcage render --cameras`: pictures from all cameras of a scene, or from cameras between them."""
 
 from __future__ import annotations
 
+import argparse
 import pathlib
+from collections.abc import Iterable, Iterator
 
+import numpy as np
+
+from ..view.camera import Camera
 from ..view.film import write_gif, write_video
 from ..view.motion import cameras_along
 from ..view.pictures import write_png
@@ -11,59 +16,65 @@ from . import inputs, options, outputs, view
 
 KINDS = ("interpolate", "given")
 
-#: What belongs to a single picture.
+#: Pictures from each camera to the next where --frames is not given, and frames per second of films.
+STEPS, VIDEO_RATE, GIF_RATE = 8, 24.0, 15.0
+
+#: Options that are for a single picture.
 SINGLE = ("disparity", "depth", "alpha", "masks", "camera", "eye", "target")
 
 
-def add_arguments(parser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `warpcage render` for many pictures."""
     group = parser.add_argument_group("many pictures")
     group.add_argument(
         "--cameras",
         choices=KINDS,
-        help="interpolate: go through the cameras of --scene, positions along a curve, rotations by the "
-        "shortest turn; given: from each of them. The output is a folder, .mp4 or .gif then",
+        help="given: one picture from each camera of --scene; interpolate: pictures along a smooth path through "
+        "them. The output is then a folder, .mp4 or .gif",
     )
-    group.add_argument("--scene", metavar="SCENE[:SPLIT]", help="whose cameras, e.g. data/lego:test (split: train)")
+    group.add_argument(
+        "--scene", metavar="SCENE[:SPLIT]", help="scene of the cameras, e.g. data/lego:test (default split: train)"
+    )
     group.add_argument(
         "--frames",
         type=options.positive_int,
         metavar="N",
-        help="pictures of --cameras interpolate (default: 8 from each camera to the next)",
+        help=f"pictures of --cameras interpolate (default: {STEPS} from each camera to the next)",
     )
 
 
-def run(args, background: dict) -> None:
+def run(args: argparse.Namespace) -> None:
+    """Render them all."""
     output = _checked_output(args.output)
     if args.scene is None:
-        raise ValueError("--cameras needs --scene: whose cameras?")
+        raise ValueError("--cameras needs --scene, the scene of the cameras")
     if any(getattr(args, name) is not None for name in SINGLE):
         name = next(name for name in SINGLE if getattr(args, name) is not None)
-        raise ValueError(f"--cameras and --{name} exclude each other: that is for one picture")
+        raise ValueError(f"--cameras cannot be combined with --{name}, which is for one picture")
     if args.cameras == "given" and args.frames is not None:
         raise ValueError("--frames belongs to --cameras interpolate")
-    rest, posed = inputs.read_cages(args)
+    cages = inputs.read_cages(args)
     cameras = chosen_cameras(args)
-    field = inputs.read_field(args)
-    renderer = field if rest is None else inputs.make_deformer(field, rest, args)
-    if posed is not None:
-        renderer.pose(posed)
+    renderer = inputs.posed_renderer(inputs.read_field(args), cages, args)
+    drawn = cages[1] if cages and args.overlay else None
 
-    def pictures():
+    def pictures() -> Iterator[np.ndarray]:
         for camera in cameras:
-            frame = renderer.render(camera, **background)
-            yield outputs.picture(frame, "rgb", camera, posed if args.overlay else None)
+            frame = renderer.render(camera, **inputs.background_option(args))
+            yield outputs.picture(frame, "rgb", camera, drawn)
 
     _write(output, pictures())
     print(f"wrote {output}: {len(cameras)} pictures of {cameras[0].width}x{cameras[0].height}")
 
 
-def chosen_cameras(args) -> list:
+def chosen_cameras(args: argparse.Namespace) -> list[Camera]:
+    """One camera per picture."""
     cameras, size = view.scene_cameras(args.scene), view.image_size(args)
     if size is not None:
         cameras = [view.fitted(camera, *size) for camera in cameras]
     if args.cameras == "given":
         return cameras
-    return cameras_along(cameras, args.frames or max(1, 8 * (len(cameras) - 1) + 1))
+    return cameras_along(cameras, args.frames or max(1, STEPS * (len(cameras) - 1) + 1))
 
 
 def _checked_output(text: str) -> pathlib.Path:
@@ -71,16 +82,16 @@ def _checked_output(text: str) -> pathlib.Path:
     if path.suffix:
         return options.check_output(text, (".mp4", ".gif"), "film (a folder of pictures has no ending)")
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise ValueError(f"{text!r} is there: --cameras writes a new or an empty folder, .mp4 or .gif")
+        raise ValueError(f"{text!r} exists already: --cameras writes a new or an empty folder, .mp4 or .gif")
     options.check_parent(path)
     return path
 
 
-def _write(output: pathlib.Path, pictures) -> None:
+def _write(output: pathlib.Path, pictures: Iterable[np.ndarray]) -> None:
     if output.suffix.lower() == ".mp4":
-        write_video(output, pictures, 24.0)
+        write_video(output, pictures, VIDEO_RATE)
     elif output.suffix.lower() == ".gif":
-        write_gif(output, pictures, 15.0)
+        write_gif(output, pictures, GIF_RATE)
     else:
         for index, picture in enumerate(pictures):
             write_png(output / f"view_{index:04d}.png", picture)

@@ -1,14 +1,20 @@
-"""`warpcage info`: what a file holds, or what this machine has."""
+"""`warpcage info`: describe a file, or this machine."""
 
 from __future__ import annotations
 
+import argparse
 import pathlib
 import platform
+
+import numpy as np
+import warp as wp
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..core.threads import CPU_THREADS
+from ..field.background import LayeredBackground
 from ..scene.load import detect_format, load_scene
+from ..scene.scene import Scene
 from ..view.pictures import contact_sheet, shrink, write_png
 from . import inputs, options
 
@@ -21,11 +27,14 @@ EXAMPLE = """\
   warpcage info data/lego --split test --sheet lego.png
 """
 
+#: Names and values, one per printed line.
+Rows = list[tuple[str, object]]
+
 #: Most pictures on a contact sheet, and their longest side there.
 SHEET_PICTURES, SHEET_SIDE = 100, 160
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
         metavar="file",
@@ -33,17 +42,17 @@ def add_arguments(parser):
         help=f"field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), poses (.json) or scene folder",
     )
     parser.add_argument("--split", default="train", help="split of a scene (default: %(default)s)")
-    parser.add_argument("--format", metavar="NAME", help="scene format (default: found out)")
+    options.add_scene_format(parser)
     parser.add_argument(
         "--sheet",
         metavar="PICTURE",
-        help=f"write a contact sheet of a scene's pictures, {SHEET_PICTURES} at most (.png)",
+        help=f"write a contact sheet of a scene's pictures, at most {SHEET_PICTURES} of them (.png)",
     )
     options.add_scene_scale(parser)
     options.add_device(parser)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     inputs.require_field_scale(args)
     sheet = None if args.sheet is None else options.check_output(args.sheet, (".png",), "contact sheet")
     path = None if args.field is None else pathlib.Path(args.field)
@@ -63,7 +72,7 @@ def run(args):
         rows = _poses(path)
     else:
         raise ValueError(
-            f"{args.field!r} is no field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), pose file "
+            f"{args.field!r} is not a field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), pose file "
             "(.json) or scene folder"
         )
     width = max(len(name) for name, _ in rows)
@@ -71,29 +80,26 @@ def run(args):
         print(f"{name:{width}}  {value}")
 
 
-def _machine():
-    import numpy
-    import warp
-
+def _machine() -> Rows:
     inputs.quiet_warp()
-    warp.init()
+    wp.init()
     rows = [
         ("warpcage", options.package_version()),
-        ("warp", warp.__version__),
-        ("numpy", numpy.__version__),
+        ("warp", wp.__version__),
+        ("numpy", np.__version__),
         ("python", platform.python_version()),
         ("platform", platform.platform()),
     ]
-    return rows + [(device.alias, _device_line(device)) for device in warp.get_devices()]
+    return rows + [(device.alias, _device_line(device)) for device in wp.get_devices()]
 
 
-def _device_line(device) -> str:
+def _device_line(device: wp.Device) -> str:
     if device.is_cpu:
         return f"{platform.processor() or device.name}, {CPU_THREADS} threads"
     return f"{device.name}, {device.total_memory / 2**30:.1f} GiB, sm_{device.arch}"
 
 
-def _field(path, args):
+def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
     field = inputs.read_field(args)
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
     density = field.grid.density.numpy()
@@ -104,15 +110,15 @@ def _field(path, args):
         ("voxels", f"{field.voxel_count} ({100 * share:.1f} % of the box)"),
         ("bounds", _box(*field.bounds)),
         ("voxel size", field.voxel_size.round(6).tolist()),
-        ("density", _range(density, "a world unit")),
-        ("weights", "not recorded" if weights is None else _range(weights, "largest of a training ray")),
+        ("density", _range(density, "per world unit")),
+        ("weights", "not recorded" if weights is None else _range(weights, "at most along any training ray")),
         ("background", field.background.round(3).tolist()),
         ("layers behind", _layers(field.background_model)),
         ("file", _file_size(path)),
     ]
 
 
-def _layers(background) -> str:
+def _layers(background: LayeredBackground | None) -> str:
     if background is None:
         return "none"
     return (
@@ -121,9 +127,8 @@ def _layers(background) -> str:
     )
 
 
-def _cage(path):
+def _cage(path: pathlib.Path) -> Rows:
     inputs.quiet_warp()
-
     cage = Cage.load(path)
     try:
         cage.require_usable("the cage")
@@ -143,10 +148,8 @@ def _cage(path):
     ]
 
 
-def _poses(path):
+def _poses(path: pathlib.Path) -> Rows:
     inputs.quiet_warp()
-    import numpy as np
-
     poses = PoseFile.load(path)
     rest = poses.rest
     rows = [
@@ -163,9 +166,7 @@ def _poses(path):
     return rows
 
 
-def _scene(path, args, sheet):
-    import numpy as np
-
+def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | None) -> Rows:
     form = args.format or detect_format(path)
     scene = load_scene(path, split=args.split, format=form)
     camera = scene.cameras[0]
@@ -189,27 +190,25 @@ def _scene(path, args, sheet):
     return rows
 
 
-def _write_sheet(scene, path) -> str:
-    import numpy as np
-
+def _write_sheet(scene: Scene, path: pathlib.Path) -> str:
     chosen = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), SHEET_PICTURES)).round().astype(int))
     factor = max(1, -(-max(scene.images.shape[1:3]) // SHEET_SIDE))
     write_png(path, contact_sheet([shrink(scene.images[index], factor) for index in chosen]))
     return f"{path}, {len(chosen)} of {len(scene)} pictures"
 
 
-def _box(low, high) -> str:
+def _box(low: np.ndarray, high: np.ndarray) -> str:
     return f"{low.round(4).tolist()} to {high.round(4).tolist()}"
 
 
-def _range(values, unit: str) -> str:
-    """The smallest and the largest of an array, with what they are."""
+def _range(values: np.ndarray, unit: str) -> str:
+    """The smallest and the largest value of an array, with their unit."""
     if values.size == 0:
         return "none"
     low, high = float(values.min()), float(values.max())
     return f"{low:.4g} {unit}" if low == high else f"{low:.4g} to {high:.4g} {unit}"
 
 
-def _file_size(path) -> str:
+def _file_size(path: pathlib.Path) -> str:
     size = path.stat().st_size
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"

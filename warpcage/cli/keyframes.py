@@ -1,16 +1,19 @@
-"""Poses as words: cage files, keyframes of pose files (poses.json:wave), or presets such as bend:40:x:z."""
+"""The words of --posed: cage files, keyframes of pose files (poses.json:wave), and presets such as bend:40:x:z."""
 
 from __future__ import annotations
 
 import pathlib
 import re
 import sys
+from collections.abc import Sequence
+
+import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..view.motion import keyframe_weights, pose_along
 
-#: Preset -> what it takes, the amount that changes nothing, and how many names of axes it may have.
+#: Preset -> the amount that changes nothing, and how many axes it may name.
 PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0, 1), "stretch": (1.0, 1),
            "scale": (1.0, 0), "rotate": (0.0, 1), "translate": (0.0, 0)}  # fmt: skip
 PRESET_HELP = (
@@ -20,7 +23,20 @@ PRESET_HELP = (
 
 
 class Preset:
-    """A pose by its name: `family` (its kind and axes) and `amount`, a tuple of numbers."""
+    """A pose by its name.
+
+    Args:
+        text: The preset, such as "bend:40:x:z".
+
+    Attributes:
+        kind: Its first word.
+        amount: Its numbers.
+        family: Its kind and axes: presets of one family differ in the amount alone.
+        neutral: The number that changes nothing.
+
+    Raises:
+        ValueError: For words that are not a preset.
+    """
 
     def __init__(self, text: str):
         kind, *words = text.split(":")
@@ -35,13 +51,13 @@ class Preset:
         good = good and len(axes) <= axis_count and all(re.fullmatch("-?[xyz]", axis) for axis in axes)
         good = good and not any(axis.startswith("-") for axis in axes[:1])
         if not good:
-            raise ValueError(f"pose {text!r} is no preset: {PRESET_HELP}")
+            raise ValueError(f"pose {text!r} is not a preset: {PRESET_HELP}")
         self.kind, self.amount = kind, tuple(amount)
         self.family = (kind, *axes)
         self.neutral = neutral
 
-    def at(self, rest, amount):
-        """`rest` posed by another amount of the same."""
+    def at(self, rest: Cage, amount: Sequence[float]) -> Cage:
+        """A cage posed by this preset with another amount."""
         kind, *axes = self.family
         named = dict(zip(("axis", "towards"), axes, strict=False))
         if kind == "rest":
@@ -52,23 +68,37 @@ class Preset:
 
 
 def is_preset(text: str) -> bool:
+    """Whether a word of --posed names a preset rather than a file."""
     return text.split(":")[0] in PRESETS and not pathlib.Path(text).exists()
 
 
 def pose_file(text: str) -> tuple[str, str] | None:
-    """File and keyframe ("" for all) of a word that names a pose file, or None for another."""
+    """File and keyframe ("" for all) of a word of --posed that names a pose file, or None for other words."""
     found = re.fullmatch(r"(.+\.json)(?::(.*))?", text, re.IGNORECASE)
     return (found[1], found[2] or "") if found else None
 
 
-def read_poses(rest, text: str, up: str | None = None, usable: bool = True) -> list:
-    """The posed cages that a word of --posed names, those of a whole pose file in their order; up: of --cage-up, the
-    axis that points up in a cage file. Unusable ones are refused unless `usable` is False."""
+def read_poses(rest: Cage, text: str, up: str | None = None, usable: bool = True) -> list[Cage]:
+    """The posed cages that a word of --posed names.
+
+    Args:
+        rest: The cage at rest.
+        text: A cage file, a preset, a pose file, or one keyframe of it.
+        up: Axis that points up in a cage file, "y" or "z". None is that of the format.
+        usable: Whether to refuse cages that cannot be used.
+
+    Returns:
+        One cage, or all of a pose file in their order.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For a word or a file that cannot be read, and for a cage that does not fit or cannot be used.
+    """
     if is_preset(text):
         preset = Preset(text)
         poses = [preset.at(rest, preset.amount)]
-    elif pose_file(text):
-        path, name = pose_file(text)
+    elif named := pose_file(text):
+        path, name = named
         file = PoseFile.load(path, rest)
         if not len(file):
             raise ValueError(f"pose file {path!r} holds no keyframes")
@@ -80,24 +110,36 @@ def read_poses(rest, text: str, up: str | None = None, usable: bool = True) -> l
     return poses
 
 
-def read_pose(rest, text: str, up: str | None = None, usable: bool = True):
-    """The one posed cage that a word of --posed names."""
+def read_pose(rest: Cage, text: str, up: str | None = None, usable: bool = True) -> Cage:
+    """The one posed cage that a word of --posed names; see `read_poses`."""
     poses = read_poses(rest, text, up, usable)
     if len(poses) > 1:
         raise ValueError(f"pose file {text!r} holds {len(poses)} keyframes: name one, as in {text}:NAME")
     return poses[0]
 
 
-def matched(rest, posed, name: str):
-    """`posed` with the vertices and faces of `rest` in their order, saying so where they came in another."""
-    import numpy as np
+def matched(rest: Cage, posed: Cage, name: str) -> Cage:
+    """A posed cage with vertices and faces in the order of the cage at rest.
 
+    A line on stderr says so where the order was another, and warns where another axis seems to point up.
+
+    Args:
+        rest: The cage at rest.
+        posed: The posed cage in any order.
+        name: How messages call the posed cage.
+
+    Returns:
+        The posed cage in the order of the cage at rest.
+
+    Raises:
+        ValueError: If the two are not the same cage.
+    """
     try:
         found = rest.match(posed)
     except ValueError as error:
         raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
     if not np.array_equal(posed.faces, rest.faces) or len(posed.vertices) != len(rest.vertices):
-        print(f"warpcage: cage {name!r} comes in another order than its rest cage: matched", file=sys.stderr)
+        print(f"warpcage: cage {name!r} has another order than its rest cage: matched", file=sys.stderr)
     if lies_on_its_side(rest.vertices, found.vertices):
         print(
             f"warpcage: warning: cage {name!r} would lie much nearer to its rest cage with another axis up: write "
@@ -107,10 +149,8 @@ def matched(rest, posed, name: str):
     return found
 
 
-def lies_on_its_side(rest, posed) -> bool:
-    """Whether vertices (v, 3) halve their root mean square distance to those at rest when y and z up are exchanged."""
-    import numpy as np
-
+def lies_on_its_side(rest: np.ndarray, posed: np.ndarray) -> bool:
+    """Whether exchanging y up and z up would halve the distance between vertices (v, 3) at rest and posed."""
     x, y, z = posed.T
     exchanged = [np.stack(turned, axis=1) for turned in ((x, -z, y), (x, z, -y))]
     here, *there = (np.linalg.norm(vertices - rest) for vertices in (posed, *exchanged))
@@ -118,25 +158,43 @@ def lies_on_its_side(rest, posed) -> bool:
 
 
 class Keyframes:
-    """Rest and the poses after it; `at` says how the cage stands between two of them.
+    """A cage at rest, the poses that follow it, and all poses between them.
 
-    Where all poses are one preset by several amounts it is the amount that changes, so that a bend stays an arc;
-    otherwise each vertex goes its own way from pose to pose.
+    Where all poses are one preset with different amounts, the amount is interpolated, so that a bend stays an arc.
+    Otherwise each vertex is interpolated by itself.
+
+    Args:
+        rest: The cage at rest.
+        texts: Words of --posed, in order.
+        interpolation: "smooth" or "linear".
+        up: Axis that points up in cage files, "y" or "z". None is that of the format.
+
+    Attributes:
+        rest: The cage at rest.
+        cages: The cage at rest and the poses.
+        interpolation: "smooth" or "linear".
+        preset: The preset whose amount is interpolated, or None.
+        amounts: Its amounts, one per cage.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For words and cages that `read_poses` refuses.
     """
 
-    def __init__(self, rest, texts: list[str], interpolation: str, up: str | None = None):
+    def __init__(self, rest: Cage, texts: list[str], interpolation: str, up: str | None = None):
         self.rest, self.interpolation = rest, interpolation
         self.cages = [rest] + [pose for text in texts for pose in read_poses(rest, text, up)]
-        self.preset, self.amounts = None, []
-        presets = [Preset(text) if is_preset(text) else None for text in texts]
-        families = {preset.family for preset in presets if preset and preset.kind != "rest"}
-        if all(presets) and len(families) == 1:
-            self.preset = next(preset for preset in presets if preset.kind != "rest")
+        self.preset: Preset | None = None
+        self.amounts: list[tuple[float, ...]] = []
+        presets = [Preset(text) for text in texts if is_preset(text)]
+        moving = [preset for preset in presets if preset.kind != "rest"]
+        if len(presets) == len(texts) and len({preset.family for preset in moving}) == 1:
+            self.preset = moving[0]
             still = (self.preset.neutral,) * len(self.preset.amount)
             self.amounts = [still] + [still if preset.kind == "rest" else preset.amount for preset in presets]
 
-    def at(self, place: float):
-        """The cage at a place, 0 rest, 1 the first pose, and so on."""
+    def at(self, place: float) -> Cage:
+        """The cage at a place: 0 at rest, 1 the first pose, and so on, or between them."""
         if self.preset is None:
             return pose_along(self.cages, place, self.interpolation)
         weights = keyframe_weights(place, len(self.amounts), self.interpolation)
@@ -144,8 +202,6 @@ class Keyframes:
         return self.preset.at(self.rest, [float(weights @ list(column)) for column in columns])
 
     @property
-    def vertices(self):
-        """(n, 3) of all cages, so that a camera can hold them all."""
-        import numpy as np
-
+    def vertices(self) -> np.ndarray:
+        """(n, 3) vertices of all cages, world units."""
         return np.concatenate([cage.vertices for cage in self.cages])

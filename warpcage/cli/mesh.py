@@ -1,6 +1,8 @@
-"""`warpcage mesh`: a field's surface."""
+"""`warpcage mesh`: extract the surface of a field."""
 
 from __future__ import annotations
+
+import argparse
 
 from ..core.files import atomic_path
 from . import inputs, options
@@ -11,16 +13,20 @@ EXAMPLE = """\
   warpcage mesh lego.npz -o lego.obj
   warpcage mesh lego.npz -o lego.ply --threshold 20 --components all
 """
-ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
+MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
 
-#: (x, y, z) to (x, z, -y): glTF has y up, in meshes as in cages; the other formats take the numbers as they are.
+#: Takes (x, y, z) to (x, z, -y): glTF has y up, while the other formats take coordinates as they are.
 TO_Y_UP = ((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1))
 
 
-def add_arguments(parser):
-    parser.add_argument("field", help="field file (.npz)")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
     parser.add_argument(
-        "-o", "--output", required=True, metavar="MESH", help="mesh to write (.obj .ply .off .stl .glb; glTF with y up)"
+        "-o",
+        "--output",
+        required=True,
+        metavar="MESH",
+        help=f"mesh to write ({' '.join(MESH_ENDINGS)}; glTF with y up)",
     )
     parser.add_argument(
         "--threshold",
@@ -32,14 +38,14 @@ def add_arguments(parser):
         "--components",
         choices=("largest", "all"),
         default="largest",
-        help="keep the largest connected part or all (default: %(default)s)",
+        help="which connected parts to keep (default: %(default)s)",
     )
     options.add_scene_scale(parser)
     options.add_device(parser)
 
 
-def run(args):
-    output = options.check_output(args.output, ENDINGS, "mesh file")
+def run(args: argparse.Namespace) -> None:
+    output = options.check_output(args.output, MESH_ENDINGS, "mesh file")
     field = inputs.read_field(args)
 
     mesh = field.extract_mesh(threshold=args.threshold, components=args.components)

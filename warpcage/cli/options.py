@@ -1,4 +1,4 @@
-"""Arguments that several commands share, and what they may be."""
+"""Arguments that several commands share, and the values that they take."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ import pathlib
 
 from ..core.names import COORDINATES, DENSITIES
 from ..fitting.memory import memory_size
+from ..view.backgrounds import BACKGROUNDS
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
 
+#: Colours behind pictures, for help texts.
+COLOUR_NAMES = ", ".join(BACKGROUNDS)
+
+#: What takes arguments: a parser, or a group of its arguments.
+Arguments = argparse._ActionsContainer
+
 
 def package_version() -> str:
+    """The version of the installed package."""
     from importlib import metadata
 
     try:
@@ -21,75 +29,109 @@ def package_version() -> str:
         return "unknown (not installed)"
 
 
-def add_device(parser) -> None:
+def add_field(parser: Arguments) -> None:
+    """The field that a command reads."""
+    parser.add_argument("field", help="field file (.npz)")
+
+
+def add_scene(parser: Arguments, split: str) -> None:
+    """The scene that a command reads, and which of its pictures; split: the default."""
+    parser.add_argument("scene", help="folder with pictures and cameras")
+    parser.add_argument("--split", default=split, help="which pictures (default: %(default)s)")
+    add_scene_format(parser)
+    add_masks(parser)
+    parser.add_argument(
+        "--downscale",
+        type=positive_int,
+        default=1,
+        metavar="N",
+        help="shrink the pictures by averaging N x N pixels (default: %(default)s)",
+    )
+
+
+def add_scene_format(parser: Arguments) -> None:
+    """The format of a scene folder."""
+    parser.add_argument("--format", metavar="NAME", help="scene format (default: detected)")
+
+
+def add_device(parser: Arguments) -> None:
+    """The device that a command runs on."""
     parser.add_argument(
         "--device", metavar="NAME", help='Warp device, "cpu" or "cuda:0" (default: CUDA where there is one)'
     )
 
 
-def add_scene_scale(parser) -> None:
+def add_scene_scale(parser: Arguments) -> None:
+    """The factor of scenes whose positions were scaled before a fit."""
     parser.add_argument(
         "--scene-scale",
         type=positive_ratio,
         default=1.0,
         metavar="FACTOR",
-        help="factor that a scene's positions were multiplied by before its field was fitted, which is "
-        "undone: 2/3 for Plenoxels checkpoints of NeRF-synthetic scenes (default: 1)",
+        help="undo a scaling: the factor by which the positions of a scene were multiplied before its field was "
+        "fitted, 2/3 for Plenoxels checkpoints of NeRF-synthetic scenes (default: 1)",
     )
 
 
-def add_cage_up(parser) -> None:
+def add_cage_up(parser: Arguments) -> None:
+    """The axis that points up in cage files."""
     parser.add_argument(
         "--cage-up",
         choices=("y", "z"),
-        help="axis that points up in cage files (default: y for glTF, z for the others; Blender's OBJ "
-        "export has y unless told otherwise)",
+        help="axis that points up in cage files (default: y for glTF, z for other formats; Blender exports "
+        "OBJ with y unless told otherwise)",
     )
 
 
-def add_quiet(parser) -> None:
+def add_quiet(parser: Arguments) -> None:
+    """A switch for the progress bar."""
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
-def add_background(parser, default_text: str, more: str = "") -> None:
+def add_background(parser: Arguments, default_text: str, more: str = "") -> None:
+    """The colour behind pictures; default_text: what it is by default, more: what the help says besides."""
     parser.add_argument(
         "--background",
         type=colour,
         metavar="COLOUR",
-        help=f"white, black, grey or three numbers in [0, 1] such as 0.2,0.3,0.4 (default: {default_text}){more}",
+        help=f"{COLOUR_NAMES}, or three numbers in [0, 1] such as 0.2,0.3,0.4 (default: {default_text}){more}",
     )
 
 
-def add_masks(parser) -> None:
+def add_masks(parser: Arguments) -> None:
+    """What to do with the mask files of a scene."""
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
         "--no-masks",
         dest="masks",
         action="store_false",
         default=True,
-        help="leave a scene's mask files alone: pictures are taken whole, background and all",
+        help="ignore the mask files of a scene: whole pictures are used, with their background",
     )
     group.add_argument(
         "--split-masks",
         dest="masks",
         action="store_const",
         const="split",
-        help="split the pictures at the masks: the object, and its surroundings as layers behind it",
+        help="split the pictures at the masks, into the object and its surroundings, which become layers behind it",
     )
 
 
-def add_deformation(parser, *, keyframes: bool = False) -> None:
-    group = parser.add_argument_group("deformation (leave --cage and --posed out to show the field as it is)")
-    group.add_argument("--cage", metavar="REST", help="cage around the undeformed object (.obj .ply .off .glb .gltf)")
+def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
+    """The cages of a deformation and how it is computed; keyframes: whether several poses may be given."""
+    group = parser.add_argument_group("deformation (without --cage and --posed the field is shown as it is)")
+    group.add_argument("--cage", metavar="REST", help=f"cage around the undeformed object ({' '.join(CAGE_ENDINGS)})")
     posed = (
-        "the same cage, vertices moved: a cage file, a keyframe of a pose file (poses.json:NAME) or a preset such "
-        "as bend:40:x:z, twist:60 or scale:0.8"
+        "the same cage with its vertices moved: a cage file, a keyframe of a pose file (poses.json:NAME), or a preset "
+        "such as bend:40:x:z, twist:60 or scale:0.8"
     )
     if keyframes:
-        posed += "; several, or all of a pose file (poses.json), are keyframes one after another"
+        posed += ". Several, or all keyframes of a pose file (poses.json), follow one another"
     group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes else None, help=posed)
     add_cage_up(group)
-    group.add_argument("--coordinates", choices=COORDINATES, default="harmonic", help="kind (default: %(default)s)")
+    group.add_argument(
+        "--coordinates", choices=COORDINATES, default="harmonic", help="kind of coordinates (default: %(default)s)"
+    )
     group.add_argument(
         "--resolution",
         type=lattice_resolution,
@@ -102,26 +144,33 @@ def add_deformation(parser, *, keyframes: bool = False) -> None:
         "--density",
         choices=DENSITIES,
         default="opacity",
-        help="opacity: parts keep their opacity when they are scaled; paper: density as the paper "
-        "has it (default: %(default)s)",
+        help="opacity: parts keep their opacity when they are scaled; paper: they keep their density, as in the paper "
+        "(default: %(default)s)",
     )
 
 
-def add_view(parser) -> None:
-    group = parser.add_argument_group("view (default: from above and aside, the whole object in the picture)")
+def add_view(parser: Arguments) -> None:
+    """The camera of a picture."""
+    group = parser.add_argument_group(
+        "view (default: from above and to one side, with the whole object in the picture)"
+    )
     group.add_argument(
         "--camera",
         metavar="SCENE:[SPLIT:]INDEX",
-        help="camera of a scene's picture, e.g. data/lego:test:3 (split: train)",
+        help="camera of a scene's picture, e.g. data/lego:test:3 (default split: train)",
     )
-    group.add_argument("--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where the camera is")
-    group.add_argument("--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="what it looks at")
+    group.add_argument(
+        "--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="position of the camera, world units"
+    )
+    group.add_argument(
+        "--target", type=float, nargs=3, metavar=("X", "Y", "Z"), help="point that it looks at, world units"
+    )
     group.add_argument(
         "--up",
         type=float,
         nargs=3,
         metavar=("X", "Y", "Z"),
-        help="direction that is up in the picture (default: as the field's cameras were held)",
+        help="direction that points up in the picture (default: up in the training pictures of the field)",
     )
     group.add_argument(
         "--fov",
@@ -143,6 +192,7 @@ def add_view(parser) -> None:
 
 
 def positive_int(text: str) -> int:
+    """A whole number of at least 1."""
     try:
         value = int(text)
     except ValueError:
@@ -153,6 +203,7 @@ def positive_int(text: str) -> int:
 
 
 def positive_float(text: str) -> float:
+    """A finite number above 0."""
     value = finite_float(text)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"must be positive, got {text!r}")
@@ -160,6 +211,7 @@ def positive_float(text: str) -> float:
 
 
 def positive_ratio(text: str) -> float:
+    """A number above 0, or a ratio of two such as 2/3."""
     try:
         value = float(fractions.Fraction(text))
     except (ValueError, ZeroDivisionError, OverflowError):
@@ -170,6 +222,7 @@ def positive_ratio(text: str) -> float:
 
 
 def memory(text: str) -> int:
+    """Bytes, from words such as 4GB."""
     try:
         return memory_size(text)
     except ValueError as error:
@@ -177,6 +230,7 @@ def memory(text: str) -> int:
 
 
 def finite_float(text: str) -> float:
+    """A finite number."""
     try:
         value = float(text)
     except ValueError:
@@ -187,6 +241,7 @@ def finite_float(text: str) -> float:
 
 
 def field_of_view(text: str) -> float:
+    """Degrees between 0 and 180, both left out."""
     value = finite_float(text)
     if not 0 < value < 180:
         raise argparse.ArgumentTypeError(f"must lie between 0 and 180 degrees, got {text!r}")
@@ -194,11 +249,12 @@ def field_of_view(text: str) -> float:
 
 
 def lattice_resolution(text: str) -> int | None:
+    """A whole number of at least 1, or None for "precise"."""
     return None if text == "precise" else positive_int(text)
 
 
-def colour(text: str):
-    """A name as it is, or three numbers; which names and numbers there are, the library says."""
+def colour(text: str) -> str | tuple[float, ...]:
+    """A name, or numbers between commas. The library checks them."""
     parts = text.split(",")
     if len(parts) == 1:
         return text
@@ -208,9 +264,21 @@ def colour(text: str):
         raise argparse.ArgumentTypeError(f"must be a name or three numbers such as 0.2,0.3,0.4, got {text!r}") from None
 
 
-def check_output(path: str, endings: tuple[str, ...], what: str) -> pathlib.Path:
-    """`path`, refused before any long work where it has another ending, is a folder or lies under a file."""
-    path = pathlib.Path(path)
+def check_output(text: str, endings: tuple[str, ...], what: str) -> pathlib.Path:
+    """Check the path of an output before any long work.
+
+    Args:
+        text: The path.
+        endings: File endings that it may have, such as ".png".
+        what: How messages call the file.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: For another ending, a folder, and a path below a file.
+    """
+    path = pathlib.Path(text)
     if path.suffix.lower() not in endings:
         raise ValueError(f"{what} {str(path)!r} must end in {' or '.join(endings)}")
     if path.is_dir():
@@ -220,13 +288,15 @@ def check_output(path: str, endings: tuple[str, ...], what: str) -> pathlib.Path
 
 
 def check_parent(path: pathlib.Path) -> None:
+    """Raises ValueError for a path below something that is not a folder."""
     for parent in path.parents:
         if parent.exists():
             if not parent.is_dir():
-                raise ValueError(f"{str(path)!r} cannot be written: {str(parent)!r} is no folder")
+                raise ValueError(f"{str(path)!r} cannot be written: {str(parent)!r} is not a folder")
             return
 
 
 def require_folder(path: str) -> None:
+    """Raises FileNotFoundError where there is no such scene folder."""
     if not pathlib.Path(path).is_dir():
         raise FileNotFoundError(f"scene folder {path!r} is not there")

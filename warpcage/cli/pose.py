@@ -1,8 +1,9 @@
-"""`warpcage pose`: move the vertices of a cage."""
+"""`warpcage pose`: bend, twist, scale or move a cage."""
 
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from ..cage.cage import Cage
 from . import inputs, options
@@ -13,19 +14,26 @@ EXAMPLE = """\
   warpcage pose cage.obj -o posed.obj --bend 40 --axis x --towards z
   warpcage pose cage.obj -o posed.obj --twist 30 --taper 0.6 --axis z --limits 0.3 1
 
-Steps are taken in the order given. --axis, --towards, --limits and --centre hold for all steps of one call; call it
-again on the posed cage for another axis. A direction with a minus needs the equals sign: --towards=-x.
+Steps are applied in the order given. --axis, --towards, --limits and --centre apply to all steps of one call: run the
+command again on the posed cage for another axis. A direction with a minus needs the equals sign: --towards=-x.
 """
 
 
 class _Step(argparse.Action):
     """Collects steps in the order of the command line."""
 
-    def __call__(self, parser, namespace, values, option_string=None):
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        assert option_string is not None
         namespace.steps = [*(namespace.steps or []), (option_string.lstrip("-"), values)]
 
 
-def add_arguments(parser):
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     number = options.finite_float
     parser.add_argument("cage", help=f"cage to pose ({' '.join(options.CAGE_ENDINGS)})")
     parser.add_argument(
@@ -40,7 +48,7 @@ def add_arguments(parser):
         action=_Step,
         type=number,
         metavar="DEGREES",
-        help="along --axis into an arc towards --towards",
+        help="bend what lies along --axis into an arc in the direction of --towards",
     )
     add(
         "--twist",
@@ -48,7 +56,7 @@ def add_arguments(parser):
         action=_Step,
         type=number,
         metavar="DEGREES",
-        help="about --axis, more and more along it",
+        help="turn about --axis, from nothing at the start to DEGREES at the end",
     )
     add(
         "--taper",
@@ -56,9 +64,16 @@ def add_arguments(parser):
         action=_Step,
         type=options.positive_float,
         metavar="FACTOR",
-        help="scale across --axis by 1 at its beginning to FACTOR at its end",
+        help="scale across --axis, by 1 at the start to FACTOR at the end",
     )
-    add("--stretch", dest="steps", action=_Step, type=options.positive_float, metavar="FACTOR", help="along --axis")
+    add(
+        "--stretch",
+        dest="steps",
+        action=_Step,
+        type=options.positive_float,
+        metavar="FACTOR",
+        help="scale along --axis",
+    )
     add(
         "--scale",
         dest="steps",
@@ -66,17 +81,25 @@ def add_arguments(parser):
         type=options.positive_float,
         nargs="+",
         metavar="FACTOR",
-        help="one factor, or one for each of x, y, z",
+        help="scale by one factor, or by one per axis",
     )
-    add("--rotate", dest="steps", action=_Step, type=number, metavar="DEGREES", help="about --axis")
-    add("--translate", dest="steps", action=_Step, type=number, nargs=3, metavar=("X", "Y", "Z"), help="world units")
+    add("--rotate", dest="steps", action=_Step, type=number, metavar="DEGREES", help="turn about --axis")
+    add(
+        "--translate",
+        dest="steps",
+        action=_Step,
+        type=number,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="move, world units",
+    )
     where = parser.add_argument_group("where")
-    where.add_argument("--axis", choices="xyz", default="z", help="(default: %(default)s)")
+    where.add_argument("--axis", choices="xyz", default="z", help="axis of the steps (default: %(default)s)")
     where.add_argument(
         "--towards",
         choices=("x", "y", "z", "-x", "-y", "-z"),
         default=None,
-        help="where a bend leads (default: x, or z where --axis is x)",
+        help="direction of a bend (default: x, or z if --axis is x)",
     )
     where.add_argument(
         "--limits",
@@ -84,19 +107,20 @@ def add_arguments(parser):
         nargs=2,
         metavar=("FROM", "TO"),
         default=(0.0, 1.0),
-        help="part of the extent along --axis that is bent, twisted, tapered, stretched (default: 0 1)",
+        help="part of the extent along --axis that is bent, twisted, tapered or stretched, between 0 and 1 "
+        "(default: 0 1)",
     )
     where.add_argument(
         "--centre",
         type=number,
         nargs=3,
         metavar=("X", "Y", "Z"),
-        help="fixed point of steps that have one (default: middle of the bounding box)",
+        help="point that stays fixed, world units (default: middle of the bounding box)",
     )
     parser.set_defaults(steps=None)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
     if not args.steps:
         raise ValueError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
@@ -112,7 +136,8 @@ def run(args):
     print(f"wrote {output}: {steps}")
 
 
-def _arguments(name, value):
+def _arguments(name: str, value: Any) -> tuple:
+    """Positional arguments of the step's method of Cage."""
     if name != "scale":
         return (value,)
     if len(value) not in (1, 3):
@@ -120,7 +145,8 @@ def _arguments(name, value):
     return (value[0] if len(value) == 1 else tuple(value),)
 
 
-def _options(name, args) -> dict:
+def _options(name: str, args: argparse.Namespace) -> dict:
+    """Keyword arguments of the step's method of Cage."""
     if name == "translate":
         return {}
     chosen = {"centre": args.centre}

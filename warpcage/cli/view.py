@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import argparse
 import pathlib
+
+import numpy as np
 
 from ..scene.load import load_scene
 from ..view.camera import Camera, framing_orbit
 
+#: Width and height of a picture, and where a camera stands, in degrees, where neither is given.
+DEFAULT_SIZE, ELEVATION, AZIMUTH = (400, 400), 25.0, -60.0
 
-def image_size(args) -> tuple[int, int] | None:
+
+def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
+    """Width and height of --size, None where it is not given."""
     if args.size is None:
         return None
     if len(args.size) > 2:
@@ -16,17 +23,17 @@ def image_size(args) -> tuple[int, int] | None:
     return args.size[0], args.size[-1]
 
 
-def chosen_camera(args, points):
-    """The camera of add_view; points (n, 3) that should be seen where none is given."""
+def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
+    """The camera of the view options. Where none is given, it sees all points (n, 3)."""
     size = image_size(args)
     if args.camera is not None:
         if args.eye is not None or args.target is not None:
-            raise ValueError("--camera and --eye / --target exclude each other")
+            raise ValueError("--camera cannot be combined with --eye or --target")
         camera = scene_camera(args.camera)
         return camera if size is None else fitted(camera, *size)
-    width, height = size or (400, 400)
+    width, height = size or DEFAULT_SIZE
     view = {"up": args.up, "fov_degrees": args.fov, "width": width, "height": height}
-    framed = framing_orbit(points, 1, elevation_degrees=25.0, start_degrees=-60.0, **view)[0]
+    framed = framing_orbit(points, 1, elevation_degrees=ELEVATION, start_degrees=AZIMUTH, **view)[0]
     if args.eye is None and args.target is None:
         return framed
     target = chosen_target(args, points)
@@ -34,20 +41,18 @@ def chosen_camera(args, points):
     return Camera.look_at(eye, target, **view)
 
 
-def chosen_target(args, points):
-    """(3,) what the camera of add_view looks at, or turns around: the middle of what there is to see by default."""
-    import numpy as np
-
+def chosen_target(args: argparse.Namespace, points: np.ndarray) -> np.ndarray:
+    """(3,) what the camera looks at, or turns around. Where it is not given, the middle of the points (n, 3)."""
     return middle(points) if args.target is None else np.asarray(args.target, np.float64)
 
 
-def middle(points):
+def middle(points: np.ndarray) -> np.ndarray:
     """(3,) middle of the bounding box of points (n, 3)."""
     return (points.min(axis=0) + points.max(axis=0)) / 2
 
 
-def fitted(camera, width: int, height: int):
-    """The same view at another size; refused where that would squeeze it."""
+def fitted(camera: Camera, width: int, height: int) -> Camera:
+    """The same view at another size. Raises ValueError where that would squeeze it."""
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
         raise ValueError(
             f"--size {width} {height} would squeeze a {camera.width}x{camera.height} picture: give "
@@ -56,7 +61,7 @@ def fitted(camera, width: int, height: int):
     return camera.resized(width, height)
 
 
-def scene_cameras(text: str) -> list:
+def scene_cameras(text: str) -> list[Camera]:
     """The cameras that SCENE[:SPLIT] names, in the order of the pictures."""
     path, split = text, "train"
     if not pathlib.Path(path).exists() and ":" in path:
@@ -64,7 +69,7 @@ def scene_cameras(text: str) -> list:
     return load_scene(path, split=split).cameras
 
 
-def scene_camera(text: str):
+def scene_camera(text: str) -> Camera:
     """The camera that SCENE:[SPLIT:]INDEX names."""
     path, separator, index = text.rpartition(":")
     if not separator or not index.isdigit():

@@ -1,1 +1,1 @@
-"""Scenes that the project makes, carried meshes and inverse maps: the truth that it is tested against."""
+"""Ground truth for tests and benchmarks: synthetic scenes, meshes that carry their colour, inverse maps."""

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ..coordinates.deform import deform_points, stretched_normals
 from ..core.devices import launch, resolve_device
 from ..core.names import require_coordinates
 from ..kernels.reference.inverse_map import ExactMap, assemble_layers, invert_map, map_exactly
+from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
 
-#: Newton's iteration ends here, as a share of the cage's size.
+#: Newton's iteration ends at this distance, as a share of the cage's size.
 TOLERANCE = 1e-11
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class InversePoints:
-    """points (n, 3) float64 in the posed cage; residuals (n,), how far the map of each is from what was asked, world
-    units; jacobians (n, 3, 3) of the map there, from posed to rest space."""
+    """Points of the posed cage that the map takes to given points of the rest cage.
+
+    Attributes:
+        points: (n, 3) float64 in the posed cage, world units.
+        residuals: (n,) float64, distance of the map of each point from the point that was asked for, world units.
+        jacobians: (n, 3, 3) float64 of the map there, from posed to rest space.
+    """
 
     points: np.ndarray
     residuals: np.ndarray
@@ -31,16 +38,38 @@ class InversePoints:
 class InverseMap:
     """The map of a Deformer, x -> sum_j w_j(x) v_j with coordinates of the deformed cage, and its inverse, in float64.
 
-    rest, deformed: usable Cages of the same faces. coordinates: "mean_value", "green" (closed forms) or "harmonic"
-    (boundary elements: each face in (2 cuts)**2 elements of constant flux, smaller towards its edges, where fluxes are
-    singular). For references and for what must follow a rendered field exactly; points within an element of the cage
-    are rough for harmonic coordinates.
-    Raises ValueError for cages that differ in faces, are not usable, or another name of coordinates.
+    Serves as a reference, and for whatever must follow a rendered field exactly. For harmonic coordinates, boundary
+    elements of constant flux stand in for the missing closed form, smaller towards the edges of a face, where fluxes
+    are singular; points nearer to the cage than an element are rough.
 
     Source: "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3; see kernels/reference/inverse_map.py.
+
+    Args:
+        rest: Usable cage at rest.
+        deformed: Usable cage of the same faces, posed.
+        coordinates: "mean_value", "green" or "harmonic".
+        cuts: Each face is cut into (2 cuts)^2 boundary elements, for harmonic coordinates only.
+        device: Warp device. None is CUDA where there is one, else the CPU.
+
+    Attributes:
+        rest: The cage at rest.
+        deformed: The posed cage.
+        coordinates: The kind of coordinates.
+        device: The Warp device that evaluates the map.
+
+    Raises:
+        ValueError: For cages that are not usable or differ in faces, and for another kind of coordinates.
     """
 
-    def __init__(self, rest, deformed, coordinates: str = "mean_value", *, cuts: int = 2, device=None):
+    def __init__(
+        self,
+        rest: ClosedMesh,
+        deformed: ClosedMesh,
+        coordinates: str = "mean_value",
+        *,
+        cuts: int = 2,
+        device: wp.DeviceLike = None,
+    ):
         require_coordinates(coordinates)
         require_usable(rest, "rest cage")
         require_usable(deformed, "deformed cage")
@@ -56,58 +85,69 @@ class InverseMap:
             density = stretched_normals(deformed, rest)
         elif coordinates == "harmonic":
             corners, data = _cut_towards_edges(corners, cuts), _cut_towards_edges(data, cuts)
-            density = self._fluxes(corners, data)
+            density = _boundary_fluxes(corners, data, self.device)
         self._map = ExactMap()
-        self._map.corners, self._map.data = self._send2(corners), self._send2(data)
-        self._map.density = self._send(density)
+        self._map.corners, self._map.data = _vectors(corners, self.device), _vectors(data, self.device)
+        self._map.density = _vectors(density, self.device)
         self._map.is_mean_value = int(coordinates == "mean_value")
         self._map.size = wp.float64(deformed.size)
 
-    def __call__(self, points) -> np.ndarray:
-        """Positions (n, 3) float64 in the rest cage of points (n, 3) in the deformed one, world units."""
+    def __call__(self, points: ArrayLike) -> np.ndarray:
+        """Positions in the rest cage of points in the deformed cage.
+
+        Args:
+            points: (n, 3) float, world units.
+
+        Returns:
+            (n, 3) float64, world units.
+        """
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        positions = wp.empty(len(points), dtype=wp.vec3d, device=self.device)
-        launch(
-            map_exactly, len(points), [self._map, self._send(points - self._origin)], [positions], device=self.device
-        )
+        positions = wp.empty(len(points), dtype=wp.vec3d, device=self.device)  # pyright: ignore[reportArgumentType]
+        inputs = [self._map, _vectors(points - self._origin, self.device)]
+        launch(map_exactly, len(points), inputs, [positions], device=self.device)
         return positions.numpy() + self._target_origin
 
-    def invert(self, points) -> InversePoints:
-        """Where points (n, 3) of the rest cage, world units, are in the deformed cage.
+    def invert(self, points: ArrayLike) -> InversePoints:
+        """Where points of the rest cage are in the deformed cage.
 
-        A point that the map reaches from nowhere keeps a residual: look at `residuals`.
+        Args:
+            points: (n, 3) float in the rest cage, world units.
+
+        Returns:
+            The points found. One that the map reaches from nowhere keeps a residual.
         """
         points = np.asarray(points, np.float64).reshape(-1, 3)
         guesses = deform_points(points, self.rest, self.deformed, coordinates="mean_value", device=self.device)
-        found = wp.empty(len(points), dtype=wp.vec3d, device=self.device)
-        residuals = wp.empty(len(points), dtype=wp.float64, device=self.device)
-        jacobians = wp.empty(len(points), dtype=wp.mat33d, device=self.device)
-        inputs = [
-            self._map,
-            self._send(points - self._target_origin),
-            self._send(guesses - self._origin),
-            wp.float64(TOLERANCE * self.rest.size),
-        ]
+        found = wp.empty(len(points), dtype=wp.vec3d, device=self.device)  # pyright: ignore[reportArgumentType]
+        residuals = wp.empty(len(points), dtype=wp.float64, device=self.device)  # pyright: ignore[reportArgumentType]
+        jacobians = wp.empty(len(points), dtype=wp.mat33d, device=self.device)  # pyright: ignore[reportArgumentType]
+        targets = _vectors(points - self._target_origin, self.device)
+        starts = _vectors(guesses - self._origin, self.device)
+        inputs = [self._map, targets, starts, wp.float64(TOLERANCE * self.rest.size)]
         launch(invert_map, len(points), inputs, [found, residuals, jacobians], device=self.device)
         return InversePoints(found.numpy() + self._origin, residuals.numpy(), jacobians.numpy())
 
-    def _fluxes(self, corners: np.ndarray, data: np.ndarray) -> np.ndarray:
-        """(f, 3) flux of the harmonic function with linear data on each element, by collocation at centroids."""
-        count = len(corners)
-        single = wp.empty((count, count), dtype=wp.float64, device=self.device)
-        double = wp.empty(count, dtype=wp.vec3d, device=self.device)
-        launch(assemble_layers, count, [self._send2(corners), self._send2(data)], [single, double], device=self.device)
-        return np.linalg.solve(single.numpy(), data.mean(axis=1) - double.numpy())
 
-    def _send(self, rows: np.ndarray) -> wp.array:
-        return wp.array(np.ascontiguousarray(rows), dtype=wp.vec3d, device=self.device)
+def _vectors(rows: np.ndarray, device: wp.DeviceLike) -> wp.array:
+    """Rows (..., 3) as an array of vec3d (...) on a device."""
+    return wp.array(np.ascontiguousarray(rows), dtype=wp.vec3d, device=device)
 
-    def _send2(self, rows: np.ndarray) -> wp.array:
-        return wp.array2d(np.ascontiguousarray(rows), dtype=wp.vec3d, device=self.device)
+
+def _boundary_fluxes(corners: np.ndarray, data: np.ndarray, device: wp.DeviceLike) -> np.ndarray:
+    """(e, 3) flux of the harmonic function with linear data on each element, by collocation at centroids.
+
+    corners, data (e, 3, 3): corners of the elements and the values there.
+    """
+    count = len(corners)
+    single_layer = wp.empty((count, count), dtype=wp.float64, device=device)  # pyright: ignore[reportArgumentType]
+    double_layer = wp.empty(count, dtype=wp.vec3d, device=device)  # pyright: ignore[reportArgumentType]
+    inputs = [_vectors(corners, device), _vectors(data, device)]
+    launch(assemble_layers, count, inputs, [single_layer, double_layer], device=device)
+    return np.linalg.solve(np.asarray(single_layer.numpy(), np.float64), data.mean(axis=1) - double_layer.numpy())
 
 
 def _cut_towards_edges(corners: np.ndarray, cuts: int) -> np.ndarray:
-    """Triangles (f, 3, k) cut in (2 cuts)**2 each on a grid of barycentric coordinates, narrower towards all edges."""
+    """Triangles (f, 3, k) cut into (2 cuts)^2 each on a barycentric grid that is finer towards all edges."""
     count = 2 * cuts
     even = np.linspace(0, 1, count + 1)
     narrowed = np.where(even < 0.5, 2 * even**2, 1 - 2 * (1 - even) ** 2)

@@ -1,62 +1,60 @@
-"""Ray cast pictures of meshes."""
+"""Ray cast pictures of triangle meshes, and the light that all reference scenes share."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ..core.devices import launch, resolve_device
 from ..kernels.reference.mesh_raycast import MeshLighting, cast_mesh_rays
-from ..view.camera import camera_struct
-
-# Pictures
+from ..view.camera import Camera, camera_struct
 
 #: Strength and exponent of the specular term.
 HIGHLIGHT, SHININESS = 0.22, 18.0
 
 
 def render_mesh_views(
-    vertices,
-    faces,
-    colours,
-    cameras,
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    colours: ArrayLike,
+    cameras: Sequence[Camera],
     *,
     samples: int = 3,
     highlight: float = HIGHLIGHT,
     shininess: float = SHININESS,
-    device=None,
+    device: wp.DeviceLike = None,
 ) -> np.ndarray:
-    """Ray cast a mesh from each camera.
+    """Ray cast a mesh, lit from above (+z), from each camera.
 
-    vertices (v, 3) world units; faces (f, 3); colours (f, 3) in [0, 1]; cameras of one image size; samples x samples
-    rays a pixel; highlight, shininess: strength and exponent of the specular term.
-    Returns (n, h, w, 4) float32, straight alpha (colour 0 where alpha is 0).
-    Lit from above (+z). Raises ValueError for shapes that do not fit, no camera, or cameras of several sizes.
+    Args:
+        vertices: (v, 3) float, world units.
+        faces: (f, 3) int, indices of vertices.
+        colours: (f, 3) float in [0, 1], one per face.
+        cameras: n cameras of one image size.
+        samples: Rays along each side of a pixel.
+        highlight: Strength of the specular term.
+        shininess: Exponent of the specular term.
+        device: Warp device. None is CUDA where there is one, else the CPU.
+
+    Returns:
+        (n, h, w, 4) float32, straight alpha; the colour is 0 where alpha is 0.
+
+    Raises:
+        ValueError: For shapes that do not fit, no samples, no camera, or cameras of several sizes.
     """
-    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
-    colours = np.asarray(colours, np.float32)
+    vertices, faces, colours = checked_mesh(vertices, faces, colours)
     cameras = list(cameras)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
-        raise ValueError(f"vertices must be finite (v, 3), got shape {vertices.shape}")
-    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(f"faces must be (f, 3) indices below {len(vertices)}, got shape {faces.shape}")
-    if colours.shape != faces.shape:
-        raise ValueError(f"colours must hold one colour a face, {faces.shape}, got {colours.shape}")
-    if not cameras or len({(camera.width, camera.height) for camera in cameras}) > 1:
-        raise ValueError("render_mesh_views needs one camera or more, all of one image size")
-    if samples < 1:
-        raise ValueError(f"samples must be at least 1, got {samples}")
-
+    width, height = common_size(cameras)
+    require_samples(samples)
     device = resolve_device(device)
-    origin = vertices.mean(axis=0)  # taken off in float64: far scenes survive float32
-    size = float(np.ptp(vertices, axis=0).max())
-    mesh = wp.Mesh(
-        points=wp.array((vertices - origin).astype(np.float32), dtype=wp.vec3, device=device),
-        indices=wp.array(faces.ravel(), dtype=wp.int32, device=device),
-    )
+    origin = vertices.mean(axis=0)
+    mesh = device_mesh(vertices, faces, origin, device)
     face_colours = wp.array(colours, dtype=wp.vec3, device=device)
-    lighting = mesh_lighting(size, highlight, shininess)
-    width, height = cameras[0].width, cameras[0].height
+    lighting = mesh_lighting(float(np.ptp(vertices, axis=0).max()), highlight, shininess)
     rgba = wp.zeros(width * height, dtype=wp.vec4, device=device)
     views = np.empty((len(cameras), height, width, 4), np.float32)
     for view, camera in zip(views, cameras, strict=True):
@@ -66,15 +64,71 @@ def render_mesh_views(
     return views
 
 
-def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = SHININESS) -> MeshLighting:
-    """The light of all scenes here, for a mesh of this size (world units)."""
+def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = SHININESS) -> Any:
+    """The light of all reference scenes.
+
+    Args:
+        size: Longest side of the mesh's bounding box, world units.
+        highlight: Strength of the specular term.
+        shininess: Exponent of the specular term.
+
+    Returns:
+        The struct MeshLighting of the kernels.
+    """
     lighting = MeshLighting()
     lighting.highlight, lighting.shininess = highlight, shininess
-    lighting.key_direction = wp.normalize(wp.vec3(0.45, -0.6, 0.9))
+    lighting.key_direction = wp.normalize(wp.vec3(0.45, -0.6, 0.9))  # pyright: ignore[reportCallIssue, reportArgumentType]
     lighting.key_colour = wp.vec3(0.66, 0.64, 0.59)
-    lighting.fill_direction = wp.normalize(wp.vec3(-0.6, 0.7, 0.25))
+    lighting.fill_direction = wp.normalize(wp.vec3(-0.6, 0.7, 0.25))  # pyright: ignore[reportCallIssue, reportArgumentType]
     lighting.fill_colour = wp.vec3(0.24, 0.26, 0.29)
     lighting.sky_colour = wp.vec3(0.60, 0.62, 0.66)
     lighting.ground_colour = wp.vec3(0.46, 0.43, 0.40)
     lighting.reach, lighting.offset = 0.15 * size, 1e-4 * size
     return lighting
+
+
+def device_mesh(vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, device: wp.DeviceLike) -> wp.Mesh:
+    """A mesh for ray queries, relative to `origin`, which is subtracted in float64 so that far scenes survive float32.
+
+    Args:
+        vertices: (v, 3) float64, world units.
+        faces: (f, 3) int32.
+        origin: (3,) float64, world units.
+        device: Warp device.
+
+    Returns:
+        The mesh on the device.
+    """
+    points = wp.array((vertices - origin).astype(np.float32), dtype=wp.vec3, device=device)
+    return wp.Mesh(points=points, indices=wp.array(faces.ravel(), dtype=wp.int32, device=device))
+
+
+def checked_mesh(
+    vertices: ArrayLike, faces: ArrayLike, colours: ArrayLike
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """vertices (v, 3) float64, faces (f, 3) int32, colours (f, 3) float32. Raises ValueError where they do not fit."""
+    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
+    colours = np.asarray(colours, np.float32)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        raise ValueError(f"vertices must be finite (v, 3), got shape {vertices.shape}")
+    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
+        raise ValueError(f"faces must be (f, 3), got shape {faces.shape}")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(f"faces must be indices from 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}")
+    if colours.shape != faces.shape:
+        raise ValueError(f"colours must hold one colour per face, {faces.shape}, got {colours.shape}")
+    return vertices, faces, colours
+
+
+def common_size(cameras: Sequence[Camera]) -> tuple[int, int]:
+    """Width and height of every camera. Raises ValueError for no camera and for several sizes."""
+    sizes = {(camera.width, camera.height) for camera in cameras}
+    if len(sizes) != 1:
+        raise ValueError(f"give one camera or more, all of one image size, got {len(sizes)} sizes")
+    return sizes.pop()
+
+
+def require_samples(samples: int) -> None:
+    """Raises ValueError for fewer than one ray along each side of a pixel."""
+    if samples < 1:
+        raise ValueError(f"samples must be at least 1, got {samples}")

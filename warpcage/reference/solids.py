@@ -1,19 +1,33 @@
-"""Boxes and cylinders that reference objects are built from."""
+"""Closed solids of one colour, from which the reference models are built.
+
+A part is (vertices (v, 3) float64, faces (f, 3) int, colour), its faces counterclockwise seen from outside. The colour
+is red, green and blue in [0, 1].
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
+from numpy.typing import ArrayLike
+
+Colour = tuple[float, float, float]
+Part = tuple[np.ndarray, np.ndarray, Colour]
+
+#: vertices (v, 3) float64, faces (f, 3) int32, colours (f, 3) float32
+Model = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def _box(low, high, colour):
+def box(low: ArrayLike, high: ArrayLike, colour: Colour) -> Part:
+    """A box along the axes between two opposite corners (3,)."""
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
     vertices = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * (high - low) + low
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]), colour
 
 
-def _cylinder(start, end, radius, colour, *, segments):
-    """A closed prism over a regular polygon, its axis from start to end."""
+def cylinder(start: ArrayLike, end: ArrayLike, radius: float, colour: Colour, *, segments: int) -> Part:
+    """A closed prism over a regular polygon, its axis from start (3,) to end (3,)."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     axis = (end - start) / np.linalg.norm(end - start)
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -28,8 +42,31 @@ def _cylinder(start, end, radius, colour, *, segments):
     return vertices, np.concatenate([np.stack(column, axis=1) for column in columns]), colour
 
 
-def _placed(part, degrees, offset):
-    """A part turned about y (x towards z) and moved."""
+def ball(centre: ArrayLike, radius: float, colour: Colour, *, subdivisions: int = 4) -> Part:
+    """A subdivided icosahedron."""
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    return np.asarray(sphere.vertices) + centre, np.asarray(sphere.faces), colour
+
+
+def turned(part: Part, degrees: float, offset: ArrayLike) -> Part:
+    """A part turned about y (x towards z) and then moved by offset (3,)."""
     vertices, faces, colour = part
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return vertices @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) + offset, faces, colour
+
+
+def joined(parts: Iterable[Part]) -> Model:
+    """One model of all parts, which stay separate surfaces."""
+    parts = list(parts)
+    first = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
+    vertices = np.concatenate([vertices for vertices, _, _ in parts])
+    faces = np.concatenate([faces + begin for (_, faces, _), begin in zip(parts, first[:-1], strict=True)])
+    colours = np.concatenate([np.broadcast_to(colour, faces.shape) for _, faces, colour in parts])
+    return vertices, faces.astype(np.int32), colours.astype(np.float32)
+
+
+def centred(vertices: np.ndarray) -> np.ndarray:
+    """Vertices (v, 3) moved so that the middle of their bounding box is the origin."""
+    return vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2

@@ -1,0 +1,148 @@
+"""The kernel files as text: their names, what each one needs, and copies that work without warpcage.
+
+A kernel file is named by its folder and its stem, as in `coordinates/mean_value`. The files import each other
+relatively (`from ..mesh.fans import ...`), so a copy keeps the folders.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import difflib
+import keyword
+import os
+import pathlib
+
+from .. import kernels
+from .files import atomic_path
+
+FOLDER = pathlib.Path(kernels.__path__[0])
+ROOT_DOCSTRING = '"""Kernels of warpcage (Apache License 2.0), copied with `warpcage kernels copy`."""\n'
+
+
+def kernel_names() -> list[str]:
+    """Names of all kernel files, sorted, such as "coordinates/mean_value"."""
+    paths = (path.relative_to(FOLDER).with_suffix("") for path in FOLDER.glob("*/*.py"))
+    return sorted(path.as_posix() for path in paths if path.name != "__init__")
+
+
+def find_kernel(text: str) -> str:
+    """The full name of a kernel file.
+
+    Args:
+        text: "coordinates/mean_value", "coordinates.mean_value", or "mean_value" where one folder alone has that file.
+
+    Returns:
+        The name as `kernel_names` has it.
+
+    Raises:
+        ValueError: For a name that no file has, or that several have; the message names candidates.
+    """
+    names = kernel_names()
+    wanted = text.replace(".", "/")
+    found = [name for name in names if wanted in (name, _stem(name))]
+    if len(found) > 1:
+        raise ValueError(f"several kernel files are called {text!r}: {', '.join(found)}")
+    if not found:
+        close = difflib.get_close_matches(_stem(wanted), map(_stem, names), cutoff=0.5)
+        candidates = [name for stem in close for name in names if _stem(name) == stem]
+        advice = f": did you mean {' or '.join(candidates)}?" if candidates else ""
+        raise ValueError(f"there is no kernel file {text!r}{advice or '; `warpcage kernels list` shows them all'}")
+    return found[0]
+
+
+def kernel_source(name: str) -> str:
+    """The text of a kernel file."""
+    return (FOLDER / f"{name}.py").read_text(encoding="utf-8")
+
+
+def kernel_summary(name: str) -> str:
+    """The first sentence, or line, of a kernel file's docstring."""
+    return (ast.get_docstring(ast.parse(kernel_source(name))) or "").partition("\n")[0]
+
+
+def direct_needs(name: str) -> set[str]:
+    """Names of the kernel files that a kernel file imports itself."""
+    folder = name.partition("/")[0]
+    needed = set()
+    for node in ast.walk(ast.parse(kernel_source(name))):
+        if isinstance(node, ast.ImportFrom) and node.level and node.module:
+            module = node.module.replace(".", "/")
+            needed.add(f"{folder}/{module}" if node.level == 1 else module)
+    return needed
+
+
+def all_needs(name: str) -> set[str]:
+    """Names of the kernel files that a kernel file needs, directly or through another, without itself."""
+    needed, waiting = set(), [name]
+    while waiting:
+        found = direct_needs(waiting.pop()) - needed
+        needed |= found
+        waiting += found
+    return needed
+
+
+def copy_kernel(name: str, destination: str | os.PathLike) -> list[pathlib.Path]:
+    """Copy a kernel file and all that it needs into a package that imports without warpcage.
+
+    After `copy_kernel("coordinates/mean_value", "borrowed")` a program beside that folder can say
+    `from borrowed.coordinates.mean_value import ...`. Everything is copied, or nothing where an error ends it. Files
+    that are there already with the same text stay, and so does every `__init__.py`.
+
+    Args:
+        name: The full name of the kernel file, see `find_kernel`.
+        destination: Folder of the package. It is made where there is none; its name must be one that Python can import.
+
+    Returns:
+        The kernel files of the copy, sorted: the one asked for and those that it needs.
+
+    Raises:
+        ValueError: For a folder whose name Python cannot import, and where a file of another text is in the way.
+    """
+    destination = pathlib.Path(destination)
+    _check_package_name(destination)
+    names = sorted({name} | all_needs(name))
+    texts = {destination / f"{each}.py": kernel_source(each) for each in names}
+    for path, text in texts.items():
+        if path.exists() and path.read_text(encoding="utf-8") != text:
+            raise ValueError(f"{str(path)!r} is there with other contents: nothing is copied over it")
+
+    packages = {destination / "__init__.py": ROOT_DOCSTRING}
+    for folder in sorted({each.partition("/")[0] for each in names}):
+        packages[destination / folder / "__init__.py"] = (FOLDER / folder / "__init__.py").read_text(encoding="utf-8")
+    _write_whole({path: text for path, text in (packages | texts).items() if not path.exists()})
+    return list(texts)
+
+
+def _stem(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
+def _check_package_name(folder: pathlib.Path) -> None:
+    name = folder.resolve().name
+    if not name.isidentifier() or keyword.iskeyword(name) or name == "warp":
+        raise ValueError(
+            f"Python cannot import a copy from a folder called {name!r}: give a name of letters, digits and "
+            "underscores, such as 'my_kernels'"
+        )
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{str(folder)!r} is a file: give a folder for the copy")
+
+
+def _write_whole(texts: dict[pathlib.Path, str]) -> None:
+    """Write new files. After an error those written, and the folders made for them, are removed."""
+    parents = {parent for path in texts for parent in path.parents}
+    made = sorted((parent for parent in parents if not parent.exists()), reverse=True)  # the deepest first
+    written = []
+    try:
+        for path, text in texts.items():
+            with atomic_path(path) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+            written.append(path)
+    except BaseException:
+        for path in written:
+            path.unlink(missing_ok=True)
+        for folder in made:
+            with contextlib.suppress(OSError):  # not made yet, or somebody has put a file there meanwhile
+                folder.rmdir()
+        raise
