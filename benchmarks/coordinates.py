@@ -19,8 +19,8 @@ import warp as wp
 from timing import median_seconds
 
 import warpcage
-from warpcage.core import devices
 from warpcage.core.devices import resolve_device
+from warpcage.core.threads import cpu_threads, limit_threads
 
 KINDS = ("mean_value", "harmonic", "green")
 
@@ -40,16 +40,15 @@ def test_cage(vertex_count: int) -> warpcage.Cage:
 
 def interleaved_seconds(action, runs: int) -> tuple[float, float]:
     """Median seconds of action() on all threads and on one, by turns, so that other work affects both."""
-    threads = devices.CPU_THREADS
+    threads = cpu_threads()
     times = {threads: [], 1: []}
     action()
     for _ in range(runs):
         for count in times:
-            devices.CPU_THREADS = count
-            begin = time.perf_counter()
-            action()
-            times[count].append(time.perf_counter() - begin)
-    devices.CPU_THREADS = threads
+            with limit_threads(count):
+                begin = time.perf_counter()
+                action()
+                times[count].append(time.perf_counter() - begin)
     return statistics.median(times[threads]), statistics.median(times[1])
 
 
@@ -125,7 +124,7 @@ def main() -> None:
     if args.json:
         with open(args.json, "w", encoding="utf-8") as file:
             json.dump(
-                {"device": device.name, "cpu_threads": devices.CPU_THREADS, "warp": wp.__version__, "rows": rows},
+                {"device": device.name, "cpu_threads": cpu_threads(), "warp": wp.__version__, "rows": rows},
                 file,
                 indent=1,
             )

@@ -25,7 +25,7 @@ import warp as wp
 import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.core.files import atomic_path
-from warpcage.core.threads import CPU_THREADS
+from warpcage.core.threads import cpu_threads
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.reference.brick_scene import write_brick_scene
 from warpcage.view.camera import framing_orbit
@@ -105,7 +105,7 @@ def main(argv=None) -> dict:
         "cage_vertices": len(cage.vertices),
         "cage_faces": len(cage.faces),
         "pose": {"bend": args.bend, **bend},
-        "device": device.name if device.is_cuda else f"CPU, {CPU_THREADS} threads",
+        "device": device.name if device.is_cuda else f"CPU, {cpu_threads()} threads",
         "versions": {"python": platform.python_version()}
         | {name: importlib.metadata.version(name) for name in ("warpcage", "warp-lang", "numpy", "trimesh")},
     }

@@ -243,9 +243,9 @@ def test_8_bits_a_channel_are_enough(device, monkeypatch, kind):
 
 
 @pytest.mark.parametrize("limit, bits", [("15MB", 8), ("9MB", 16), ("4MB", 8), ("3MB", 16), ("2.2MB", 8), ("1.2MB", 8)])
-def test_8_bits_are_chosen_where_they_buy_resolution(large_pictures, device, monkeypatch, limit, bits):
+def test_8_bits_are_chosen_where_they_buy_resolution(request, large_pictures, device, monkeypatch, limit, bits):
     if wp.get_device(device).is_cpu:
-        monkeypatch.setattr("warpcage.fitting.shards.CPU_THREADS", 2)  # a level takes more memory with more of them
+        request.getfixturevalue("two_threads")  # a level takes more memory with more of them
     shapes, chosen = [], []
     for precisions in (PRECISIONS, PRECISIONS[:1], PRECISIONS[1:]):
         monkeypatch.setattr("warpcage.fitting.pictures.PRECISIONS", precisions)
@@ -288,7 +288,7 @@ def test_a_small_device_is_not_overrun(scene, monkeypatch):
 @pytest.mark.parametrize("pictures, limit, bits", [("scene", "7MB", 16), ("large_pictures", "4MB", 8)])
 def test_a_checkpoint_of_a_limited_fit_goes_on(request, device, monkeypatch, tmp_path, pictures, limit, bits):
     if wp.get_device(device).is_cpu:
-        monkeypatch.setattr("warpcage.fitting.shards.CPU_THREADS", 2)
+        request.getfixturevalue("two_threads")
     scene, options = request.getfixturevalue(pictures), {"max_memory": limit, "least_steps": 60, "device": device}
     optimizer = FieldOptimizer(scene, **options)
     while optimizer.level < 2:

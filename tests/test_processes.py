@@ -2,13 +2,17 @@
 
 import _thread
 import multiprocessing
+import os
+import signal
 import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
-from warpcage.core.threads import CPU_THREADS, run_parallel
+from warpcage import Cage, PositionMap, deform_points
+from warpcage.core.threads import THREADS_VARIABLE, cpu_threads, limit_threads, run_parallel
 
 PROGRAM = """\
 import multiprocessing
@@ -45,14 +49,27 @@ def test_processes_on_a_cpu_compute_what_their_parent_does(method, when, tmp_pat
         pytest.skip(f"processes do not {method} here")
     (tmp_path / "program.py").write_text(PROGRAM)
     done = subprocess.run(
-        [sys.executable, "program.py", method, when], cwd=tmp_path, capture_output=True, text=True, timeout=120
+        [sys.executable, "program.py", method, when],
+        cwd=tmp_path,
+        env=os.environ | {THREADS_VARIABLE: "2"},
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert done.returncode == 0, done.stderr
 
 
+@pytest.fixture
+def heeds_interrupts():
+    """Background jobs of a shell ignore them."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
-def test_no_task_goes_on_after_an_interrupt_or_an_error(error):
-    begun, ended, count = [], [], 4 * CPU_THREADS
+def test_no_task_goes_on_after_an_interrupt_or_an_error(error, two_threads, heeds_interrupts):
+    begun, ended, count = [], [], 4 * cpu_threads()
 
     def stop():
         if error is KeyboardInterrupt:
@@ -70,3 +87,36 @@ def test_no_task_goes_on_after_an_interrupt_or_an_error(error):
         time.sleep(5)  # an interrupt may come late
     assert sorted(begun) == sorted(ended) and len(begun) < count
     assert run_parallel([lambda k=k: k * k for k in range(5)], threads=2) == [0, 1, 4, 9, 16]
+
+
+@pytest.mark.parametrize("kind", ["harmonic", "mean_value", "green"])
+def test_launches_over_several_threads_give_the_same_to_the_bit(kind):
+    rest = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
+    points = np.random.default_rng(3).uniform(-0.9, 0.9, (500, 3))
+    found = []
+    for count in (1, 2, 5):
+        with limit_threads(count):
+            assert cpu_threads() == count
+            position_map = PositionMap(rest, coordinates=kind, resolution=16, device="cpu").pose(rest.twist(40))
+            found.append(
+                [
+                    position_map.data.positions.numpy(),
+                    position_map.data.distance.numpy(),
+                    deform_points(points, rest, rest.bend(30), kind, device="cpu"),
+                ]
+            )
+    for arrays in found[1:]:
+        assert all(np.array_equal(one, two) for one, two in zip(arrays, found[0], strict=True))
+
+
+def test_the_environment_limits_threads(monkeypatch):
+    monkeypatch.setenv(THREADS_VARIABLE, "3")
+    assert cpu_threads() == 3
+    with limit_threads(1):
+        assert cpu_threads() == 1
+    monkeypatch.setenv(THREADS_VARIABLE, "")
+    assert cpu_threads() == os.cpu_count()
+    for wrong in ("0", "-1", "many", "1.5"):
+        monkeypatch.setenv(THREADS_VARIABLE, wrong)
+        with pytest.raises(ValueError, match=f"WARPCAGE_THREADS must be a whole number of at least 1, got '{wrong}'"):
+            cpu_threads()

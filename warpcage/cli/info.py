@@ -11,7 +11,7 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
-from ..core.threads import CPU_THREADS
+from ..core.threads import cpu_threads
 from ..field.background import LayeredBackground
 from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
@@ -95,7 +95,7 @@ def _machine() -> Rows:
 
 def _device_line(device: wp.Device) -> str:
     if device.is_cpu:
-        return f"{platform.processor() or device.name}, {CPU_THREADS} threads"
+        return f"{platform.processor() or device.name}, {cpu_threads()} threads"
     return f"{device.name}, {device.total_memory / 2**30:.1f} GiB, sm_{device.arch}"
 
 

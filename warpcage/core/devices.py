@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from .threads import CPU_THREADS, run_parallel
+from .threads import cpu_threads, run_parallel
 
 #: What `wp.kernel` makes of a function: a wp.Kernel, which type checkers take for the function itself.
 Kernel = wp.Kernel | Callable[..., Any]
@@ -61,7 +61,7 @@ def launch(
         inputs: Arguments of the kernel after `first`.
         outputs: Arguments of the kernel after those.
         device: Warp device that holds them.
-        threads: Threads on the CPU. None is CPU_THREADS.
+        threads: Threads on the CPU. None is `cpu_threads()`.
         block_dim: Threads per block on CUDA. None is what the kernel's module names, as a module is compiled once more
             for each other number.
     """
@@ -69,7 +69,7 @@ def launch(
     device = wp.get_device(device)
     if count <= 0:
         return
-    threads = CPU_THREADS if threads is None else threads
+    threads = cpu_threads() if threads is None else threads
     block_dim = module_block_dim(kernel) if block_dim is None else block_dim
     if not device.is_cpu or threads <= 1 or count < 2 * threads:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device, block_dim=block_dim)
@@ -120,4 +120,4 @@ def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> 
         device: Warp device.
     """
     warp_modules = [wp.get_module(module.__name__) for module in modules]
-    wp.force_load(device, warp_modules, max_workers=min(len(warp_modules), CPU_THREADS))
+    wp.force_load(device, warp_modules, max_workers=min(len(warp_modules), cpu_threads()))

@@ -2,16 +2,54 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-#: Threads a CPU launch is cut over. Warp's CPU backend runs one launch on one thread, and releases the GIL meanwhile.
-CPU_THREADS = os.cpu_count() or 1
+#: Environment variable with the number of CPU threads to use, where all cores would be too many.
+THREADS_VARIABLE = "WARPCAGE_THREADS"
 
 _pool: ThreadPoolExecutor | None = None
+_limit: int | None = None  # of `limit_threads`
+
+
+def cpu_threads() -> int:
+    """Threads over which launches on the CPU are cut: Warp's CPU backend runs a launch on one thread, without the GIL.
+
+    Returns:
+        The number that WARPCAGE_THREADS asks for, else that of the cores.
+
+    Raises:
+        ValueError: Where WARPCAGE_THREADS is not a whole number of at least 1.
+    """
+    if _limit is not None:
+        return _limit
+    asked = os.environ.get(THREADS_VARIABLE, "")
+    if not asked:
+        return os.cpu_count() or 1
+    if not (asked.isascii() and asked.isdigit() and int(asked) >= 1):
+        raise ValueError(f"{THREADS_VARIABLE} must be a whole number of at least 1, got {asked!r}")
+    return int(asked)
+
+
+@contextlib.contextmanager
+def limit_threads(count: int) -> Iterator[None]:
+    """Use another number of CPU threads for a while, in this process.
+
+    Args:
+        count: Threads, at least 1.
+    """
+    global _limit
+    before, _limit = _limit, count
+    _forget_pool()
+    try:
+        yield
+    finally:
+        _limit = before
+        _forget_pool()
 
 
 def run_parallel(tasks: Sequence[Callable[[], Any]], threads: int | None = None) -> list[Any]:
@@ -21,13 +59,13 @@ def run_parallel(tasks: Sequence[Callable[[], Any]], threads: int | None = None)
 
     Args:
         tasks: Callables without arguments.
-        threads: 1 runs them here, one after the other. None is CPU_THREADS.
+        threads: 1 runs them here, one after the other. None is `cpu_threads()`.
 
     Returns:
         Their results in order. The first error is raised.
     """
     global _pool
-    if (CPU_THREADS if threads is None else threads) <= 1 or len(tasks) == 1:
+    if (cpu_threads() if threads is None else threads) <= 1 or len(tasks) == 1:
         return [task() for task in tasks]
     if _pool is None:
         _pool = _started_pool()
@@ -41,9 +79,10 @@ def run_parallel(tasks: Sequence[Callable[[], Any]], threads: int | None = None)
 
 def _started_pool() -> ThreadPoolExecutor:
     """A pool with all its threads running: an interrupt during the start of a thread would leave it broken for good."""
-    pool = ThreadPoolExecutor(CPU_THREADS, thread_name_prefix="warpcage")
-    all_there = threading.Barrier(CPU_THREADS)
-    for future in [pool.submit(all_there.wait, timeout=60) for _ in range(CPU_THREADS)]:
+    count = cpu_threads()
+    pool = ThreadPoolExecutor(count, thread_name_prefix="warpcage")
+    all_there = threading.Barrier(count)
+    for future in [pool.submit(all_there.wait, timeout=60) for _ in range(count)]:
         future.result()
     return pool
 

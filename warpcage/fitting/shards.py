@@ -12,7 +12,7 @@ from typing import Any
 import warp as wp
 
 from ..core.devices import launch, module_block_dim
-from ..core.threads import CPU_THREADS, run_parallel
+from ..core.threads import cpu_threads, run_parallel
 from ..kernels.fitting.rmsprop import add_gradients
 
 #: Outputs of their own are worth their memory for up to this many CPU threads.
@@ -21,7 +21,7 @@ MAX_SHARDS = 8
 
 def shard_count(device: wp.Device) -> int:
     """Shards of a fit on a device."""
-    return min(CPU_THREADS, MAX_SHARDS) if device.is_cpu else 1
+    return min(cpu_threads(), MAX_SHARDS) if device.is_cpu else 1
 
 
 @dataclasses.dataclass(frozen=True)
