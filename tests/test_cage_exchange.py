@@ -115,14 +115,14 @@ def test_nodes_place_turn_and_mirror_their_mesh(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"{", "c.gltf: no glTF"),
-        (b"[]", "c.gltf: no glTF"),
+        (b"{", "c.gltf: not a glTF"),
+        (b"[]", "c.gltf: not a glTF"),
         (b"glTF" + struct.pack("<II", 2, 99), "c.gltf: glTF version 2 of 99 bytes expected"),
         (gltf(buffers=[{"byteLength": 72, "uri": "other.bin"}]), "buffer 'other.bin' is not there"),
         (gltf(buffers=[{"byteLength": 900, "uri": "data:x;base64,AAAA"}]), "a buffer of 900 bytes expected, got 3"),
         (gltf(nodes=[{"children": [0]}]), "two parents"),
         (gltf(scenes=[{"nodes": []}]), "no vertices"),
-        (gltf(bufferViews=[]), "c.gltf: no glTF"),
+        (gltf(bufferViews=[]), "c.gltf: not a glTF"),
         (gltf(accessors=[{"type": "VEC3", "count": 4, "componentType": 5126}] * 2), "sparse"),
         (gltf(accessors=[gltf()["accessors"][0] | {"count": 400}] * 2), "beyond its buffer"),
         (gltf(accessors=[gltf()["accessors"][0] | {"count": 3}, gltf()["accessors"][1]]), "3 vertices has 12 indices"),

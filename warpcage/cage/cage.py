@@ -125,7 +125,7 @@ class Cage(PosableMesh):
         Vertices keep their numbers and places.
 
         Args:
-            largest_hole: Holes of up to so many edges are closed, at least 3.
+            largest_hole: Holes of up to this many edges are closed; at least 3.
 
         Returns:
             The mended cage, and a line for each thing that was done. Where nothing was, this cage and no lines.
@@ -163,7 +163,7 @@ class Cage(PosableMesh):
     def save(self, path: PathLike, *, up: str | None = None) -> None:
         """Write an OBJ, PLY (binary), OFF or glTF (.glb, .gltf) file. It appears whole or not at all.
 
-        Vertices keep their order. They keep every bit too, but in glTF, which holds float32.
+        Vertices keep their order. They keep every bit too, except in glTF, which holds float32.
 
         Args:
             path: The file; its ending says which format it gets.
@@ -292,8 +292,8 @@ class Cage(PosableMesh):
             vertex_count: Number of vertices, 8 to 2000; the cage has it within 10 %.
             margin: Least distance between cage and visible voxels, in voxels. None is 1, so that the cage holds all
                 that trilinear interpolation spreads around them.
-            threshold: Density from which a voxel is visible, one over world units. None goes by the weights that were
-                recorded when the field was fitted, or else by opacity.
+            threshold: Density from which a voxel is visible, per world unit. None takes the weights that were
+                recorded when the field was fitted, or the opacity across a voxel where there are none.
             method: "shell", "voxel" or "auto", as in `from_mesh`.
             symmetry: "x", "y", "z" or None, as in `from_mesh`.
             progress: Whether to print lines about each method on stderr.
@@ -341,7 +341,7 @@ class Cage(PosableMesh):
         mesh: TriangleMesh | None = None,
         margin: float = 0.0,
     ) -> Cage:
-        """Fewer vertices around the same object. The surface only moves outward, but where it is off the object.
+        """Fewer vertices around the same object. The surface moves outward only, unless the object has to be cleared.
 
         Args:
             vertex_count: Number of vertices; the cage has it within 10 %.

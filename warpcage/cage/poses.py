@@ -278,7 +278,7 @@ def move(
     Args:
         vertices: (n, 3) world units.
         offset: (3,) world units.
-        group: (k,) numbers of vertices. None goes by the centre.
+        group: (k,) numbers of vertices. None moves what is near the centre.
         centre: (3,) world units. None where there is a group.
         radius: Distance where the effect ends, world units. None moves the group alone.
 

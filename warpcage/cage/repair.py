@@ -23,7 +23,7 @@ def repaired_faces(cage: ClosedMesh, largest_hole: int = 12) -> tuple[np.ndarray
 
     Args:
         cage: The cage.
-        largest_hole: Holes of up to so many edges are closed, at least 3.
+        largest_hole: Holes of up to this many edges are closed; at least 3.
 
     Returns:
         Faces (f, 3) and a line for each thing that was done; the cage's own faces and no lines where nothing was.

@@ -26,7 +26,7 @@ _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 
 
 def read_npz(path: PathLike, what: str) -> dict[str, np.ndarray]:
-    """Read an .npz file that nobody vouches for.
+    """Read an .npz file without trusting it.
 
     Sizes are compared with that of the file before anything is allocated. Pickled objects are refused and never opened.
 
