@@ -113,11 +113,3 @@ def test_filling_anew_gives_what_a_new_lattice_gives(device):
 def test_resolutions_out_of_range_are_refused(resolution, device):
     with pytest.raises(ValueError, match="resolution must be"):
         CageLattice(Cage(*oracles.cage("box")), resolution, device=device).measure()
-
-
-def test_unusable_cages_are_refused(device):
-    vertices, faces = oracles.cage("box")
-    with pytest.raises(ValueError, match="cage"):
-        CageLattice(Cage(vertices, faces[:-1]), 16, device=device).measure()
-    with pytest.raises(ValueError, match="cage"):
-        CageLattice(Cage(vertices, faces[:, ::-1]), 16, device=device).measure()

@@ -21,7 +21,7 @@ class PoseGraph:
     pose costs the host two launches and one wait.
 
     Args:
-        launches: Of a pose that has just been computed step by step.
+        launches: Of a map. Its first pose is computed step by step.
 
     Attributes:
         has_gaps: Whether the last pose has nodes at narrow gaps.
@@ -43,7 +43,7 @@ class PoseGraph:
         self._launches, self._solver = launches, launches.solver
         self._device, self._buffers = launches.solver.device, launches.solver.lattice.buffers
         self.has_gaps = False
-        self._room = self._solver.sizes.roomier()
+        self._room: PoseSizes | None = None
         self._layout: Launches | None = None
         self._map: Launches | None = None
         self._sides: Launches | None = None
@@ -60,11 +60,11 @@ class PoseGraph:
         """
         if self._layout is None:
             self._capture()
-        return self._generation == self._buffers.generation and sizes.fits(self._room)
+        return self._generation == self._buffers.generation and sizes.fits(self._bounds)
 
     def release(self) -> None:
         """Capture anew at the next pose, with room for the one at hand: it had none, or buffers have moved."""
-        self._room = self._solver.sizes.roomier(self._room)
+        self._make_room()
         self._layout = self._map = self._sides = None
 
     def begin(self) -> None:
@@ -101,7 +101,7 @@ class PoseGraph:
             return False
         if self._sides is None or self._sides_generation != sides.buffers.generation:
             self._sides_room = max(self._sides_room, sides.length + sides.length // 4 + 32)
-            launches = functools.partial(self._launches.launch_sides, self._room, self._sides_room)
+            launches = functools.partial(self._launches.launch_sides, self._bounds, self._sides_room)
             launches()  # once outside, so that all buffers and modules are there
             self._sides_generation = sides.buffers.generation
             self._sides = self._captured(launches)
@@ -113,16 +113,25 @@ class PoseGraph:
 
     def launch(self) -> None:
         """Launch a whole pose one by one, with the sizes that the graphs have."""
-        self._launches.launch_layout(self._room)
-        self._launches.launch_map(self._room)
+        self._launches.launch_layout(self._bounds)
+        self._launches.launch_map(self._bounds)
+
+    @property
+    def _bounds(self) -> PoseSizes:
+        assert self._room is not None, "room is made by the first pose"
+        return self._room
+
+    def _make_room(self) -> None:
+        """Have room for the pose at hand, and no less than before: poses that take turns fit the same graph."""
+        self._room = self._solver.sizes.roomier(self._room)
 
     def _capture(self) -> None:
-        self._room = self._solver.sizes.roomier(self._room)
-        self._solver.nodes.limit(self._room.lists)
+        self._make_room()
+        self._solver.nodes.limit(self._bounds.lists)
         self.launch()  # once outside, so that all buffers and modules are there
         self._generation = self._buffers.generation
-        self._layout = self._captured(functools.partial(self._launches.launch_layout, self._room))
-        self._map = self._captured(functools.partial(self._launches.launch_map, self._room))
+        self._layout = self._captured(functools.partial(self._launches.launch_layout, self._bounds))
+        self._map = self._captured(functools.partial(self._launches.launch_map, self._bounds))
 
     def _captured(self, launches: Launches) -> Launches:
         """The replay of launches; on the CPU they are launched again."""

@@ -15,7 +15,6 @@ from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
 from ..kernels.lattice.distance import BLOCK, list_block_faces, measure_band
 from ..kernels.lattice.nodes import RINGS
 from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.usable import require_usable
 from .capture import BufferPool, PoseConstants, SideStream
 from .sizes import PoseSizes
 
@@ -131,7 +130,7 @@ class CageLattice:
     means a winding number above 0.5, exact at nodes.
 
     Args:
-        cage: Closed, outward-oriented cage.
+        cage: A usable cage.
         resolution: Cells along the longest side of the cage's bounding box, 8 to 1024.
         origin: (3,) world point that all device arrays are relative to. None is the middle of the bounding box.
         device: Warp device. None is CUDA where there is one.
@@ -156,14 +155,13 @@ class CageLattice:
         other_side: Another one.
 
     Raises:
-        ValueError: For a resolution out of range, an unusable cage, one without extent, or one too far from the origin
-            for float32 numbers to tell its cells apart.
+        ValueError: For a resolution out of range, a cage without extent, or one too far from the origin for float32
+            numbers to tell its cells apart.
     """
 
     def __init__(
         self, cage: ClosedMesh, resolution: int, *, origin: ArrayLike | None = None, device: wp.DeviceLike = None
     ):
-        require_usable(cage)
         self.resolution = require_resolution(resolution)
         self.device = resolve_device(device)
         place = cage.bounds.mean(axis=0) if origin is None else origin

@@ -82,6 +82,7 @@ class PoseLaunches:
             source: What fills in the map. None is the solver.
         """
         lattice, solver, levels = self._lattice, self.solver, self.solver.nodes.levels
+        values = solver.values_of(sizes)
         lattice.map_constants.send()
         (source or solver).launch_solution(sizes, self.target)
         with lattice.side.fork():
@@ -90,7 +91,7 @@ class PoseLaunches:
             status = self._status.array
             launch(gather_status, status.size, inputs, [status], device=self._device)
         inputs = [levels, self.target.rest.size, self.target.affine]
-        launch(add_affine, sizes.nodes, inputs, [solver.values_of(sizes)], device=self._device)
+        launch(add_affine, sizes.nodes, inputs, [values], device=self._device)
         lattice.side.join()
 
     def wait(self) -> PoseStatus:

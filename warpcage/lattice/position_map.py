@@ -109,6 +109,8 @@ class PositionMap:
         """
         require_mesh(deformed, "a pose must be")
         require_same_faces(self.rest, deformed)
+        if deformed.size == 0.0:  # no lattice at all
+            require_usable(deformed, "deformed cage")
         if self._graph is None or self._data is None or not self._replay(self._graph, deformed):
             require_usable(deformed, "deformed cage")
             self._pose_step_by_step(deformed)
@@ -127,18 +129,18 @@ class PositionMap:
         self._map_positions(launches)
         if self._graph is not None:
             self._graph.release()
-        elif self._weights is None and PoseGraph.is_supported(self.device):
-            self._graph = PoseGraph(launches)
 
     def _laid(self, deformed: ClosedMesh) -> PoseLaunches:
         """The launches of a pose, with the lattice laid over it; made with the first one."""
-        if self._launches is None:
-            self.lattice = CageLattice(deformed, self.resolution, origin=self.origin, device=self.device)
-            constants = self.lattice.map_constants
-            target = MapTarget(self.rest, constants.affine.array, constants.vertex_values.array)
-            self._launches = PoseLaunches(self._new_solver(self.lattice), target)
-        else:
+        if self._launches is not None:
             self._launches.solver.lattice.lay(deformed)
+            return self._launches
+        self.lattice = CageLattice(deformed, self.resolution, origin=self.origin, device=self.device)
+        constants = self.lattice.map_constants
+        target = MapTarget(self.rest, constants.affine.array, constants.vertex_values.array)
+        self._launches = PoseLaunches(self._new_solver(self.lattice), target)
+        if self.store == "map" and PoseGraph.is_supported(self.device):
+            self._graph = PoseGraph(self._launches)
         return self._launches
 
     def _replay(self, graph: PoseGraph, deformed: ClosedMesh) -> bool:
@@ -148,8 +150,6 @@ class PositionMap:
         """
         launches, lattice = self._posed()
         last = lattice.cage
-        if deformed.size == 0.0:  # no lattice at all
-            require_usable(deformed, "deformed cage")
         lattice.lay(deformed)
         self._data = None  # what is in the buffers goes
         has_room = graph.fits(lattice.sizes(launches.solver.nodes.level_count))
@@ -307,9 +307,9 @@ class PositionMap:
 
     def _take_sides(self, data: CageMap, launches: PoseLaunches, graph: PoseGraph | None) -> None:
         """Give the map the sides of narrow gaps."""
-        sides = launches.sides
+        sides, needed = launches.sides, lattice_side_bytes(launches.solver.lattice)
         require_memory(
-            lattice_side_bytes(launches.solver.lattice),
+            needed,
             self.device,
             f"tables for sides of narrow gaps at resolution {self.resolution} need {{size}}: take a lower resolution",
             held=sides.buffers.bytes,
