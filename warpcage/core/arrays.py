@@ -1,15 +1,35 @@
-"""Arrays in and out: NumPy, DLPack and `__cuda_array_interface__` in; NumPy or Warp out, as the caller's were."""
+"""Arrays in and out: NumPy, DLPack and `__cuda_array_interface__` in; NumPy or Warp out, as the caller's are."""
 
 from __future__ import annotations
 
+from typing import Any, Protocol
+
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from .devices import resolve_device
 
 
-def is_device_array(array) -> bool:
-    """Whether `array` is a Warp array or a foreign one (torch, CuPy, JAX) rather than NumPy or a sequence."""
+class DLPackArray(Protocol):
+    """An array of another library (torch, CuPy, JAX) that tells where its memory is."""
+
+    def __dlpack__(self, *args: Any, **options: Any) -> Any: ...
+
+
+#: Points as callers give them: NumPy, nested sequences, a Warp array, or one of another library.
+PointsLike = ArrayLike | wp.array | DLPackArray
+
+
+def is_device_array(array: object) -> bool:
+    """Whether an array may be on a device.
+
+    Args:
+        array: What a caller gave.
+
+    Returns:
+        True for a Warp array or one of another library (torch, CuPy, JAX), False for NumPy and sequences.
+    """
     if isinstance(array, wp.array):
         return True
     if isinstance(array, np.ndarray | list | tuple):
@@ -18,16 +38,41 @@ def is_device_array(array) -> bool:
     return hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")
 
 
-def as_points(points, device=None, *, name: str = "points") -> tuple[wp.array, bool]:
-    """`points` as a Warp array of wp.vec3 on a device, and whether results should go back as Warp arrays.
+def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike) -> wp.array:
+    """A Warp array whose values are not set yet: wp.empty, whose annotations know no data type but float.
 
-    points: (n, 3) float, NumPy / sequence, or any DLPack or `__cuda_array_interface__` array (then without a copy
-    where it is float32, contiguous and on that device already; its own device is taken where `device` is None).
-    Raises ValueError for another shape or for values that are not finite (NumPy input only: arrays on a device are
-    not read back).
+    Args:
+        shape: Size along each axis.
+        dtype: Warp data type or struct.
+        device: Warp device.
+
+    Returns:
+        The array.
+    """
+    return wp.empty(shape, dtype=dtype, device=device)
+
+
+def as_points(
+    points: PointsLike, device: wp.DeviceLike = None, *, name: str = "points"
+) -> tuple[wp.array[Any, Any], bool]:
+    """Points as a Warp array.
+
+    An array that is float32, contiguous and on the device already is not copied. Arrays on a device are not read back,
+    so only those of NumPy are looked through for values that are not finite.
+
+    Args:
+        points: (n, 3) float. NumPy, a sequence, or any DLPack or `__cuda_array_interface__` array.
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        name: How messages call the points.
+
+    Returns:
+        (n,) vec3 on the device, and whether results should go back as Warp arrays.
+
+    Raises:
+        ValueError: For another shape, or for NumPy values that are not finite.
     """
     if is_device_array(points):
-        array = points if isinstance(points, wp.array) else _from_foreign(points, name)
+        array: wp.array[Any, Any] = points if isinstance(points, wp.array) else _from_foreign(points, name)
         if array.dtype in (wp.vec3, wp.vec3d):
             if array.ndim != 1:
                 raise ValueError(f"{name} must be (n, 3), got {array.shape} of {array.dtype.__name__}")
@@ -45,9 +90,19 @@ def as_points(points, device=None, *, name: str = "points") -> tuple[wp.array, b
     return wp.array(host.astype(np.float32), dtype=wp.vec3, device=resolve_device(device)), False
 
 
-def as_host_points(points, *, name: str = "points") -> np.ndarray:
-    """(n, 3) float64 NumPy copy of `points`. Raises ValueError for what are no real numbers, another shape or values
-    that are not finite."""
+def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
+    """Points as NumPy.
+
+    Args:
+        points: (n, 3) real numbers. NumPy, a sequence or a Warp array.
+        name: How messages call the points.
+
+    Returns:
+        (n, 3) float64, a copy.
+
+    Raises:
+        ValueError: For anything but real numbers, another shape, or values that are not finite.
+    """
     try:
         host = np.asarray(points.numpy() if isinstance(points, wp.array) else points)
         host = host.astype(np.float64, casting="unsafe" if host.dtype == object else "same_kind")
@@ -63,13 +118,16 @@ def as_host_points(points, *, name: str = "points") -> np.ndarray:
     return host
 
 
-def _from_foreign(array, name: str) -> wp.array:
+def _from_foreign(array: Any, name: str) -> wp.array:
+    """A Warp array over the memory of an array of another library."""
     if getattr(array, "requires_grad", False):
         array = array.detach()
     try:
-        return wp.from_dlpack(array) if hasattr(array, "__dlpack__") else wp.array(array, copy=False)
+        found = wp.from_dlpack(array) if hasattr(array, "__dlpack__") else wp.array(array, copy=False)
     except Exception as error:
         raise ValueError(f"{name} of type {type(array).__name__} could not be read through DLPack: {error}") from error
+    assert isinstance(found, wp.array)
+    return found
 
 
 def array_view(

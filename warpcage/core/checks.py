@@ -1,23 +1,164 @@
-"""Checks of what callers give, and words to them."""
+"""Checks of what callers give, each in one place, and warnings to them."""
 
 from __future__ import annotations
 
+import math
 import os
 import pathlib
 import sys
 import warnings
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+#: Names of the axes, in their order.
+AXES = "xyz"
 
 
-def require_type(value, kind: type, what: str) -> None:
-    """Raise a ValueError, "`what` a `kind`, got ...", unless `value` is one."""
+def require_type(value: object, kind: type, what: str) -> None:
+    """Refuse an object of another type.
+
+    Args:
+        value: What was given.
+        kind: The class that it must be an instance of.
+        what: How the message begins: "`what` a `kind`, got ...".
+
+    Raises:
+        ValueError: If `value` is no instance of `kind`.
+    """
     if not isinstance(value, kind):
         raise ValueError(f"{what} a {kind.__name__}, got {type(value).__name__}")
 
 
-def checked_bounds(bounds) -> np.ndarray:
-    """(2, 3) float64, read-only. Raises ValueError where they are not two finite corners, the lower one first."""
+def checked_number(value: Any, name: str) -> float:
+    """One finite number as a float.
+
+    Args:
+        value: A number, or an array of no dimensions.
+        name: How the message calls it.
+
+    Returns:
+        The number.
+
+    Raises:
+        ValueError: For text, arrays of numbers, NaN and infinities.
+    """
+    number = _number(value)
+    if not math.isfinite(number):
+        raise ValueError(f"{name} must be one finite number, got {value!r}")
+    return number
+
+
+def checked_positive(value: Any, name: str) -> float:
+    """One positive, finite number as a float.
+
+    Args:
+        value: A number, or an array of no dimensions.
+        name: How the message calls it.
+
+    Returns:
+        The number.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    number = _number(value)
+    if not (math.isfinite(number) and number > 0.0):
+        raise ValueError(f"{name} must be positive and finite, got {value!r}")
+    return number
+
+
+def checked_step(step: float | None, default: float) -> float:
+    """A march step, world units.
+
+    Args:
+        step: What the caller asked for, world units. None takes `default`.
+        default: The field's own step, world units.
+
+    Returns:
+        The step.
+
+    Raises:
+        ValueError: For a step that is not one positive, finite number.
+    """
+    return default if step is None else checked_positive(step, "the march step")
+
+
+def checked_margin(margin: float) -> float:
+    """A distance that is kept between two surfaces.
+
+    Args:
+        margin: The distance, in units of the caller.
+
+    Returns:
+        The margin.
+
+    Raises:
+        ValueError: For a margin that is negative or not one finite number.
+    """
+    number = _number(margin)
+    if not (math.isfinite(number) and number >= 0.0):
+        raise ValueError(f"margin must be finite and not negative, got {margin!r}")
+    return number
+
+
+def checked_whole(value: Any, name: str, least: int, most: int | None = None) -> int:
+    """A whole number within a range.
+
+    Args:
+        value: An int, of Python or NumPy. A bool is none.
+        name: How the message calls it.
+        least: Lowest number allowed.
+        most: Highest number allowed. None is no limit.
+
+    Returns:
+        The number as an int.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < least or (most is not None and value > most):
+        span = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise ValueError(f"{name} must be a whole number {span}, got {value!r}")
+    return int(value)
+
+
+def checked_vector(value: ArrayLike, name: str) -> np.ndarray:
+    """A point or a direction.
+
+    Args:
+        value: (3,) numbers.
+        name: How the message calls it.
+
+    Returns:
+        (3,) float64.
+
+    Raises:
+        ValueError: For another shape or numbers that are not finite.
+    """
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ValueError(f"{name} must be 3 finite numbers, got {value!r}")
+    return vector
+
+
+def checked_bounds(bounds: ArrayLike) -> np.ndarray:
+    """An axis-aligned box.
+
+    Args:
+        bounds: (2, 3) lower and upper corner, world units.
+
+    Returns:
+        (2, 3) float64, read-only.
+
+    Raises:
+        ValueError: For another shape, corners that are not finite, or a lower corner that is not below the upper one.
+    """
     bounds = np.array(bounds, dtype=np.float64)
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
         raise ValueError(f"bounds must be (2, 3), finite, lower below upper, got {bounds.tolist()}")
@@ -25,12 +166,41 @@ def checked_bounds(bounds) -> np.ndarray:
     return bounds
 
 
+def axis_index(axis: str) -> int:
+    """The number of an axis.
+
+    Args:
+        axis: "x", "y" or "z".
+
+    Returns:
+        0, 1 or 2.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    if not isinstance(axis, str) or len(axis) != 1 or axis not in AXES:
+        raise ValueError(f"axis must be 'x', 'y' or 'z', got {axis!r}")
+    return AXES.index(axis)
+
+
+def _number(value: Any) -> float:
+    """One number as a float, NaN for what is none."""
+    try:
+        return float(value) if np.ndim(value) == 0 and not isinstance(value, str | bytes) else math.nan
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
 #: The folder of the whole package: frames in it are not the caller's.
 _PACKAGE = str(pathlib.Path(__file__).parents[1]) + os.sep
 
 
 def warn_caller(message: str) -> None:
-    """A UserWarning at the innermost line outside this package, however deep below it the call is."""
+    """Give a UserWarning at the line of the caller outside this package, however deep inside it the call is.
+
+    Args:
+        message: The text of the warning.
+    """
     depth, frame = 1, sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         depth, frame = depth + 1, frame.f_back

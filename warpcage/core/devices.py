@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+import types
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
 import warp as wp
 
 from .threads import CPU_THREADS, run_parallel
 
+#: What `wp.kernel` makes of a function: a wp.Kernel, which type checkers take for the function itself.
+Kernel = wp.Kernel | Callable[..., Any]
 
-def resolve_device(device=None) -> wp.Device:
-    """The Warp device named `device`; None is the first CUDA device, or the CPU where there is none.
 
-    Raises ValueError when the named device is not there.
+def resolve_device(device: wp.DeviceLike = None) -> wp.Device:
+    """The Warp device of a name.
+
+    Args:
+        device: A Warp device or its name. None is the first CUDA device, or the CPU where there is none.
+
+    Returns:
+        The device.
+
+    Raises:
+        ValueError: If the machine has no such device.
     """
     if isinstance(device, wp.Device):
         return device
@@ -27,21 +41,31 @@ def resolve_device(device=None) -> wp.Device:
 
 
 def launch(
-    kernel: wp.Kernel,
+    kernel: Kernel,
     count: int,
-    inputs,
-    outputs=(),
+    inputs: Sequence[Any],
+    outputs: Iterable[Any] = (),
     *,
-    device,
+    device: wp.DeviceLike,
     threads: int | None = None,
     block_dim: int | None = None,
 ) -> None:
     """Launch a one-dimensional kernel whose first parameter is `first`, the index of this launch's first item.
 
-    On CUDA it is one launch with `first` = 0, in blocks of `block_dim` (default: what the kernel's module says, as a
-    module is compiled anew for each other number). On the CPU the items are cut into chunks that run on `threads`
-    threads (default CPU_THREADS), so outputs of different items must be disjoint: no atomics across items there.
+    On CUDA it is one launch with `first` = 0. On the CPU the items are cut into chunks that run on several threads, so
+    outputs of different items must be disjoint: no atomics across items there.
+
+    Args:
+        kernel: The kernel.
+        count: Number of items. Nothing is launched for 0.
+        inputs: Arguments of the kernel after `first`.
+        outputs: Arguments of the kernel after those.
+        device: Warp device that holds them.
+        threads: Threads on the CPU. None is CPU_THREADS.
+        block_dim: Threads per block on CUDA. None is what the kernel's module names, as a module is compiled once more
+            for each other number.
     """
+    assert isinstance(kernel, wp.Kernel)
     device = wp.get_device(device)
     if count <= 0:
         return
@@ -61,18 +85,39 @@ def launch(
     run_parallel([lambda b=b, e=e: run(b, e) for b, e in zip(edges, edges[1:], strict=False)], threads)
 
 
-def lane_count(device) -> int:
-    """Items that share a piece of work in kernels written for a group of lanes (kernels/core/lanes.py)."""
+def lane_count(device: wp.DeviceLike) -> int:
+    """Items that share a piece of work in kernels written for a group of lanes (kernels/core/lanes.py).
+
+    Args:
+        device: Warp device.
+
+    Returns:
+        1 on the CPU, else 32.
+    """
     return 1 if wp.get_device(device).is_cpu else 32
 
 
-def module_block_dim(kernel: wp.Kernel) -> int:
-    """Threads a block that a kernel's module is meant for: its option block_dim, 256 where it names none."""
+def module_block_dim(kernel: Kernel) -> int:
+    """Threads per block that a kernel's module is meant for.
+
+    Args:
+        kernel: The kernel.
+
+    Returns:
+        The option block_dim of its module, 256 where it names none.
+    """
+    assert isinstance(kernel, wp.Kernel)
     return kernel.module.options["block_dim"]
 
 
-def load_modules(modules, device) -> None:
-    """Compile and load modules of kernels (Python modules) side by side, each for the block size that it names;
-    launched one by one they would wait for each other. Costs nothing where they are loaded."""
+def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> None:
+    """Compile and load modules of kernels side by side, each for the block size that it names.
+
+    Launched one by one they would wait for each other. Costs nothing where they are loaded.
+
+    Args:
+        modules: Python modules that hold kernels.
+        device: Warp device.
+    """
     warp_modules = [wp.get_module(module.__name__) for module in modules]
     wp.force_load(device, warp_modules, max_workers=min(len(warp_modules), CPU_THREADS))

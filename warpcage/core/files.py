@@ -1,4 +1,4 @@
-"""Files in and out: whole or not at all, and none that is trusted unread."""
+"""Files in and out: written whole or not at all, and never trusted before they are checked."""
 
 from __future__ import annotations
 
@@ -8,24 +8,38 @@ import os
 import pathlib
 import tempfile
 import zipfile
+from collections.abc import Iterator
 
 import numpy as np
 
 from .memory import free_host_bytes
 
-#: Deflate cannot pack tighter than this.
+#: A path as callers give it.
+PathLike = str | os.PathLike[str]
+
+#: Deflate cannot pack tighter than this: bytes out per byte in.
 MAX_RATIO = 1032
 
-#: Bytes that are unpacked at a time.
+#: Bytes that are unpacked at once.
 CHUNK = 1 << 24
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
-def read_npz(path, what: str) -> dict[str, np.ndarray]:
-    """The arrays of an .npz file by name.
+def read_npz(path: PathLike, what: str) -> dict[str, np.ndarray]:
+    """Read an .npz file that nobody vouches for.
 
-    what: how messages call the file. Sizes are compared with the file's own before anything is allocated; pickled
-    objects are refused and never opened. Raises FileNotFoundError, or ValueError with the name of the bad array.
+    Sizes are compared with that of the file before anything is allocated. Pickled objects are refused and never opened.
+
+    Args:
+        path: The file.
+        what: How messages call it.
+
+    Returns:
+        The arrays by name.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: What is wrong in which array.
     """
     path = require_file(path, what)
     try:
@@ -34,13 +48,27 @@ def read_npz(path, what: str) -> dict[str, np.ndarray]:
             _check_sizes(archive, members)
             return {info.filename.removesuffix(".npy"): _read_member(archive, info) for info in members}
     except Exception as error:
-        raise ValueError(f"{path} is no .npz {what}: {' '.join(str(error).split()) or type(error).__name__}") from error
+        raise ValueError(
+            f"{path} is not an .npz {what}: {' '.join(str(error).split()) or type(error).__name__}"
+        ) from error
 
 
-def require_numbers(contents: dict, name: str, shape: tuple | None, path) -> np.ndarray:
-    """The array `name` of what read_npz read, of real numbers and of a shape (None in it, or for it, is any).
+def require_numbers(
+    contents: dict[str, np.ndarray], name: str, shape: tuple[int | None, ...] | None, path: PathLike
+) -> np.ndarray:
+    """An array of real numbers from a file.
 
-    Raises ValueError that names the file, where it is missing or something else.
+    Args:
+        contents: What `read_npz` read.
+        name: Name of the array.
+        shape: Its shape. None, or None for a side, is any.
+        path: The file, for the message.
+
+    Returns:
+        The array.
+
+    Raises:
+        ValueError: If the array is missing, or holds something else or another shape.
     """
     if name not in contents:
         raise ValueError(f"{path} lacks {name}")
@@ -54,10 +82,10 @@ def require_numbers(contents: dict, name: str, shape: tuple | None, path) -> np.
     return array
 
 
-def _check_sizes(archive: zipfile.ZipFile, members) -> None:
+def _check_sizes(archive: zipfile.ZipFile, members: list[zipfile.ZipInfo]) -> None:
     names = [info.filename for info in members]
     if len(set(names)) < len(names):
-        raise ValueError("it holds two arrays of one name")
+        raise ValueError("it holds two arrays with the same name")
     for info in members:
         if info.file_size > MAX_RATIO * info.compress_size + 1024:
             raise ValueError(f"array {info.filename!r} claims {info.file_size} bytes out of {info.compress_size}")
@@ -80,8 +108,9 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
             raise ValueError(f"array {name!r} claims {claimed} bytes {shape}, the file has {there}")
         array = np.empty(math.prod(shape), dtype)
         octets, filled = array.view(np.uint8), 0
+        assert isinstance(file, zipfile.ZipExtFile)  # zipfile declares no more than IO[bytes], which has no readinto
         while filled < claimed:
-            count = file.readinto(octets[filled : filled + CHUNK])
+            count = file.readinto(octets[filled : filled + CHUNK])  # pyright: ignore[reportArgumentType]
             if not count:
                 raise ValueError(f"array {name!r} ends after {filled} of {claimed} bytes")
             filled += count
@@ -89,10 +118,16 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 
 
 @contextlib.contextmanager
-def atomic_path(path):
-    """A temporary path beside `path`, with its ending, that replaces it when the block ends without an error.
+def atomic_path(path: PathLike) -> Iterator[pathlib.Path]:
+    """A temporary file that takes the place of `path` when the block ends without an error.
 
     The parent folder is made. After an error the temporary file is removed and `path` is as it was.
+
+    Args:
+        path: The file to be written.
+
+    Yields:
+        The path of the temporary file, in the same folder and with the same ending.
     """
     path = pathlib.Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -114,8 +149,19 @@ def atomic_path(path):
         temporary.unlink(missing_ok=True)
 
 
-def require_file(path, what: str) -> pathlib.Path:
-    """`path` as a Path. Raises FileNotFoundError with one line when it is not a file."""
+def require_file(path: PathLike, what: str) -> pathlib.Path:
+    """The path of a file that must be there.
+
+    Args:
+        path: The file.
+        what: How the message calls it.
+
+    Returns:
+        The path.
+
+    Raises:
+        FileNotFoundError: If it is not a file.
+    """
     path = pathlib.Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{what} {str(path)!r} is not there")

@@ -1,17 +1,30 @@
-"""Refuse work that a device has not the memory for, before it is begun."""
+"""Refuse work that needs more memory than a device has, before it begins."""
 
 from __future__ import annotations
 
 import os
 
+import warp as wp
 
-def free_bytes(device) -> int:
-    """Bytes that can still be allocated on a device; for the CPU what the system says, or all there is."""
+
+def free_bytes(device: wp.Device) -> int:
+    """Memory that can still be allocated on a device.
+
+    Args:
+        device: The device.
+
+    Returns:
+        Bytes; for the CPU as `free_host_bytes`.
+    """
     return free_host_bytes() if device.is_cpu else device.free_memory
 
 
 def free_host_bytes() -> int:
-    """Bytes of main memory that can still be allocated; where the system does not say, all there is."""
+    """Main memory that can still be allocated.
+
+    Returns:
+        Bytes: what is available, or else all there is, or a number beyond any memory where the system tells neither.
+    """
     try:
         with open("/proc/meminfo") as lines:
             for line in lines:
@@ -25,10 +38,17 @@ def free_host_bytes() -> int:
         return 1 << 62
 
 
-def require_memory(size: int, device, message: str, *, held: int = 0) -> None:
-    """Raise ValueError unless `size` bytes are free on the device, or among the `held` ones that will be used again.
+def require_memory(size: int, device: wp.Device, message: str, *, held: int = 0) -> None:
+    """Refuse work that needs more memory than is free.
 
-    `{size}` in the message becomes both figures.
+    Args:
+        size: Bytes that the work needs.
+        device: The device that it runs on.
+        message: The error's text; `{size}` in it becomes what is needed and what is free.
+        held: Bytes that are allocated now and will be used again.
+
+    Raises:
+        ValueError: If fewer bytes are free.
     """
     free = free_bytes(device) + held
     if size > free:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 #: Threads a CPU launch is cut over. Warp's CPU backend runs one launch on one thread, and releases the GIL meanwhile.
 CPU_THREADS = os.cpu_count() or 1
@@ -12,10 +14,17 @@ CPU_THREADS = os.cpu_count() or 1
 _pool: ThreadPoolExecutor | None = None
 
 
-def run_parallel(tasks, threads: int | None = None) -> list:
-    """Run callables on the shared CPU thread pool and return their results in order (the first error is raised).
+def run_parallel(tasks: Sequence[Callable[[], Any]], threads: int | None = None) -> list[Any]:
+    """Run tasks on the shared pool of CPU threads.
 
     After an error or an interrupt no task is left running: its arrays may be freed as soon as this returns.
+
+    Args:
+        tasks: Callables without arguments.
+        threads: 1 runs them here, one after the other. None is CPU_THREADS.
+
+    Returns:
+        Their results in order. The first error is raised.
     """
     global _pool
     if (CPU_THREADS if threads is None else threads) <= 1 or len(tasks) == 1:
@@ -31,7 +40,7 @@ def run_parallel(tasks, threads: int | None = None) -> list:
 
 
 def _started_pool() -> ThreadPoolExecutor:
-    """A pool with all its threads running, as an interrupt that meets the start of one leaves it behind for ever."""
+    """A pool with all its threads running: an interrupt during the start of a thread would leave it broken for good."""
     pool = ThreadPoolExecutor(CPU_THREADS, thread_name_prefix="warpcage")
     all_there = threading.Barrier(CPU_THREADS)
     for future in [pool.submit(all_there.wait, timeout=60) for _ in range(CPU_THREADS)]:
@@ -40,14 +49,16 @@ def _started_pool() -> ThreadPoolExecutor:
 
 
 class _Batch:
-    """Tasks of which none begins once it was stopped. It counts those that run, as an interrupt in the middle of
-    handing a task over leaves no future to wait for."""
+    """Tasks that can be stopped: none begins afterwards.
 
-    def __init__(self):
+    It counts those that run, as an interrupt while a task is handed over leaves no future to wait for.
+    """
+
+    def __init__(self) -> None:
         self._changed = threading.Condition()
         self._running, self._stopped = 0, False
 
-    def run(self, task):
+    def run(self, task: Callable[[], Any]) -> Any:
         with self._changed:
             if self._stopped:
                 return None
@@ -67,7 +78,7 @@ class _Batch:
 
 
 def _forget_pool() -> None:
-    """A forked process has the pool without its threads: tasks would wait in it for ever."""
+    """A forked process has the pool without its threads: tasks would wait in it forever."""
     global _pool
     _pool = None
 

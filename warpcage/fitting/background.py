@@ -16,7 +16,8 @@ from ..field.background import LayeredBackground, surface_node_count
 from ..kernels.field.background import BackgroundLayers, refine_layers
 from ..kernels.fitting import background_loss
 from ..scene.scene import Scene
-from .options import BACKGROUND_KINDS, FitOptions
+from ..view.backgrounds import FIT_BACKGROUNDS
+from .options import FitOptions
 from .shards import ShardedWork, launch_shards, sum_shards
 
 #: Opacity of all layers in front of the last one together, at the start.
@@ -49,7 +50,7 @@ def chosen_background(scene: Scene, kind: str) -> tuple[bool, bool]:
 
     Args:
         scene: The scene.
-        kind: One of BACKGROUND_KINDS.
+        kind: One of FIT_BACKGROUNDS.
 
     Returns:
         Whether there are random colours, and whether there are layers.
@@ -57,8 +58,8 @@ def chosen_background(scene: Scene, kind: str) -> tuple[bool, bool]:
     Raises:
         ValueError: For another kind, or one that the scene does not allow.
     """
-    if kind not in BACKGROUND_KINDS:
-        raise ValueError(f"background {kind!r} is not known: {', '.join(BACKGROUND_KINDS)}")
+    if kind not in FIT_BACKGROUNDS:
+        raise ValueError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
         if scene.alphas is None:
             return False, not _is_plain(scene)

@@ -15,7 +15,7 @@ from ..kernels.fitting.active_tiles import mark_active_tiles
 from ..kernels.fitting.loss import TrainingRays
 from ..kernels.fitting.pictures import Pictures
 from ..scene.scene import Scene
-from ..view.frame import camera_array
+from ..view.camera import camera_array
 from .pictures import TrainingPictures, chosen_bits
 
 #: Bytes of a tile's index, and of the squared error of a ray of a batch.

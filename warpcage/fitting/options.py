@@ -13,9 +13,6 @@ from .memory import memory_size
 
 MAX_LEVELS = 6
 
-#: What may be behind the field while it is fitted.
-BACKGROUND_KINDS = ("auto", "layers", "random", "constant")
-
 #: Ends of the range of numbers that must be positive, and of factors that may be zero.
 SMALLEST, LARGEST = 1e-9, 1e9
 LARGEST_FACTOR, LARGEST_WEIGHT = 1e6, 1e3

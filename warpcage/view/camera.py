@@ -1,24 +1,38 @@
-"""Pinhole cameras, and cameras that hold a set of points in the picture."""
+"""Pinhole cameras: one camera, circles of cameras around an object, and cameras as kernels take them."""
 
 from __future__ import annotations
 
 import dataclasses
-import numbers
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points
+from ..core.checks import checked_number
+from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
+
+#: Rotations of a pose may be off by this much: files hold few digits.
+POSE_TOLERANCE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Camera:
     """A pinhole camera without distortion.
 
-    fx, fy, cx, cy: focal lengths and principal point in pixels; the centre of the first pixel is (0.5, 0.5).
-    width, height: image size in pixels.
-    camera_to_world: (4, 4) float64, rigid; OpenCV axes (+x right, +y down, +z forward), scene units.
+    Args:
+        fx: Focal length along the width, pixels.
+        fy: Focal length along the height, pixels.
+        cx: Column of the principal point, pixels. The centre of the first pixel is (0.5, 0.5).
+        cy: Row of the principal point, pixels.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+        camera_to_world: (4, 4) float64, rigid, world units. OpenCV axes: +x right, +y down, +z forward.
 
-    Raises ValueError for sizes or focal lengths that are not positive, or a pose that is not a finite rigid (4, 4).
+    Raises:
+        ValueError: For sizes or focal lengths that are not positive, or a pose that is not a finite rigid (4, 4).
     """
 
     fx: float
@@ -29,21 +43,19 @@ class Camera:
     height: int
     camera_to_world: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         pose = np.asarray(self.camera_to_world, dtype=np.float64)
         if pose.shape != (4, 4) or not np.isfinite(pose).all():
             raise ValueError(f"camera_to_world must be a finite (4, 4) matrix, got shape {pose.shape}")
         rotation = pose[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=POSE_TOLERANCE) or np.linalg.det(rotation) < 0:
             raise ValueError("camera_to_world must hold a rotation (orthonormal, determinant 1)")
-        if not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-3):
+        if not np.allclose(pose[3], (0, 0, 0, 1), atol=POSE_TOLERANCE):
             raise ValueError(f"camera_to_world must end in the row 0 0 0 1, got {pose[3].tolist()}")
         if int(self.width) < 1 or int(self.height) < 1:
             raise ValueError(f"a camera needs an image of at least 1x1 pixel, got {self.width}x{self.height}")
         for name in ("fx", "fy", "cx", "cy"):
-            value = getattr(self, name)
-            if not (isinstance(value, numbers.Real) and np.isfinite(value)):
-                raise ValueError(f"{name} of a camera must be a finite number, got {value!r}")
+            object.__setattr__(self, name, checked_number(getattr(self, name), f"{name} of a camera"))
         if not (self.fx > 0 and self.fy > 0):
             raise ValueError(f"focal lengths must be positive, got fx={self.fx}, fy={self.fy}")
         pose = pose.copy()
@@ -51,25 +63,45 @@ class Camera:
         object.__setattr__(self, "camera_to_world", pose)
         object.__setattr__(self, "width", int(self.width))
         object.__setattr__(self, "height", int(self.height))
-        for name in ("fx", "fy", "cx", "cy"):
-            object.__setattr__(self, name, float(getattr(self, name)))
 
     @classmethod
     def look_at(
-        cls, eye, target, *, up=(0.0, 0.0, 1.0), fov_degrees: float = 40.0, width: int = 400, height: int = 400
+        cls,
+        eye: ArrayLike,
+        target: ArrayLike,
+        *,
+        up: ArrayLike = (0.0, 0.0, 1.0),
+        fov_degrees: float = 40.0,
+        width: int = 400,
+        height: int = 400,
     ) -> Camera:
-        """A camera at `eye` (3,) that looks at `target` (3,); fov_degrees is the horizontal field of view."""
-        eye, target, up = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
-        forward = target - eye
+        """A camera that looks at a point.
+
+        Args:
+            eye: (3,) centre of projection, world units.
+            target: (3,) the point in the middle of the picture, world units.
+            up: (3,) the direction that points up in the picture, of any length. The default is +z.
+            fov_degrees: Horizontal field of view.
+            width: Width of the image, pixels.
+            height: Height of the image, pixels.
+
+        Returns:
+            The camera, with square pixels.
+
+        Raises:
+            ValueError: If `target` is `eye`.
+        """
+        place, goal, upward = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
+        forward = goal - place
         if np.linalg.norm(forward) == 0:
-            raise ValueError(f"look_at needs a target that is not the eye, both are {eye}")
+            raise ValueError(f"look_at needs a target that is not the eye, both are {place}")
         forward = forward / np.linalg.norm(forward)
-        right = np.cross(forward, up)
+        right = np.cross(forward, upward)
         if np.linalg.norm(right) < 1e-9:  # looking along `up`: any right will do
             right = np.cross(forward, [1.0, 0.0, 0.0] if abs(forward[0]) < 0.9 else [0.0, 1.0, 0.0])
         right = right / np.linalg.norm(right)
         pose = np.eye(4)
-        pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, eye
+        pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, place
         focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
         return cls(focal, focal, width / 2, height / 2, width, height, pose)
 
@@ -80,22 +112,44 @@ class Camera:
 
     @property
     def rotation(self) -> np.ndarray:
-        """(3, 3) camera axes in world coordinates, one a column."""
+        """(3, 3) camera axes in world coordinates, one per column."""
         return self.camera_to_world[:3, :3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view at another image size."""
+        """The same view at another image size.
+
+        Args:
+            width: New width, pixels.
+            height: New height, pixels.
+
+        Returns:
+            The camera whose picture shows the same, stretched to the new size.
+        """
         sx, sy = width / self.width, height / self.height
         return dataclasses.replace(
             self, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height
         )
 
-    def moved(self, transform) -> Camera:
-        """The camera after a rigid world transform (4, 4)."""
+    def moved(self, transform: ArrayLike) -> Camera:
+        """The camera after a rigid motion of the world.
+
+        Args:
+            transform: (4, 4) rigid transform of world coordinates.
+
+        Returns:
+            The moved camera.
+
+        Raises:
+            ValueError: If the transform is not rigid.
+        """
         return dataclasses.replace(self, camera_to_world=np.asarray(transform, np.float64) @ self.camera_to_world)
 
     def rays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Origins (h, w, 3) and unit directions (h, w, 3) of the rays through the pixel centres, world units."""
+        """The rays through the pixel centres.
+
+        Returns:
+            Origins (h, w, 3) float64, world units, and unit directions (h, w, 3) float64.
+        """
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
         local = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
@@ -103,8 +157,15 @@ class Camera:
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return np.broadcast_to(self.centre, directions.shape).copy(), directions
 
-    def project(self, points) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (n, 2) and depths along the optical axis (n,) of world points (n, 3)."""
+    def project(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Where points fall in the picture.
+
+        Args:
+            points: (n, 3) float, world units.
+
+        Returns:
+            Pixels (n, 2) float64 and depths along the optical axis (n,) float64, world units.
+        """
         local = (np.asarray(points, np.float64) - self.centre) @ self.rotation
         with np.errstate(divide="ignore", invalid="ignore"):
             u = self.fx * local[:, 0] / local[:, 2] + self.cx
@@ -113,66 +174,152 @@ class Camera:
 
 
 def turntable(
-    target,
+    target: ArrayLike,
     radius: float,
     elevation_degrees: float,
     count: int,
     *,
-    up=(0.0, 0.0, 1.0),
+    up: ArrayLike = (0.0, 0.0, 1.0),
     fov_degrees: float = 40.0,
     width: int = 400,
     height: int = 400,
     start_degrees: float = 0.0,
 ) -> list[Camera]:
-    """`count` cameras on a circle of `radius` around `target`, `elevation_degrees` above the plane across `up`."""
+    """Cameras on a circle around a point, all of which look at it.
+
+    Args:
+        target: (3,) the point, world units.
+        radius: Distance of the cameras from the point, world units.
+        elevation_degrees: Angle of the cameras above the plane through the point that `up` is normal to.
+        count: Number of cameras.
+        up: (3,) the axis of the circle, of any length. The default is +z.
+        fov_degrees: Horizontal field of view.
+        width: Width of the images, pixels.
+        height: Height of the images, pixels.
+        start_degrees: Angle of the first camera on the circle; 0 is at +x and 90 at +y where `up` is +z.
+
+    Returns:
+        `count` cameras, evenly around the circle.
+
+    Raises:
+        ValueError: If `count` is below one.
+    """
     if count < 1:
         raise ValueError(f"a turntable needs at least one view, got {count}")
-    up = np.asarray(up, np.float64) / np.linalg.norm(up)
-    side = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
+    axis = np.asarray(up, np.float64) / np.linalg.norm(up)
+    side = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
-    front = np.cross(side, up)
+    front = np.cross(side, axis)
     elevation = np.radians(elevation_degrees)
     cameras = []
     for angle in np.radians(start_degrees) + 2 * np.pi * np.arange(count) / count:
         flat = np.cos(angle) * front + np.sin(angle) * side
-        eye = np.asarray(target, np.float64) + radius * (np.cos(elevation) * flat + np.sin(elevation) * up)
-        cameras.append(Camera.look_at(eye, target, up=up, fov_degrees=fov_degrees, width=width, height=height))
+        eye = np.asarray(target, np.float64) + radius * (np.cos(elevation) * flat + np.sin(elevation) * axis)
+        cameras.append(Camera.look_at(eye, target, up=axis, fov_degrees=fov_degrees, width=width, height=height))
     return cameras
 
 
 def framing_orbit(
-    points,
+    points: ArrayLike,
     count: int,
     *,
     elevation_degrees: float = 20.0,
     start_degrees: float = 0.0,
-    up=(0.0, 0.0, 1.0),
+    up: ArrayLike = (0.0, 0.0, 1.0),
     fov_degrees: float = 40.0,
     width: int = 400,
     height: int = 400,
     fill: float = 0.92,
 ) -> list[Camera]:
-    """`count` cameras on a circle around points (n, 3), as near as keeps every point in every picture.
+    """Cameras on a circle around points, as near as keeps every point in every picture.
 
-    elevation_degrees: above the plane across `up`; start_degrees: of the first camera, from +x towards +y where up is
-    z; fov_degrees: horizontal; fill: share of the picture's width or height that the points may take.
-    Raises ValueError for no points, or angles and shares out of range.
+    Args:
+        points: (n, 3) float, world units.
+        count: Number of cameras.
+        elevation_degrees: Angle above the plane that `up` is normal to.
+        start_degrees: Angle of the first camera, from +x towards +y where `up` is +z.
+        up: (3,) the axis of the circle, of any length. The default is +z.
+        fov_degrees: Horizontal field of view.
+        width: Width of the images, pixels.
+        height: Height of the images, pixels.
+        fill: Share of the picture's width or height that the points may take.
+
+    Returns:
+        `count` cameras, evenly around the circle.
+
+    Raises:
+        ValueError: For no points or no cameras, or angles and shares out of range.
     """
-    points = as_host_points(points)
-    if not len(points):
+    host = as_host_points(points)
+    if not len(host):
         raise ValueError("a view needs at least one point to look at")
     if not (0 < fov_degrees < 180 and 0 < fill <= 1):
         raise ValueError(f"a view needs fov_degrees in (0, 180) and fill in (0, 1], got {fov_degrees} and {fill}")
-    target = (points.min(axis=0) + points.max(axis=0)) / 2
-    offsets = points - target
+    target = (host.min(axis=0) + host.max(axis=0)) / 2
+    offsets = host - target
     tangent = np.tan(np.radians(fov_degrees) / 2) * fill
-    options = {"up": up, "fov_degrees": fov_degrees, "width": width, "height": height, "start_degrees": start_degrees}
+    circle: dict[str, Any] = {
+        "up": up,
+        "fov_degrees": fov_degrees,
+        "width": width,
+        "height": height,
+        "start_degrees": start_degrees,
+    }
     distance = 0.0
-    for camera in turntable(np.zeros(3), 1.0, elevation_degrees, count, **options):
+    for camera in turntable(np.zeros(3), 1.0, elevation_degrees, count, **circle):
         x, y, z = (offsets @ camera.rotation).T
-        # a point is in the picture where |x| <= (distance + z) tan(fov / 2), and so for y
+        # a point is in the picture where |x| <= (distance + z) tan(fov / 2), and the same for y
         needed = np.maximum(np.abs(x) / tangent, np.abs(y) / (tangent * height / width)) - z
         distance = max(distance, float(needed.max()))
     if distance <= 0.0:
         distance = 1.0  # one point alone: any distance shows it
-    return turntable(target, distance, elevation_degrees, count, **options)
+    return turntable(target, distance, elevation_degrees, count, **circle)
+
+
+def camera_struct(camera: Camera, origin: ArrayLike) -> Any:
+    """A camera for kernels.
+
+    The difference from the origin is taken in float64, so that float32 kernels see small numbers however far from zero
+    the scene lies.
+
+    Args:
+        camera: The camera.
+        origin: (3,) world point that the kernel's positions are relative to.
+
+    Returns:
+        A PinholeCamera of kernels/view/rays.py.
+    """
+    struct = PinholeCamera()
+    struct.centre = wp.vec3(*(camera.centre - np.asarray(origin, np.float64)))
+    struct.rotation = wp.mat33(*np.asarray(camera.rotation, np.float64).ravel())
+    struct.focal = wp.vec2(camera.fx, camera.fy)
+    struct.principal_point = wp.vec2(camera.cx, camera.cy)
+    struct.width = camera.width
+    struct.height = camera.height
+    return struct
+
+
+def camera_array(cameras: Sequence[Camera], origin: ArrayLike, device: wp.DeviceLike) -> wp.array:
+    """Cameras for kernels that take several.
+
+    Args:
+        cameras: The cameras.
+        origin: (3,) world point that the kernel's positions are relative to.
+        device: Warp device.
+
+    Returns:
+        (n,) array of PinholeCamera.
+    """
+    return wp.array([camera_struct(camera, origin) for camera in cameras], dtype=PinholeCamera, device=device)
+
+
+def tile_threads(camera: Camera) -> int:
+    """Threads that walk a camera's picture in whole tiles.
+
+    Args:
+        camera: The camera.
+
+    Returns:
+        Number of threads of a kernel that finds its pixel by `tile_pixel` of kernels/view/rays.py.
+    """
+    return -(-camera.width // TILE_WIDTH) * -(-camera.height // TILE_HEIGHT) * TILE_SIZE

@@ -1,0 +1,40 @@
+"""What may stand behind a picture, by name: colours, and the kinds that a fit takes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+#: Colours behind a picture, by name.
+BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
+
+#: What may stand behind a field while it is fitted: a new random colour for every ray, background layers that are
+#: fitted too, the scene's one colour, or whichever of these the pictures suggest.
+FIT_BACKGROUNDS = ("auto", "layers", "random", "constant")
+
+
+def parse_background(background: str | ArrayLike) -> np.ndarray:
+    """The colour of a background.
+
+    Args:
+        background: Name of a colour (see BACKGROUNDS) or three numbers in [0, 1].
+
+    Returns:
+        (3,) float32 red, green and blue in [0, 1].
+
+    Raises:
+        ValueError: For anything else.
+    """
+    if isinstance(background, str):
+        if background == "random":
+            raise ValueError(
+                "random backgrounds are drawn anew for every ray of a fit, where pictures have opacity: "
+                "load with a colour and fit with background='random'"
+            )
+        if background not in BACKGROUNDS:
+            raise ValueError(f"background {background!r} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]")
+        background = BACKGROUNDS[background]
+    colour = np.asarray(background, dtype=np.float32)
+    if colour.shape != (3,) or not np.isfinite(colour).all() or colour.min() < 0 or colour.max() > 1:
+        raise ValueError(f"background must be a colour name or three numbers in [0, 1], got {background}")
+    return colour
