@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.arrays import array_view
+from ..core.arrays import array_view, empty_array
 from ..core.devices import lane_count, launch
 from ..field.voxel_field import STOP_TRANSMITTANCE, VoxelField, field_from_mask
 from ..kernels.field import refine as grid_refine
@@ -72,7 +72,7 @@ class Level:
         self.shards = shards
         self.field, self.nodes = _started(mask, bounds, background)
         self.gradients: list[wp.array] = []
-        self.touched, self.moments = _marks(0, mask.device), _moments(0, mask.device)
+        self.touched, self.moments = _marks(0, self.field.device), _moments(0, self.field.device)
         self.allocate()
 
     # Memory
@@ -121,7 +121,7 @@ class Level:
             shape: (nx, ny, nz) voxels of the finer grid.
             kept: uint8 mask over the nodes of this grid: voxels with children.
         """
-        mask = wp.empty(shape, dtype=wp.uint8, device=kept.device)  # pyright: ignore[reportArgumentType]
+        mask = empty_array(shape, wp.uint8, kept.device)
         launch(grid_refine.refine_mask, mask.size, [_ratio(shape, kept.shape), kept], [mask], device=mask.device)
         self.resample(mask)
 
@@ -142,11 +142,7 @@ class Level:
         """Only the rows of a mask (nx, ny, nz) uint8 over the grid, with their second moments."""
         links, moments = self.field.grid.links, self.moments
         self.resample(mask)
-        self.moments = wp.empty(
-            (self.field.voxel_count, ROW_NUMBERS),
-            dtype=wp.bfloat16,  # pyright: ignore[reportArgumentType]
-            device=mask.device,
-        )
+        self.moments = empty_array((self.field.voxel_count, ROW_NUMBERS), wp.bfloat16, mask.device)
         inputs = [links, self.nodes, moments]
         launch(rmsprop.gather_moments, self.moments.size, inputs, [self.moments], device=mask.device)
         del links, moments, inputs

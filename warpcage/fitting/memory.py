@@ -192,9 +192,9 @@ def scaled_shape(shape: tuple[int, ...], factor: float) -> tuple[int, ...]:
     return tuple(max(2, round(n * factor)) for n in shape)
 
 
-def memory_limit(max_memory: int | None, device: wp.Device) -> int:
+def memory_limit(max_memory: int | str | None, device: wp.Device) -> int:
     """Bytes that a fit may take: `max_memory`, or most of what is free on the device where that is None."""
-    return int(FREE_SHARE * free_bytes(device)) if max_memory is None else max_memory
+    return int(FREE_SHARE * free_bytes(device)) if max_memory is None else memory_size(max_memory)
 
 
 def require_image_memory(size: int, limit: int) -> None:

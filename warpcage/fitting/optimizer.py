@@ -41,10 +41,10 @@ SHOWN_EVERY = 1.0
 
 
 class FieldOptimizer:
-    """Plenoxels' optimisation of a VoxelField, step by step: coarse to fine, RMSProp, total variation, pruning by
-    rendering weight (Fridovich-Keil and Yu et al. 2022, section 3).
+    """Plenoxels' optimisation of a VoxelField, step by step.
 
-    Use `fit` unless you need the steps.
+    It goes from coarse to fine by RMSProp with total variation, and prunes voxels by their rendering weight
+    (Fridovich-Keil and Yu et al. 2022, section 3). Use `fit` unless you need the steps.
 
     Args:
         scene: The images with their cameras.
@@ -325,7 +325,7 @@ class FieldOptimizer:
         self.current.apply(rates, self.options.beta)
 
     def measure_psnr(self) -> float:
-        """PSNR in dB of the last batch over all pixels of the images: those that see no voxel count as right."""
+        """PSNR in dB of the last batch over all pixels of the images. Pixels that see no voxel count as right."""
         self.psnr = self.batches.psnr()
         return self.psnr
 

@@ -106,7 +106,7 @@ def _uploaded(images: np.ndarray, shares: np.ndarray, behind: np.ndarray, bits: 
         values = np.concatenate([image + (1.0 - share[..., None]) * behind, share[..., None]], axis=-1)
         target[...] = values if bits == 16 else to_uint8(values)
 
-    run_parallel([lambda parts=parts: pack(*parts) for parts in zip(pixels, images, shares, strict=True)])
+    run_parallel([lambda view=view: pack(pixels[view], images[view], shares[view]) for view in range(len(pixels))])
     pictures: Any = Pictures()
     if bits == 16:
         pictures.halves = wp.array(pixels, dtype=wp.vec4h, device=device)

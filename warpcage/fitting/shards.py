@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import warp as wp
 
-from ..core.devices import launch, module_block_dim
+from ..core.devices import Kernel, launch, module_block_dim
 from ..core.threads import cpu_threads, run_parallel
 from ..kernels.fitting.rmsprop import add_gradients
 
@@ -36,7 +35,7 @@ class ShardedWork:
         items: Items of the kernel per part.
     """
 
-    kernel: Any  # Warp's decorator hides its type
+    kernel: Kernel
     count: int
     inputs: list
     outputs: Sequence[Sequence]
@@ -52,6 +51,7 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
         device: Warp device of all arrays.
     """
     for work in works:  # before the threads, so that each module is compiled once
+        assert isinstance(work.kernel, wp.Kernel)
         wp.load_module(work.kernel.module, device=device)
 
     def run(shard: int) -> None:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import warp as wp
 
+from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..field.sparse import mask_count
 from ..kernels.field.refine import dilate_mask
@@ -65,11 +66,7 @@ class Silhouettes:
         Returns:
             (nx, ny, nz) uint8 mask.
         """
-        mask = wp.empty(
-            tuple(int(n) for n in resolution),
-            dtype=wp.uint8,  # pyright: ignore[reportArgumentType]
-            device=self.device,
-        )
+        mask = empty_array(tuple(int(n) for n in resolution), wp.uint8, self.device)
         inputs = [*_node_places(bounds, resolution, self.cameras, self.device), self.sums, self.bounded]
         launch(carve_visual_hull, mask.size, inputs, [mask], device=self.device)
         return mask
@@ -170,7 +167,7 @@ def possible_voxels(
     return mask if silhouettes is None else dilated(mask)
 
 
-def _node_places(bounds, resolution, cameras: list[Camera], device: wp.Device) -> list:
+def _node_places(bounds, resolution, cameras: list[Camera], device: wp.DeviceLike) -> list:
     """Position of the first voxel's centre, voxel size and cameras, relative to the middle of `bounds`."""
     bounds = np.asarray(bounds, np.float64)
     voxel_size = (bounds[1] - bounds[0]) / resolution
