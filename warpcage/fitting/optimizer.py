@@ -84,7 +84,7 @@ class FieldOptimizer:
         )
         self._silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
-            bounds = scene_box(scene)
+            bounds = scene_box(scene.cameras, scene.bounds)
             if self._silhouettes is not None:
                 bounds = self._silhouettes.bound(bounds)
         if self.layered:

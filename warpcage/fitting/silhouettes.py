@@ -76,5 +76,5 @@ def _node_places(bounds, resolution, cameras, device) -> list:
 
 def object_bounds(scene: Scene, device) -> np.ndarray:
     """(2, 3) box of the object: `scene_box`, shrunk to the visual hull where the scene has alphas."""
-    box = scene_box(scene)
+    box = scene_box(scene.cameras, scene.bounds)
     return box if scene.alphas is None else Silhouettes(scene, device).bound(box)
