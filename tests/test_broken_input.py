@@ -445,7 +445,8 @@ SAVES = """
     import os, pathlib, resource, signal, sys
     import numpy as np
     from warpcage import Cage, VoxelField
-    from warpcage.images import write_gif, write_png, write_video
+    from warpcage.view.film import write_gif, write_video
+    from warpcage.view.pictures import write_png
     folder, how = pathlib.Path(sys.argv[1]), sys.argv[2]
     rng = np.random.default_rng(0)
     density = np.ones((24, 24, 24))

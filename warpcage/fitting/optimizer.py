@@ -96,7 +96,7 @@ class FieldOptimizer:
 
         silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
-            bounds = scene_box(scene)
+            bounds = scene_box(scene.cameras, scene.bounds)
             if silhouettes is not None:
                 bounds = silhouettes.bound(bounds)
         box = checked_bounds(bounds)

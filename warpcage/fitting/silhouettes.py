@@ -105,7 +105,7 @@ def object_bounds(scene: Scene, device: wp.Device) -> np.ndarray:
     Returns:
         (2, 3) world units: `scene_box`, shrunk to the visual hull where the scene has alphas.
     """
-    box = scene_box(scene)
+    box = scene_box(scene.cameras, scene.bounds)
     return box if scene.alphas is None else Silhouettes(scene, device).bound(box)
 
 

@@ -2,50 +2,72 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from .scene import Scene
+from ..view.camera import Camera
 
 #: Where all cameras look the same way, the object is taken to be this many times their largest spread ahead.
 PARALLEL_DISTANCE = 4.0
 
+#: Optical axes whose equations are conditioned worse than this are taken to be parallel.
+MAX_CONDITION = 1e6
 
-def view_box(scene: Scene) -> np.ndarray:
-    """(2, 3) a cube around what the cameras look at.
+#: Half side of the box over the radius of the object that a camera sees whole; most of it may be of its distance.
+BOX_ROOM, MOST_OF_DISTANCE = 1.2, 0.95
 
-    Its centre is the point nearest to all optical axes (least squares; ahead of the cameras where those are
-    parallel), its half side the largest radius that most cameras see whole, at most their distance to the centre.
+
+def view_box(cameras: Sequence[Camera]) -> np.ndarray:
+    """A cube around what cameras look at.
+
+    Its centre is the point nearest to all optical axes (least squares; ahead of the cameras where those are parallel),
+    its half side the largest radius that most cameras see whole, at most their distance to the centre.
+
+    Args:
+        cameras: At least one camera.
+
+    Returns:
+        (2, 3) float64 lower and upper corner, world units.
     """
-    centres = np.stack([camera.centre for camera in scene.cameras])
-    axes = np.stack([camera.rotation[:, 2] for camera in scene.cameras])
+    centres = np.stack([camera.centre for camera in cameras])
+    axes = np.stack([camera.rotation[:, 2] for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     system = across.sum(axis=0)
-    if np.linalg.cond(system) < 1e6:
+    if np.linalg.cond(system) < MAX_CONDITION:
         centre = np.linalg.solve(system, (across @ centres[:, :, None])[..., 0].sum(axis=0))
-    else:  # one camera, or parallel ones: how far the object is nobody says, so go by how far apart they are
+    else:  # one camera, or parallel ones: nothing says how far the object is, so go by how far apart they are
         spread = float(np.ptp(centres, axis=0).max())
         centre = (centres + axes * (PARALLEL_DISTANCE * spread if spread > 0 else 1.0)).mean(axis=0)
     distance = np.linalg.norm(centres - centre, axis=1)
-    tangent = np.array([max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in scene.cameras])
+    tangent = np.array([max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in cameras])
     # an object that fills the image's longer side at that distance
-    half = float(np.median(distance * tangent / np.sqrt(1 + tangent**2))) * 1.2
-    half = min(half, 0.95 * float(distance.min())) if distance.min() > 0 else half
+    half = float(np.median(distance * tangent / np.sqrt(1 + tangent**2))) * BOX_ROOM
+    half = min(half, MOST_OF_DISTANCE * float(distance.min())) if distance.min() > 0 else half
     return np.stack([centre - half, centre + half])
 
 
-def scene_box(scene: Scene) -> np.ndarray:
-    """(2, 3) the bounds that the scene's files give, or else view_box.
+def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np.ndarray:
+    """The box of a scene's object.
 
-    Raises ValueError where there are none and the cameras do not look at anything in common: most of them away from the
-    centre of that box, or all from one place into several directions.
+    Args:
+        cameras: The scene's cameras.
+        bounds: (2, 3) the box that its files give, world units. None takes what the cameras look at.
+
+    Returns:
+        (2, 3) float64 lower and upper corner, world units.
+
+    Raises:
+        ValueError: If there are no bounds and the cameras look at nothing in common: most of them away from the centre
+            of that box, or all from one place into several directions.
     """
-    if getattr(scene, "bounds", None) is not None:
-        return scene.bounds
-    box = view_box(scene)
-    away = sum((box.mean(axis=0) - camera.centre) @ camera.rotation[:, 2] <= 0 for camera in scene.cameras)
-    if 2 * away > len(scene):
+    if bounds is not None:
+        return bounds
+    box = view_box(cameras)
+    away = sum((box.mean(axis=0) - camera.centre) @ camera.rotation[:, 2] <= 0 for camera in cameras)
+    if 2 * away > len(cameras):
         raise ValueError(
-            f"{away} of {len(scene)} cameras look away from what the views have in common: check the "
+            f"{away} of {len(cameras)} cameras look away from what the views have in common: check the "
             "cameras' axes, or give the bounds of what should be fitted"
         )
     if not (box[1] > box[0]).all():

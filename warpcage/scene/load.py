@@ -2,35 +2,75 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from ..view.backgrounds import parse_background
 from .formats import blender, colmap, dtu, nsvf, transforms
 from .scene import Scene
 
 
+class SceneReader(Protocol):
+    """What a module of `formats` offers."""
+
+    @property
+    def MARK(self) -> str:
+        """What a folder of the format holds, for messages."""
+        ...
+
+    def is_scene(self, folder: pathlib.Path) -> bool:
+        """Whether a folder looks like a scene of the format."""
+        ...
+
+    def read(
+        self, folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str
+    ) -> Scene:
+        """Read one split."""
+        ...
+
+
+#: Readers by the name of their format, in the order in which they are tried.
+READERS: dict[str, SceneReader] = {
+    "blender": blender,
+    "nsvf": nsvf,
+    "dtu": dtu,
+    "transforms": transforms,
+    "colmap": colmap,
+}
+
+
 def load_scene(
-    path,
+    path: str | os.PathLike,
     *,
     split: str = "train",
     downscale: int = 1,
     format: str | None = None,
-    background="white",
+    background: str | ArrayLike = "white",
     masks: bool | str = True,
 ) -> Scene:
     """Read one split of a scene from disk.
 
-    path: folder of the scene.
-    split: as the format has them ("train", "val", "test"); where it has none, every eighth picture is "test", the
-        others are "train", and "all" is both.
-    downscale: whole factor by which width and height shrink, by area averaging of premultiplied colour.
-    format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp), "colmap";
-        None detects it, the first of these that fits.
-    background: colour name or three numbers, put behind transparent pixels.
-    masks: mask files become alphas, and what they hide the background; "split" keeps what they hide as the scene's
-        surroundings, which `fit` puts into layers behind the object; False leaves the pictures whole.
+    Args:
+        path: Folder of the scene.
+        split: "train", "val" or "test" as the format has them. Where it has none, every eighth picture is "test", the
+            others are "train", and "all" is both.
+        downscale: Whole factor by which width and height shrink, by area averages of premultiplied colour.
+        format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp) or
+            "colmap". None takes the first of these that fits.
+        background: Colour put behind transparent pixels, a name or (3,) in [0, 1].
+        masks: True makes mask files alphas, and what they hide the background. "split" keeps what they hide as the
+            scene's surroundings, which `fit` puts into layers behind the object. False leaves the pictures whole.
 
-    Raises FileNotFoundError for a missing folder, split or image, ValueError for contents that cannot be used.
+    Returns:
+        The scene.
+
+    Raises:
+        FileNotFoundError: For a missing folder, split or image.
+        ValueError: For contents that cannot be used.
     """
     folder = pathlib.Path(path)
     if not folder.is_dir():
@@ -48,8 +88,18 @@ def load_scene(
     )
 
 
-def detect_format(path) -> str:
-    """The name of the format of a scene folder. Raises ValueError that says what was looked for and what is there."""
+def detect_format(path: str | os.PathLike) -> str:
+    """The format of a scene folder.
+
+    Args:
+        path: The folder.
+
+    Returns:
+        Name of the first format that fits.
+
+    Raises:
+        ValueError: If none fits; the message says what was looked for and what is there.
+    """
     folder = pathlib.Path(path)
     for name, reader in READERS.items():
         if reader.is_scene(folder):
@@ -58,6 +108,3 @@ def detect_format(path) -> str:
     seen = sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir())
     there = ", ".join(seen[:8]) + (f" and {len(seen) - 8} more" if len(seen) > 8 else "")
     raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked}); it holds {there or 'nothing'}")
-
-
-READERS = {"blender": blender, "nsvf": nsvf, "dtu": dtu, "transforms": transforms, "colmap": colmap}

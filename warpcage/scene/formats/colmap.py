@@ -28,10 +28,19 @@ PARAMETERS = {
 
 
 def is_scene(folder: pathlib.Path) -> bool:
+    """Whether a folder holds a COLMAP model.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        Whether it does.
+    """
     return _model_folder(folder) is not None
 
 
 def _model_folder(folder: pathlib.Path) -> pathlib.Path | None:
+    """The folder of the model, or None."""
     for name in MODEL_FOLDERS:
         if any((folder / name / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
             return folder / name
@@ -40,7 +49,22 @@ def _model_folder(folder: pathlib.Path) -> pathlib.Path | None:
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
     """Read a split: every eighth image, by name, is `test`, the others are `train`. masks/<name>.png, as COLMAP itself
-    takes it, or masks/<name> becomes the alpha; the bulk of the points the bounds."""
+    takes it, or masks/<name> becomes the alpha; the bulk of the points the bounds.
+
+    Args:
+        folder: The folder.
+        split: Name of the split.
+        downscale: Whole factor by which width and height shrink.
+        background: (3,) colour put behind transparent pixels.
+        masks: As for `load_scene`.
+
+    Returns:
+        The scene.
+
+    Raises:
+        FileNotFoundError: For a missing split or file.
+        ValueError: For contents that cannot be used.
+    """
     model_folder = _model_folder(folder)
     if model_folder is None:
         raise FileNotFoundError(f"{str(folder)!r} holds no COLMAP model ({MARK})")
@@ -54,6 +78,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
 
 
 def _view(folder: pathlib.Path, model: Model, image: ModelImage, masks: bool | str) -> View:
+    """One picture of a model with its camera."""
     where = f"{model.images_path}: image {image.name!r}"
     file = inside(folder / "images", image.name, where)
     camera = model.cameras.get(image.camera)
@@ -71,13 +96,15 @@ def _view(folder: pathlib.Path, model: Model, image: ModelImage, masks: bool | s
             f"({' '.join(names)}), got {len(camera.parameters)}"
         )
     given = dict(zip(names, camera.parameters, strict=True))
-    intrinsics = (given.get("fx", given.get("f")), given.get("fy", given.get("f")), given["cx"], given["cy"])
+    fx, fy = (given[name] if name in given else given["f"] for name in ("fx", "fy"))
+    intrinsics = (fx, fy, given["cx"], given["cy"])
     distortion = tuple(given.get(name, 0.0) for name in COEFFICIENTS)
     mask = _mask_file(folder / "masks", image.name, where) if masks else None
     return View(file, image.camera_to_world(where), where, intrinsics, camera.size, distortion, mask)
 
 
 def _mask_file(folder: pathlib.Path, name: str, where: str) -> pathlib.Path:
+    """The mask of a picture; it may not be there."""
     path = inside(folder, name, where)
     candidates = [path.with_name(path.name + ".png"), *(path.with_suffix(ending) for ending in PICTURE_ENDINGS)]
     return next((candidate for candidate in candidates if is_file(candidate)), candidates[0])

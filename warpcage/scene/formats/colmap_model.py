@@ -30,6 +30,14 @@ MODELS = (
 
 @dataclasses.dataclass
 class ModelCamera:
+    """A camera of a model.
+
+    Attributes:
+        model: Name of its kind.
+        size: Width and height, pixels.
+        parameters: As many numbers as MODELS says.
+    """
+
     model: str
     size: tuple[int, int]
     parameters: list[float]
@@ -37,7 +45,14 @@ class ModelCamera:
 
 @dataclasses.dataclass
 class ModelImage:
-    """quaternion (w, x, y, z) and translation: world to camera. camera: its number."""
+    """A picture of a model.
+
+    Attributes:
+        name: File, relative to the folder of pictures.
+        quaternion: Rotation (w, x, y, z) from world to camera.
+        translation: (x, y, z) from world to camera.
+        camera: Number of its camera.
+    """
 
     name: str
     quaternion: tuple[float, ...]
@@ -45,7 +60,17 @@ class ModelImage:
     camera: int
 
     def camera_to_world(self, where: str) -> np.ndarray:
-        """(4, 4). Raises ValueError for a quaternion of no length."""
+        """The pose.
+
+        Args:
+            where: File and picture, for messages.
+
+        Returns:
+            (4, 4) float64, OpenCV axes.
+
+        Raises:
+            ValueError: For a quaternion without length, or numbers that are not finite.
+        """
         q = np.array(self.quaternion)
         length = np.linalg.norm(q)
         if not (np.isfinite(length) and length > 1e-12 and np.isfinite(self.translation).all()):
@@ -66,7 +91,15 @@ class ModelImage:
 
 @dataclasses.dataclass
 class Model:
-    """cameras by number, images in the order of the file, points (n, 3) or None where there is no such file."""
+    """A COLMAP model.
+
+    Attributes:
+        cameras: Cameras by number.
+        images: Pictures in the order of the file.
+        points: (n, 3) float64 points of the reconstruction, or None where there is no such file.
+        cameras_path: File of the cameras, for messages.
+        images_path: File of the pictures, for messages.
+    """
 
     cameras: dict[int, ModelCamera]
     images: list[ModelImage]
@@ -76,23 +109,35 @@ class Model:
 
 
 def read_model(folder: pathlib.Path) -> Model:
-    """Read a model, binary where cameras.bin is there. Raises FileNotFoundError or ValueError that names the file."""
+    """Read a model, binary where cameras.bin is there.
+
+    Args:
+        folder: The folder of its files.
+
+    Returns:
+        The model.
+
+    Raises:
+        FileNotFoundError: For a missing file of cameras or images.
+        ValueError: For a file that cannot be read; the message names it.
+    """
     binary = (folder / "cameras.bin").is_file()
     ending = ".bin" if binary else ".txt"
     cameras, images, points = (folder / f"{name}{ending}" for name in ("cameras", "images", "points3D"))
-    readers = (_cameras_bin, _images_bin, _points_bin) if binary else (_cameras_txt, _images_txt, _points_txt)
-    parts = [
-        reader(path) if path.is_file() or reader is not readers[2] else None
-        for reader, path in zip(readers, (cameras, images, points), strict=True)
-    ]
-    return Model(*parts, cameras, images)
+    return Model(
+        (_cameras_bin if binary else _cameras_txt)(cameras),
+        (_images_bin if binary else _images_txt)(images),
+        (_points_bin if binary else _points_txt)(points) if points.is_file() else None,
+        cameras,
+        images,
+    )
 
 
 # Text
 
 
 def _lines(path: pathlib.Path):
-    """(line number, text) of all lines that are no comments; empty ones too."""
+    """(line number, text) of all lines that are not comments; empty ones too."""
     for line, text in enumerate(read_text(path, "COLMAP file").split("\n"), 1):
         if not text.lstrip().startswith("#"):
             yield line, text.strip()
@@ -148,7 +193,7 @@ def _points_txt(path: pathlib.Path) -> np.ndarray:
 
 
 class _Bytes:
-    """A file's bytes from front to back; what lies beyond the end is refused."""
+    """A file's bytes from front to back; reading beyond the end is refused."""
 
     def __init__(self, path: pathlib.Path):
         self.path, self.data, self.position = path, require_file(path, "COLMAP file").read_bytes(), 0

@@ -10,6 +10,8 @@ is where the lens puts the point (Brown 1971).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 #: Names of the coefficients, in OpenCV's order.
@@ -19,8 +21,21 @@ COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 MAX_ZOOM = 4.0
 
 
-def distort(x, y, coefficients) -> tuple[np.ndarray, np.ndarray]:
-    """Where a lens puts pinhole coordinates x, y (any one shape). coefficients: up to 8, in the order above."""
+#: Focal lengths and principal point (fx, fy, cx, cy), pixels.
+Intrinsics = tuple[float, float, float, float]
+
+
+def distort(x: np.ndarray, y: np.ndarray, coefficients: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Where a lens puts points.
+
+    Args:
+        x: Pinhole coordinates (u - cx) / fx, of any shape.
+        y: Pinhole coordinates (v - cy) / fy, of the same shape.
+        coefficients: Up to 8, in the order of COEFFICIENTS.
+
+    Returns:
+        The distorted coordinates.
+    """
     k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, *[0.0] * (8 - len(coefficients)))
     square = x * x + y * y
     radial = (1 + square * (k1 + square * (k2 + square * k3))) / (1 + square * (k4 + square * (k5 + square * k6)))
@@ -30,11 +45,23 @@ def distort(x, y, coefficients) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def undistorted_intrinsics(intrinsics, size, coefficients, where: str) -> tuple[float, float, float, float]:
-    """(fx, fy, cx, cy) of the pinhole picture of the same size: as they are, or a longer focal length where the
-    lens's picture does not reach the corners of the pinhole one.
+def undistorted_intrinsics(
+    intrinsics: Intrinsics, size: tuple[int, int], coefficients: Sequence[float], where: str
+) -> Intrinsics:
+    """Intrinsics of the pinhole picture of the same size.
 
-    intrinsics: (fx, fy, cx, cy); size: (width, height). Raises ValueError where the coefficients fold the picture.
+    Args:
+        intrinsics: (fx, fy, cx, cy) of the lens, pixels.
+        size: Width and height, pixels.
+        coefficients: Up to 8, in the order of COEFFICIENTS.
+        where: File and field, for messages.
+
+    Returns:
+        The same intrinsics, or a longer focal length where the lens's picture does not reach the corners of the pinhole
+        one.
+
+    Raises:
+        ValueError: If the coefficients fold the picture.
     """
     fx, fy, cx, cy = intrinsics
 
@@ -59,10 +86,17 @@ def undistorted_intrinsics(intrinsics, size, coefficients, where: str) -> tuple[
     return fx * high, fy * high, cx, cy
 
 
-def undistort(image: np.ndarray, lens, pinhole, coefficients) -> np.ndarray:
-    """Resample (h, w, c) float32, as the lens gave it, to the picture of a pinhole camera, bilinearly.
+def undistort(image: np.ndarray, lens: Intrinsics, pinhole: Intrinsics, coefficients: Sequence[float]) -> np.ndarray:
+    """Resample the picture of a lens to that of a pinhole camera, bilinearly.
 
-    lens, pinhole: (fx, fy, cx, cy) of either.
+    Args:
+        image: (h, w, c) float32, as the lens gave it.
+        lens: (fx, fy, cx, cy) of the lens, pixels.
+        pinhole: (fx, fy, cx, cy) of the pinhole camera, pixels.
+        coefficients: Up to 8, in the order of COEFFICIENTS.
+
+    Returns:
+        (h, w, c) float32.
     """
     height, width = image.shape[:2]
     grid = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)

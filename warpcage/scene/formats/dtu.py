@@ -23,17 +23,40 @@ SKEW_TOLERANCE = 1e-3
 
 
 def is_scene(folder: pathlib.Path) -> bool:
+    """Whether a folder holds pictures and cameras in the IDR layout.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        Whether it does.
+    """
     return (folder / "image").is_dir() and any((folder / name).is_file() for name in FILES)
 
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
-    """Read a split: every eighth view is `test`, the others are `train`. Masks become alphas."""
+    """Read a split: every eighth view is `test`, the others are `train`. Masks become alphas.
+
+    Args:
+        folder: The folder.
+        split: Name of the split.
+        downscale: Whole factor by which width and height shrink.
+        background: (3,) colour put behind transparent pixels.
+        masks: As for `load_scene`.
+
+    Returns:
+        The scene.
+
+    Raises:
+        FileNotFoundError: For a missing split or file.
+        ValueError: For contents that cannot be used.
+    """
     path = next((folder / name for name in FILES if (folder / name).is_file()), folder / FILES[0])
     cameras = read_npz(path, "camera file")
     pictures = pictures_in(folder / "image")
     shapes = pictures_in(folder / "mask") if masks and (folder / "mask").is_dir() else [None] * len(pictures)
     if len(shapes) != len(pictures):
-        raise ValueError(f"{str(folder)!r} holds {len(pictures)} images and {len(shapes)} masks: one a picture needed")
+        raise ValueError(f"{str(folder)!r} holds {len(pictures)} images and {len(shapes)} masks: one per image needed")
     views, scales = [], []
     for index in held_out(len(pictures), split, folder):
         where = f"{path}: world_mat_{index} @ scale_mat_{index}"
@@ -47,22 +70,32 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         downscale=downscale,
         background=background,
         masks=masks,
-        bounds=[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]],
+        bounds=np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]),
         to_source=scales[0] if same else None,
     )
 
 
 def decompose(projection: np.ndarray, where: str) -> tuple[tuple[float, float, float, float], np.ndarray]:
-    """(fx, fy, cx, cy) and the (4, 4) camera-to-world pose of a (3, 4) projection whose pixel centres are integers.
+    """The camera of a projection whose pixel centres are integers.
 
     Hartley and Zisserman 2004, section 6.2.4: K R is the left 3x3 block, split by an RQ decomposition; the centre is
-    its null vector. Raises ValueError for a singular projection, or one with skew.
+    its null vector.
+
+    Args:
+        projection: (3, 4) float64, from world to pixels.
+        where: File and field, for messages.
+
+    Returns:
+        (fx, fy, cx, cy) in pixels, the centre of the first pixel at (0.5, 0.5), and the (4, 4) camera-to-world pose.
+
+    Raises:
+        ValueError: For a singular projection, or one with skew.
     """
     block = projection[:, :3]
     scale = np.abs(block).max()
     if not (np.isfinite(projection).all() and scale > 0 and np.linalg.cond(block) < 1e12):
         raise ValueError(f"{where} is singular or not finite: no camera")
-    projection = projection / (scale * np.sign(np.linalg.det(block / scale)))  # scale and sign mean nothing
+    projection = projection / (scale * np.sign(np.linalg.det(block / scale)))  # its scale and sign are free
     block = projection[:, :3]
     # RQ by QR: block^-1 = R^-1 K^-1, an orthonormal factor times an upper triangular one
     rotation, inverse = np.linalg.qr(np.linalg.inv(block))
@@ -78,8 +111,9 @@ def decompose(projection: np.ndarray, where: str) -> tuple[tuple[float, float, f
 
 
 def _matrix(cameras: dict, name: str, path: pathlib.Path) -> np.ndarray:
+    """A (4, 4) float64 matrix of a camera file, completed where it has three rows."""
     if name not in cameras:
-        raise ValueError(f"{path} lacks {name}: it must hold one matrix an image")
+        raise ValueError(f"{path} lacks {name}: it must hold one matrix per image")
     matrix = cameras[name]
     if matrix.shape == (3, 4) and matrix.dtype.kind in "fiu":
         matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])

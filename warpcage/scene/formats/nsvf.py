@@ -18,11 +18,34 @@ PREFIXES = {"train": "0_", "val": "1_", "test": "2_"}
 
 
 def is_scene(folder: pathlib.Path) -> bool:
+    """Whether a folder holds pictures, poses and intrinsics as NSVF has them.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        Whether it does.
+    """
     return (folder / "rgb").is_dir() and (folder / "pose").is_dir() and (folder / "intrinsics.txt").is_file()
 
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
-    """Read a split; bbox.txt, where there is one, becomes the scene's bounds."""
+    """Read a split; bbox.txt, where there is one, becomes the scene's bounds.
+
+    Args:
+        folder: The folder.
+        split: Name of the split.
+        downscale: Whole factor by which width and height shrink.
+        background: (3,) colour put behind transparent pixels.
+        masks: As for `load_scene`.
+
+    Returns:
+        The scene.
+
+    Raises:
+        FileNotFoundError: For a missing split or file.
+        ValueError: For contents that cannot be used.
+    """
     intrinsics = _read_intrinsics(folder / "intrinsics.txt")
     pictures = pictures_in(folder / "rgb")
     splits = {name: [file for file in pictures if file.name.startswith(prefix)] for name, prefix in PREFIXES.items()}
@@ -52,6 +75,7 @@ def _read_intrinsics(path: pathlib.Path) -> tuple[float, float, float, float]:
 
 
 def _read_pose(path: pathlib.Path) -> np.ndarray:
+    """(4, 4) camera to world; the last row may be left out."""
     values = floats(read_text(path, "pose"), str(path))
     if len(values) == 12:
         values += [0.0, 0.0, 0.0, 1.0]

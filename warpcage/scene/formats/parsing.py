@@ -10,6 +10,7 @@ import json
 import math
 import os
 import pathlib
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -21,6 +22,9 @@ GUESSED_ENDINGS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".webp")
 
 #: Where a format has no splits of its own, every eighth picture is held out.
 HOLD_OUT = 8
+
+#: From the camera axes of Blender and OpenGL (+y up, -z forward) to OpenCV's, to multiply poses with from the right.
+TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def read_json(path: pathlib.Path) -> dict:
@@ -35,6 +39,7 @@ def read_json(path: pathlib.Path) -> dict:
 
 
 def read_text(path: pathlib.Path, what: str) -> str:
+    """The text of a file; what: how messages call it."""
     try:
         return require_file(path, what).read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
@@ -52,7 +57,7 @@ def floats(text: str, where: str) -> list[float]:
     return values
 
 
-def number(value, where: str) -> float:
+def number(value: object, where: str) -> float:
     """A finite number out of JSON; text, truth values and null are none."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         try:
@@ -64,7 +69,7 @@ def number(value, where: str) -> float:
     raise ValueError(f"{where} must be a finite number, got {shown(value)}")
 
 
-def matrix(value, shape: tuple[int, int], where: str) -> np.ndarray:
+def matrix(value: object, shape: tuple[int, int], where: str) -> np.ndarray:
     """A matrix of finite numbers out of JSON lists, float64."""
     rows, columns = shape
     if not (
@@ -78,7 +83,7 @@ def matrix(value, shape: tuple[int, int], where: str) -> np.ndarray:
     )
 
 
-def inside(folder: pathlib.Path, name, where: str) -> pathlib.Path:
+def inside(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
     """The path of `name` in `folder`; refused where it leads out of it."""
     if not isinstance(name, str) or not name.strip() or "\0" in name or len(name) > 4000:
         raise ValueError(f"{where} must be the name of a file, got {shown(name)}")
@@ -89,7 +94,7 @@ def inside(folder: pathlib.Path, name, where: str) -> pathlib.Path:
     return path
 
 
-def find_picture(folder: pathlib.Path, name, where: str) -> pathlib.Path:
+def find_picture(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
     """The picture that `name` means in `folder`, with an ending where it has none; it may not be there."""
     path = inside(folder, name, where)
     if path.suffix.lower() in PICTURE_ENDINGS or is_file(path):
@@ -107,13 +112,14 @@ def pictures_in(folder: pathlib.Path) -> list[pathlib.Path]:
 
 
 def is_file(path: pathlib.Path) -> bool:
+    """Whether a file is there; no for names that no file can have."""
     try:
         return path.is_file()
     except OSError:  # a name that is too long for the file system
         return False
 
 
-def held_out(count: int, split: str, folder) -> list[int]:
+def held_out(count: int, split: str, folder: pathlib.Path) -> list[int]:
     """Indices of a split where the format has none: every eighth is `test`, the rest `train`; `all` is both."""
     splits = {
         "train": [i for i in range(count) if i % HOLD_OUT],
@@ -130,16 +136,37 @@ def held_out(count: int, split: str, folder) -> list[int]:
     return splits[split]
 
 
-def missing_split(split, folder, splits) -> FileNotFoundError:
+def missing_split(split: str, folder: pathlib.Path, splits: Iterable[str]) -> FileNotFoundError:
+    """An error that names the splits there are."""
     there = ", ".join(splits) or "none"
     return FileNotFoundError(f"split {split!r} of {str(folder)!r} is not there; splits: {there}")
 
 
-def shown(value) -> str:
+def split_file(folder: pathlib.Path, split: str) -> pathlib.Path:
+    """The file transforms_<split>.json of a folder; FileNotFoundError that names the splits there are."""
+    files = {file.stem.removeprefix("transforms_"): file for file in sorted(folder.glob("transforms_*.json"))}
+    if split not in files:
+        raise missing_split(split, folder, files)
+    return files[split]
+
+
+def frames_of(transforms: dict, path: pathlib.Path) -> list[tuple[str, dict]]:
+    """The frames of a transforms file, each with its name for messages."""
+    frames = transforms.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise ValueError(f"{path} holds no frames")
+    for index, frame in enumerate(frames):
+        if not isinstance(frame, dict):
+            raise ValueError(f"{path}: frame {index} must be a JSON object")
+    return [(f"{path}: frame {index}", frame) for index, frame in enumerate(frames)]
+
+
+def shown(value: object) -> str:
     """A value in a message, cut where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:60]}..."
 
 
 def one_line(error: BaseException) -> str:
+    """The message of an error on one line, or its name."""
     return " ".join(str(error).split())[:300] or type(error).__name__

@@ -14,9 +14,20 @@ import numpy as np
 from ...core.files import require_file
 from ...mesh.files.ply import read_ply
 from ..scene import Scene
-from .blender import TO_OPENCV, frames_of, split_file
 from .distortion import COEFFICIENTS
-from .parsing import find_picture, held_out, inside, matrix, missing_split, number, read_json, shown
+from .parsing import (
+    TO_OPENCV,
+    find_picture,
+    frames_of,
+    held_out,
+    inside,
+    matrix,
+    missing_split,
+    number,
+    read_json,
+    shown,
+    split_file,
+)
 from .views import View, make_scene
 
 MARK = "transforms.json, or transforms_train.json with fl_x"
@@ -26,6 +37,14 @@ MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PER
 
 
 def is_scene(folder: pathlib.Path) -> bool:
+    """Whether a folder holds transforms.json, or transforms_<split>.json with focal lengths.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        Whether it does.
+    """
     if (folder / "transforms.json").is_file():
         return True
     files = sorted(folder.glob("transforms_*.json"))
@@ -34,7 +53,22 @@ def is_scene(folder: pathlib.Path) -> bool:
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
     """Read a split: a file of its own, or a list of file names in transforms.json, or else every eighth frame, by
-    file name, is `test` and the others are `train`. mask_path becomes the alpha, ply_file_path the bounds."""
+    file name, is `test` and the others are `train`. mask_path becomes the alpha, ply_file_path the bounds.
+
+    Args:
+        folder: The folder.
+        split: Name of the split.
+        downscale: Whole factor by which width and height shrink.
+        background: (3,) colour put behind transparent pixels.
+        masks: As for `load_scene`.
+
+    Returns:
+        The scene.
+
+    Raises:
+        FileNotFoundError: For a missing split or file.
+        ValueError: For contents that cannot be used.
+    """
     single = folder / "transforms.json"
     path = single if single.is_file() else split_file(folder, split)
     transforms = read_json(path)
@@ -63,7 +97,7 @@ def _view(folder: pathlib.Path, transforms: dict, where: str, frame: dict) -> Vi
     distortion = [_optional(given, name, where) or 0.0 for name in COEFFICIENTS[:5]]
     size = None
     if "w" in given or "h" in given:
-        size = tuple(int(_positive(given, name, where)) for name in ("w", "h"))
+        size = (int(_positive(given, "w", where)), int(_positive(given, "h", where)))
     pose = matrix(_with_last_row(frame.get("transform_matrix")), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
     mask = frame.get("mask_path")
     return View(
@@ -84,19 +118,17 @@ def _with_last_row(rows):
 
 def _intrinsics(given: dict, size: tuple[int, int], where: str) -> tuple[float, float, float, float]:
     """fl_x, fl_y, cx, cy, or what stands for them: angles of view, the middle of the picture."""
-    fx, fy = (_focal(given, axis, side, where) for axis, side in zip("xy", size, strict=True))
-    if fx is None and fy is None:
+    focal = [_focal(given, axis, side, where) for axis, side in zip("xy", size, strict=True)]
+    known = [value for value in focal if value is not None]
+    if not known:
         raise ValueError(f"{where} has no fl_x and no camera_angle_x, nor has the file")
+    fx, fy = (known[0] if value is None else value for value in focal)
     cx, cy = (_optional(given, name, where) for name in ("cx", "cy"))
-    return (
-        fy if fx is None else fx,
-        fx if fy is None else fy,
-        size[0] / 2 if cx is None else cx,
-        size[1] / 2 if cy is None else cy,
-    )
+    return fx, fy, size[0] / 2 if cx is None else cx, size[1] / 2 if cy is None else cy
 
 
 def _focal(given: dict, axis: str, side: int, where: str) -> float | None:
+    """The focal length along an axis in pixels, from an angle of view too; None where nothing says it."""
     if f"fl_{axis}" in given:
         return _positive(given, f"fl_{axis}", where)
     angle = _optional(given, f"camera_angle_{axis}", where)
@@ -108,17 +140,20 @@ def _focal(given: dict, axis: str, side: int, where: str) -> float | None:
 
 
 def _optional(given: dict, name: str, where: str) -> float | None:
+    """A number, or None where it is not given."""
     return None if given.get(name) is None else number(given[name], f"{where}: {name}")
 
 
 def _positive(given: dict, name: str, where: str) -> float:
+    """A number above zero."""
     value = number(given.get(name), f"{where}: {name}")
     if value <= 0:
         raise ValueError(f"{where}: {name} must be positive, got {value:g}")
     return value
 
 
-def _of_split(views: list[View], transforms: dict, split: str, folder: pathlib.Path, path) -> list[View]:
+def _of_split(views: list[View], transforms: dict, split: str, folder: pathlib.Path, path: pathlib.Path) -> list[View]:
+    """The views of a split of transforms.json, which may list its files."""
     lists = {
         name: transforms[f"{name}_filenames"] for name in ("train", "val", "test") if f"{name}_filenames" in transforms
     }

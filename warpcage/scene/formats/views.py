@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -14,7 +15,7 @@ from ...view.camera import Camera
 from ...view.pictures import image_size, read_image, shrink
 from ..box import view_box
 from ..scene import Scene
-from .distortion import undistort, undistorted_intrinsics
+from .distortion import Intrinsics, undistort, undistorted_intrinsics
 
 #: Fewer points of a reconstruction say nothing about where the object is.
 MIN_POINTS = 8
@@ -24,16 +25,21 @@ MIN_POINTS = 8
 class View:
     """One picture and its camera, as a format's reader found them.
 
-    file: the picture. pose: (4, 4) camera to world, OpenCV axes. where: file and field, for messages.
-    intrinsics: (fx, fy, cx, cy) in pixels of the file, the centre of the first pixel at (0.5, 0.5); or a function of
-    the picture's (width, height) that gives them. size: (width, height) that the format claims, or None.
-    distortion: coefficients in the order of distortion.COEFFICIENTS, or empty. mask: picture of the opacity, or None.
+    Attributes:
+        file: The picture.
+        pose: (4, 4) camera to world, OpenCV axes.
+        where: File and field, for messages.
+        intrinsics: (fx, fy, cx, cy) in pixels of the file, the centre of the first pixel at (0.5, 0.5); or a function
+            of the picture's width and height that gives them.
+        size: Width and height that the format claims, or None.
+        distortion: Coefficients in the order of distortion.COEFFICIENTS, or empty.
+        mask: Picture of the opacity, or None.
     """
 
     file: pathlib.Path
     pose: np.ndarray
     where: str
-    intrinsics: object
+    intrinsics: Intrinsics | Callable[[tuple[int, int]], Intrinsics]
     size: tuple[int, int] | None = None
     distortion: tuple[float, ...] = ()
     mask: pathlib.Path | None = None
@@ -45,16 +51,29 @@ def make_scene(
     downscale: int,
     background: np.ndarray,
     masks: bool | str = True,
-    bounds=None,
-    points=None,
-    to_source=None,
+    bounds: np.ndarray | None = None,
+    points: np.ndarray | None = None,
+    to_source: np.ndarray | None = None,
 ) -> Scene:
     """Read the pictures of views, undo their distortion, shrink them and put them on the background.
 
-    masks: as in load_scene. bounds, to_source: as Scene has them. points: (n, 3) of a reconstruction, or
-    None; the bulk of those that the cameras look at becomes the bounds where none are given.
-    Raises FileNotFoundError for pictures that are not there; ValueError for pictures listed twice, of several sizes,
-    of another size than their camera's, broken, or too many for the memory.
+    Args:
+        views: Pictures with their cameras, in the order of the scene.
+        downscale: Whole factor by which width and height shrink.
+        background: (3,) colour put behind transparent pixels.
+        masks: As for `load_scene`.
+        bounds: (2, 3) box of the object, world units. None takes it from the points, if there are any.
+        points: (n, 3) points of a reconstruction, world units; the bulk of those that the cameras look at makes the
+            bounds.
+        to_source: (4, 4) as Scene has it.
+
+    Returns:
+        The scene.
+
+    Raises:
+        FileNotFoundError: For pictures that are not there.
+        ValueError: For pictures listed twice, of several sizes, of another size than their camera's, broken, or too
+            many for the memory.
     """
     _refuse_doubles(views)
     if masks == "split" and any(view.mask is None for view in views):
@@ -87,7 +106,9 @@ def make_scene(
     if (alphas == 1.0).all():  # opaque images say nothing about the object's outline
         alphas = None
     surroundings = rgba[..., 4:] if masks == "split" and alphas is not None else None
-    scene = Scene(
+    if bounds is None and points is not None:
+        bounds = _bulk_box(points, view_box(cameras))
+    return Scene(
         images,
         alphas,
         cameras,
@@ -98,10 +119,10 @@ def make_scene(
         surroundings=surroundings,
         captured=any(view.mask is not None for view in views),
     )
-    return scene if points is None or bounds is not None else _with_bounds(scene, points)
 
 
 def _refuse_doubles(views: list[View]) -> None:
+    """Refuse a picture that is listed twice."""
     seen = {}
     for view in views:
         key = os.path.abspath(view.file)
@@ -111,7 +132,7 @@ def _refuse_doubles(views: list[View]) -> None:
 
 
 def _common_size(views: list[View]) -> tuple[int, int]:
-    """(width, height) of all pictures, out of their headers."""
+    """Width and height of all pictures, by their headers."""
     with ThreadPoolExecutor() as pool:
         sizes = list(pool.map(lambda view: image_size(view.file), views))
     for view, size in zip(views, sizes, strict=True):
@@ -134,30 +155,36 @@ def _common_size(views: list[View]) -> tuple[int, int]:
     return sizes[0]
 
 
-def _times(size) -> str:
+def _times(size: tuple[int, int]) -> str:
+    """A size in messages."""
     return f"{size[0]}x{size[1]}"
 
 
-def _intrinsics(view: View, size) -> tuple[float, float, float, float]:
-    given = view.intrinsics(size) if callable(view.intrinsics) else view.intrinsics
-    return tuple(float(value) for value in given)
+def _intrinsics(view: View, size: tuple[int, int]) -> Intrinsics:
+    """(fx, fy, cx, cy) of a view's picture of some size."""
+    fx, fy, cx, cy = view.intrinsics(size) if callable(view.intrinsics) else view.intrinsics
+    return float(fx), float(fy), float(cx), float(cy)
 
 
-def _pinhole(view: View, intrinsics, size):
+def _pinhole(view: View, intrinsics: Intrinsics, size: tuple[int, int]) -> Intrinsics:
+    """(fx, fy, cx, cy) of a view's picture without its distortion."""
     if not any(view.distortion):
         return intrinsics
-    _camera(view, intrinsics, size)  # what is no camera cannot be undistorted either
+    _camera(view, intrinsics, size)  # refuses what cannot be a camera
     return undistorted_intrinsics(intrinsics, size, view.distortion, view.where)
 
 
-def _camera(view: View, intrinsics, size) -> Camera:
+def _camera(view: View, intrinsics: Intrinsics, size: tuple[int, int]) -> Camera:
+    """A view's camera; errors name its file."""
+    fx, fy, cx, cy = intrinsics
+    width, height = size
     try:
-        return Camera(*intrinsics, *size, view.pose)
+        return Camera(fx, fy, cx, cy, width, height, view.pose)
     except ValueError as error:
         raise ValueError(f"{view.where}: {error}") from error
 
 
-def _require_memory(count: int, size, downscale: int, channels: int) -> None:
+def _require_memory(count: int, size: tuple[int, int], downscale: int, channels: int) -> None:
     """Refuse pictures that the machine cannot hold, before the first is read."""
     width, height = (max(1, round(side / downscale)) for side in size)
     needed = count * width * height * channels * 4  # what is read, and what becomes of it
@@ -188,15 +215,15 @@ def _names(views: list[View]) -> list[str]:
     return names if len(set(names)) == len(names) else [f"{view.file.parent.name}/{view.file.stem}" for view in views]
 
 
-def _with_bounds(scene: Scene, points: np.ndarray) -> Scene:
-    """The scene with a box around the bulk of the points that lie where the cameras look, or of all of them."""
-    low, high = view_box(scene)
+def _bulk_box(points: np.ndarray, seen_box: np.ndarray) -> np.ndarray | None:
+    """(2, 3) box around the bulk of the points that lie where the cameras look, or of all of them; None for too few."""
+    low, high = seen_box
     seen = points[((points > low) & (points < high)).all(axis=1)]
     bulk = seen if len(seen) >= max(MIN_POINTS, len(points) // 4) else points
     if len(bulk) < MIN_POINTS:
-        return scene
+        return None
     low, high = np.percentile(bulk, [1.0, 99.0], axis=0)  # a few are always far off
     margin = 0.1 * float((high - low).max())
     if not (np.isfinite(margin) and margin > 0):
-        return scene
-    return dataclasses.replace(scene, bounds=[low - margin, high + margin])
+        return None
+    return np.stack([low - margin, high + margin])
