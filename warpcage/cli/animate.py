@@ -105,6 +105,7 @@ def run(args: argparse.Namespace) -> None:
     cameras = _chosen_cameras(args, points)
     deformer = None if rest is None else inputs.make_deformer(field, rest, args)
     shot = _Shot(field, deformer, keyframes, cameras, args)
+
     from tqdm import tqdm
 
     frames = tqdm(range(args.frames), desc="animate", disable=args.quiet)
@@ -186,11 +187,7 @@ def _chosen_cameras(args: argparse.Namespace, points: np.ndarray) -> list[Camera
         return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)
     if any(given is not None for given in (args.turn, args.camera, args.eye, args.target)):
         raise ValueError("--cameras cannot be combined with --turn, --camera, --eye or --target")
-
-    cameras, size = view.scene_cameras(args.cameras), view.image_size(args)
-    if size is not None:
-        cameras = [view.fitted(camera, *size) for camera in cameras]
-    return cameras_along(cameras, args.frames, args.interpolation)
+    return cameras_along(view.sized_cameras(args, args.cameras), args.frames, args.interpolation)
 
 
 def turned_cameras(camera: Camera, pivot: np.ndarray, up: ArrayLike, degrees: float, count: int) -> list[Camera]:

@@ -69,9 +69,7 @@ def run(args: argparse.Namespace) -> None:
 
 def chosen_cameras(args: argparse.Namespace) -> list[Camera]:
     """One camera per picture."""
-    cameras, size = view.scene_cameras(args.scene), view.image_size(args)
-    if size is not None:
-        cameras = [view.fitted(camera, *size) for camera in cameras]
+    cameras = view.sized_cameras(args, args.scene)
     if args.cameras == "given":
         return cameras
     return cameras_along(cameras, args.frames or max(1, STEPS * (len(cameras) - 1) + 1))

@@ -69,6 +69,12 @@ def scene_cameras(text: str) -> list[Camera]:
     return load_scene(path, split=split).cameras
 
 
+def sized_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
+    """The cameras that SCENE[:SPLIT] names, at --size where it is given."""
+    cameras, size = scene_cameras(text), image_size(args)
+    return cameras if size is None else [fitted(camera, *size) for camera in cameras]
+
+
 def scene_camera(text: str) -> Camera:
     """The camera that SCENE:[SPLIT:]INDEX names."""
     path, separator, index = text.rpartition(":")
