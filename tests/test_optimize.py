@@ -15,6 +15,7 @@ from warpcage.fitting.evaluation import error_image, evaluate, mean_psnr, psnr, 
 from warpcage.fitting.level import coefficient_rows, gradient_parts
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.fitting.silhouettes import object_bounds
+from warpcage.kernels.fitting import background_loss
 from warpcage.kernels.fitting import loss as field_loss
 from warpcage.kernels.fitting import loss_warps as field_loss_warps
 from warpcage.kernels.fitting import rmsprop as field_step
@@ -274,6 +275,33 @@ def test_rmsprop_step_matches_numpy(device):
         values -= np.where(g != 0, rates * g / (np.sqrt(np.where(v > 0, v, 1)) + 1e-12), 0)
     np.testing.assert_allclose(coefficients.numpy(), values[:, :27], atol=1e-2)
     np.testing.assert_allclose(density.numpy(), values[:, 27], atol=1e-2)
+
+
+def test_layers_and_voxels_step_alike(device):
+    """Both kernels take the first step to the bit, and the layers' next ones follow NumPy."""
+    random = np.random.default_rng(1)
+    start, g = (random.normal(size=12).astype(np.float32) for _ in range(2))
+    g[::4] = 0
+    rows = np.zeros((12, 28), np.float32)
+    rows[:, 27] = g
+    density = wp.array(start, device=device)
+    inputs = [0, 0.3, 0.0, 0.0, 0.9, 1e-12, 1e-12, wp.ones(12, dtype=wp.uint8, device=device)]
+    inputs += [wp.array(rows, device=device), wp.zeros((12, 28), dtype=wp.bfloat16, device=device)]
+    coefficients = wp.zeros((12, 27), dtype=wp.float32, device=device)
+    wp.launch(field_step.apply_rmsprop, dim=12 * 28, device=device, inputs=inputs, outputs=[density, coefficients])
+    values, held = wp.array(start, device=device), wp.zeros(12, dtype=wp.float32, device=device)
+    expected, moments = start.astype(np.float64), np.zeros(12)
+    for step in range(3):
+        gradients = wp.array((step + 1) * g, device=device)
+        outputs = [gradients, held, values]
+        wp.launch(background_loss.apply_layer_rmsprop, dim=12, device=device, inputs=[0, 0.3, 0.9, 1e-12, *outputs])
+        if step == 0:
+            np.testing.assert_array_equal(values.numpy(), density.numpy())
+        squares = ((step + 1.0) * g) ** 2
+        moments = squares if step == 0 else 0.9 * moments + 0.1 * squares
+        expected -= 0.3 * (step + 1) * g / (np.sqrt(moments) + 1e-12)
+        assert not gradients.numpy().any()
+    np.testing.assert_allclose(values.numpy(), expected, rtol=1e-5, atol=1e-6)
 
 
 def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=True, device=None):
