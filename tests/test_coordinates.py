@@ -7,8 +7,8 @@ import trimesh
 import warp as wp
 
 import warpcage as coordinates
-from warpcage.core.names import COORDINATES
 from warpcage.cage.cage import Cage
+from warpcage.core.names import COORDINATES
 
 CLOSED_FORMS = ["mean_value", "green"]
 

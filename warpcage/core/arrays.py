@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+from typing import Any, TypeAlias
+
 import numpy as np
 import warp as wp
 
 from .devices import resolve_device
 
+#: Points as callers give them: NumPy, sequences, Warp arrays, or anything with DLPack or `__cuda_array_interface__`.
+AnyArray: TypeAlias = Any
 
-def is_device_array(array) -> bool:
-    """Whether `array` is a Warp array or a foreign one (torch, CuPy, JAX) rather than NumPy or a sequence."""
+#: An instance of a Warp struct. `wp.struct` makes a value of the class, which no annotation can name.
+WarpStruct: TypeAlias = Any
+
+
+def is_device_array(array: AnyArray) -> bool:
+    """Whether an array is a Warp array or a foreign one (torch, CuPy, JAX) rather than NumPy or a sequence.
+
+    Args:
+        array: What was given.
+
+    Returns:
+        Whether it is.
+    """
     if isinstance(array, wp.array):
         return True
     if isinstance(array, np.ndarray | list | tuple):
@@ -18,13 +33,20 @@ def is_device_array(array) -> bool:
     return hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")
 
 
-def as_points(points, device=None, *, name: str = "points") -> tuple[wp.array, bool]:
-    """`points` as a Warp array of wp.vec3 on a device, and whether results should go back as Warp arrays.
+def as_points(points: AnyArray, device: wp.DeviceLike = None, *, name: str = "points") -> tuple[wp.array, bool]:
+    """Points as a Warp array on a device.
 
-    points: (n, 3) float, NumPy / sequence, or any DLPack or `__cuda_array_interface__` array (then without a copy
-    where it is float32, contiguous and on that device already; its own device is taken where `device` is None).
-    Raises ValueError for another shape or for values that are not finite (NumPy input only: arrays on a device are
-    not read back).
+    Args:
+        points: (n, 3) float. Arrays on a device are not copied where they are float32, contiguous and there already.
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        name: What messages call the points.
+
+    Returns:
+        (n,) vec3, and whether results should go back as Warp arrays.
+
+    Raises:
+        ValueError: For another shape, or for values that are not finite (NumPy input only: arrays on a device are not
+            read back).
     """
     if is_device_array(points):
         array = points if isinstance(points, wp.array) else _from_foreign(points, name)
@@ -35,9 +57,10 @@ def as_points(points, device=None, *, name: str = "points") -> tuple[wp.array, b
             raise ValueError(f"{name} must be (n, 3), got {tuple(array.shape)}")
         target = array.device if device is None else resolve_device(device)
         if array.dtype == wp.vec3:
-            return (array if array.device == target else array.to(target)), True
+            return (array if array.device == target else array.to(target)), True  # pyright: ignore[reportReturnType]
         if array.dtype == wp.float32 and array.is_contiguous:
-            return array.to(target).view(wp.vec3) if array.device != target else array.view(wp.vec3), True
+            there = array if array.device == target else array.to(target)
+            return there.view(wp.vec3), True  # pyright: ignore[reportReturnType]
         # another precision or layout: through the host, once
         host = np.ascontiguousarray(array.numpy(), dtype=np.float32).reshape(-1, 3)
         return wp.array(host, dtype=wp.vec3, device=target), True
@@ -45,9 +68,19 @@ def as_points(points, device=None, *, name: str = "points") -> tuple[wp.array, b
     return wp.array(host.astype(np.float32), dtype=wp.vec3, device=resolve_device(device)), False
 
 
-def as_host_points(points, *, name: str = "points") -> np.ndarray:
-    """(n, 3) float64 NumPy copy of `points`. Raises ValueError for what are no real numbers, another shape or values
-    that are not finite."""
+def as_host_points(points: AnyArray, *, name: str = "points") -> np.ndarray:
+    """Points as a NumPy copy.
+
+    Args:
+        points: (n, 3) real numbers.
+        name: What messages call the points.
+
+    Returns:
+        (n, 3) float64.
+
+    Raises:
+        ValueError: For anything but real numbers, another shape, or values that are not finite.
+    """
     try:
         host = np.asarray(points.numpy() if isinstance(points, wp.array) else points)
         host = host.astype(np.float64, casting="unsafe" if host.dtype == object else "same_kind")
@@ -63,17 +96,23 @@ def as_host_points(points, *, name: str = "points") -> np.ndarray:
     return host
 
 
-def _from_foreign(array, name: str) -> wp.array:
+def _from_foreign(array: AnyArray, name: str) -> wp.array:
     if getattr(array, "requires_grad", False):
         array = array.detach()
     try:
-        return wp.from_dlpack(array) if hasattr(array, "__dlpack__") else wp.array(array, copy=False)
+        return wp.from_dlpack(array) if hasattr(array, "__dlpack__") else wp.array(array, copy=False)  # pyright: ignore[reportReturnType]
     except Exception as error:
         raise ValueError(f"{name} of type {type(array).__name__} could not be read through DLPack: {error}") from error
 
 
 def array_view(
-    owner: wp.array, dtype, shape: int | tuple[int, ...], *, device=None, offset: int = 0, strides=None
+    owner: wp.array,
+    dtype: type,
+    shape: int | tuple[int, ...],
+    *,
+    device: wp.DeviceLike = None,
+    offset: int = 0,
+    strides: tuple[int, ...] | None = None,
 ) -> wp.array:
     """The memory of an array as an array of another type, shape or device. It keeps its owner alive.
 
@@ -91,7 +130,7 @@ def array_view(
         The view. It holds the same memory as `owner`, whose lifetime it extends.
     """
     view = wp.array(
-        ptr=owner.ptr + offset,
+        ptr=None if owner.ptr is None else owner.ptr + offset,  # None: it has no items
         dtype=dtype,
         shape=shape,
         strides=strides,
@@ -100,3 +139,17 @@ def array_view(
     )
     view._ref = owner  # where Warp's own views keep theirs
     return view
+
+
+def empty_array(shape: int | tuple[int, ...], dtype: type, device: wp.DeviceLike) -> wp.array:
+    """A new array that is not filled in.
+
+    Args:
+        shape: Items along each axis.
+        dtype: Type of the items.
+        device: Warp device.
+
+    Returns:
+        The array.
+    """
+    return wp.empty(shape, dtype=dtype, device=device)  # pyright: ignore[reportArgumentType]
