@@ -8,6 +8,7 @@ import warp as wp
 
 import warpcage as coordinates
 from warpcage.cage.cage import Cage
+from warpcage.coordinates.deform import stretched_normals
 from warpcage.core.names import COORDINATES
 
 CLOSED_FORMS = ["mean_value", "green"]
@@ -132,7 +133,7 @@ def test_deform_points_is_the_weighted_sum(device):
     assert np.abs(moved - weights @ deformed.vertices).max() < 1e-5
     phi, psi = coordinates.green_coordinates(points, rest, device=device)
     moved = coordinates.deform_points(points, rest, deformed, "green", device=device)
-    wanted = phi @ deformed.vertices + psi @ coordinates.stretched_normals(rest, deformed)
+    wanted = phi @ deformed.vertices + psi @ stretched_normals(rest, deformed)
     assert np.abs(moved - wanted).max() < 1e-5
 
 
@@ -158,13 +159,13 @@ def test_stretched_normals_of_known_faces():
     vertices, faces = oracles.cage("box")
     rest = Cage(vertices, faces)
     normals = oracles.unit_normals(vertices, faces)
-    assert np.allclose(coordinates.stretched_normals(rest, rest), normals)
-    assert np.allclose(coordinates.stretched_normals(rest, rest.scale(3.0)), 3 * normals)
+    assert np.allclose(stretched_normals(rest, rest), normals)
+    assert np.allclose(stretched_normals(rest, rest.scale(3.0)), 3 * normals)
     # a face stretched by 2 one way and not the other: sqrt((4 + 1) / 2), whatever its two edges are
-    longer = coordinates.stretched_normals(rest, rest.with_vertices(vertices * [2.0, 1.0, 1.0]))
+    longer = stretched_normals(rest, rest.with_vertices(vertices * [2.0, 1.0, 1.0]))
     wanted = np.where(np.abs(normals[:, :1]) > 0.5, 1.0, np.sqrt(2.5)) * normals
     assert np.allclose(longer, wanted)
-    flat = coordinates.stretched_normals(rest, rest.with_vertices(vertices * [0.0, 1.0, 1.0]))
+    flat = stretched_normals(rest, rest.with_vertices(vertices * [0.0, 1.0, 1.0]))
     assert np.isfinite(flat).all()
 
 

@@ -26,10 +26,10 @@ from ..core.entries import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import INFINITE, PLANE_BAND, near_plane_limit
 from ..mesh.triangle import nearest_barycentric
 
-# so many registers a thread that larger blocks fill a GPU worse
+# so many registers per thread that larger blocks would fill a GPU less well
 wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
 
-#: Faces whose plane passes closer than so many of face_fans' bands, and that are seen wide, take the float64 path.
+#: Faces take the float64 path if they are seen wide and their plane passes closer than this many bands of fans.py.
 BANDS = wp.constant(2.0)
 
 #: Points this close to a face, as a share of the size, and not clearly in front of it, take the limit from inside.
@@ -341,7 +341,7 @@ def green_position(
     size: float,
 ):
     """sum_i phi_i(x) targets_i + sum_f psi_f(x) target_normals_f with phi, psi of the cage `vertices`. fans: see
-    face_fans."""
+    prepare_fans."""
     return green_point(x, vertices, faces, fans, targets, target_normals, size).position
 
 

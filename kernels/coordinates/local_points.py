@@ -8,7 +8,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-#: Along an axis, in sizes of the cage: mean value weights keep four digits so far outside.
+#: Farthest along an axis, in sizes of the cage: mean value weights keep four digits as far outside.
 FARTHEST = wp.constant(1.0e3)
 
 

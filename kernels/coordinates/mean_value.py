@@ -24,7 +24,7 @@ from ..core.entries import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import near_plane_limit
 from ..mesh.triangle import nearest_barycentric
 
-# so many registers a thread that larger blocks fill a GPU worse
+# so many registers per thread that larger blocks would fill a GPU less well
 wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
 
 #: Every face takes the float64 path where the sum of weights is between these over the size, as it is well outside.

@@ -1,7 +1,7 @@
-"""Entries of arrays by bare address arithmetic, and a reciprocal root: for loops that are bound by their instructions.
+"""Entries of arrays by bare address arithmetic, and a reciprocal root: for loops bound by instructions.
 
-Warp's own indexing also takes negative and long indices, at eight instructions an entry. These take an index from
-zero up to the array's end, which nobody checks.
+Warp's own indexing also takes negative and long indices, at eight instructions per entry. These take an index
+from zero to the array's end, which is not checked.
 Needs: none.
 """
 

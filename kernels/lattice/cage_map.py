@@ -7,7 +7,7 @@ interpolating positions is the same as interpolating weights and summing afterwa
 Node (i, j, k) lies at lower + (i, j, k) * spacing, in world units relative to any origin that the caller keeps to.
 `distance` is the signed distance to the cage the lattice is built on, negative inside, exact at nodes nearer than
 4 * spacing and clamped to that elsewhere. `positions` hold at inside nodes and at the rings of nodes around them that
-look-up near the cage takes in. Cells at narrow gaps of the cage have corner values for each side (see map_sides).
+look-up near the cage takes in. Cells at narrow gaps of the cage have corner values for each side (see side_values.py).
 Needs: none.
 """
 

@@ -1,6 +1,6 @@
 """Mean value and Green maps at the listed nodes of a lattice.
 
-Cage vertices are in node units (see crossings) relative to the middle of the lattice, so that float32 keeps most
+Cage vertices are in node units (see crossings.py) relative to the middle of the lattice, so that float32 keeps most
 digits where the cage is; `size` is the cage's size in them.
 
 Both maps are harmonic or nearly so, and smooth at CLEARANCE cells from the cage and more: there they are evaluated at
@@ -14,9 +14,9 @@ import warp as wp
 from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
 from .cut_rows import CutRows
-from .nodes import NodeLevels, centred_place, node_place
+from .nodes import CUT_SECTION, INTERPOLATED_SECTION, RING_SECTION, NodeLevels, centred_place, node_place
 
-# so many registers a thread that larger blocks fill a GPU worse
+# so many registers per thread that larger blocks would fill a GPU less well
 wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
 
 
@@ -31,10 +31,10 @@ def map_nodes_mean_value(
     size: float,
     values: wp.array(dtype=wp.vec3),
 ):
-    """values[node] = sum_j w_j targets_j at inside nodes that are not interpolated. fans: see face_fans. One item a
-    node; one level."""
+    """values[node] = sum_j w_j targets_j at inside nodes that are not interpolated. fans: see prepare_fans. One item
+    per node; one level."""
     n = first + wp.tid()
-    if n >= levels.starts[1]:
+    if n >= levels.starts[INTERPOLATED_SECTION]:
         return
     node = levels.nodes[n]
     values[node] = mean_value_position(centred_place(levels, node), vertices, faces, fans, targets, size)
@@ -53,9 +53,9 @@ def map_nodes_green(
     values: wp.array(dtype=wp.vec3),
 ):
     """values[node] = sum_i phi_i targets_i + sum_f psi_f target_normals_f at inside nodes that are not interpolated.
-    One item a node; one level."""
+    One item per node; one level."""
     n = first + wp.tid()
-    if n >= levels.starts[1]:
+    if n >= levels.starts[INTERPOLATED_SECTION]:
         return
     node = levels.nodes[n]
     values[node] = green_position(centred_place(levels, node), vertices, faces, fans, targets, target_normals, size)
@@ -65,9 +65,9 @@ def map_nodes_green(
 def interpolate_nodes(first: int, axis: int, levels: NodeLevels, values: wp.array(dtype=wp.vec3)):
     """Values at interpolated nodes that are odd along `axis` and even along the axes after it; the axes in order."""
     n = first + wp.tid()
-    if n >= levels.starts[2] - levels.starts[1]:
+    if n >= levels.starts[CUT_SECTION] - levels.starts[INTERPOLATED_SECTION]:
         return
-    node = levels.nodes[levels.starts[1] + n]
+    node = levels.nodes[levels.starts[INTERPOLATED_SECTION] + n]
     p = node_place(levels, 0, node)
     shape = levels.shapes[0]
     step = int(1)
@@ -134,10 +134,10 @@ def map_crossings_green(
     item = first + wp.tid()
     row = item / 6
     direction = item % 6
-    if row >= levels.starts[3] - levels.starts[2]:
+    if row >= levels.starts[RING_SECTION] - levels.starts[CUT_SECTION]:
         return
     if rows.faces[row, direction] >= 0:
-        x = centred_place(levels, levels.nodes[levels.starts[2] + row])
+        x = centred_place(levels, levels.nodes[levels.starts[CUT_SECTION] + row])
         away = rows.fractions[row, direction]
         axis = direction / 2
         x[axis] = x[axis] + wp.where(direction % 2 == 1, away, -away)

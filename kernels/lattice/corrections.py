@@ -3,15 +3,15 @@
 Mean value maps are not harmonic: in the cells next to the cage, most of all where it faces itself over a gap, their
 second derivatives have one sign, and trilinear interpolation of exact values errs on one side, in the middle of a cell
 by an eighth of the sum of the second differences. Half of that as an error of the other sign at the nodes halves the
-largest one, so that cut inside nodes (see node_levels) move by
+largest one, so that cut inside nodes (see nodes.py) move by
 
     - (d_0 + d_1 + d_2) / 16,    d_a = 2 ((u_+ - u_0) / theta_+ + (u_- - u_0) / theta_-) / (theta_+ + theta_-)
 
 with the neighbours, or the values where links cross the cage, a fraction theta of a cell away.
 
-Ring nodes are continued along grid edges (see map_extension), which says little of a cage's edges that poke into a cell
-between them. Each is moved by MISFIT_SHARE of what the map misses at the point of the cage nearest to it, where its
-value is known. All of it is linear in the values and zero for linear functions.
+Ring nodes are continued along grid edges (see rings.py), which does not see edges of the cage that reach into
+a cell between them. Each is moved by MISFIT_SHARE of the error of the map at the point of the cage nearest to it, where
+its value is known. All of it is linear in the values and zero for linear functions.
 Needs: lattice/cage_map, lattice/cut_rows, lattice/distance, lattice/nodes, lattice/rings, mesh/containment.
 """
 
@@ -21,7 +21,7 @@ from ..mesh.containment import closest_point_on_triangle
 from .cage_map import corner_share
 from .cut_rows import CutRows, barycentric, crossing_value
 from .distance import BLOCK, block_count, nearest_face
-from .nodes import OUTSIDE, NodeLevels, node_place
+from .nodes import CUT_SECTION, OUTSIDE, RING_SECTION, NodeLevels, node_place
 from .rings import is_known, is_open_link, node_step
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
@@ -148,11 +148,11 @@ def measure_corrections(
 ):
     """corrections (cut nodes and rings 0 and 1,): what is to be added to the values (nodes,) of a map that takes
     vertex_values (v,) at the cage's vertices and is linear on its faces. vertices (v,) in node units; counts, near: see
-    list_block_faces. One item a node; one level."""
+    list_block_faces. One item per node; one level."""
     n = first + wp.tid()
-    if n >= levels.starts[5] - levels.starts[2]:
+    if n >= levels.starts[RING_SECTION + 2] - levels.starts[CUT_SECTION]:
         return
-    node = levels.nodes[levels.starts[2] + n]
+    node = levels.nodes[levels.starts[CUT_SECTION] + n]
     correction = wp.vec3(0.0, 0.0, 0.0)
     if levels.codes[node] >= 0:
         for axis in range(3):
@@ -166,9 +166,9 @@ def measure_corrections(
 def correct_values(
     first: int, levels: NodeLevels, corrections: wp.array(dtype=wp.vec3), values: wp.array(dtype=wp.vec3)
 ):
-    """Add the corrections to the values of cut nodes and rings 0 and 1. One item a node; one level."""
+    """Add the corrections to the values of cut nodes and rings 0 and 1. One item per node; one level."""
     n = first + wp.tid()
-    if n >= levels.starts[5] - levels.starts[2]:
+    if n >= levels.starts[RING_SECTION + 2] - levels.starts[CUT_SECTION]:
         return
-    node = levels.nodes[levels.starts[2] + n]
+    node = levels.nodes[levels.starts[CUT_SECTION] + n]
     values[node] = values[node] + corrections[n]

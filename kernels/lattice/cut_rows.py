@@ -74,7 +74,7 @@ def describe_rows(
     levels: NodeLevels,
     rows: CutRows,
 ):
-    """Fill the table of cut nodes of all levels. vertices (v,) in node units of the lattice. One item a row."""
+    """Fill the table of cut nodes of all levels. vertices (v,) in node units of the lattice. One item per row."""
     row = first + wp.tid()
     level_count = levels.shapes.shape[0]
     if row >= levels.starts[3 * level_count] - levels.starts[2 * level_count]:

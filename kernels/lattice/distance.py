@@ -2,8 +2,8 @@
 
 The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
 the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Which octants of a block
-are CLEARANCE cells and more from the cage is kept as well. Units: node units (see crossings) for vertices, world units
-for the result.
+are CLEARANCE cells and more from the cage is kept as well. Units: node units (see crossings.py) for vertices, world
+units for the result.
 Needs: core/lanes, lattice/crossings, mesh/containment.
 """
 
@@ -33,7 +33,7 @@ HALF_DIAGONAL = wp.constant(2.5981)
 OCTANT_DIAGONAL = wp.constant(0.8661)
 _Octants = wp.types.vector(length=8, dtype=float)
 
-#: Cells from the cage from which on a map of closed forms counts as smooth.
+#: Cells from the cage beyond which a map of closed forms counts as smooth.
 CLEARANCE = wp.constant(6.0)
 
 
@@ -48,7 +48,7 @@ def box_gap_squared(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
 @wp.func
 def block_count(side: int):
-    """Blocks that cover a side of so many nodes."""
+    """Blocks that cover a side of `side` nodes."""
     return (side + BLOCK - 1) / BLOCK
 
 
@@ -99,7 +99,7 @@ def list_block_faces(
     """shapes: as in LineCrossings. near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,): how
     many, also beyond m;
     clear_octants (blocks,): bit o is set where the nodes of octant o are at least CLEARANCE cells from the cage; bits
-    0, 1, 2 of o: its upper half along the axes. A group of lanes a block, a lane a face."""
+    0, 1, 2 of o: its upper half along the axes. One group of lanes per block, one lane per face."""
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes
@@ -192,8 +192,8 @@ def measure_band(
     scales: wp.array(dtype=float),
     distance: wp.array(dtype=float),
 ):
-    """distance (nodes,): signed, clamped to BAND cells. scales[0]: world units a cell. BLOCK^3 items a block of nodes,
-    which look at the same faces."""
+    """distance (nodes,): signed, clamped to BAND cells. scales[0]: world units per cell. BLOCK^3 items per block of
+    nodes, which look at the same faces."""
     item = first + wp.tid()
     shape = crossings.shapes[0]
     ny = block_count(shape[1])

@@ -1,9 +1,9 @@
-"""Sides of the lattice cells at narrow gaps of a cage: which there are, as rows of a table.
+"""Sides of the lattice cells at narrow gaps of a cage, as rows of a table.
 
 A side is a set of inside corners of a cell joined by links that do not cross the cage, of the cell or one layer behind
 a face of it. A cell may hold a tip of the cage without a corner inside it: besides its own it has the sides of the six
-cells beside it that have no inside corner in common with it. Cells are marked, their sides counted column by column,
-summed up and written; what the rows hold is in map_sides. Cells have the number of their first corner.
+neighbouring cells that have no inside corner in common with it. Cells are marked, their sides counted column by column,
+summed up and written; what the rows hold is in side_values.py. Cells have the number of their first corner.
 Needs: core/lanes, lattice/cut_rows, lattice/nodes, lattice/rings.
 """
 
@@ -11,12 +11,12 @@ import warp as wp
 
 from ..core.lanes import ballot, bit_count, bits_before, lane_count, sum_of_lanes
 from .cut_rows import DOUBLE_CUT, CutRows
-from .nodes import OUTSIDE, NodeLevels
+from .nodes import OUTSIDE, NodeLevels, cut_section, ring_section
 from .rings import is_open_link, node_step
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 2})
 
-#: Sides of a cell that there is room for in its entry of side_index, and the bits that hold their count there.
+#: Most sides that an entry of side_index has room for, and the mask of the bits that count them.
 MOST_SIDES = wp.constant(7)
 
 
@@ -126,7 +126,7 @@ def mark_gap_cells(first: int, levels: NodeLevels, flags: wp.array(dtype=int), s
     """side_index (nodes,): -1 for the cells around flagged nodes."""
     n = first + wp.tid()
     if flags[n] == 1:
-        node = levels.nodes[levels.starts[3 * levels.shapes.shape[0]] + n]
+        node = levels.nodes[levels.starts[ring_section(levels)] + n]
         shape = levels.shapes[0]
         for corner in range(8):
             side_index[node - ((corner >> 2) * shape[1] + ((corner >> 1) & 1)) * shape[2] - (corner & 1)] = -1
@@ -135,17 +135,17 @@ def mark_gap_cells(first: int, levels: NodeLevels, flags: wp.array(dtype=int), s
 @wp.func
 def cut_row_count(levels: NodeLevels):
     """Rows of level 0."""
-    section = 2 * levels.shapes.shape[0]
+    section = cut_section(levels)
     return levels.starts[section + 1] - levels.starts[section]
 
 
 @wp.kernel
 def mark_narrow_cells(first: int, levels: NodeLevels, rows: CutRows, side_index: wp.array(dtype=int)):
-    """side_index (nodes,): -1 for the cells around cut nodes with a link that crosses the cage twice. One item a row of
-    level 0."""
+    """side_index (nodes,): -1 for the cells around cut nodes with a link that crosses the cage twice. One item per row
+    of level 0."""
     row = first + wp.tid()
     if row < cut_row_count(levels) and (rows.links[row] & DOUBLE_CUT) != 0:
-        node = levels.nodes[levels.starts[2 * levels.shapes.shape[0]] + row]
+        node = levels.nodes[levels.starts[cut_section(levels)] + row]
         shape = levels.shapes[0]
         for corner in range(8):
             side_index[node - ((corner >> 2) * shape[1] + ((corner >> 1) & 1)) * shape[2] - (corner & 1)] = -1
@@ -202,7 +202,7 @@ def count_column_sides(
     first: int, levels: NodeLevels, rows: CutRows, counts: wp.array(dtype=int), side_index: wp.array(dtype=int)
 ):
     """counts (columns of level 0 or more,): sides of the marked cells in each column, 0 beyond the last. side_index:
-    from -1, a mark, to -1 less entry_length. A group of lanes a column, a lane a cell."""
+    from -1, a mark, to -1 less entry_length. One group of lanes per column, one lane per cell."""
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes
@@ -267,8 +267,8 @@ def list_column_sides(
     side_masks: wp.array(dtype=int),
 ):
     """side_index: from what count_column_sides leaves to 8 * first row + number of sides of each cell, 0 where it has
-    none; side_cells, side_masks: cell and corners of each row. Nothing where the table is longer than they are. A group
-    of lanes a column, a lane a cell.
+    none; side_cells, side_masks: cell and corners of each row. Nothing is written where the table is longer than
+    they are. One group of lanes per column, one lane per cell.
 
     Rows hold the cell whose corners make the side; above the corners' bits stands 1 plus the direction in which that
     cell lies, where it is not the one that gets the side.

@@ -1,7 +1,7 @@
 """Multigrid for the Laplace equation inside a cage: three channels at a time, on lists of inside nodes.
 
 V-cycles of red-black Gauss-Seidel, full weighting and trilinear prolongation (Brandt 1977; Briggs, Henson and
-McCormick, "A Multigrid Tutorial") for the rows of harmonic_rows. On level l the row at node 0 is
+McCormick, "A Multigrid Tutorial") for the rows of cut_rows.py. On level l the row at node 0 is
 
     sum over uncut links u_k - d u_0 + b = 0,    d = 6, or the sum of 1 / theta at a cut node
 
@@ -11,7 +11,7 @@ leaves zero. So only red residuals are restricted, and as the next sweep sets re
 correction, and the residuals can lie in the red values' place meanwhile. On coarser levels, which begin at zero, the
 first half sweep is load / d. The half sweep that ends a cycle begins the next one: what it changes is the residual.
 
-values (nodes of all levels,) vec3, as numbered by node_levels; zero outside. A launch writes nodes of one colour and
+values (nodes of all levels,) vec3, as numbered by nodes.py; zero outside. A launch writes nodes of one colour and
 reads the other, so items are independent. Every kernel takes its count from the device: launches may be longer than
 the list, which lets one CUDA graph serve poses with different counts.
 Needs: core/lanes, lattice/cut_rows, lattice/nodes.
@@ -90,9 +90,9 @@ def diagonal(system: LaplaceSystem, code: int):
 
 @wp.func
 def residual(system: LaplaceSystem, level: int, node: int):
-    """What is left of a node's row; zero at outside nodes and at nodes that all but lie on the cage.
+    """Residual of a node's row; zero at outside nodes and at nodes that lie almost on the cage.
 
-    The rows of the latter hold 1 / theta times rounding, which coarse levels would take for a load.
+    The rows of the latter hold 1 / theta times rounding errors, which coarse levels would take for a load.
     """
     code = system.levels.codes[node]
     d = float(0.0)
@@ -158,8 +158,8 @@ def prolonged_correction(system: LaplaceSystem, level: int, node: int):
 
 @wp.func
 def raise_largest(largest: wp.array(dtype=wp.vec2), item: int, found: wp.vec2):
-    """Raise the entry of an item's group of lanes; a look at what is held, which only grows, spares most of the
-    waiting. All lanes."""
+    """Raise the entry of an item's group of lanes. Entries only grow, so looking at the entry first avoids most of
+    the waiting. All lanes."""
     most = wp.vec2(largest_of_lanes(found[0]), largest_of_lanes(found[1]))
     lanes = lane_count()
     if item % lanes == 0:
@@ -184,7 +184,7 @@ def relax_laplace(first: int, level: int, colour: int, system: LaplaceSystem):
 def relax_and_measure(first: int, span: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
     """Relax the red nodes of level 0, and raise `largest` (slots,), first component, to what changes most.
 
-    An item takes `span` nodes, and a group of lanes raises one entry: on a CPU, items as many as there are entries.
+    An item takes `span` nodes, and a group of lanes raises one entry. On a CPU there are as many items as entries.
     """
     item = first + wp.tid()
     begin = system.levels.starts[0]
@@ -249,7 +249,7 @@ def prolong_and_measure(first: int, span: int, system: LaplaceSystem, largest: w
 def begin_cycles(
     first: int, going: wp.array(dtype=int), status: wp.array(dtype=float), largest: wp.array(dtype=wp.vec2)
 ):
-    """going (1,) becomes 1, status (cycles, residual) and largest (slots,) zero. An item a slot."""
+    """going (1,) becomes 1, status (cycles, residual) and largest (slots,) zero. One item per slot."""
     item = first + wp.tid()
     largest[item] = wp.vec2(0.0, 0.0)
     if item == 0:

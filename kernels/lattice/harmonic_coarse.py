@@ -1,9 +1,9 @@
 """The coarse levels of a multigrid cycle in one launch of one block of threads.
 
-They hold too few nodes to fill a device, so that a launch each sweep costs more than the sweep. The threads of the
-block share the nodes of a colour and wait for each other between colours; on a CPU one thread does it all. What bounds
-a half sweep is how long one value takes from memory and back. So where a thread has no more than two nodes of a colour
-it looks their rows up once a level, and a half sweep reads nothing but the neighbours.
+They hold too few nodes to fill a device, so one launch per sweep would cost more than the sweep. The threads of the
+block share the nodes of a colour and wait for each other between colours; on a CPU one thread does all. A half
+sweep takes as long as one value takes from memory and back. So a thread that has at most two nodes of a colour looks
+their rows up once per level, and a half sweep reads the neighbours only.
 Needs: lattice/harmonic.
 """
 
@@ -134,7 +134,7 @@ def sweep_level(
 @wp.kernel(launch_bounds=BLOCK_THREADS)
 def cycle_coarse_levels(first: int, level: int, sweeps: int, coarsest_sweeps: int, threads: int, system: LaplaceSystem):
     """The part of a V-cycle on `level` (1 and up) and all coarser ones: from its loads and first half sweep to its
-    corrections. One block of `threads` threads, an item each.
+    corrections. One block of `threads` threads, one item per thread.
     """
     thread = wp.tid()
     last = system.levels.shapes.shape[0] - 1

@@ -1,8 +1,8 @@
 """Narrow gaps of a cage: outside nodes next to the inside that lie between two of its sheets.
 
-Found are nodes whose inside ones among the 26 neighbours are not joined by links that do not cross the cage, and links
-that leave the cage and enter it again: gaps narrower than a cell. They count where the map differs by more than
-GAP_JUMP from one side to the other; grooves that a pose does not open do not make sides necessary (see gap_sides).
+Two things are found: nodes whose inside neighbours, of 26, are not all joined by links that stay inside the cage; and
+links that leave the cage and enter it again, at gaps narrower than a cell. They count where the map differs by more
+than GAP_JUMP from one side to the other; grooves that a pose does not open need no sides (see gap_sides.py).
 Needs: lattice/crossings, lattice/cut_rows, lattice/nodes, lattice/rings.
 """
 
@@ -10,12 +10,12 @@ import warp as wp
 
 from .crossings import LineCrossings, exit_distance
 from .cut_rows import DOUBLE_CUT, CutRows
-from .nodes import OUTSIDE, NodeLevels, node_place
+from .nodes import OUTSIDE, NodeLevels, cut_section, node_place, ring_section
 from .rings import is_open_link, node_step
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 2})
 
-#: Difference of the remainder of a map over a gap, as a share of the rest cage's size, from which on sides are kept.
+#: Difference of the remainder of a map over a gap, as a share of the rest cage's size, above which sides are kept.
 GAP_JUMP = wp.constant(1.0e-2)
 
 #: Bits of a 3 x 3 x 3 neighbourhood, numbered like nodes, whose last coordinate is not the lowest; whose
@@ -37,8 +37,8 @@ def grown(mask: int):
 
 @wp.func(inline=False)  # rare: only next to a link that crosses the cage twice
 def loose_part(levels: NodeLevels, rows: CutRows, node: int, mask: int):
-    """Those of the inside nodes among the 26 neighbours of a node, the bits of `mask`, that links that do not cross the
-    cage do not join to the lowest."""
+    """Inside nodes among the 26 neighbours of a node, the bits of `mask`, that are not joined to the lowest of them by
+    links that stay inside the cage."""
     shape = levels.shapes[0]
     reached = mask & (-mask)
     before = int(0)
@@ -113,7 +113,7 @@ def find_gap_nodes(
     Items of a CPU launch that is cut over threads may miss each other's additions to count.
     """
     n = first + wp.tid()
-    section = 3 * levels.shapes.shape[0]
+    section = ring_section(levels)
     if n >= levels.starts[section + 2] - levels.starts[section]:
         if n < flags.shape[0]:
             flags[n] = 0
@@ -138,11 +138,11 @@ def confirm_narrow(
     narrow: wp.array(dtype=int),
 ):
     """narrow (1,): from 1, where the lattice has links that leave the cage and enter it again, to 2 where the map jumps
-    over one. One item a cut node of level 0."""
+    over one. One item per cut node of level 0."""
     if narrow[0] == 0:
         return
     row = first + wp.tid()
-    section = 2 * levels.shapes.shape[0]
+    section = cut_section(levels)
     if row >= levels.starts[section + 1] - levels.starts[section]:
         return
     node = levels.nodes[levels.starts[section] + row]

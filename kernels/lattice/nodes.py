@@ -1,8 +1,8 @@
 """Lists of the nodes of a lattice over a cage, for every level of a multigrid hierarchy.
 
-Level l keeps every 2^l-th node of the lattice along each axis. Nodes of all levels are numbered on, level after level,
-the last axis fastest; node (i, j, k) of level l is first_node[l] + (i * ny + j) * nz + k. Each node has a code: its row
-in the table of cut nodes (see harmonic_rows) where that is >= 0, else one of the constants below.
+Level l keeps every 2^l-th node of the lattice along each axis. Nodes are numbered level after level, the last axis
+fastest; node (i, j, k) of level l is first_node[l] + (i * ny + j) * nz + k. Each node has a code: its row
+in the table of cut nodes (see cut_rows.py) where that is >= 0, else one of the constants below.
 
 The list `nodes` holds, section after section,
     2 l + c         inside nodes of level l with (i + j + k) % 2 = c ("red" 0, "black" 1); where `interpolates` is set,
@@ -16,7 +16,7 @@ memory. They are counted column by column, summed up (exclusive scan) and writte
 device.
 
 Maps of closed forms are smooth away from the cage: where `interpolates` is set, inside nodes with an odd coordinate
-and at least CLEARANCE cells from the cage are interpolated (see closed_form_map) rather than evaluated.
+and at least CLEARANCE cells from the cage are interpolated (see closed_form.py) rather than evaluated.
 Needs: core/lanes, lattice/crossings, lattice/distance.
 """
 
@@ -34,6 +34,11 @@ RING = wp.constant(-4)  # ring r has code RING - r
 RINGS = wp.constant(3)
 CELL_DIAGONAL = wp.constant(1.7321)  # cells
 
+#: Sections of a list on one level, as the closed forms have it, after that of the evaluated nodes.
+INTERPOLATED_SECTION = wp.constant(1)
+CUT_SECTION = wp.constant(2)
+RING_SECTION = wp.constant(3)
+
 
 @wp.struct
 class NodeLevels:
@@ -44,6 +49,18 @@ class NodeLevels:
     nodes: wp.array(dtype=int)  # the list
     starts: wp.array(dtype=int)  # (3 L + RINGS + 1,)
     interpolates: int  # 1: of inside nodes clear of the cage only those of even coordinates are evaluated
+
+
+@wp.func
+def cut_section(levels: NodeLevels):
+    """Section of the cut nodes of level 0; those of the other levels follow."""
+    return 2 * levels.shapes.shape[0]
+
+
+@wp.func
+def ring_section(levels: NodeLevels):
+    """Section of ring 0; rings 1 and 2 follow."""
+    return 3 * levels.shapes.shape[0]
 
 
 @wp.func
@@ -99,7 +116,7 @@ def node_cut(crossings: LineCrossings, distance: wp.array(dtype=float), p: wp.ve
     six are inside, so that it does so twice on a link."""
     shape = crossings.shapes[0]
     outside = int(0)
-    for d in range(6):  # without branches, so that all six are read at once
+    for d in range(6):  # without branches, so that all six are read together
         q = p
         q[d / 2] = p[d / 2] + wp.where(d % 2 == 1, reach, -reach)
         i = wp.clamp(q[0], 0, shape[0] - 1)
@@ -155,7 +172,7 @@ def node_code(
         cells = distance[(p[0] * shape[1] + p[1]) * shape[2] + p[2]] / scale
     if cells < 0.0:
         code = REGULAR
-        # no link is cut where the cage is farther than its length; farther than 4 cells `distance` does not know
+        # no link is cut where the cage is farther than its length; beyond 4 cells `distance` is clamped
         if level > 2 or -cells < 0.9999 * float(reach):
             cut = node_cut(crossings, distance, p, reach)
             if cut > 0:
@@ -221,12 +238,13 @@ def classify_columns(
     narrow: wp.array(dtype=int),
     counts: wp.array(dtype=int),
 ):
-    """Codes of all nodes, and how many of each section each column has. A group of lanes a column, a lane a node.
+    """Codes of all nodes, and how many of each section each column has. One group of lanes per column, one lane per
+    node.
 
-    Cut nodes get 0 until list_columns numbers them. distance (nodes of level 0,): signed, and scales[0] its units a
-    cell. clear_octants (blocks,): see distance_band. narrow (1,) becomes 1 where the cage has gaps narrower than a
-    cell: links that leave the cage and enter it again. counts lie section after section, a column of its level an
-    entry.
+    Cut nodes get 0 until list_columns numbers them. distance (nodes of level 0,): signed, and scales[0] its units
+    per cell. clear_octants (blocks,): see distance.py. narrow (1,) becomes 1 where the cage has gaps narrower than a
+    cell: links that leave the cage and enter it again. counts lie section after section, one entry
+    per column of its level.
     """
     item = first + wp.tid()
     lanes = lane_count()
@@ -317,10 +335,10 @@ def list_columns(
     limits: wp.array(dtype=int),
     overflow: wp.array(dtype=int),
 ):
-    """Write the nodes of each column to their sections, the rows of cut nodes to their codes, and starts. A group of
-    lanes a column, a lane a node.
+    """Write the nodes of each column to their sections, the rows of cut nodes to their codes, and starts. One group of
+    lanes per column, one lane per node.
 
-    offsets: the scanned counts. limits (sections,): entries that there is room for; where one is exceeded, overflow
+    offsets: the scanned counts. limits (sections,): room for entries; where one is exceeded, overflow
     (1,) becomes 1 and all sections are empty.
     """
     item = first + wp.tid()

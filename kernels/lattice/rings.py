@@ -1,6 +1,6 @@
 """Values at the outside nodes of cells that the cage cuts, continued from inside, and the affine part of the map.
 
-Trilinear look-up near the cage needs all eight corners of a cell. Ring 0 (see node_levels) is continued along grid
+Trilinear look-up near the cage needs all eight corners of a cell. Ring 0 (see nodes.py) is continued along grid
 edges through the boundary value g at the true crossing: with u_in the value at the inside node, a fraction theta of a
 cell from the crossing, and u_back the one behind it,
 
@@ -18,7 +18,7 @@ import warp as wp
 
 from ..core.lanes import lane_count, octet_count, sum_of_lanes, sum_of_octet
 from .cut_rows import CutRows, barycentric, crossing_value, nearest_face
-from .nodes import OUTSIDE, RING, NodeLevels, node_place
+from .nodes import OUTSIDE, RING, NodeLevels, node_place, ring_section
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
@@ -101,8 +101,8 @@ def with_direction(
     towards: wp.vec3,
     direction: int,
 ):
-    """The sums with what direction 0 .. 26 of the lattice says at a node, from inside nodes and the first `rings`
-    rings; the middle one says nothing, nor do those that lead away from `towards`, where that is not zero."""
+    """The sums with what direction 0 .. 26 of the lattice adds at a node, from inside nodes and the first `rings`
+    rings; the middle one is left out, and so are those that lead away from `towards`, where that is not zero."""
     result = sums
     shape = levels.shapes[0]
     i = direction / 9 - 1
@@ -126,7 +126,7 @@ def with_direction(
 
 @wp.func
 def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int):
-    """What the 26 directions of the lattice say at a node."""
+    """What the 26 directions of the lattice contribute at a node."""
     result = Extrapolation()
     for direction in range(27):
         result = with_direction(result, levels, values, node, rings, wp.vec3(0.0, 0.0, 0.0), direction)
@@ -137,7 +137,7 @@ def lattice_extrapolation(levels: NodeLevels, values: wp.array(dtype=wp.vec3), n
 def shared_extrapolation(
     levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, rings: int, towards: wp.vec3, lane: int
 ):
-    """The same, of the directions that lead `towards` a side, by a group of lanes that share them out. All lanes."""
+    """The same, of the directions that lead `towards` a side, shared by a group of lanes. All lanes."""
     own = Extrapolation()
     for direction in range(lane, 27, lane_count()):
         own = with_direction(own, levels, values, node, rings, towards, direction)
@@ -159,12 +159,12 @@ def extend_through_cage(
     vertex_values: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
 ):
-    """Values of ring 0, of a map that takes vertex_values (v,) at the cage's vertices and is linear on its faces. An
-    octet a node, a lane a direction; as many items as fill whole warps."""
+    """Values of ring 0, of a map that takes vertex_values (v,) at the cage's vertices and is linear on its faces. One
+    octet of lanes per node, one lane per direction; as many items as fill whole warps."""
     item = first + wp.tid()
     lane = item % octet_count()
     n = item / octet_count()
-    section = 3 * levels.shapes.shape[0]
+    section = ring_section(levels)
     is_node = n < levels.starts[section + 1] - levels.starts[section]
     node = int(0)
     if is_node:
@@ -237,11 +237,11 @@ def extend_outwards(
     values: wp.array(dtype=wp.vec3),
 ):
     """Values of a ring from the inside nodes and the rings before it. vertices (v,) in node units; distance (nodes,)
-    signed. A group of lanes a node."""
+    signed. One group of lanes per node."""
     item = first + wp.tid()
     lane = item % lane_count()
     n = item / lane_count()
-    section = 3 * levels.shapes.shape[0] + ring
+    section = ring_section(levels) + ring
     if n >= levels.starts[section + 1] - levels.starts[section]:
         return
     node = levels.nodes[levels.starts[section] + n]
@@ -292,7 +292,7 @@ def gather_status(
     status: wp.array(dtype=float),
 ):
     """status (5 + sections,): both overflows, the solver's cycles and residual, nodes at gaps, and the length of each
-    section. An item an entry."""
+    section. One item per entry."""
     item = first + wp.tid()
     if item >= 5:
         status[item] = float(levels.starts[item - 4] - levels.starts[item - 5])

@@ -1,15 +1,15 @@
 """Values of a map for each side of a narrow gap of the cage.
 
 Where two sheets of a cage pass within a cell or two, one outside node cannot continue the map of both sides. Cells
-there get eight corner values for each side instead (see gap_sides): the inside corners of a side have their nodes'
+there get eight corner values for each side instead (see gap_sides.py): the inside corners of a side have their nodes'
 values, its other corners are continued from it alone, along a link through the boundary value at the crossing (see
-map_extension), or have their ring's value where they serve no other, then by parallelograms, u_1 + u_2 - u_12. Sides of
-a cell beside are continued once more. All of it is linear in the values and exact for linear functions.
+rings.py), or have their ring's value where they serve no other, then by parallelograms, u_1 + u_2 - u_12. Sides of
+a neighbouring cell are continued once more. All of it is linear in the values and exact for linear functions.
 
 A fourth channel holds the distance to the side: the signed distance at its own corners, at the others the mean of what
 continues it alike, which is right at folds of the cage, and their largest height over the faces that the side's links
-cross, which is right at its edges. A point belongs to the side where that is lowest; sides of a cell beside come second
-where both could be meant.
+cross, which is right at its edges. A point belongs to the side where that is lowest; sides of a neighbouring cell come
+second where both could be meant.
 Needs: lattice/cut_rows, lattice/gap_sides, lattice/narrow_gaps, lattice/nodes, lattice/rings.
 """
 
@@ -18,7 +18,7 @@ import warp as wp
 from .cut_rows import DOUBLE_CUT, CutRows, crossing_value
 from .gap_sides import corner_node, cut_row_count, inside_corners, link_direction, table_length
 from .narrow_gaps import far_side
-from .nodes import NodeLevels, node_place
+from .nodes import NodeLevels, cut_section, node_place
 from .rings import is_known, is_steady, node_step
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 2})
@@ -26,10 +26,10 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 2})
 #: Below all heights of a corner of a cell over faces that cross it, in cells.
 FARTHEST_INSIDE = wp.constant(-4.0)
 
-#: Cells by which a point must be deeper in a side of a cell beside its own to belong to it.
+#: Cells by which a point must be deeper in a side of a neighbouring cell to belong to it.
 HANDICAP = wp.constant(0.25)
 
-#: Distance at a corner of which a side says nothing, until the others do.
+#: Distance at a corner that a side does not define yet.
 UNKNOWN = wp.constant(1.0e30)
 
 #: Least distance, in cells, between two crossings that a value beyond the second is continued from.
@@ -61,7 +61,7 @@ def measure_jumps(
     """jump (1,) is raised to the largest that `boundary` makes over a link that leaves the cage and enters it again."""
     row = first + wp.tid()
     if row < cut_row_count(levels) and (rows.links[row] & DOUBLE_CUT) != 0:
-        node = levels.nodes[levels.starts[2 * levels.shapes.shape[0]] + row]
+        node = levels.nodes[levels.starts[cut_section(levels)] + row]
         for direction in range(6):
             other = levels.codes[node + node_step(levels, direction)]
             if rows.faces[row, direction] >= 0 and other >= 0:
@@ -76,7 +76,7 @@ def affine_position(affine: wp.array(dtype=wp.vec3), x: wp.vec3):
 
 @wp.func
 def correction_of(corrections: wp.array(dtype=wp.vec3), code: int):
-    """Correction that is in the value of an inside node of this code (see map_corrections)."""
+    """Correction that is in the value of an inside node of this code (see corrections.py)."""
     if code >= 0 and corrections.shape[0] > 0:
         return corrections[code]
     return wp.vec3(0.0, 0.0, 0.0)
@@ -178,11 +178,11 @@ def continue_sides(
     sides: wp.array2d(dtype=wp.vec4),
 ):
     """sides (rows or more, 8): position and signed distance at the corners of a cell as one side sees them, UNKNOWN for
-    a distance where no link of the side leads. Eight items a row, one a corner.
+    a distance that no link of the side leads to. Eight items per row, one per corner.
 
     boundary (rows of level 0, 6): values of the map, less the affine part, where links cross the cage.
     values, distance (nodes,): positions (the affine part added) and signed distances at nodes, scale the rest cage's.
-    corrections: those that are in the values of cut nodes, row by row, less the scale (see map_corrections), or (0,).
+    corrections: those that are in the values of cut nodes, row by row, less the scale (see corrections.py), or (0,).
     side_cells, side_masks (rows,): see list_column_sides.
     """
     item = first + wp.tid()
@@ -206,7 +206,7 @@ def continue_sides(
             direction = link_direction(other, b)
             row_beside = levels.codes[beside]
             if row_beside >= 0:
-                # values that amplify what they come from count only where there are no others
+                # values that amplify their errors count only where there are no others
                 weight = wp.where(is_steady(rows, row_beside, direction), 1.0, 1.0e-6)
                 total += weight * continued(
                     levels, rows, boundary, scale, affine, values, corrections, distance, beside, direction
@@ -230,7 +230,7 @@ def complete_sides(
     side_cells: wp.array(dtype=int),
     sides: wp.array2d(dtype=wp.vec4),
 ):
-    """Fill in the corners that are UNKNOWN by parallelograms of those that are not. One item a row."""
+    """Fill in the corners that are UNKNOWN by parallelograms of those that are not. One item per row."""
     row = first + wp.tid()
     if not has_row(row, counts, offsets, side_cells):
         return
@@ -270,9 +270,9 @@ def place_sides(
     side_masks: wp.array(dtype=int),
     sides: wp.array2d(dtype=wp.vec4),
 ):
-    """Distances to sides at corners that are not their own take in the height over the cage, and sides of a cell beside
-    the one that gets them are continued to that one, HANDICAP farther away, so that sides of the cell itself come first
-    where both could be meant. scales[0]: units a cell; vertices in node units. Four items a row, one for each two
+    """Add the height over the cage to distances to sides at corners that are not their own. Continue sides of a
+    neighbouring cell to the cell that gets them, HANDICAP farther away, so that sides of the cell itself come first
+    where both could be meant. scales[0]: units per cell; vertices in node units. Four items per row, one for each two
     corners along the axis that the row is continued along."""
     item = first + wp.tid()
     row = item / 4

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from ..core.arrays import PointsLike, empty_array
 from ..core.devices import launch
 from ..core.names import require_coordinates
 from ..kernels.coordinates import green, mean_value
@@ -19,19 +20,33 @@ from .harmonic import HARMONIC_RESOLUTION
 from .points import _cage_arrays, _Local, _localise, _require_finite, _require_inside, _require_near, _restore
 
 
-def deform_points(points, rest: ClosedMesh, deformed: ClosedMesh, coordinates: str = "mean_value", device=None):
-    """Move points, the vertices of a mesh say, as the cage around them moves from `rest` to `deformed`: (n, 3).
+def deform_points(
+    points: PointsLike,
+    rest: ClosedMesh,
+    deformed: ClosedMesh,
+    coordinates: str = "mean_value",
+    device: wp.DeviceLike = None,
+) -> np.ndarray | wp.array:
+    """Move points, such as the vertices of a mesh, as the cage around them moves.
 
-    points: (n, 3), world units, NumPy or an array of a device. rest: usable `Cage`; deformed: the same faces in another
-    pose. coordinates: "mean_value" (points up to 1000 sizes away), "green" or "harmonic" (points inside `rest`, or
-    within 1e-5 of its size; harmonic on a lattice of 128 nodes). device: as in `mean_value_coordinates`.
-    Returns world units: float32 for float32 NumPy, float64 for other NumPy (float32 accuracy relative to the cages),
-    a Warp array of vec3 for an array of a device. No (n, v) matrix is held, save by harmonic.
-    Raises ValueError for points of another shape, not finite, outside (green, harmonic) or farther away (mean_value),
-    with their number and the first of them; for cages whose faces differ; for a rest cage, and with harmonic a deformed
-    cage, that is not usable; for another name of coordinates.
+    No (n, v) matrix of weights is held. Example: `mesh.vertices = deform_points(mesh.vertices, rest, rest.twist(90))`
 
-    Example: `mesh.vertices = deform_points(mesh.vertices, rest, rest.twist(90))`
+    Args:
+        points: (n, 3), world units. NumPy or an array on a device.
+        rest: Usable Cage around the points.
+        deformed: The same faces in another pose.
+        coordinates: "mean_value" (points up to 1000 times the cage's size away), "green" or "harmonic" (points inside
+            `rest`, or within 1e-5 of its size of it; harmonic on a lattice of 128 cells along the longest side).
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+
+    Returns:
+        (n, 3), world units: float32 for float32 NumPy, float64 for other NumPy (with float32 accuracy relative to the
+        cages), and a Warp array of vec3 for an array on a device.
+
+    Raises:
+        ValueError: For points of another shape, not finite, outside (green, harmonic) or farther away (mean_value),
+            with their number and the first of them. For cages whose faces differ, and for a rest cage (harmonic: also a
+            deformed cage) that is not usable. For another name of coordinates.
     """
     require_coordinates(coordinates)
     for cage, name in ((rest, "rest"), (deformed, "deformed")):
@@ -46,7 +61,7 @@ def deform_points(points, rest: ClosedMesh, deformed: ClosedMesh, coordinates: s
     centre = deformed.bounds.mean(axis=0)
     targets = ((deformed.vertices - centre) / rest.size).astype(np.float32)
     targets = wp.array(targets, dtype=wp.vec3, device=local.device)
-    moved = wp.empty(local.count, dtype=wp.vec3, device=local.device)
+    moved = empty_array(local.count, wp.vec3, local.device)
     vertices, _ = _cage_arrays(rest, local)
     fans = rest.topology.fans
     faces = wp.array(fans.faces, dtype=wp.vec3i, device=local.device)
@@ -68,16 +83,25 @@ def deform_points(points, rest: ClosedMesh, deformed: ClosedMesh, coordinates: s
 
 
 def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
-    """Unit normals of `target`'s faces times how much each is stretched from `source`'s: (f, 3) float64.
+    """Unit normals of a deformed cage's faces times how much each face is stretched.
 
-    What green face weights computed on `source` multiply; see face_geometry for the formula. A target face without area
-    has no normal and gives zero. Raises ValueError for cages whose faces differ.
+    Green face weights computed on `source` multiply them (warpcage/mesh/faces.py has the formula).
+
+    Args:
+        source: The Cage that weights are computed on.
+        target: The same faces in another pose.
+
+    Returns:
+        (f, 3) float64, without unit. Zero for a target face without area, which has no normal.
+
+    Raises:
+        ValueError: For cages whose faces differ.
     """
     require_same_faces(source, target)
     return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target)).T
 
 
-def _deform_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh):
+def _deform_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> np.ndarray | wp.array:
     require_usable(deformed, "deformed cage")
     # the map runs from the cage it is posed to, here the rest cage, to the one it is made of; both about the origin, as
     # float32 keeps few digits of a map between cages that are far apart
@@ -87,6 +111,6 @@ def _deform_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh):
     position_map = PositionMap(
         target, coordinates="harmonic", resolution=HARMONIC_RESOLUTION, origin=np.zeros(3), device=local.device
     ).pose(source)
-    moved, distance = wp.empty_like(local.points), wp.empty(local.count, dtype=float, device=local.device)
+    moved, distance = wp.empty_like(local.points), empty_array(local.count, float, local.device)
     launch(cage_map.sample_map, local.count, [position_map.data, local.points], [moved, distance], device=local.device)
     return _restore(moved, local, centre, rest.size)

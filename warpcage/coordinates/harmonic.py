@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from ..core.arrays import as_host_points, as_points, is_device_array
+from ..core.arrays import PointsLike, WarpStruct, as_host_points, as_points, empty_array, is_device_array
 from ..core.checks import warn_caller
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
@@ -15,25 +15,40 @@ from ..lattice.gaps import MapTarget, lattice_side_bytes
 from ..lattice.harmonic import HarmonicSolver
 from ..lattice.lattice import CageLattice, require_resolution
 from ..lattice.launches import PoseLaunches
+from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.containment import inside_mesh
 from ..mesh.usable import require_usable
 
-#: Nodes along the longest side of the lattice on which harmonic coordinates are solved.
+#: Cells along the longest side of the lattice on which harmonic coordinates are solved.
 HARMONIC_RESOLUTION = 128
 
 #: A jump of weights over less than a cell that is larger than this is reported; at folds of a cage it is half of this.
 REPORTED_WEIGHT_JUMP = 0.25
 
 
-def harmonic_weights(points, cage, resolution: int = 128, device=None, *, tolerance: float = 1e-5):
-    """Harmonic coordinates (n, v) of points (n, 3) inside a cage, interpolated from a lattice.
+def harmonic_weights(
+    points: PointsLike, cage: ClosedMesh, resolution: int = 128, device: wp.DeviceLike = None, *, tolerance: float = 1e-5
+) -> np.ndarray | wp.array:
+    """Harmonic coordinates of points inside a cage, interpolated from a lattice.
 
-    points: world units; NumPy gives NumPy float32, an array on a device gives a Warp array there. resolution: cells
-    along the longest side. Points within 1e-5 of the cage's size of it count as inside. At gaps of the cage narrower
-    than about two cells each side has values of its own; below one cell they are rough, which a warning says.
-    Raises ValueError for points outside (how many and the first), of another shape or not finite, an unusable cage, a
-    resolution outside 8 .. 1024, or too little memory.
+    Points within 1e-5 of the cage's size of it count as inside. At gaps of the cage narrower than about two cells each
+    side has values of its own; below one cell they are rough, and a warning says so.
+
     Source: Joshi et al., "Harmonic coordinates for character articulation" (2007).
+
+    Args:
+        points: (n, 3), world units. NumPy or an array on a device.
+        cage: Usable Cage of v vertices.
+        resolution: Cells along the longest side, 8 to 1024.
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        tolerance: Of the solver, as a share of the values: 2e-6 to 0.1.
+
+    Returns:
+        (n, v) float32. NumPy for NumPy, a Warp array for an array on a device.
+
+    Raises:
+        ValueError: For points outside (how many and the first), of another shape or not finite, an unusable cage, a
+            resolution or tolerance out of range, or too little memory.
     """
     given_on_device = is_device_array(points)
     if given_on_device and device is None:
@@ -42,7 +57,7 @@ def harmonic_weights(points, cage, resolution: int = 128, device=None, *, tolera
     resolution = require_resolution(resolution)
     require_usable(cage)
     host = as_host_points(points)
-    outside = np.flatnonzero(~inside_mesh(host, cage, device=device))
+    outside = np.flatnonzero(~np.asarray(inside_mesh(host, cage, device=device)))
     if len(outside):
         first = int(outside[0])
         raise ValueError(
@@ -56,7 +71,7 @@ def harmonic_weights(points, cage, resolution: int = 128, device=None, *, tolera
         f"harmonic weights of {len(host)} points at resolution {resolution} need {{size}}: take fewer points at a time "
         "or a lower resolution",
     )
-    weights = wp.empty((len(host), vertex_count), dtype=float, device=device)
+    weights = empty_array((len(host), vertex_count), float, device)
     if len(host):
         # size one about the origin: weights do not depend on units
         centre = cage.bounds.mean(axis=0)
@@ -87,7 +102,7 @@ class WeightGaps:
         self._launches: PoseLaunches | None = None
         self._jump = 0.0
 
-    def cage_map(self, vertex_values: wp.array) -> CageMap:
+    def cage_map(self, vertex_values: wp.array) -> WarpStruct:
         """The map that the solver's values hold, continued to the rings.
 
         Args:

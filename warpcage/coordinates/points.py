@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ..core.arrays import as_host_points, as_points, is_device_array
+from ..core.arrays import PointsLike, as_host_points, as_points, empty_array, is_device_array
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
 from ..kernels.coordinates import local_points
@@ -19,15 +19,15 @@ from ..mesh.containment import SURFACE_TOLERANCE, inside_mesh
 class _Local:
     """Points in a local frame: a cage's has the middle of its bounding box at the origin and a longest side of one."""
 
-    given: object  # as the caller gave them, except that host points are (n, 3) float64
+    given: PointsLike  # as given by the caller, but host points are (n, 3) float64
     points: wp.array  # (n,) vec3 on device
     on_device: bool  # whether they were given as an array of a device
     single: bool  # whether they were given as float32
-    bad: wp.array  # (1,) int, above 0 where a point is not finite or FARTHEST away
+    bad: wp.array  # (1,) int, above 0 where a point is not finite, or FARTHEST away or more
 
     @property
     def device(self) -> wp.Device:
-        return self.points.device
+        return self.points.device  # pyright: ignore[reportReturnType]
 
     @property
     def count(self) -> int:
@@ -47,8 +47,10 @@ class _Local:
         return ", ".join(f"{value:.6g}" for value in self.world(row))
 
 
-def _localise(points, centre: np.ndarray, size: float, device, *, check: bool = True) -> _Local:
-    """check: refuse points of a device that are not finite at once, which waits for the device."""
+def _localise(
+    points: PointsLike, centre: np.ndarray, size: float, device: wp.DeviceLike, *, check: bool = True
+) -> _Local:
+    """Points relative to a cage. check: refuse points of a device that are not finite at once, which waits for it."""
     if not is_device_array(points):
         host = as_host_points(points)
         single = isinstance(points, np.ndarray) and points.dtype == np.float32
@@ -59,7 +61,7 @@ def _localise(points, centre: np.ndarray, size: float, device, *, check: bool = 
         return _Local(host, local, False, single, wp.full(1, int(bad), dtype=int, device=local.device))
 
     world, _ = as_points(points, device)
-    local = wp.empty(len(world), dtype=wp.vec3, device=world.device)
+    local = empty_array(len(world), wp.vec3, world.device)
     bad = wp.zeros(1, dtype=int, device=world.device)
     launch(
         local_points.localise_points,

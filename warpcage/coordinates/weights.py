@@ -7,8 +7,10 @@ from the deformed cage to the rest cage; `deform_points` runs the other way.
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
+from ..core.arrays import PointsLike, empty_array
 from ..core.devices import launch
 from ..kernels.coordinates import green, local_points, mean_value
 from ..mesh.closed_mesh import ClosedMesh, require_mesh
@@ -26,25 +28,34 @@ from .points import (
 )
 
 
-def mean_value_coordinates(points, cage: ClosedMesh, device=None):
-    """Mean value coordinates of points in a cage: (n, v) float32, each row sums to one and reproduces its point.
+def mean_value_coordinates(points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike = None) -> np.ndarray | wp.array:
+    """Mean value coordinates of points in a cage.
 
-    points: (n, 3), world units, NumPy or an array of a device (Warp, DLPack; in float32 there); inside the cage or out,
-    up to a thousand times its size away (outside they extend the map smoothly; weights may be negative there, and in
-    concave cages; next to where two parts of a cage touch they grow as one over the distance). On the cage, to 1e-6 of
-    its size, they interpolate the face linearly. cage: usable `Cage` of v vertices. device: None takes that of an array
-    of a device, else the first GPU or the CPU.
-    Returns NumPy for NumPy, a Warp array on the device for an array of a device. Weights are good to about 1e-6 inside
-    the cage. Outside they grow with the distance, and so does what rounding leaves of their sum: 1e-7 of the largest.
-    Raises ValueError for points of another shape, not finite or farther away, for a cage that is open, inward or
-    degenerate, and where the device has not the memory.
+    On the cage, to 1e-6 of its size, they interpolate the face linearly. Outside they extend the map smoothly. Weights
+    may be negative there, and in concave cages; next to where two parts of a cage touch they grow as one over the
+    distance. Weights are good to about 1e-6 inside the cage. Outside they grow with the distance, and so does the
+    rounding error of their sum: 1e-7 of the largest.
+
+    Args:
+        points: (n, 3), world units, up to a thousand times the cage's size away. NumPy, or an array on a device (Warp
+            or DLPack; in float32 there).
+        cage: Usable Cage of v vertices.
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+
+    Returns:
+        (n, v) float32; each row sums to one and reproduces its point. NumPy for NumPy, a Warp array for an array on a
+        device.
+
+    Raises:
+        ValueError: For points of another shape, not finite or farther away, for a cage that is open, inward or
+            degenerate, and for too little memory on the device.
     """
     require_mesh(cage, "the cage must be")
     require_usable(cage)
     local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
     _require_near(local, cage)
     _require_room(local, len(cage.vertices))
-    weights = wp.empty((local.count, len(cage.vertices)), dtype=wp.float32, device=local.device)
+    weights = empty_array((local.count, len(cage.vertices)), wp.float32, local.device)
     vertices, faces = _cage_arrays(cage, local)
     launch(
         mean_value.weigh_mean_value, local.count, [local.points, vertices, faces, 1.0], [weights], device=local.device
@@ -52,16 +63,28 @@ def mean_value_coordinates(points, cage: ClosedMesh, device=None):
     return local.given_back(weights)
 
 
-def green_coordinates(points, cage: ClosedMesh, device=None, *, outside: str = "raise"):
-    """Green coordinates of points inside a cage: vertex weights (n, v) and face weights (n, f), float32.
+def green_coordinates(
+    points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike = None, *, outside: str = "raise"
+) -> tuple[np.ndarray | wp.array, np.ndarray | wp.array]:
+    """Green coordinates of points inside a cage.
 
-    points, cage, device and what is returned: as in `mean_value_coordinates`. x = vertex_weights @ vertices +
-    face_weights @ normals, with the unit outward normals; the face weights are lengths in world units. A deformed
-    cage takes its vertices and `stretched_normals(cage, deformed)` in their place.
-    Points within 1e-5 of the cage's size of its surface, either side, get the limit from inside. Farther outside green
-    coordinates are not defined: outside="raise" raises a ValueError with their number and the first of them,
-    outside="nan" fills their rows with NaN.
-    Raises ValueError as `mean_value_coordinates` does besides.
+    x = vertex_weights @ vertices + face_weights @ normals, with the unit outward normals. A deformed cage takes its
+    vertices and `stretched_normals(cage, deformed)` in their place. Points within 1e-5 of the cage's size of its
+    surface, on either side, get the limit from inside. Farther outside green coordinates are not defined.
+
+    Args:
+        points: (n, 3), world units. NumPy, or an array on a device (Warp or DLPack; in float32 there).
+        cage: Usable Cage of v vertices and f faces.
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        outside: "raise" refuses points outside; "nan" fills their rows with NaN.
+
+    Returns:
+        Vertex weights (n, v) and face weights (n, f), float32; the latter are lengths in world units. NumPy for NumPy,
+        Warp arrays for an array on a device.
+
+    Raises:
+        ValueError: For points outside (with their number and the first of them), of another shape or not finite, for a
+            cage that is open, inward or degenerate, and for too little memory on the device.
     """
     if outside not in ("raise", "nan"):
         raise ValueError(f"outside must be 'raise' or 'nan', got {outside!r}")
@@ -72,8 +95,8 @@ def green_coordinates(points, cage: ClosedMesh, device=None, *, outside: str = "
     if len(lost) and outside == "raise":
         raise ValueError(_outside_message(local, lost, "green"))
     _require_room(local, len(cage.vertices) + len(cage.faces))
-    vertex_weights = wp.empty((local.count, len(cage.vertices)), dtype=wp.float32, device=local.device)
-    face_weights = wp.empty((local.count, len(cage.faces)), dtype=wp.float32, device=local.device)
+    vertex_weights = empty_array((local.count, len(cage.vertices)), wp.float32, local.device)
+    face_weights = empty_array((local.count, len(cage.faces)), wp.float32, local.device)
     vertices, faces = _cage_arrays(cage, local)
     launch(
         green.weigh_green,
@@ -90,12 +113,27 @@ def green_coordinates(points, cage: ClosedMesh, device=None, *, outside: str = "
     return local.given_back(vertex_weights), local.given_back(face_weights)
 
 
-def harmonic_coordinates(points, cage: ClosedMesh, resolution: int = HARMONIC_RESOLUTION, device=None):
-    """Harmonic coordinates of points inside a cage: (n, v) float32, not negative up to rounding, rows sum to one.
+def harmonic_coordinates(
+    points: PointsLike, cage: ClosedMesh, resolution: int = HARMONIC_RESOLUTION, device: wp.DeviceLike = None
+) -> np.ndarray | wp.array:
+    """Harmonic coordinates of points inside a cage.
 
-    points, cage, device and what is returned: as in `mean_value_coordinates`; points farther than 1e-5 of the size
-    outside raise a ValueError. resolution: nodes along the longest side of the lattice on which they are solved; errors
-    at 128 are about 1e-3 away from the cage and 1e-2 next to it. Warns where gaps of the cage are narrower than a cell.
+    Warns where gaps of the cage are narrower than a cell of the lattice.
+
+    Args:
+        points: (n, 3), world units. NumPy, or an array on a device (Warp or DLPack; in float32 there).
+        cage: Usable Cage of v vertices.
+        resolution: Cells along the longest side of the lattice on which they are solved, 8 to 1024. Errors at 128 are
+            about 1e-3 away from the cage and 1e-2 next to it.
+        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+
+    Returns:
+        (n, v) float32, not negative up to rounding; rows sum to one. NumPy for NumPy, a Warp array for an array on a
+        device.
+
+    Raises:
+        ValueError: For points farther outside than 1e-5 of the cage's size, of another shape or not finite, for a cage
+            that is open, inward or degenerate, a resolution out of range, and for too little memory on the device.
     """
     require_mesh(cage, "the cage must be")
     require_usable(cage)

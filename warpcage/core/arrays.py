@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -16,6 +16,9 @@ class DLPackArray(Protocol):
 
     def __dlpack__(self, *args: Any, **options: Any) -> Any: ...
 
+
+#: An instance of a Warp struct. `wp.struct` makes a value of the class, which no annotation can name.
+WarpStruct: TypeAlias = Any
 
 #: Points as callers give them: NumPy, nested sequences, a Warp array, or one of another library.
 PointsLike = ArrayLike | wp.array | DLPackArray

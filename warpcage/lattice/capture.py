@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ..core.arrays import array_view
+from ..core.arrays import array_view, empty_array
 
 #: Views of a buffer that are kept, of poses of different shapes.
 MOST_VIEWS = 64
@@ -91,12 +91,11 @@ class Buffer:
             spare = 0 if held is None else count // 16  # poses of one cage differ by little
             self._held = held = None  # the old array goes before the new one comes
             self._views.clear()
-            self._held = held = wp.empty(max(count + spare, 1), dtype=self._dtype, device=self._pool.device)
+            self._held = held = empty_array(max(count + spare, 1), self._dtype, self._pool.device)
             self._pool.generation += 1
         if count == 0:
-            return wp.empty(shape, dtype=self._dtype, device=self._pool.device)
-        view = held if held.size == count else held[:count]
-        return view.reshape(shape) if len(shape) > 1 else view
+            return empty_array(shape, self._dtype, self._pool.device)
+        return array_view(held, self._dtype, shape)
 
     @property
     def bytes(self) -> int:

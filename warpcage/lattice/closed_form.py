@@ -7,6 +7,7 @@ from abc import abstractmethod
 import numpy as np
 import warp as wp
 
+from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import launch
 from ..kernels.coordinates.green import weigh_green
 from ..kernels.coordinates.mean_value import weigh_mean_value
@@ -18,7 +19,6 @@ from ..kernels.lattice.closed_form import (
     stretch_normals,
 )
 from ..kernels.lattice.corrections import correct_values, measure_corrections
-from ..kernels.lattice.cut_rows import CutRows
 from ..kernels.lattice.nodes import RINGS
 from ..kernels.lattice.weights import place_nodes
 from ..mesh.closed_mesh import ClosedMesh
@@ -43,7 +43,7 @@ class ClosedFormSolver(MapSolver):
         super().__init__(lattice, LatticeNodes(lattice, level_count=1, interpolates=True))
         # indices of these faces stay in here: all others mean the lattice's
         self._faces = wp.array(lattice.cage.topology.fans.faces, dtype=wp.vec3i, device=self.device)
-        self._fans = wp.empty(2 * self._faces.size, dtype=wp.vec4, device=self.device)
+        self._fans = empty_array(2 * self._faces.size, wp.vec4, self.device)
         self._vertices = lattice.constants.centred.array
         self._size = float(lattice.resolution)  # of the cage, node units
 
@@ -85,12 +85,12 @@ class ClosedFormSolver(MapSolver):
 
     def _inside_places(self) -> wp.array:
         """Places (m,) of all inside nodes of the last pose, node units."""
-        points = wp.empty(self.nodes.sections.finest_inside, dtype=wp.vec3, device=self.device)
+        points = empty_array(self.nodes.sections.finest_inside, wp.vec3, self.device)
         self._launch(place_nodes, points.size, [0, self.nodes.levels], [points])
         return points
 
     def _empty_weights(self, count: int, columns: int) -> wp.array:
-        return wp.empty((count, columns), dtype=wp.float32, device=self.device)
+        return empty_array((count, columns), wp.float32, self.device)
 
 
 class MeanValueSolver(ClosedFormSolver):
@@ -111,7 +111,9 @@ class MeanValueSolver(ClosedFormSolver):
         self._describe(sizes.lists)
         super().launch_continuation(sizes, vertex_values)
 
-    def launch_boundary(self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array) -> CutRows:
+    def launch_boundary(
+        self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array
+    ) -> WarpStruct:
         """Launch the map where links cross the cage, on which it is linear; see MapSolver."""
         launch_linear_boundary(
             sizes.lists, self.nodes.levels, self.rows, self.lattice.faces, target.vertex_values, boundary
@@ -163,7 +165,7 @@ class GreenSolver(ClosedFormSolver):
         super().__init__(lattice)
         self._rest: ClosedMesh | None = None
         self._rest_faces: list[wp.array] = []
-        self._face_values = wp.empty(self._faces.size, dtype=wp.vec3, device=self.device)
+        self._face_values = empty_array(self._faces.size, wp.vec3, self.device)
 
     def weighted_values(self, target: MapTarget) -> tuple[wp.array, wp.array]:
         """Values at vertices (v,), and what face weights in node units multiply (f,), of the faces in fans. The latter
@@ -181,7 +183,9 @@ class GreenSolver(ClosedFormSolver):
         self._launch(stretch_normals, self._faces.size, inputs, [self._face_values])
         return target.vertex_values, self._face_values
 
-    def launch_boundary(self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array) -> CutRows:
+    def launch_boundary(
+        self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array
+    ) -> WarpStruct:
         """Launch the limit of the map from inside where links cross the cage, the cut nodes being described first; see
         MapSolver."""
         values = self.weighted_values(target)

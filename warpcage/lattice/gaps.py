@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import lane_count, launch
-from ..kernels.lattice.cut_rows import CutRows
 from ..kernels.lattice.gap_sides import count_column_sides, list_column_sides, mark_gap_cells, mark_narrow_cells
 from ..kernels.lattice.narrow_gaps import GAP_JUMP, confirm_narrow, find_gap_nodes
-from ..kernels.lattice.nodes import NodeLevels
 from ..kernels.lattice.side_values import (
     complete_sides,
     continue_sides,
@@ -87,8 +86,8 @@ class MapNodes:
         flags: (nodes of rings 0 and 1,) int, 1 at narrow gaps.
     """
 
-    levels: NodeLevels
-    rows: CutRows
+    levels: WarpStruct
+    rows: WarpStruct
     boundary: wp.array
     values: wp.array
     corrections: wp.array
@@ -120,8 +119,8 @@ class MapSides:
         self._cells, self._masks = pool.buffer(wp.int32), pool.buffer(wp.int32)
         self._table, self._jump = pool.buffer(wp.vec4), pool.buffer(wp.float32)
         self._status = HostNumbers(2, self._device)
-        self.index = wp.empty(0, dtype=wp.int32, device=self._device)
-        self.table = wp.empty((0, 8), dtype=wp.vec4, device=self._device)
+        self.index = empty_array(0, wp.int32, self._device)
+        self.table = empty_array((0, 8), wp.vec4, self._device)
         self.length, self.jump = 0, 0.0
 
     def launch(
@@ -196,8 +195,8 @@ class MapSides:
 
 def launch_linear_boundary(
     sections: NodeSections,
-    levels: NodeLevels,
-    rows: CutRows,
+    levels: WarpStruct,
+    rows: WarpStruct,
     faces: wp.array,
     vertex_values: wp.array,
     boundary: wp.array,
@@ -230,13 +229,13 @@ class GapFlags:
         self._device, self._narrow = lattice.device, lattice.flags.narrow
         self._flags = lattice.buffers.buffer(wp.int32)
         self.count = lattice.flags.gaps
-        self.flags = wp.empty(0, dtype=wp.int32, device=self._device)
+        self.flags = empty_array(0, wp.int32, self._device)
 
     def search(
         self,
         lattice: CageLattice,
-        levels: NodeLevels,
-        rows: CutRows,
+        levels: WarpStruct,
+        rows: WarpStruct,
         sections: NodeSections,
         values: wp.array,
         least: float = GAP_JUMP,

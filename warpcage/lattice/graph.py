@@ -139,4 +139,5 @@ class PoseGraph:
             return launches
         with wp.ScopedCapture(device=self._device) as capture:
             launches()
+        assert capture.graph is not None
         return functools.partial(wp.capture_launch, capture.graph)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 
 import numpy as np
 import warp as wp
 
+from ..core.arrays import WarpStruct, empty_array
 from ..core.checks import warn_caller
 from ..core.devices import lane_count, launch, load_modules
 from ..kernels.lattice import harmonic as harmonic_kernels
 from ..kernels.lattice import harmonic_coarse
-from ..kernels.lattice.cut_rows import CutRows, set_sources
+from ..kernels.lattice.cut_rows import set_sources
 from ..kernels.lattice.harmonic import (
     LaplaceSystem,
     begin_cycles,
@@ -97,7 +99,7 @@ class HarmonicSolver(MapSolver):
         self._sources = lattice.buffers.buffer(wp.vec3)
         self._loads = lattice.buffers.buffer(wp.vec3)
         self._going = wp.zeros(1, dtype=wp.int32, device=self.device)
-        self._largest = wp.empty(LARGEST_SLOTS, dtype=wp.vec2, device=self.device)
+        self._largest = empty_array(LARGEST_SLOTS, wp.vec2, self.device)
         self._system = LaplaceSystem()
         self._graph: wp.Graph | None = None  # of one cycle
         self._graph_room: NodeSections | None = None
@@ -128,7 +130,9 @@ class HarmonicSolver(MapSolver):
         self._continue_map(sizes.lists, vertex_values)
         self.gaps.search(self.lattice, self.nodes.levels, self.rows, sizes.lists, self._system.values)
 
-    def launch_boundary(self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array) -> CutRows:
+    def launch_boundary(
+        self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array
+    ) -> WarpStruct:
         """Launch the map where links cross the cage, on which it is linear; see MapSolver."""
         launch_linear_boundary(
             sizes.lists, self.nodes.levels, self.rows, self.lattice.faces, target.vertex_values, boundary
@@ -138,7 +142,7 @@ class HarmonicSolver(MapSolver):
     def weigh(self) -> list[WeightBlock]:
         """The weights (m, v) of all inside nodes in one block; three vertices take one solution."""
         count = self.nodes.sections.finest_inside
-        weights = wp.empty((count, self.lattice.vertices.size), dtype=wp.float32, device=self.device)
+        weights = empty_array((count, self.lattice.vertices.size), wp.float32, self.device)
         for column, _ in self.solve_vertices():
             self._launch(store_weights, count, [0, column, self.nodes.levels, self.values, weights])
         return [(0, weights, None)]
@@ -152,7 +156,7 @@ class HarmonicSolver(MapSolver):
             Index of the first of three vertices, and their boundary values (v,) vec3.
         """
         count = self.lattice.vertices.size
-        selected = wp.empty(count, dtype=wp.vec3, device=self.device)
+        selected = empty_array(count, wp.vec3, self.device)
         cycles, residual = 0, 0.0
         for column in range(0, count, 3):
             self._launch(select_vertices, count, [column, selected])
@@ -208,7 +212,8 @@ class HarmonicSolver(MapSolver):
             with wp.ScopedCapture(device=self.device) as capture:
                 self._cycle(held)
             self._graph, self._graph_generation = capture.graph, generation
-        return lambda: wp.capture_launch(self._graph)
+        assert self._graph is not None
+        return functools.partial(wp.capture_launch, self._graph)
 
     def _cycle(self, sections: NodeSections) -> None:
         """Launch a V-cycle and what judges it; the half sweep that it begins with was done by the one before."""

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ..core.arrays import empty_array
 from ..core.devices import lane_count, launch, resolve_device
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
 from ..kernels.lattice.distance import BLOCK, list_block_faces, measure_band
@@ -185,8 +186,8 @@ class CageLattice:
         self._clear_octants = self.buffers.buffer(wp.int32)
         self._line_capacity = LINE_CAPACITY
         self.crossings = LineCrossings()
-        self.flat_distance = wp.empty(0, dtype=wp.float32, device=self.device)
-        self.clear_octants = wp.empty(0, dtype=wp.int32, device=self.device)
+        self.flat_distance = empty_array(0, wp.float32, self.device)
+        self.clear_octants = empty_array(0, wp.int32, self.device)
         self.block_faces = self.clear_octants, self.clear_octants
         self._place(cage)
 
@@ -324,16 +325,16 @@ def lattice_frame(
     Raises:
         ValueError: For a cage so far from the origin that float32 numbers are about half a cell apart there.
     """
-    low, high, origin = *cage.bounds.tolist(), np.asarray(origin).tolist()
+    (low, high), place = cage.bounds.tolist(), np.asarray(origin).tolist()
     spacing = float(np.float32(max(b - a for a, b in zip(low, high, strict=True)) / resolution))
-    far = max(max(abs(a - o), abs(b - o)) for a, b, o in zip(low, high, origin, strict=True))
+    far = max(max(abs(a - o), abs(b - o)) for a, b, o in zip(low, high, place, strict=True))
     if not math.ldexp(1.0, math.frexp(far)[1] - FLOAT32_BITS) <= MOST_ROUNDING * spacing:
         raise ValueError(
             f"the cage reaches {far:.3g} from the origin of its lattice, {far / cage.size:.2g} times its "
             f"size: float32 cannot tell cells of {spacing:.2g} apart there, move it nearer or take a "
             f"resolution below {resolution}"
         )
-    lower = [float(np.float32(a - margin * spacing - o)) + o for a, margin, o in zip(low, MARGIN, origin, strict=True)]
+    lower = [float(np.float32(a - margin * spacing - o)) + o for a, margin, o in zip(low, MARGIN, place, strict=True)]
     cells = (math.ceil((b - a) / spacing + 3.0) for a, b in zip(lower, high, strict=True))
     return tuple(side + 1 for side in cells), np.array(lower), spacing
 

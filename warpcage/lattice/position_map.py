@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ..core.arrays import WarpStruct
 from ..core.checks import warn_caller
 from ..core.devices import resolve_device
 from ..core.memory import require_memory
@@ -89,7 +90,7 @@ class PositionMap:
         self.gap_jump = 0.0
         self._launches: PoseLaunches | None = None
         self._weights: LatticeWeights | None = None
-        self._data: CageMap | None = None
+        self._data: WarpStruct | None = None
         self._graph: PoseGraph | None = None
         self._has_gaps = False
 
@@ -194,7 +195,7 @@ class PositionMap:
         return self
 
     @property
-    def data(self) -> CageMap:
+    def data(self) -> WarpStruct:
         """The map for kernels: positions and distances relative to `origin`. The next pose overwrites its arrays."""
         self._posed()
         assert self._data is not None
@@ -305,7 +306,7 @@ class PositionMap:
                 "open the gaps"
             )
 
-    def _take_sides(self, data: CageMap, launches: PoseLaunches, graph: PoseGraph | None) -> None:
+    def _take_sides(self, data: WarpStruct, launches: PoseLaunches, graph: PoseGraph | None) -> None:
         """Give the map the sides of narrow gaps."""
         sides, needed = launches.sides, lattice_side_bytes(launches.solver.lattice)
         require_memory(

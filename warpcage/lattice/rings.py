@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import warp as wp
 
+from ..core.arrays import WarpStruct
 from ..core.devices import lane_count, launch
 from ..kernels.lattice.cut_rows import CutRows, describe_rows
-from ..kernels.lattice.nodes import RINGS, NodeLevels
+from ..kernels.lattice.nodes import RINGS
 from ..kernels.lattice.rings import extend_outwards, extend_through_cage
 from .capture import BufferPool
 from .lattice import CageLattice
@@ -27,7 +28,7 @@ class CutRowTable:
         self._faces = pool.buffer(wp.int32)
         self._corners = pool.buffer(wp.vec3)
 
-    def describe(self, lattice: CageLattice, levels: NodeLevels, sections: NodeSections) -> CutRows:
+    def describe(self, lattice: CageLattice, levels: WarpStruct, sections: NodeSections) -> WarpStruct:
         """Launch the description of the cut nodes of all listed levels.
 
         Args:
@@ -51,8 +52,8 @@ class CutRowTable:
 
 def continue_through_cage(
     lattice: CageLattice,
-    levels: NodeLevels,
-    rows: CutRows,
+    levels: WarpStruct,
+    rows: WarpStruct,
     sections: NodeSections,
     vertex_values: wp.array,
     values: wp.array,
@@ -77,7 +78,7 @@ def continue_through_cage(
 def continue_outwards(
     ring: int,
     lattice: CageLattice,
-    levels: NodeLevels,
+    levels: WarpStruct,
     sections: NodeSections,
     vertex_values: wp.array,
     values: wp.array,
@@ -98,8 +99,8 @@ def continue_outwards(
 
 def continue_to_rings(
     lattice: CageLattice,
-    levels: NodeLevels,
-    rows: CutRows,
+    levels: WarpStruct,
+    rows: WarpStruct,
     sections: NodeSections,
     vertex_values: wp.array,
     values: wp.array,

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 import warp as wp
 
+from ..core.arrays import WarpStruct, empty_array
 from ..kernels.lattice.cut_rows import CutRows
 from .capture import Buffer
 from .gaps import GapFlags, MapTarget
@@ -42,7 +43,7 @@ class MapSolver(ABC):
     def __init__(self, lattice: CageLattice, nodes: LatticeNodes):
         self.lattice, self.nodes, self.device = lattice, nodes, lattice.device
         self.rows = CutRows()
-        self.corrections = wp.empty(0, dtype=wp.vec3, device=self.device)
+        self.corrections = empty_array(0, wp.vec3, self.device)
         self.gaps = GapFlags(lattice)
         self.status = wp.zeros(2, dtype=wp.float32, device=self.device)
         self.cycles, self.residual = 0, 0.0
@@ -127,7 +128,9 @@ class MapSolver(ABC):
         """
 
     @abstractmethod
-    def launch_boundary(self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array) -> CutRows:
+    def launch_boundary(
+        self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array
+    ) -> WarpStruct:
         """Launch the map less its affine part where links cross the cage.
 
         Args:
