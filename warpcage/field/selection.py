@@ -195,7 +195,7 @@ def _scattered(mask: np.ndarray, cells: np.ndarray, values: np.ndarray) -> np.nd
 
 
 def _in_box(field: DensityField, mask: np.ndarray, box: ArrayLike) -> np.ndarray:
-    low, high = checked_bounds(box)
+    low, high = checked_bounds(box, "box")
     cells = np.argwhere(mask)
     points = _centres(field, cells)
     return _scattered(mask, cells, ((points >= low) & (points <= high)).all(axis=1))

@@ -78,7 +78,7 @@ class Scene:
             "alphas": alphas,
             "background": parse_background(self.background),
             "names": names,
-            "bounds": None if self.bounds is None else checked_bounds(self.bounds),
+            "bounds": None if self.bounds is None else checked_bounds(self.bounds, "scene bounds"),
             "to_source": to_source,
             "surroundings": surroundings,
         }
