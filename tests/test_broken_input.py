@@ -379,7 +379,7 @@ def test_field_file_cut_off(tmp_path, share):
         ({"bounds": np.array([[0, 0, 0], [1, 1, np.inf]])}, "bounds"),
         ({"background": np.array([2, 0, 0.0])}, "background"),
         ({"weights": np.full(64, np.nan)}, "weights holds values that are not finite"),
-        ({"format": "warpcage fit"}, "is the checkpoint of a fit, no field yet"),
+        ({"format": "warpcage fit"}, "is the checkpoint of a fit, not yet a field"),
         ({"format": None}, "neither a warpcage nor a Plenoxels field: it holds background"),
     ],
 )

@@ -118,7 +118,7 @@ def test_the_object_of_dtu_scan_24_by_its_masks():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"box": [[0, 0, 0], [0, 1, 1]]}, "a box must be"),
+        ({"box": [[0, 0, 0], [0, 1, 1]]}, "box must be"),
         ({"box": [[0.9, 0.9, 0.9], [0.95, 0.95, 0.95]]}, "outside the box"),
         ({"seed": [0, 0, np.nan]}, "seed must be"),
         ({"seed": [0.0, -0.9, 0.9]}, "near the seed point"),
@@ -127,7 +127,7 @@ def test_the_object_of_dtu_scan_24_by_its_masks():
         ({"parts": 0}, "parts must be"),
         ({"floaters": 1.0}, "floaters must be"),
         ({"masks": [np.ones((4, 4))]}, "go together"),
-        ({"masks": [np.ones((4, 4))], "cameras": []}, "one mask a camera"),
+        ({"masks": [np.ones((4, 4))], "cameras": []}, "one mask per camera"),
         ({"masks": [np.ones((4, 4))], "cameras": [Camera.look_at((0, -4, 0), (0, 0, 0), width=8, height=4)]},
          "mask 0 must be (4, 8)"),
         ({"masks": [np.zeros((4, 8))], "cameras": [Camera.look_at((0, -4, 0), (0, 0, 0), width=8, height=4)]},

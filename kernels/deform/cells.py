@@ -1,7 +1,7 @@
 """What holds for whole lattice cells of an edit: the cases that a cell settles, and the cells that a march may skip.
 
 "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. A module of its own,
-so that a pose compiles no march.
+so that a pose does not compile a march.
 Needs: deform/edits, deform/march, field/grid, field/skip, lattice/cage_map.
 """
 
@@ -160,9 +160,9 @@ def mark_edit_cells(
     """0 at the lattice cells of an edit in which a march must look, SKIP_LIMIT at the others.
 
     The trilinear image of a cell lies in the bounding box of its eight corners' canonical positions; the scene beneath
-    (canonical grid and earlier edits, whose `skip` must be ready) is asked whether that box is empty. `step`:
-    sub-samples reach half a march step out of the cell. Cells that the map sends out of the rest cage are looked at, to
-    be counted.
+    (canonical grid and earlier edits, whose `skip` must be ready) is asked whether that box is empty. `step`, world
+    units: sub-samples reach half a march step out of the cell. Cells that the map sends out of the rest cage are looked
+    at, to be counted.
     """
     n = first + wp.tid()
     k = n % marks.shape[2]

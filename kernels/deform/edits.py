@@ -50,6 +50,8 @@ CLOSED_FORM_DIFFERENCE = wp.constant(2.0e-3)
 
 @wp.struct
 class LatticeEdit:
+    """An edit whose map and distances are looked up on lattices."""
+
     deformed: CageMap  # distance to the deformed cage, positions in the rest cage
     rest: CageMap  # distance to the rest cage; its positions are not used
     tolerance: float  # a point counts as inside the deformed cage up to this distance
@@ -72,11 +74,13 @@ class CellTable:
 
 @wp.struct
 class ClosedFormEdit:
+    """An edit whose coordinates are evaluated at every point."""
+
     deformed_vertices: wp.array(dtype=wp.vec3)
     rest_vertices: wp.array(dtype=wp.vec3)
     rest_normals: wp.array(dtype=wp.vec3)  # (f,) stretched, for Green coordinates
     faces: wp.array(dtype=wp.vec3i)
-    fans: wp.array(dtype=wp.vec4)  # of the deformed cage: see face_fans
+    fans: wp.array(dtype=wp.vec4)  # of the deformed cage: see mesh/fans
     deformed_cells: CellTable
     rest_cells: CellTable  # its `skip` is not used
     size: float  # longest side of the deformed cage
@@ -99,6 +103,8 @@ class EditPoint:
 
 @wp.struct
 class CanonicalPoint:
+    """What all edits say of a point."""
+
     position: wp.vec3
     region: int  # UNCHANGED, CLEARED or MAPPED
     path: int  # bit e is set where edit e mapped the point
@@ -152,7 +158,10 @@ def cell_trilinear(values: wp.array3d(dtype=Any), cell: LatticeCell):
 
 @wp.func
 def edit_point(edit: LatticeEdit, x: wp.vec3):
-    """Whether a point is in the deformed cage of an edit, and where the map leads; nothing is where an edit removes."""
+    """Whether a point is in the deformed cage of an edit, and where the map leads.
+
+    An edit that removes leaves nothing there.
+    """
     result = EditPoint()
     result.position = x
     if edit.removes == 1:
@@ -228,7 +237,10 @@ def edit_position(edit: ClosedFormEdit, x: wp.vec3):
 
 @wp.func
 def edit_point(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
-    """Whether a point is in the deformed cage of an edit, and where the map leads; nothing is where an edit removes."""
+    """Whether a point is in the deformed cage of an edit, and where the map leads.
+
+    An edit that removes leaves nothing there.
+    """
     result = EditPoint()
     result.position = x
     if edit.removes == 1:
@@ -269,7 +281,7 @@ def traced_point(edits: Any, x: wp.vec3):
                 result.outside = 1 - cleared
             position = place.position
         elif edit.keeps_source == 0 and in_rest_cage(edit, position, 0.0):
-            result.vacant = cleared  # what was cleared once is not there to be cleared again
+            result.vacant = cleared  # what is cleared cannot be cleared again
             cleared = 1
         e -= 1
     result.position = position

@@ -1,6 +1,6 @@
 """Emission-absorption ray marching of a deformed sparse voxel grid.
 
-Samples lie at t_k = (k + 1/2) dt from the camera as in grid_rays, are traced to canonical space by cage_edits
+Samples lie at t_k = (k + 1/2) dt from the camera as in field/samples, are traced to canonical space by deform/edits
 ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), and composited. The canonical point of the next sample
 serves the finite difference of this one. Optical depth of a sample is sigma |phi(x + dt d) - phi(x)|, so that matter
 keeps its opacity when it is scaled, or sigma dt as the paper has it. Where the map compresses, a sample stands for a
@@ -40,12 +40,14 @@ MAX_SUB_SAMPLES = wp.constant(16)
 #: Samples that weigh less than this are not examined for folds: an 8-bit image does not show them.
 FOLD_MIN_WEIGHT = wp.constant(1.0 / 255.0)
 
-#: Behind cleared matter that would have let less light than this through nothing more is revealed.
+#: Nothing more is revealed behind cleared matter that would have let less light than this through.
 FAINT = wp.constant(1.0e-3)
 
 
 @wp.struct
 class MarchOptions:
+    """How a scene is marched."""
+
     step: float  # world units
     stop: float  # a march ends where less than this share of the light is left
     arc_opacity: int  # 1: optical depth in canonical arc length, 0: sigma dt
@@ -66,17 +68,20 @@ class DeformedRadiance:
 
 @wp.func
 def table_upper(table: CellTable):
+    """Upper corner of the box of a table of cells."""
     shape = wp.vec3(float(table.skip.shape[0]), float(table.skip.shape[1]), float(table.skip.shape[2]))
     return table.lower + table.spacing * shape
 
 
 @wp.func
 def lattice_lower(edit: LatticeEdit):
+    """Lower corner of the box of an edit's lattice."""
     return edit.deformed.lower
 
 
 @wp.func
 def lattice_upper(edit: LatticeEdit):
+    """Upper corner of the box of an edit's lattice."""
     shape = wp.vec3(float(edit.skip.shape[0]), float(edit.skip.shape[1]), float(edit.skip.shape[2]))
     return edit.deformed.lower + edit.deformed.spacing * shape
 

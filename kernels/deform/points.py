@@ -1,6 +1,6 @@
 """Arbitrary points and directions of a deformed scene in canonical space, for renderers other than ours.
 
-"Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 4 and 5, with edits looked up on lattices; see cage_edits.
+"Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 4 and 5, with edits looked up on lattices; see deform/edits.
 Needs: deform/edits.
 """
 
@@ -15,6 +15,8 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class CanonicalRay:
+    """Where a point is in canonical space, and how it is seen there."""
+
     point: wp.vec3
     direction: wp.vec3
     region: int

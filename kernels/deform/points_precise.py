@@ -1,6 +1,6 @@
 """Arbitrary points and directions of a deformed scene in canonical space, without a lattice.
 
-As deformed_points, with mean value or Green coordinates evaluated at every point; see precise_render.
+As deform/points, with mean value or Green coordinates evaluated at every point; see deform/render_precise.
 Needs: deform/edits, deform/points.
 """
 
@@ -25,7 +25,7 @@ def map_points_precisely(
     region: wp.array(dtype=wp.int32),
     outside: wp.array(dtype=wp.uint8),
 ):
-    """As deformed_points.map_points."""
+    """As deform/points.map_points."""
     n = first + wp.tid()
     ray = canonical_ray(edits, points[n] - origin, directions[n], dt)
     canonical_points[n] = ray.point + origin

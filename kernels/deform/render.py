@@ -1,7 +1,7 @@
 """Views of a deformed voxel field whose edits are looked up on lattices.
 
-"Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. See deformed_march for
-the march and cage_edits for the map.
+"Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. See deform/march
+for the march and deform/edits for the map.
 Needs: deform/edits, deform/march, field/grid, field/render, view/rays.
 """
 
@@ -13,13 +13,13 @@ from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
 from .edits import LatticeEdit
 from .march import DeformedRadiance, MarchOptions, march_deformed
 
-# small blocks: rays of one end at very different times
+# small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 
 @wp.func
 def visible_depth(seen: DeformedRadiance):
-    """Expected distance along the ray, inf where next to nothing is seen."""
+    """Expected distance along the ray, inf where almost nothing is seen."""
     opacity = 1.0 - seen.transmittance
     return wp.where(opacity > DEPTH_MIN_ALPHA, seen.depth / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
 
@@ -57,7 +57,7 @@ def render_edits(
     options: MarchOptions,
     picture: Picture,
 ):
-    """One thread a pixel, tile by tile."""
+    """One thread per pixel, tile by tile."""
     column, row = tile_pixel(first + wp.tid(), camera.width)
     if column < camera.width and row < camera.height:
         seen = march_deformed(edits, grid, camera.centre, pixel_direction(camera, column, row), options)

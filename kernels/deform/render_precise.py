@@ -1,9 +1,9 @@
 """Pictures of a deformed scene without a lattice: mean value or Green coordinates evaluated at every sample.
 
 The "precise" mode of "Deforming Radiance Fields with Cages" (ECCV 2022), section 5.3. The same functions as in
-deformed_render on ClosedFormEdit; a module of its own, so that it is compiled only when it is used.
+deform/render on ClosedFormEdit; a module of its own, so that it is compiled only when it is used.
 
-Positions are exact everywhere. Lattices help only to do without work whose result is known (see settled_cells).
+Positions are exact everywhere. Lattices only save work whose result is known (see deform/settled_cells).
 Needs: deform/edits, deform/march, deform/render, field/grid, view/rays.
 """
 
@@ -15,7 +15,7 @@ from .edits import ClosedFormEdit
 from .march import MarchOptions, march_deformed
 from .render import Picture, fill_pixel
 
-# small blocks: rays of one end at very different times
+# small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 
@@ -29,7 +29,7 @@ def render_precisely(
     options: MarchOptions,
     picture: Picture,
 ):
-    """As deformed_render.render_edits."""
+    """As deform/render.render_edits."""
     column, row = tile_pixel(first + wp.tid(), camera.width)
     if column < camera.width and row < camera.height:
         seen = march_deformed(edits, grid, camera.centre, pixel_direction(camera, column, row), options)

@@ -1,10 +1,10 @@
-"""Views of a voxel field that one edit deforms: the march of deformed_march, written for speed.
+"""Views of a voxel field that one edit deforms: the march of deform/march, written for speed.
 
 The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
 of one edit on a lattice. What differs is the order of the work, for a GPU that runs many rays at once and has few
 registers for each: the map is looked up at one place of the program. A sample that holds matter waits for the sample
 after it, whose canonical point completes its finite difference (Eq. 4); where that is no difference of one map, the
-march turns back for one. Where the map compresses, a sample is cut into sub-samples as in deformed_march.
+march turns back for one. Where the map compresses, a sample is cut into sub-samples as in deform/march.
 Needs: deform/edits, deform/march, deform/render, field/grid, field/harmonics, field/samples, lattice/cage_map,
 view/rays.
 """
@@ -29,7 +29,7 @@ from .edits import (
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .render import Picture, fill_pixel
 
-# small blocks: rays of one end at very different times
+# small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 #: `look` holds the flags of a cell that must be looked at, or this and the distance to the nearest such cell.
@@ -110,7 +110,7 @@ def flat_position(edit: SingleEdit, n: int, f: wp.vec3):
 
 @wp.func
 def safe_inverse(rate: wp.vec3):
-    """1 / rate by component; for next to no rate a large number."""
+    """1 / rate by component; a large number where the rate is almost zero."""
     result = wp.vec3(1.0e30, 1.0e30, 1.0e30)
     for axis in range(3):
         if wp.abs(rate[axis]) > 1.0e-12:
@@ -120,7 +120,7 @@ def safe_inverse(rate: wp.vec3):
 
 @wp.func
 def cell_exit(g: wp.vec3, inverse_rate: wp.vec3, reach: int):
-    """grid_rays.exit_distance with the divisions done once a ray."""
+    """field/samples.exit_distance with the divisions done once per ray."""
     leave = float(1.0e30)
     for axis in range(3):
         cell = wp.floor(g[axis])
@@ -332,7 +332,7 @@ def render_edit(
     options: MarchOptions,
     picture: Picture,
 ):
-    """One thread a pixel, tile by tile."""
+    """One thread per pixel, tile by tile."""
     column, row = tile_pixel(first + wp.tid(), camera.width)
     if column < camera.width and row < camera.height:
         seen = march_edit(edit, grid, camera.centre, pixel_direction(camera, column, row), options)

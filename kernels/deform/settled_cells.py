@@ -1,6 +1,6 @@
-"""Lattice cells that lie on one side of a cage as a whole, and show that closed forms need not be evaluated there.
+"""Lattice cells that lie on one side of a cage as a whole, where closed forms need not be evaluated.
 
-What a "precise" march (see precise_render) looks up before it evaluates coordinates or winding numbers.
+What a "precise" march (see deform/render_precise) looks up before it evaluates coordinates or winding numbers.
 Needs: deform/cells, deform/edits, lattice/cage_map.
 """
 
@@ -20,8 +20,8 @@ HALF_DIAGONAL = wp.constant(0.8661)
 def settled_case(cage_map: CageMap, i: int, j: int, k: int, slack: float):
     """CELL_INSIDE or CELL_OUTSIDE where no point of a lattice cell can be on the other side of the cage, else 0.
 
-    Distances at nodes are exact up to their limit, and change by no more than the way between two points; outside means
-    farther than `slack`.
+    Distances at nodes are exact up to their limit, and differ between two points by at most the way between them.
+    Outside means farther than `slack`.
     """
     nearest = float(1.0e30)
     farthest = float(-1.0e30)

@@ -16,12 +16,14 @@ from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 
 wp.set_module_options({"enable_backward": False})
 
-#: Behind this little of the light nothing is seen any more.
+#: A ray ends where this share of the light is left.
 OPAQUE_TRANSMITTANCE = wp.constant(1.0e-4)
 
 
 @wp.struct
 class BackgroundLayers:
+    """Layers around a grid; positions are relative to their centre."""
+
     half: float  # half side of the innermost cube, world units
     side: int  # cells along an edge of a cube
     values: wp.array2d(dtype=wp.vec4)  # (layers, 6 side^2 + 2): red, green, blue, optical depth
@@ -38,7 +40,8 @@ class LayerSample:
 
 @wp.func
 def surface_node(side: int, node: wp.vec3i):
-    """Number of a lattice point of a cube's surface: the two faces across x first, then what is left across y and z."""
+    """Number of a lattice point of a cube's surface: the two faces across x first, then the rest
+    of those across y, then of those across z."""
     i = node[0]
     j = node[1]
     k = node[2]
@@ -83,6 +86,7 @@ def surface_place(side: int, number: int):
 
 @wp.func
 def on_surface(side: int, node: wp.vec3i):
+    """Whether a lattice point lies on the surface of a cube."""
     result = bool(False)
     for axis in range(3):
         if node[axis] == 0 or node[axis] == side:
@@ -188,7 +192,10 @@ def add_background(
     alpha: wp.array(dtype=wp.float32),
     rgb: wp.array(dtype=wp.vec3),
 ):
-    """Puts the layers behind a picture on black of opacity `alpha`, (h * w,) both. One thread a pixel, tile by tile."""
+    """Put the layers behind a picture on black of opacity `alpha`, (h * w,) both.
+
+    One thread per pixel, tile by tile.
+    """
     column, row = tile_pixel(first + wp.tid(), camera.width)
     if column < camera.width and row < camera.height:
         n = row * camera.width + column

@@ -35,7 +35,7 @@ def mark_weighty_nodes(
     threshold: float,
     mask: wp.array3d(dtype=wp.uint8),
 ):
-    """1 at the nodes of rows whose recorded weight reaches a threshold; the rest of `mask` is left."""
+    """1 at the nodes of rows whose recorded weight reaches a threshold; the rest of `mask` stays."""
     row = first + wp.tid()
     if weights[row] >= threshold:
         mask[nodes[row][0], nodes[row][1], nodes[row][2]] = wp.uint8(1)
@@ -54,7 +54,10 @@ def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(
 
 @wp.kernel
 def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
-    """What the voxel says in which a finer one has its centre. ratio: finer voxels a voxel, along each axis."""
+    """Each finer voxel takes the value of the voxel that its centre lies in.
+
+    ratio: finer voxels per voxel, along each axis.
+    """
     n = first + wp.tid()
     k = n % mask.shape[2]
     j = (n // mask.shape[2]) % mask.shape[1]
@@ -86,7 +89,7 @@ def link_nodes(
     links: wp.array3d(dtype=wp.int32),
     nodes: wp.array(dtype=wp.vec3i),
 ):
-    """Number the set nodes in memory order, one item a line. running_count: inclusive scan of the lines' counts."""
+    """Number the set nodes in memory order, one item per line. running_count: inclusive scan of the lines' counts."""
     n = first + wp.tid()
     i = n // mask.shape[1]
     j = n % mask.shape[1]
@@ -113,7 +116,7 @@ def resample_rows(
 ):
     """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (weights renormalised).
 
-    ratio: fine voxels a coarse one, along each axis.
+    ratio: fine voxels per coarse one, along each axis.
     """
     row = first + wp.tid()
     node = nodes[row]

@@ -14,7 +14,7 @@ from .samples import grid_ray, sample_beyond, sample_distance, sample_place
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
-#: Depth of a pixel is reported where it is at least this opaque.
+#: A pixel has a depth where it is at least this opaque.
 DEPTH_MIN_ALPHA = wp.constant(1.0e-3)
 
 
@@ -65,8 +65,8 @@ def render_image(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
-    """One thread a pixel, in the order of rays.tile_pixel; outputs (h * w,) row by row. depth: expected distance along
-    the ray, inf where empty."""
+    """One thread per pixel, in the order of view/rays.tile_pixel; outputs (h * w,) row by row. depth: expected distance
+    along the ray, inf where empty."""
     column, row = tile_pixel(first + wp.tid(), camera.width)
     if column >= camera.width or row >= camera.height:
         return
@@ -90,7 +90,7 @@ def record_weights(
     weights: wp.array(dtype=wp.float32),
 ):
     """Largest rendering weight T_k alpha_k that any ray gives to each node's row. Every pixel_stride-th row and column
-    of every camera. Rows are shared: on the CPU give each thread its own `weights` and join them by maximum."""
+    of every camera. Rays share rows: on the CPU each thread needs its own `weights`, which are joined by maximum."""
     n = first + wp.tid()
     per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride
     per_view = per_row * ((cameras[0].height + pixel_stride - 1) // pixel_stride)

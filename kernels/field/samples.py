@@ -1,7 +1,7 @@
 """Samples along a ray through a sparse voxel grid, and the jump over its empty cells.
 
 Sample k of a ray lies at t_k = (k + 1/2) dt from its origin whatever box it enters, so that two marches over one space
-sample the same points. Empty cells are left by their distance to what is filled (grid_skip).
+sample the same points. Empty cells are left by their distance to filled ones (field/skip).
 Needs: field/grid, view/rays.
 """
 
@@ -22,7 +22,7 @@ def grid_span(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
 
 @wp.func
 def exit_distance(g: wp.vec3, dg: wp.vec3, reach: int):
-    """How far a ray at node coordinates g, moving by dg a unit, stays in the cells within reach - 1 of its own."""
+    """How far a ray at node coordinates g, moving by dg per unit, stays in the cells within reach - 1 of its own."""
     leave = float(1.0e30)
     for axis in range(3):
         if wp.abs(dg[axis]) > 1.0e-12:
@@ -43,7 +43,7 @@ class GridRay:
     """A ray through a grid, in steps."""
 
     start: wp.vec3  # node coordinates of its origin
-    slope: wp.vec3  # of them a unit of distance
+    slope: wp.vec3  # node coordinates per unit of distance
     step: float
     far: float  # distance at which it leaves the grid
     first: int  # the first sample in the grid

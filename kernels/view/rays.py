@@ -7,7 +7,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-#: Pixels of a tile, and that many threads.
+#: Pixels of a tile, which has as many threads.
 TILE_WIDTH = wp.constant(8)
 TILE_HEIGHT = wp.constant(4)
 TILE_SIZE = wp.constant(32)
@@ -18,7 +18,7 @@ class PinholeCamera:
     """OpenCV axes; the centre of the first pixel is (0.5, 0.5). Same origin and units as the scene's positions."""
 
     centre: wp.vec3
-    rotation: wp.mat33  # camera axes, one a column
+    rotation: wp.mat33  # camera axes, one per column
     focal: wp.vec2  # pixels
     principal_point: wp.vec2  # pixels
     width: int
@@ -41,7 +41,7 @@ def pixel_direction(camera: PinholeCamera, column: int, row: int):
 
 @wp.func
 def tile_pixel(n: int, width: int):
-    """Column and row of the n-th pixel when a picture is walked tile by tile; the last tiles reach out of it.
+    """Column and row of the n-th pixel when a picture is walked tile by tile; the last tiles reach beyond it.
 
     A tile is one warp of a GPU: its rays lie together and read the same cells.
     """

@@ -147,11 +147,12 @@ def checked_vector(value: ArrayLike, name: str) -> np.ndarray:
     return vector
 
 
-def checked_bounds(bounds: ArrayLike) -> np.ndarray:
+def checked_bounds(bounds: ArrayLike, name: str = "bounds") -> np.ndarray:
     """An axis-aligned box.
 
     Args:
         bounds: (2, 3) lower and upper corner, world units.
+        name: How the message calls it.
 
     Returns:
         (2, 3) float64, read-only.
@@ -161,7 +162,7 @@ def checked_bounds(bounds: ArrayLike) -> np.ndarray:
     """
     bounds = np.array(bounds, dtype=np.float64)
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
-        raise ValueError(f"bounds must be (2, 3), finite, lower below upper, got {bounds.tolist()}")
+        raise ValueError(f"{name} must be (2, 3), finite, lower below upper, got {bounds.tolist()}")
     bounds.setflags(write=False)
     return bounds
 

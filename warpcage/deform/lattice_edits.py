@@ -192,7 +192,9 @@ class EditLattices:
             cages: The deformed cages in the order of the edits, None for an edit that removes.
         """
         self._structs = [
-            posed_struct(edit, rest, None if position_map is None else position_map.pose(cage).data, cage)
+            posed_struct(
+                edit, rest, None if position_map is None or cage is None else position_map.pose(cage).data, cage
+            )
             for edit, rest, position_map, cage in zip(self._edits, self.rests, self.maps, cages, strict=True)
         ]
         shapes = [cell_shape(struct.deformed) for struct in self._structs]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
@@ -13,6 +11,7 @@ from ..core.checks import checked_positive, checked_vector
 from ..core.devices import launch, resolve_device
 from ..kernels.field.background import BackgroundLayers, add_background, sample_background
 from ..view.camera import Camera, camera_struct, tile_threads
+from .files.contents import LayerContents, surface_node_count
 
 
 class LayeredBackground:
@@ -98,15 +97,27 @@ class LayeredBackground:
         """(layers, nodes, 4) float32 red, green, blue and optical depth."""
         return self.layers.values.numpy()
 
-    def arguments(self) -> dict[str, Any]:
-        """The constructor's arguments but for the device, on the host."""
-        return {
-            "center": self.center,
-            "half": self.half,
-            "side": self.side,
-            "values": self.values,
-            "unseen": self.unseen,
-        }
+    @classmethod
+    def from_contents(cls, contents: LayerContents, device: wp.DeviceLike = None) -> LayeredBackground:
+        """The background of a file.
+
+        Args:
+            contents: What the file holds.
+            device: Warp device. None is CUDA where there is one.
+
+        Returns:
+            The background.
+
+        Raises:
+            ValueError: For parts that do not fit.
+        """
+        return cls(
+            contents.center, contents.half, contents.side, contents.values, unseen=contents.unseen, device=device
+        )
+
+    def contents(self) -> LayerContents:
+        """The layers on the host, for a file."""
+        return LayerContents(self.center, self.half, self.side, self.values, self.unseen)
 
     def __repr__(self) -> str:
         return f"LayeredBackground({self.layer_count} layers of 6x{self.side}x{self.side}, {self.device})"
@@ -159,15 +170,3 @@ class LayeredBackground:
         return LayeredBackground(
             self.center, self.half, self.side, self.layers.values, unseen=self.unseen, device=device
         )
-
-
-def surface_node_count(side: int) -> int:
-    """Number of lattice points on the surface of a cube.
-
-    Args:
-        side: Cells along an edge.
-
-    Returns:
-        6 side^2 + 2.
-    """
-    return 6 * int(side) ** 2 + 2

@@ -7,27 +7,52 @@ A NodeSelection stands in for its field wherever densities are read: `Cage.from_
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from .surface import node_grid
+from ..core.checks import checked_bounds, checked_positive, checked_vector, checked_whole
+from ..view.camera import Camera
+from .surface import DensityField, node_grid
 
 #: A node whose opacity across one voxel, or whose largest weight in any image, reaches this can be seen.
 VISIBLE_OPACITY = 0.01
 
-
-def visible_nodes(field, threshold: float | None = None) -> np.ndarray:
-    """World positions (n, 3) of the nodes of a field that can be seen; see `visible_mask`."""
-    visible = visible_mask(field, threshold)
-    return np.asarray(field.bounds, dtype=np.float64)[0] + (np.argwhere(visible) + 0.5) * np.asarray(field.voxel_size)
+#: Largest distance from a seed point to the nearest visible node, in voxels.
+SEED_VOXELS = 4
 
 
-def visible_mask(field, threshold: float | None = None) -> np.ndarray:
-    """(nx, ny, nz) bool: the nodes of a field that can be seen.
+def visible_nodes(field: DensityField, threshold: float | None = None) -> np.ndarray:
+    """Positions of the nodes of a field that can be seen.
 
-    threshold: density from which a node counts, one over world units. None counts nodes whose largest recorded weight
-    in an image (`field.node_weights()`) is at least 0.01, or, where no weights were recorded, whose opacity across one
-    voxel is: density >= -ln(0.99) / voxel side.
+    Args:
+        field: A VoxelField, a NodeSelection or the like.
+        threshold: As for `visible_mask`.
+
+    Returns:
+        (n, 3) float64, world units.
+
+    Raises:
+        ValueError: For densities that are not finite, or a threshold that is not positive.
+    """
+    return _centres(field, np.argwhere(visible_mask(field, threshold)))
+
+
+def visible_mask(field: DensityField, threshold: float | None = None) -> np.ndarray:
+    """The nodes of a field that can be seen.
+
+    Args:
+        field: A VoxelField, a NodeSelection or the like.
+        threshold: Density from which a node counts, per world unit. None counts nodes whose largest recorded weight in
+            an image (`field.node_weights()`) is at least 0.01; or, where no weights were recorded, whose opacity across
+            one voxel is: density >= -ln(0.99) / voxel side.
+
+    Returns:
+        (nx, ny, nz) bool.
+
+    Raises:
+        ValueError: For densities that are not finite, or a threshold that is not positive.
     """
     densities, voxel_size = node_grid(field)
     weights = getattr(field, "node_weights", lambda: None)() if threshold is None else None
@@ -42,9 +67,15 @@ def visible_mask(field, threshold: float | None = None) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class NodeSelection:
-    """Nodes of a field: mask (nx, ny, nz) bool, and notes, a line for each thing that was left out."""
+    """Nodes of a field.
 
-    field: object
+    Args:
+        field: The field, a VoxelField or the like.
+        mask: (nx, ny, nz) bool, the chosen nodes.
+        notes: A line for each thing that was left out.
+    """
+
+    field: DensityField
     mask: np.ndarray
     notes: tuple[str, ...]
 
@@ -74,27 +105,39 @@ class NodeSelection:
 
 
 def select_nodes(
-    field,
+    field: DensityField,
     *,
     threshold: float | None = None,
-    box=None,
-    cameras=None,
-    masks=None,
-    seed=None,
+    box: ArrayLike | None = None,
+    cameras: Iterable[Camera] | None = None,
+    masks: Iterable[ArrayLike] | None = None,
+    seed: ArrayLike | None = None,
     reach: float | None = None,
     parts: int | None = None,
     floaters: float = 0.0,
 ) -> NodeSelection:
     """The visible nodes of a field that belong to an object; each criterion given takes away from what is left.
 
-    threshold: as in `warpcage.cage.generate.generate.visible_nodes`. box: (2, 3) corners, world units.
-    cameras, masks: list of Camera and of (h, w) masks of their sizes, an object where above half their largest value;
-    kept are nodes inside the mask in every picture that they fall into, and in at least one.
-    seed: (3,) a point in or on the object; kept is what connects to the node nearest to it, with `reach`: no farther
-    than that from the seed, world units. parts: the so many connected parts of most nodes.
-    floaters: connected parts of fewer than this share of the largest one's nodes are dropped, 0 keeps all. Connected is
-    over faces, edges and corners of voxels.
-    Raises ValueError for values that make no sense, masks that do not fit their cameras, or where nothing is left.
+    Connected means over faces, edges and corners of voxels.
+
+    Args:
+        field: A VoxelField, a NodeSelection or the like.
+        threshold: Density from which a node counts as visible, per world unit. None goes by recorded weights or by
+            opacity, as `warpcage.field.selection.visible_mask` does.
+        box: (2, 3) corners of a box around the object, world units. None is no box.
+        cameras: Cameras of the masks.
+        masks: One (h, w) mask per camera, of its size, the object where it is above half its largest value. Kept are
+            nodes inside the mask in every picture that they fall into, and in at least one.
+        seed: (3,) a point in or on the object, world units: kept is what connects to the node nearest to it.
+        reach: Largest distance from the seed, world units. None is no limit.
+        parts: Number of connected parts to keep, the largest. None keeps all.
+        floaters: Connected parts with fewer than this share of the largest part's nodes are dropped. 0 keeps all.
+
+    Returns:
+        The selection.
+
+    Raises:
+        ValueError: For values that make no sense, masks that do not fit their cameras, or where nothing is left.
     """
     mask = visible_mask(field, threshold)
     notes: list[str] = []
@@ -102,16 +145,15 @@ def select_nodes(
     if box is not None:
         mask = _kept(mask, _in_box(field, mask, box), notes, "outside the box")
     if (cameras is None) != (masks is None):
-        raise ValueError("cameras and masks go together, one mask a camera")
-    if masks is not None:
+        raise ValueError("cameras and masks go together, one mask per camera")
+    if cameras is not None and masks is not None:
         mask = _kept(mask, _in_masks(field, mask, list(cameras), list(masks)), notes, "outside the masks")
     if seed is not None:
         mask = _kept(mask, _grown(field, mask, seed, reach), notes, "not connected to the seed point")
     elif reach is not None:
         raise ValueError("reach needs a seed point to reach from")
     if parts is not None:
-        if not isinstance(parts, int | np.integer) or parts < 1:
-            raise ValueError(f"parts must be a whole number of at least 1, got {parts!r}")
+        parts = checked_whole(parts, "parts", 1)
         labels, sizes, order = _parts(mask)
         mask = _kept(mask, np.isin(labels, order[:parts]), notes, f"in {max(len(order) - parts, 0)} smaller parts")
     if not 0.0 <= floaters < 1.0:
@@ -125,7 +167,8 @@ def select_nodes(
     return NodeSelection(field, mask, tuple(notes))
 
 
-def _kept(mask, keep, notes, where) -> np.ndarray:
+def _kept(mask: np.ndarray, keep: np.ndarray, notes: list[str], where: str) -> np.ndarray:
+    """The nodes that are left, and a note of how many are not; refused where none is left."""
     left = mask & keep
     _require_some(left, f"all {np.count_nonzero(mask)} visible voxels are {where}")
     dropped = np.count_nonzero(mask) - np.count_nonzero(left)
@@ -134,38 +177,38 @@ def _kept(mask, keep, notes, where) -> np.ndarray:
     return left
 
 
-def _require_some(mask, complaint) -> None:
+def _require_some(mask: np.ndarray, complaint: str) -> None:
     if not mask.any():
         raise ValueError(f"nothing is selected: {complaint}")
 
 
-def _centres(field, cells) -> np.ndarray:
+def _centres(field: DensityField, cells: np.ndarray) -> np.ndarray:
+    """(n, 3) world positions of nodes (n, 3)."""
     return np.asarray(field.bounds, dtype=np.float64)[0] + (cells + 0.5) * np.asarray(field.voxel_size)
 
 
-def _scattered(mask, cells, values) -> np.ndarray:
+def _scattered(mask: np.ndarray, cells: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """A mask of the same shape with values (n,) at nodes (n, 3)."""
     result = np.zeros_like(mask)
     result[tuple(cells.T)] = values
     return result
 
 
-def _in_box(field, mask, box) -> np.ndarray:
-    box = np.asarray(box, dtype=np.float64)
-    if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[1] > box[0]).all():
-        raise ValueError(f"a box must be (2, 3), the lower corner first, got {box.tolist()}")
+def _in_box(field: DensityField, mask: np.ndarray, box: ArrayLike) -> np.ndarray:
+    low, high = checked_bounds(box, "box")
     cells = np.argwhere(mask)
     points = _centres(field, cells)
-    return _scattered(mask, cells, ((points >= box[0]) & (points <= box[1])).all(axis=1))
+    return _scattered(mask, cells, ((points >= low) & (points <= high)).all(axis=1))
 
 
-def _in_masks(field, mask, cameras, masks) -> np.ndarray:
+def _in_masks(field: DensityField, mask: np.ndarray, cameras: list[Camera], masks: list[ArrayLike]) -> np.ndarray:
     if len(cameras) != len(masks) or not cameras:
-        raise ValueError(f"one mask a camera is needed, got {len(masks)} masks and {len(cameras)} cameras")
+        raise ValueError(f"one mask per camera is needed, got {len(masks)} masks and {len(cameras)} cameras")
     cells = np.argwhere(mask)
     points = _centres(field, cells)
     inside, seen = np.ones(len(points), dtype=bool), np.zeros(len(points), dtype=bool)
-    for number, (camera, picture) in enumerate(zip(cameras, masks, strict=True)):
-        picture = np.asarray(picture)
+    for number, (camera, given) in enumerate(zip(cameras, masks, strict=True)):
+        picture = np.asarray(given)
         if picture.shape != (camera.height, camera.width):
             raise ValueError(
                 f"mask {number} must be ({camera.height}, {camera.width}) as its camera, got {picture.shape}"
@@ -181,20 +224,18 @@ def _in_masks(field, mask, cameras, masks) -> np.ndarray:
     return _scattered(mask, cells, inside & seen)
 
 
-def _grown(field, mask, seed, reach) -> np.ndarray:
-    seed = np.asarray(seed, dtype=np.float64)
-    if seed.shape != (3,) or not np.isfinite(seed).all():
-        raise ValueError(f"seed must be 3 finite numbers, got {seed.tolist()}")
-    if reach is not None and not (np.isfinite(reach) and reach > 0.0):
-        raise ValueError(f"reach must be positive, got {reach}")
+def _grown(field: DensityField, mask: np.ndarray, seed: ArrayLike, reach: float | None) -> np.ndarray:
+    """The nodes that connect to the one nearest to a seed point, no farther from it than `reach`."""
+    start = checked_vector(seed, "seed")
+    if reach is not None:
+        reach = checked_positive(reach, "reach")
     cells = np.argwhere(mask)
-    distance = np.linalg.norm(_centres(field, cells) - seed, axis=1)
+    distance = np.linalg.norm(_centres(field, cells) - start, axis=1)
     nearest = int(np.argmin(distance))
-    limit = 4.0 * float(np.max(field.voxel_size))
-    if distance[nearest] > limit:
+    if distance[nearest] > SEED_VOXELS * float(np.max(field.voxel_size)):
         raise ValueError(
-            f"nothing visible is near the seed point {seed.tolist()}: the nearest voxel is "
-            f"{distance[nearest]:.4g} away, more than 4 voxels"
+            f"nothing visible is near the seed point {start.tolist()}: the nearest voxel is "
+            f"{distance[nearest]:.4g} away, more than {SEED_VOXELS} voxels"
         )
     if reach is not None:
         mask = _scattered(mask, cells, distance <= max(reach, distance[nearest]))
@@ -202,11 +243,11 @@ def _grown(field, mask, seed, reach) -> np.ndarray:
     return labels == labels[tuple(cells[nearest])]
 
 
-def _parts(mask) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Part number of each node (0 for none), nodes of each part, part numbers from the largest down."""
+def _parts(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Part number of each node (0 for none), number of nodes of each part, part numbers from the largest down."""
     import skimage.measure
 
-    labels = skimage.measure.label(mask, connectivity=3)
+    labels = np.asarray(skimage.measure.label(mask, connectivity=3))
     sizes = np.bincount(labels.reshape(-1))
     sizes[0] = 0
     order = np.argsort(-sizes, kind="stable")

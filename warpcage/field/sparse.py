@@ -9,9 +9,6 @@ from ..core.devices import launch
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
 
-#: Spherical harmonics of degree 0 to 2.
-BASIS_COUNT = 9
-
 
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
     """Number the set nodes of a mask in memory order.

@@ -1,25 +1,58 @@
-"""VoxelField -> surface mesh, by marching cubes on its densities."""
+"""From a field to a surface mesh, by marching cubes on its densities."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Protocol
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..mesh.topology import connected_parts
+
+if TYPE_CHECKING:
+    import trimesh
 
 #: The half-opaque density is taken where at least this share of the occupied nodes reaches it.
 _LEAST_SHARE = 0.05
 
 
-def extract_mesh(field, *, threshold: float | None = None, components: str = "largest"):
-    """The surface where a field's density crosses `threshold`, as a closed trimesh.Trimesh that looks outward.
+class DensityField(Protocol):
+    """Anything with densities at nodes: node (i, j, k) lies at bounds[0] + (i + 0.5) * voxel_size."""
 
-    field: anything with .node_densities() (nx, ny, nz), .bounds (2, 3) and .voxel_size (3,), node (i, j, k) at
-    bounds[0] + (i + 0.5) * voxel_size; world units in, world units out. threshold: density, one over world units;
-    None is `surface_density`. components: "largest" keeps the part of the largest volume, which drops floaters and
-    cavities, "all" keeps everything.
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) lower and upper corner, world units."""
+        ...
+
+    @property
+    def voxel_size(self) -> np.ndarray:
+        """(3,) world units."""
+        ...
+
+    def node_densities(self) -> np.ndarray:
+        """(nx, ny, nz) densities, per world unit."""
+        ...
+
+
+def extract_mesh(
+    field: DensityField, *, threshold: float | None = None, components: str = "largest"
+) -> trimesh.Trimesh:
+    """The surface where a field's density crosses a threshold, closed and looking outward.
 
     Marching cubes is Lewiner et al. 2003 (scikit-image), with empty space around the grid so that the mesh is closed.
-    Raises ValueError for an empty field, densities that are not finite, or a threshold that no density crosses.
+
+    Args:
+        field: A VoxelField, a NodeSelection or the like.
+        threshold: Density, per world unit. None is `surface_density`.
+        components: "largest" keeps the part of the largest volume, which drops floaters and cavities, "all" keeps
+            everything.
+
+    Returns:
+        The mesh, world units.
+
+    Raises:
+        ValueError: For an empty field, densities that are not finite, a threshold that no density crosses, or another
+            name of components.
     """
     import skimage.measure
     import trimesh
@@ -51,13 +84,23 @@ def extract_mesh(field, *, threshold: float | None = None, components: str = "la
     return mesh if components == "all" else _largest_part(mesh)
 
 
-def surface_density(densities: np.ndarray, voxel_size) -> float:
-    """The density taken as the surface: where a ray across two voxels becomes half opaque, ln 2 / (2 voxel
-    sides): thin shells of a fitted field are about that thick, and hold together.
+def surface_density(densities: np.ndarray, voxel_size: ArrayLike) -> float:
+    """The density that is taken as the surface.
 
-    Where fewer than one in twenty of the occupied nodes are that dense (a foggy field), Otsu's threshold between the
-    occupied densities (Otsu 1979) instead, or half the largest where all are the same. Both scale as one over length,
-    so the same object at another size has the same surface. densities: (nx, ny, nz); voxel_size: (3,) world units.
+    It is the density at which a ray across two voxels becomes half opaque, ln 2 / (2 voxel sides): thin shells of a
+    fitted field are about that thick, and hold together. Where fewer than one in twenty of the occupied nodes are that
+    dense (a foggy field) it is Otsu's threshold between the occupied densities (Otsu 1979), or half the largest where
+    all are the same. Both scale as one over length, so the same object at another size has the same surface.
+
+    Args:
+        densities: (nx, ny, nz) float, per world unit.
+        voxel_size: (3,) world units.
+
+    Returns:
+        The density, per world unit.
+
+    Raises:
+        ValueError: If no density is above 0.
     """
     import skimage.filters
 
@@ -74,8 +117,18 @@ def surface_density(densities: np.ndarray, voxel_size) -> float:
     return float(skimage.filters.threshold_otsu(occupied.astype(np.float64) / highest)) * highest
 
 
-def node_grid(field) -> tuple[np.ndarray, np.ndarray]:
-    """Dense node densities (nx, ny, nz) and voxel size (3,) of a field, checked."""
+def node_grid(field: DensityField) -> tuple[np.ndarray, np.ndarray]:
+    """The node densities and voxel size of a field, checked.
+
+    Args:
+        field: A VoxelField, a NodeSelection or the like.
+
+    Returns:
+        Densities (nx, ny, nz), per world unit, and voxel size (3,) float64, world units.
+
+    Raises:
+        ValueError: For another shape, or values that are not finite.
+    """
     densities = np.asarray(field.node_densities())
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
     if densities.ndim != 3 or densities.size == 0:
@@ -87,7 +140,7 @@ def node_grid(field) -> tuple[np.ndarray, np.ndarray]:
     return densities, voxel_size
 
 
-def _largest_part(mesh):
+def _largest_part(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """The connected part of the largest signed volume."""
     import trimesh
 

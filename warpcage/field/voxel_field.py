@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -19,11 +19,14 @@ from ..view.backgrounds import parse_background
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, Frame, checked_supersampling
 from .background import LayeredBackground
-from .files.contents import FieldContents
+from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
-from .sparse import BASIS_COUNT, link_mask, measure_skip
+from .sparse import link_mask, measure_skip
 from .surface import extract_mesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 class VoxelField:
@@ -295,7 +298,7 @@ class VoxelField:
             return self.background, None
         return np.zeros(3, np.float32), self.background_model
 
-    def extract_mesh(self, *, threshold: float | None = None, components: str = "largest"):
+    def extract_mesh(self, *, threshold: float | None = None, components: str = "largest") -> trimesh.Trimesh:
         """The surface where the density crosses a threshold, closed and looking outward.
 
         Args:
@@ -304,7 +307,7 @@ class VoxelField:
                 everything.
 
         Returns:
-            A trimesh.Trimesh, world units.
+            The mesh, world units.
 
         Raises:
             ValueError: For an empty field, a threshold that no density crosses, or another name of components.
@@ -357,7 +360,7 @@ class VoxelField:
         """
         held = load_field(path, scene_scale=scene_scale)
         try:
-            layers = None if held.layers is None else LayeredBackground(**held.layers, device=device)
+            layers = None if held.layers is None else LayeredBackground.from_contents(held.layers, device)
             return cls(
                 held.bounds, held.links, held.density, held.sh, background_model=layers, device=device, **held.options()
             )
@@ -375,7 +378,7 @@ class VoxelField:
             background=self.background,
             up=self.up,
             supersampling=self.supersampling,
-            layers=None if self.background_model is None else self.background_model.arguments(),
+            layers=None if self.background_model is None else self.background_model.contents(),
         )
 
     def to(self, device: wp.DeviceLike) -> VoxelField:
@@ -396,8 +399,10 @@ class VoxelField:
         )
 
     def view_options(self) -> dict[str, Any]:
-        """What views of the field depend on besides its voxels, by the constructor's names: a field that is made from
-        this one takes it over."""
+        """What views of the field depend on besides its voxels, by the constructor's names.
+
+        A field that is made from this one takes it over.
+        """
         return {
             "background": self.background,
             "background_model": self.background_model,

@@ -78,7 +78,7 @@ class Scene:
             "alphas": alphas,
             "background": parse_background(self.background),
             "names": names,
-            "bounds": None if self.bounds is None else checked_bounds(self.bounds),
+            "bounds": None if self.bounds is None else checked_bounds(self.bounds, "scene bounds"),
             "to_source": to_source,
             "surroundings": surroundings,
         }
@@ -95,8 +95,10 @@ class Scene:
 
     @property
     def whole(self) -> np.ndarray:
-        """(n, h, w, 3) float32, the pictures as they were taken, with what the masks split off; `images` where nothing
-        was split off."""
+        """(n, h, w, 3) float32, the pictures as they were taken, with what the masks split off.
+
+        `images` where nothing was split off.
+        """
         if self.surroundings is None:
             return self.images
         assert self.alphas is not None

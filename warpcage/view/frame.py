@@ -93,20 +93,26 @@ class Frame:
 
     @property
     def reveal(self) -> np.ndarray | None:
-        """(h, w) float32 in [0, 1]: how much of the pixel was covered by matter that an edit cleared, so that it now
-        shows what lies behind. None for a plain field."""
+        """(h, w) float32 in [0, 1], how much of the pixel was covered by matter that an edit cleared.
+
+        The pixel now shows what lies behind. None for a plain field.
+        """
         return self._mask("reveal")
 
     @property
     def fold(self) -> np.ndarray | None:
-        """(h, w) float32 in [0, 1]: opacity that comes from where the map folds over (det J <= 0). None for a plain
-        field."""
+        """(h, w) float32 in [0, 1], opacity that comes from where the map folds over (det J <= 0).
+
+        None for a plain field.
+        """
         return self._mask("fold")
 
     @property
     def outside(self) -> np.ndarray | None:
-        """(h, w) float32 number of samples along the ray, before anything opaque, that the map sends out of the
-        canonical cage and that are therefore left empty. None for a plain field."""
+        """(h, w) float32 number of samples along the ray that the map sends out of the canonical cage.
+
+        They are left empty, and counted up to where the ray ends in something opaque. None for a plain field.
+        """
         return self._mask("outside")
 
     def _mask(self, name: str) -> np.ndarray | None:

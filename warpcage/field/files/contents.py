@@ -1,19 +1,66 @@
-"""What a field file holds: plain NumPy arrays, whatever the format."""
+"""What field files hold: plain NumPy arrays, whatever the format."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
+#: Voxels that a grid may have, empty ones included: kernels count them in int32.
+MAX_VOXELS = 2**31 - 1
 
-@dataclasses.dataclass
+#: Spherical harmonics of degree 0 to 2.
+BASIS_COUNT = 9
+
+#: The largest float16.
+MAX_HALF = 65504.0
+
+
+@dataclasses.dataclass(frozen=True)
+class LayerContents:
+    """Background layers on the host.
+
+    Attributes:
+        center: (3,) float64 centre of all cubes, world units.
+        half: Half side of the innermost cube, world units.
+        side: Cells along an edge of a cube.
+        values: (layers, nodes, 4) float32 red, green, blue and optical depth.
+        unseen: (4,) float32 what nodes hold that no picture showed, or None.
+    """
+
+    center: np.ndarray
+    half: float
+    side: int
+    values: np.ndarray
+    unseen: np.ndarray | None
+
+    def shrunk(self, divisor: float) -> LayerContents:
+        """The layers of a smaller world.
+
+        Args:
+            divisor: Old lengths over new ones.
+
+        Returns:
+            The layers.
+        """
+        return dataclasses.replace(self, center=self.center / divisor, half=self.half / divisor)
+
+
+@dataclasses.dataclass(frozen=True)
 class FieldContents:
-    """The parts of a voxel field on the host, as field files read and write them.
+    """A voxel field on the host, as field files read and write it.
 
-    bounds: (2, 3) float64 world units. links: (nx, ny, nz) int32, row of each voxel or -1. density: (rows,) float32 per
-    world unit. sh: (rows, 9, 3) float32. weights: (rows,) float32 or None. background, up: (3,) or None for the
-    default. supersampling: rays along each side of a pixel, or None. layers: arguments of a LayeredBackground, or None.
+    Attributes:
+        bounds: (2, 3) float64, world units.
+        links: (nx, ny, nz) int32, row of each voxel or -1.
+        density: (rows,) float32 per world unit.
+        sh: (rows, 9, 3) float32.
+        weights: (rows,) float32 largest rendering weights, or None.
+        background: (3,) colour, or None where the file does not say.
+        up: (3,) direction, or None where the file does not say.
+        supersampling: Rays along each side of a pixel, or None where the file does not say.
+        layers: Background layers, or None.
     """
 
     bounds: np.ndarray
@@ -24,19 +71,46 @@ class FieldContents:
     background: np.ndarray | None = None
     up: np.ndarray | None = None
     supersampling: int | None = None
-    layers: dict | None = None
+    layers: LayerContents | None = None
 
-    @property
-    def center(self) -> np.ndarray:
-        """(3,) float64 middle of the bounds."""
-        return self.bounds.mean(axis=0)
-
-    @property
-    def voxel_side(self) -> float:
-        """Smallest side of a voxel, world units."""
-        return float(((self.bounds[1] - self.bounds[0]) / self.links.shape).min())
-
-    def options(self) -> dict:
-        """What the file says beside the voxels, by the names of VoxelField's arguments."""
+    def options(self) -> dict[str, Any]:
+        """What is known beside the voxels and layers, by the names of VoxelField's arguments."""
         names = ("weights", "background", "up", "supersampling")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+
+def surface_node_count(side: int) -> int:
+    """Number of lattice points on the surface of a cube.
+
+    Args:
+        side: Cells along an edge.
+
+    Returns:
+        6 side^2 + 2.
+    """
+    return 6 * int(side) ** 2 + 2
+
+
+def voxel_side(bounds: np.ndarray, shape: tuple[int, ...]) -> float:
+    """The smallest side of a voxel.
+
+    Args:
+        bounds: (2, 3) lower and upper corner, world units.
+        shape: Voxels along each axis.
+
+    Returns:
+        The side, world units.
+    """
+    return float(((bounds[1] - bounds[0]) / shape).min())
+
+
+def as_half(values: np.ndarray) -> np.ndarray:
+    """Numbers in half precision, those beyond its range cut to the largest.
+
+    Args:
+        values: float32 of any shape.
+
+    Returns:
+        float16 of the same shape.
+    """
+    return np.clip(values, -MAX_HALF, MAX_HALF).astype(np.float16)

@@ -1,31 +1,51 @@
-"""Background layers inside field files: one RGBA byte picture per layer, of the nodes that pictures showed."""
+"""Background layers inside field files: RGBA bytes of the nodes that pictures showed."""
 
 from __future__ import annotations
+
+import pathlib
 
 import numpy as np
 
 from ...core.files import require_numbers
 from ...core.memory import free_host_bytes
-from ..background import surface_node_count
+from .contents import LayerContents, surface_node_count
 
 #: Names in the archive begin with this.
 PREFIX = "layers_"
+
+#: Most cells along an edge of a cube, and most cubes.
 MAX_SIDE, MAX_LAYERS = 8192, 1024
 
+#: Values that differ from those of unseen nodes by more than this were seen.
+SEEN_DIFFERENCE = 1e-6
 
-def layer_arrays(layers: dict) -> dict:
-    """Arrays by name; layers: arguments of a LayeredBackground. Colours are kept to 1/255 of [0, 1], optical depths as
-    opacity to 1/255, below full opacity."""
-    values, rest = layers["values"], layers["unseen"]
-    seen = np.ones(values.shape[:2], bool) if rest is None else (np.abs(values - rest) > 1e-6).any(axis=-1)
+#: Bytes that a node takes while it is read.
+NODE_BYTES = 40
+
+
+def layer_arrays(layers: LayerContents) -> dict[str, np.ndarray]:
+    """The arrays of background layers.
+
+    Colours are kept to 1/255 of [0, 1], optical depths as opacity to 1/255, below full opacity.
+
+    Args:
+        layers: The layers.
+
+    Returns:
+        Arrays by name.
+    """
+    values, rest = layers.values, layers.unseen
+    seen = np.ones(values.shape[:2], bool)
+    if rest is not None:
+        seen = (np.abs(values - rest) > SEEN_DIFFERENCE).any(axis=-1)
     rows = values[seen]
     rgba = np.empty(rows.shape, np.uint8)
     rgba[:, :3] = np.rint(255 * np.clip(rows[:, :3], 0, 1))
     rgba[:, 3] = np.rint(255 * -np.expm1(-np.maximum(rows[:, 3], 0)))
     contents = {
-        "center": layers["center"],
-        "half": np.array(layers["half"]),
-        "side": np.array(layers["side"]),
+        "center": layers.center,
+        "half": np.array(layers.half),
+        "side": np.array(layers.side),
         "count": np.array(len(values)),
         "seen": np.packbits(seen.ravel()),
         "rgba": rgba,
@@ -35,13 +55,23 @@ def layer_arrays(layers: dict) -> dict:
     return {PREFIX + name: array for name, array in contents.items()}
 
 
-def read_layers(contents: dict, path) -> dict | None:
-    """Arguments of the LayeredBackground of a file's arrays, or None where it has none. Raises ValueError that names
-    the file and the array that does not fit."""
+def read_layers(contents: dict[str, np.ndarray], path: pathlib.Path) -> LayerContents | None:
+    """The background layers of a file.
+
+    Args:
+        contents: The file's arrays by name.
+        path: The file, for messages.
+
+    Returns:
+        The layers, or None where it has none.
+
+    Raises:
+        ValueError: For an array that does not fit; the message names the file and the array.
+    """
     if PREFIX + "side" not in contents:
         return None
 
-    def read(name: str, shape) -> np.ndarray:
+    def read(name: str, shape: tuple[int, ...]) -> np.ndarray:
         return require_numbers(contents, PREFIX + name, shape, path)
 
     side, count = int(read("side", ())), int(read("count", ()))
@@ -52,7 +82,7 @@ def read_layers(contents: dict, path) -> dict | None:
         )
     shape = (count, surface_node_count(side))
     size = shape[0] * shape[1]
-    if 40 * size > free_host_bytes():
+    if NODE_BYTES * size > free_host_bytes():
         raise ValueError(f"{path}: {count} background layers of {side} cells need more memory than is free")
     packed = read("seen", (-(-size // 8),))
     if packed.dtype != np.uint8:
@@ -68,10 +98,4 @@ def read_layers(contents: dict, path) -> dict | None:
     values[...] = 0.0 if unseen is None else unseen
     values[seen, :3] = rgba[:, :3] / np.float32(255)
     values[seen, 3] = -np.log1p(-np.minimum(rgba[:, 3], 254.5) / 255)
-    return {
-        "center": read("center", (3,)),
-        "half": float(read("half", ())),
-        "side": side,
-        "values": values,
-        "unseen": unseen,
-    }
+    return LayerContents(read("center", (3,)), float(read("half", ())), side, values, unseen)

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+import pathlib
+from typing import Any
+
 import numpy as np
 
 from ...core.checks import warn_caller
 from ...core.files import require_numbers
-from ..sparse import BASIS_COUNT
-from .contents import FieldContents
-from .own import MAX_VOXELS, as_half
+from .contents import BASIS_COUNT, MAX_VOXELS, FieldContents, as_half
 
+#: Arrays that every svox2 file has.
 SVOX2_KEYS = ("radius", "center", "links", "density_data", "sh_data", "basis_type")
+
+#: svox2's number for spherical harmonics.
 SVOX2_BASIS_SH = 1
 
 
-def svox2_arrays(field: FieldContents) -> dict:
-    """Arrays of a svox2 file, by name."""
+def svox2_arrays(field: FieldContents) -> dict[str, Any]:
+    """The arrays of a svox2 file. Background layers are left out, with a warning.
+
+    Args:
+        field: The field.
+
+    Returns:
+        Arrays by name.
+    """
     if field.layers is not None:
         warn_caller("a svox2 file holds the field without its background layers")
     half = 0.5 * (field.bounds[1] - field.bounds[0])
     sh = field.sh.transpose(0, 2, 1)  # (rows, rgb, basis), as svox2 has it
     return {
         "radius": half.astype(np.float32),
-        "center": field.center.astype(np.float32),
+        "center": field.bounds.mean(axis=0).astype(np.float32),
         "links": field.links,
         "density_data": field.density[:, None],
         "sh_data": as_half(sh.reshape(len(sh), -1)),
@@ -30,8 +41,19 @@ def svox2_arrays(field: FieldContents) -> dict:
     }
 
 
-def read_svox2(contents: dict, path) -> FieldContents:
-    """The field of the arrays of a svox2 file. Raises ValueError that names the file and what does not fit."""
+def read_svox2(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
+    """The field of a svox2 file. Background layers are left out, with a warning.
+
+    Args:
+        contents: The file's arrays by name.
+        path: The file, for messages.
+
+    Returns:
+        The field.
+
+    Raises:
+        ValueError: For arrays that are missing or do not fit.
+    """
     basis = int(require_numbers(contents, "basis_type", (), path))
     if basis != SVOX2_BASIS_SH:
         raise ValueError(f"{path} has basis_type {basis}, only spherical harmonics (1) are read")
@@ -46,7 +68,7 @@ def read_svox2(contents: dict, path) -> FieldContents:
     coefficients = require_numbers(contents, "sh_data", (None, None), path).astype(np.float32)
     basis_count = coefficients.shape[-1] // 3
     if coefficients.ndim != 2 or basis_count * 3 != coefficients.shape[-1] or basis_count not in (1, 4, 9):
-        raise ValueError(f"{path}: sh_data must hold 3, 12 or 27 values a row, got {coefficients.shape}")
+        raise ValueError(f"{path}: sh_data must hold 3, 12 or 27 values per row, got {coefficients.shape}")
     sh = np.zeros((len(coefficients), BASIS_COUNT, 3), np.float32)
     sh[:, :basis_count] = coefficients.reshape(-1, 3, basis_count).transpose(0, 2, 1)
     links = require_numbers(contents, "links", (None, None, None), path)
