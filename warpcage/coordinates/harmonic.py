@@ -27,7 +27,12 @@ REPORTED_WEIGHT_JUMP = 0.25
 
 
 def harmonic_weights(
-    points: PointsLike, cage: ClosedMesh, resolution: int = 128, device: wp.DeviceLike = None, *, tolerance: float = 1e-5
+    points: PointsLike,
+    cage: ClosedMesh,
+    resolution: int = 128,
+    device: wp.DeviceLike = None,
+    *,
+    tolerance: float = 1e-5,
 ) -> np.ndarray | wp.array:
     """Harmonic coordinates of points inside a cage, interpolated from a lattice.
 
