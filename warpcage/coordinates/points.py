@@ -33,7 +33,7 @@ class _Local:
     def count(self) -> int:
         return len(self.points)
 
-    def given_back(self, array: wp.array):
+    def given_back(self, array: wp.array) -> np.ndarray | wp.array:
         """A result in the form the points came in."""
         return array if self.on_device else array.numpy()
 

@@ -86,15 +86,15 @@ class Buffer:
 
     def _view(self, shape: tuple[int, ...]) -> wp.array:
         count = math.prod(shape)
+        if count == 0:
+            return empty_array(shape, self._dtype, self._pool.device)
         held = self._held
         if held is None or held.size < count:
             spare = 0 if held is None else count // 16  # poses of one cage differ by little
             self._held = held = None  # the old array goes before the new one comes
             self._views.clear()
-            self._held = held = empty_array(max(count + spare, 1), self._dtype, self._pool.device)
+            self._held = held = empty_array(count + spare, self._dtype, self._pool.device)
             self._pool.generation += 1
-        if count == 0:
-            return empty_array(shape, self._dtype, self._pool.device)
         return array_view(held, self._dtype, shape)
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ..core.arrays import WarpStruct, empty_array
+from ..core.arrays import WarpStruct
 from ..core.devices import lane_count, launch
 from ..kernels.lattice.gap_sides import count_column_sides, list_column_sides, mark_gap_cells, mark_narrow_cells
 from ..kernels.lattice.narrow_gaps import GAP_JUMP, confirm_narrow, find_gap_nodes
@@ -119,8 +119,8 @@ class MapSides:
         self._cells, self._masks = pool.buffer(wp.int32), pool.buffer(wp.int32)
         self._table, self._jump = pool.buffer(wp.vec4), pool.buffer(wp.float32)
         self._status = HostNumbers(2, self._device)
-        self.index = empty_array(0, wp.int32, self._device)
-        self.table = empty_array((0, 8), wp.vec4, self._device)
+        self.index = self._index.take(0)
+        self.table = self._table.take((0, 8))
         self.length, self.jump = 0, 0.0
 
     def launch(
@@ -229,7 +229,7 @@ class GapFlags:
         self._device, self._narrow = lattice.device, lattice.flags.narrow
         self._flags = lattice.buffers.buffer(wp.int32)
         self.count = lattice.flags.gaps
-        self.flags = empty_array(0, wp.int32, self._device)
+        self.flags = self._flags.take(0)
 
     def search(
         self,

@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import empty_array
 from ..core.devices import lane_count, launch, resolve_device
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
 from ..kernels.lattice.distance import BLOCK, list_block_faces, measure_band
@@ -186,8 +185,8 @@ class CageLattice:
         self._clear_octants = self.buffers.buffer(wp.int32)
         self._line_capacity = LINE_CAPACITY
         self.crossings = LineCrossings()
-        self.flat_distance = empty_array(0, wp.float32, self.device)
-        self.clear_octants = empty_array(0, wp.int32, self.device)
+        self.flat_distance = self._distance.take(0)
+        self.clear_octants = self._clear_octants.take(0)
         self.block_faces = self.clear_octants, self.clear_octants
         self._place(cage)
 
