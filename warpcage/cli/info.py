@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> None:
 def _machine() -> Rows:
     inputs.quiet_warp()
     wp.init()
-    rows = [
+    rows: Rows = [
         ("warpcage", options.package_version()),
         ("warp", wp.__version__),
         ("numpy", np.__version__),

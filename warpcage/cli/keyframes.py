@@ -154,7 +154,7 @@ def lies_on_its_side(rest: np.ndarray, posed: np.ndarray) -> bool:
     x, y, z = posed.T
     exchanged = [np.stack(turned, axis=1) for turned in ((x, -z, y), (x, z, -y))]
     here, *there = (np.linalg.norm(vertices - rest) for vertices in (posed, *exchanged))
-    return min(there) < 0.5 * here
+    return bool(min(there) < 0.5 * here)
 
 
 class Keyframes:

@@ -134,7 +134,13 @@ def _from_foreign(array: Any, name: str) -> wp.array:
 
 
 def array_view(
-    owner: wp.array, dtype, shape: int | tuple[int, ...], *, device=None, offset: int = 0, strides=None
+    owner: wp.array,
+    dtype: Any,
+    shape: int | tuple[int, ...],
+    *,
+    device: wp.DeviceLike = None,
+    offset: int = 0,
+    strides: tuple[int, ...] | None = None,
 ) -> wp.array:
     """The memory of an array as an array of another type, shape or device. It keeps its owner alive.
 
@@ -151,6 +157,7 @@ def array_view(
     Returns:
         The view. It holds the same memory as `owner`, whose lifetime it extends.
     """
+    assert owner.ptr is not None
     view = wp.array(
         ptr=owner.ptr + offset,
         dtype=dtype,
