@@ -14,6 +14,12 @@ _ROUND = 0.08
 #: How much room, in cubes of the sides of faces to come, the shape of a collapse may cost.
 _SIDE_COST, _SHAPE_COST = 0.05, 0.02
 
+#: Sides of faces to come by which a place may lie behind a plane: last digits decide no less.
+_ON_PLANE = 1e-9
+
+#: Digits of a cost, in cubes of the sides, that order collapses: those of equal cost go by their number.
+_COST_DIGITS = 9
+
 #: New faces must not turn farther than by this cosine, nor be flatter than this evenness (1 for equilateral).
 _LEAST_TURN, _LEAST_EVEN = 0.2, 0.15
 
@@ -65,10 +71,10 @@ def _collapses(vertices, faces, side):
     best = np.full(len(edges), np.inf)
     places = np.zeros((len(edges), 3))
     for base in _bases(vertices[u], vertices[v], normals, offsets, double_area):
-        place, reached = _lifted(base, mean, normals, offsets, there)
+        place, reached = _lifted(base, mean, normals, offsets, there, _ON_PLANE * side)
         room = (double_area * (np.einsum("eri,ei->er", normals, place) - offsets)).sum(axis=1) / 6.0
         shape = _shape_cost(place, vertices, faces, around, there, normals, u, v, side)
-        cost = np.where(reached, room + side**3 * shape, np.inf)
+        cost = np.where(reached, np.round(room / side**3 + shape, _COST_DIGITS), np.inf)
         better = cost < best
         best[better], places[better] = cost[better], place[better]
     fine = np.isfinite(best)
@@ -87,11 +93,14 @@ def _bases(one, two, normals, offsets, double_area):
     return middle, one, two, meeting
 
 
-def _lifted(base, mean, normals, offsets, there):
-    """base (e, 3) moved along `mean` to the outer side of every plane, and whether that can be done (e,)."""
+def _lifted(base, mean, normals, offsets, there, least):
+    """base (e, 3) moved along `mean` to the outer side of every plane, and whether that can be done (e,).
+
+    least: a length; what is not so far behind a plane lies on it.
+    """
     climb = np.einsum("eri,ei->er", normals, mean)
     below = np.where(there, offsets - np.einsum("eri,ei->er", normals, base), 0.0)
-    short = below > 0.0
+    short = below > least
     steps = np.where(short, below / np.maximum(climb, 0.05), 0.0)
     return base + steps.max(axis=1)[:, None] * mean, ~(short & (climb < 0.05)).any(axis=1)
 

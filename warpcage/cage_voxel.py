@@ -21,6 +21,12 @@ _SIZES = np.geomspace(0.9, 0.012, 140)
 _SHIFTS = tuple(itertools.product((0, 1), repeat=3))[1:]
 _CLOSINGS = (0.3, 0.6, 1.0, 1.6, 2.5)
 
+#: Variances of the points along two axes that differ by less, as a share of the largest, are equal.
+_EQUAL_SPREAD = 1e-3
+
+#: Voxels by which the grid is aside of the points' bounds: places on a round share of them lie on no voxel's face.
+_ASIDE = 1e-6
+
 
 def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> Cage:
     """A cage of about `vertex_count` vertices around points (p, 3), its faces `margin` off them.
@@ -58,12 +64,26 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
 
 
 def principal_frame(points: np.ndarray) -> np.ndarray:
-    """(3, 3) right-handed, columns the axes of the points' covariance, each as near as may be to a world axis."""
+    """(3, 3) right-handed, columns the axes of the points' covariance, each as near as may be to a world axis.
+
+    Equal spreads leave their axes open, as those of a ball or a square plate do: they are turned towards the world's.
+    """
     centred = points - points.mean(axis=0)
-    _, axes = np.linalg.eigh(centred.T @ centred)
-    best = max(itertools.permutations(range(3)), key=lambda order: sum(abs(axes[k, order[k]]) for k in range(3)))
-    frame = axes[:, best]
-    frame = frame * np.where(np.diagonal(frame) < 0.0, -1.0, 1.0)
+    spreads, axes = np.linalg.eigh(centred.T @ centred)
+    group = np.cumsum(np.diff(spreads, prepend=spreads[0]) > _EQUAL_SPREAD * spreads[-1])
+    # the nearest such axes to the world's: of all projected on each group's span, the sum of the spans is the whole
+    orders = list(itertools.permutations(range(3)))
+    choices = []
+    for order in orders:
+        frame = np.zeros((3, 3))
+        for k in np.unique(group):
+            span, columns = axes[:, group == k], [j for j in range(3) if group[order[j]] == k]
+            u, _, v = np.linalg.svd(span.T[:, columns])
+            frame[:, columns] = span @ (u @ v)
+        choices.append(frame)
+    # rounded: of orders as near as each other the first is taken, not one by last digits
+    frame = choices[int(np.argmax([round(float(np.abs(np.diagonal(choice)).sum()), 6) for choice in choices]))]
+    frame = frame * np.where(np.diagonal(frame) < -1e-6, -1.0, 1.0)
     return frame if np.linalg.det(frame) > 0.0 else frame * [1.0, 1.0, -1.0]
 
 
@@ -105,7 +125,7 @@ def _marked(solid, side, low, high, axis, shift=(0, 0, 0)):
     if axis is not None:
         count[axis] += count[axis] % 2  # the mirror plane lies between voxels
     lower = 0.5 * (low + high) - 0.5 * count * side
-    cell = np.clip(np.floor((solid - lower) / side).astype(int), 0, count - 1)
+    cell = np.clip(np.floor((solid - lower) / side + _ASIDE).astype(int), 0, count - 1)
     marks = np.zeros(count + 2, dtype=bool)
     marks[tuple((cell + 1).T)] = True
     if axis is not None:
