@@ -26,8 +26,8 @@ class ObjectShell:
 
         self.spacing, self.reach = float(spacing), float(reach)
         radius = int(np.ceil(reach / spacing)) + 3
-        # centre of voxel 0; the object's bounds, and points a voxel apart from there on, lie in the middle of voxels, where
-        # last digits do not decide which voxel is theirs
+        # centre of voxel 0; the object's bounds, and points a voxel apart from there on, lie in the middle of voxels,
+        # where last digits do not decide which voxel is theirs
         self.lower = points.min(axis=0) - radius * spacing
         cell = np.floor((points - self.lower) / spacing + 0.5).astype(np.int64)
         self.solid = np.zeros(cell.max(axis=0) + radius + 2, dtype=bool)

@@ -47,9 +47,9 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
         reach = need + max(2.0 * spacing, 0.0 if side is None else closing * side)
         shell = ObjectShell(points, spacing, min(reach, need + 40.0 * spacing), need)
         solid = np.argwhere(shell.closed <= need + 0.5 * spacing) * spacing + shell.lower
-        side, marks, lower = _searched(solid @ frame, vertex_count, axis, spacing)
+        side, marks, lower = _searched(np.matmul(solid, frame), vertex_count, axis, spacing)
         nodes, faces = outer_surface(marks, axis)
-        vertices = (lower + nodes * side) @ frame.T
+        vertices = np.matmul(lower + nodes * side, frame.T)
         if len(vertices) > 1.1 * vertex_count and axis is None:
             vertices, faces = nested(vertices, faces, vertex_count)
         mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
@@ -69,17 +69,15 @@ def principal_frame(points: np.ndarray) -> np.ndarray:
     Equal spreads leave their axes open, as those of a ball or a square plate do: they are turned towards the world's.
     """
     centred = points - points.mean(axis=0)
-    spreads, axes = np.linalg.eigh(centred.T @ centred)
+    spreads, axes = np.linalg.eigh(np.matmul(centred.T, centred))
     group = np.cumsum(np.diff(spreads, prepend=spreads[0]) > _EQUAL_SPREAD * spreads[-1])
-    # the nearest such axes to the world's: of all projected on each group's span, the sum of the spans is the whole
-    orders = list(itertools.permutations(range(3)))
     choices = []
-    for order in orders:
+    for order in itertools.permutations(range(3)):
         frame = np.zeros((3, 3))
         for k in np.unique(group):
             span, columns = axes[:, group == k], [j for j in range(3) if group[order[j]] == k]
-            u, _, v = np.linalg.svd(span.T[:, columns])
-            frame[:, columns] = span @ (u @ v)
+            u, _, v = np.linalg.svd(span.T[:, columns])  # u v is the turn of the span nearest to those world axes
+            frame[:, columns] = np.matmul(span, np.matmul(u, v))
         choices.append(frame)
     # rounded: of orders as near as each other the first is taken, not one by last digits
     frame = choices[int(np.argmax([round(float(np.abs(np.diagonal(choice)).sum()), 6) for choice in choices]))]
