@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from .cage import Cage
@@ -24,12 +26,12 @@ _LEAST_LEVEL = 1.8
 #: Shares of the way from evenly spread to drawn close, tried in this order.
 _DRAWN = (1.0, 0.75, 0.5, 0.25, 0.0)
 
-#: Shares of the way from the decimated surface to the evenly spread one, tried in this order: at 0 it is the surface
-#: that holds the object by construction, far off it.
-_SPREAD = (1.0, 0.5, 0.0)
-
-#: Vertices of the surface that nested decimation begins with, for each that it leaves; the others where that fails.
+#: Vertices of the surface that nested decimation begins with, for each that it leaves: the others where that fails.
 _FINE = (6, 9, 4)
+
+#: Shares of the way from the surface given to the evenly spread one that all closings are tried with, one after the
+#: other: at 0 it is the surface that holds the object by construction, far off it.
+EVENNESS = (1.0, 0.5, 0.0)
 
 
 def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> Cage:
@@ -39,21 +41,21 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     shell = ObjectShell(points, spacing, need + max(0.06 * size, 2.0 * spacing), need)
     edge = edge_length(shell, max(need, _LEAST_LEVEL * spacing), vertex_count)
     reasons = []
-    for closing in _CLOSINGS:
+    for evenness, closing in itertools.product(EVENNESS, _CLOSINGS):
         # wide closings need no fine voxels
         coarse = max(spacing, closing * edge / 16.0)
         room = max(closing * edge, 2.0 * coarse, (_LEAST_LEVEL * coarse - need) / _START)
         shell = ObjectShell(points, coarse, need + room, need)
         step = 2 if edge > 8.0 * coarse else 1
         surface = shell.surface(need + _START * (shell.reach - need), step)
-        for fine in _FINE:
+        for fine in _FINE if evenness == 1.0 else _FINE[:1]:
             vertices, faces = nested(*decimated(*surface, fine * vertex_count), vertex_count)
-            cage, reason = sound(shell, vertices, faces, need, vertex_count)
+            cage, reason = sound(shell, vertices, faces, need, vertex_count, evenness)
             if not reason:
                 return cage
             reasons.append(reason)
     # no closing is wider than a box, which holds as it is
-    cage, reason = sound(shell, *split_box(points, 1.5 * shell.reach, vertex_count), need, vertex_count)
+    cage, reason = sound(shell, *split_box(points, 1.5 * shell.reach, vertex_count), need, vertex_count, evenness=0.0)
     if reason:
         raise ValueError(f"{reason}; before: {', '.join(dict.fromkeys(reasons))}")
     return cage
@@ -97,32 +99,30 @@ def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> Cag
     raise ValueError(f"no cage of {vertex_count} vertices encloses the same ({reasons[-1]}): ask for more vertices")
 
 
-def sound(shell, vertices, faces, need, vertex_count, mirror=None) -> tuple[Cage | None, str]:
+def sound(shell, vertices, faces, need, vertex_count, evenness=1.0, mirror=None) -> tuple[Cage | None, str]:
     """The cage of these faces that is drawn as close as holds; or None and what is wrong.
 
-    mirror: function of the vertices that makes them symmetric, or None.
+    evenness: share of the way to evenly spread vertices that drawing begins from. mirror: function of the vertices that
+    makes them symmetric, or None.
     """
     if abs(len(vertices) - vertex_count) > 0.1 * vertex_count:
         return None, f"decimation left {len(vertices)} vertices"
-    reasons, start = [], vertices if mirror is None else mirror(vertices)
-    settled = spread(shell, vertices, faces, need, mirror)
-    for evenness in _SPREAD:
-        even = start + evenness * (settled - start)
-        reason = tangle(shell, even, faces)
-        if reason:
-            reasons.append(reason)
-            continue
-        close = drawn_close(shell, even, faces, need, mirror)
-        for share in _DRAWN:
-            vertices = even + share * (close - even)
-            reason = tangle(shell, vertices, faces)
-            if not reason:
-                vertices = cleared(shell, vertices, faces, need, mirror)
-                reason = flaw(shell, vertices, faces, need)
-            if not reason:
-                return Cage(vertices, faces), ""
-        reasons.append(reason)
-    return None, reasons[0]
+    even = vertices if mirror is None else mirror(vertices)
+    if evenness > 0.0:
+        even = even + evenness * (spread(shell, vertices, faces, need, mirror) - even)
+    reason = tangle(shell, even, faces)
+    if reason:
+        return None, reason
+    close = drawn_close(shell, even, faces, need, mirror)
+    for share in _DRAWN:
+        vertices = even + share * (close - even)
+        reason = tangle(shell, vertices, faces)
+        if not reason:
+            vertices = cleared(shell, vertices, faces, need, mirror)
+            reason = flaw(shell, vertices, faces, need)
+        if not reason:
+            return Cage(vertices, faces), ""
+    return None, reason
 
 
 def flaw(shell, vertices, faces, need) -> str:
