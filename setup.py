@@ -1,7 +1,8 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 TEST = [
     "pytest>=8.0",
+    "pytest-xdist>=3.6",  # over all cores
     "hypothesis>=6.100",
     "scipy>=1.11",
     # cameras and lenses are compared with these two; without them those tests are skipped
@@ -18,8 +19,13 @@ setup(
     license="Apache-2.0",
     license_files=["LICENSE"],
     python_requires=">=3.10",
-    packages=["warpcage", "warpcage.cli", "warpcage.scenes", "warpcage.kernels"],
+    packages=[
+        *find_packages(include=["warpcage", "warpcage.*"], exclude=["warpcage.kernels", "warpcage.kernels.*"]),
+        "warpcage.kernels",
+        *(f"warpcage.kernels.{room}" for room in find_packages("kernels")),
+    ],
     package_dir={"warpcage": "warpcage", "warpcage.kernels": "kernels"},
+    package_data={"warpcage": ["py.typed"]},
     install_requires=[
         "warp-lang>=1.19",
         "numpy>=1.26",
@@ -31,10 +37,7 @@ setup(
         "scipy>=1.11",
         "tqdm>=4.66",
     ],
-    extras_require={
-        "test": TEST,
-        "dev": [*TEST, "ruff>=0.6"],
-    },
+    extras_require={"test": TEST, "dev": [*TEST, "ruff>=0.6"]},
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[
         "Programming Language :: Python :: 3",

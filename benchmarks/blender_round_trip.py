@@ -53,8 +53,10 @@ def main(argv=None) -> int:
     except ImportError:
         print("bpy is not installed: pip install bpy (Python of the version it is built for)", file=sys.stderr)
         return 2
-    worst, rows = 0.0, [f"Blender {bpy.app.version_string}",
-                        f"{'cage':10} {'way':24} {'vertices in file':>16} {'error':>9}"]
+    worst, rows = (
+        0.0,
+        [f"Blender {bpy.app.version_string}", f"{'cage':10} {'way':24} {'vertices in file':>16} {'error':>9}"],
+    )
     for name, cage in cages().items():
         with tempfile.TemporaryDirectory() as temporary:
             keep = args.fixtures if name == "cylinder" else None
@@ -80,8 +82,11 @@ def cages() -> dict[str, warpcage.Cage]:
     ring = warpcage.Cage.cylinder([0, 0, 0], 0.5, 2.0, sides=7, rings=4)
     ball = warpcage.Cage.icosphere([0.2, 0, -0.7], 0.5)
     two = np.concatenate([ball.vertices, ball.vertices * [1.0, 0.8, 0.7] + [0.1, 0.0, 1.5]])
-    return {"box": box, "cylinder": ring,
-            "two balls": warpcage.Cage(two, np.concatenate([ball.faces, ball.faces + len(ball.vertices)]))}
+    return {
+        "box": box,
+        "cylinder": ring,
+        "two balls": warpcage.Cage(two, np.concatenate([ball.faces, ball.faces + len(ball.vertices)])),
+    }
 
 
 def through(cage, folder, way: str) -> tuple[int, float, np.ndarray]:

@@ -24,17 +24,19 @@ import time
 import numpy as np
 
 import warpcage
-from warpcage.cage_fitting import face_samples
-from warpcage.cage_generation import visible_nodes
-from warpcage.cage_scenes import CAGE_SCENES, scene_field
-from warpcage.files import atomic_path
+from warpcage.cage.generate.fitting import face_samples
+from warpcage.core.files import atomic_path
+from warpcage.field.selection import visible_nodes
+from warpcage.reference.cage_scenes import CAGE_SCENES, scene_field
 
 
 def main(argv=None) -> int:
     args = parse_arguments(argv)
     rows = []
-    print(f"{'scene':12}{'method':8}{'asked':>6}{'got':>5}{'genus':>6}{'parts':>6}{'enclosed':>10}{'gap':>6}{'hull':>7}"
-          f"{'even':>12}{'sides':>7}{'sharp':>7}{'crossings':>10}{'same':>6}{'s':>7}{'cpu s':>7}")
+    print(
+        f"{'scene':12}{'method':8}{'asked':>6}{'got':>5}{'genus':>6}{'parts':>6}{'enclosed':>10}{'gap':>6}{'hull':>7}"
+        f"{'even':>12}{'sides':>7}{'sharp':>7}{'crossings':>10}{'same':>6}{'s':>7}{'cpu s':>7}"
+    )
     for name, field in fields(args).items():
         for method in args.methods:
             for count in args.counts:
@@ -76,9 +78,14 @@ def measured(name: str, field, method: str, count: int, args) -> tuple[dict, war
 
 
 def holds(row: dict, margin: float | None) -> bool:
-    return (row["usable"] and row["enclosed"] == 1.0 and row["crossings"] == 0 and row["same_again"] is not False
-            and abs(row["vertices"] - row["asked"]) <= 0.1 * row["asked"]
-            and row["gap_voxels"] > (1.0 if margin is None else margin))
+    return (
+        row["usable"]
+        and row["enclosed"] == 1.0
+        and row["crossings"] == 0
+        and row["same_again"] is not False
+        and abs(row["vertices"] - row["asked"]) <= 0.1 * row["asked"]
+        and row["gap_voxels"] > (1.0 if margin is None else margin)
+    )
 
 
 def gap(cage, field) -> float:
@@ -108,16 +115,22 @@ def shape(cage) -> dict:
         turn = np.arctan2(np.linalg.norm(np.cross(one, two), axis=1), (one * two).sum(axis=1))
         np.add.at(angle, cage.faces[:, k], turn)
     low, high = np.percentile(lengths, [5, 95])
-    return {"even": float(even.mean()), "least_even": float(even.min()), "sides": float(high / low),
-            "sharp": float(1.0 - angle.min() / (2.0 * np.pi))}
+    return {
+        "even": float(even.mean()),
+        "least_even": float(even.min()),
+        "sides": float(high / low),
+        "sharp": float(1.0 - angle.min() / (2.0 * np.pi)),
+    }
 
 
 def line(row: dict) -> str:
     even = f"{row['even']:.2f} {row['least_even']:.2f}"
     same = "-" if row["same_again"] is None else "yes" if row["same_again"] else "NO"
-    return (f"{row['scene']:12}{row['method']:8}{row['asked']:6d}{row['vertices']:5d}{row['genus']:6d}"
-            f"{row['parts']:6d}{100 * row['enclosed']:9.3f}%{row['gap_voxels']:6.2f}{row['hull_ratio']:7.2f}"
-            f"{even:>12}{row['sides']:7.1f}{row['sharp']:7.2f}{row['crossings']:10d}{same:>6}{row['seconds']:7.1f}{row['cpu_seconds']:7.1f}")
+    return (
+        f"{row['scene']:12}{row['method']:8}{row['asked']:6d}{row['vertices']:5d}{row['genus']:6d}"
+        f"{row['parts']:6d}{100 * row['enclosed']:9.3f}%{row['gap_voxels']:6.2f}{row['hull_ratio']:7.2f}"
+        f"{even:>12}{row['sides']:7.1f}{row['sharp']:7.2f}{row['crossings']:10d}{same:>6}{row['seconds']:7.1f}{row['cpu_seconds']:7.1f}"
+    )
 
 
 def machine() -> dict:

@@ -47,24 +47,42 @@ def main() -> int:
     compiled = collections.Counter(module["name"] for module in modules if module["how"] == "compiled")
     again = [module["name"] for _, loaded in warm for module in loaded if module["how"] == "compiled"]
     twice = sorted(name for name, count in compiled.items() if count > 1)
-    rows = [{"stage": stage, **{"cold" + unit: cold[stage + unit] for unit in UNITS},
-             **{"warm" + unit: statistics.median(seconds[stage + unit] for seconds, _ in warm) for unit in UNITS}}
-            for stage in STAGES]
+    rows = [
+        {
+            "stage": stage,
+            **{"cold" + unit: cold[stage + unit] for unit in UNITS},
+            **{"warm" + unit: statistics.median(seconds[stage + unit] for seconds, _ in warm) for unit in UNITS},
+        }
+        for stage in STAGES
+    ]
     added, added_work = (sum(row["cold" + unit] - row["warm" + unit] for row in rows) for unit in UNITS)
     limit = LIMITS["cpu" if args.device == "cpu" else "cuda"]
     for row in rows:
         print("{stage:16} cold {cold:7.2f} s (work {cold_work:7.2f} s)   warm {warm:7.2f} s".format(**row))
-    print(f"compiling adds {added:.2f} s (work {added_work:.2f} s), limit {limit:g} s; {len(compiled)} modules; "
-          f"compiled twice: {twice or 'none'}; compiled again when cached: {sorted(set(again)) or 'none'}")
+    print(
+        f"compiling adds {added:.2f} s (work {added_work:.2f} s), limit {limit:g} s; {len(compiled)} modules; "
+        f"compiled twice: {twice or 'none'}; compiled again when cached: {sorted(set(again)) or 'none'}"
+    )
     for module in sorted(modules, key=lambda module: (not module["measured"], -module["seconds"])):
-        print(f"  {'   ' if module['measured'] else '(+)'} "
-              f"  {module['seconds']:7.2f} s  {module['how']:9} {module['name']}")
+        print(
+            f"  {'   ' if module['measured'] else '(+)'} "
+            f"  {module['seconds']:7.2f} s  {module['how']:9} {module['name']}"
+        )
     if args.json:
         from results import write_results
 
-        write_results(args.json, args.device, rows=rows, added=added, added_work=added_work,
-                      load_average=os.getloadavg()[0], limit=limit, compiled_twice=twice,
-                      compiled_when_cached=sorted(set(again)), modules=modules)
+        write_results(
+            args.json,
+            args.device,
+            rows=rows,
+            added=added,
+            added_work=added_work,
+            load_average=os.getloadavg()[0],
+            limit=limit,
+            compiled_twice=twice,
+            compiled_when_cached=sorted(set(again)),
+            modules=modules,
+        )
     return 1 if twice or again else 0
 
 
@@ -76,9 +94,11 @@ def run(device: str, cache: str) -> tuple[dict, list[dict]]:
     if done.returncode:
         raise RuntimeError(f"the measured process failed:\n{done.stderr}")
     seconds = json.loads(done.stdout.splitlines()[-1])
-    modules = [{"name": name, "hash": code, "seconds": float(milliseconds) / 1e3, "how": how, "measured": part == 0}
-               for part, text in enumerate(done.stdout.split(MARK))
-               for name, code, milliseconds, how in REPORT.findall(text)]
+    modules = [
+        {"name": name, "hash": code, "seconds": float(milliseconds) / 1e3, "how": how, "measured": part == 0}
+        for part, text in enumerate(done.stdout.split(MARK))
+        for name, code, milliseconds, how in REPORT.findall(text)
+    ]
     return seconds, modules
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 import warpcage
-from warpcage.position_map import harmonic_weights
+from warpcage.coordinates.harmonic import harmonic_weights
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent / "tests"))
 import oracles  # noqa: E402
@@ -64,9 +64,11 @@ def main() -> None:
         )
         between = (coarse - reference)[: len(clear)]
         floor = np.sqrt((between**2).mean())
-        print(f"{name}: {len(clear)} clear points, references differ by {floor:.1e} RMS, "
-              f"{np.abs(between).max():.1e} at most; {len(points) - len(clear)} up to the cage, "
-              f"{np.abs(coarse - reference).max():.1e} at most")
+        print(
+            f"{name}: {len(clear)} clear points, references differ by {floor:.1e} RMS, "
+            f"{np.abs(between).max():.1e} at most; {len(points) - len(clear)} up to the cage, "
+            f"{np.abs(coarse - reference).max():.1e} at most"
+        )
         errors, last = [], None
         for resolution in args.resolution:
             weights = harmonic_weights(points, warpcage.Cage(vertices, faces), resolution, args.device, tolerance=2e-6)
@@ -75,13 +77,21 @@ def main() -> None:
             errors.append(float(np.sqrt((error**2).mean())))
             order = np.log(errors[-2] / errors[-1]) / np.log(resolution / last) if len(errors) > 1 else None
             last = resolution
-            rows.append({"cage": name, "resolution": resolution, "rms": errors[-1],
-                         "largest": float(np.abs(error).max()), "up_to_cage": up_to_cage, "order": order,
-                         "reference_rms": float(floor)})
-            line = "  {resolution:4d}  rms {rms:.2e}  largest {largest:.2e}  to the cage {up_to_cage:.2e}  " \
-                   "order {order}"
-            print(line.format(
-                **rows[-1] | {"order": "-" if order is None else f"{order:.2f}"}), flush=True)
+            rows.append(
+                {
+                    "cage": name,
+                    "resolution": resolution,
+                    "rms": errors[-1],
+                    "largest": float(np.abs(error).max()),
+                    "up_to_cage": up_to_cage,
+                    "order": order,
+                    "reference_rms": float(floor),
+                }
+            )
+            line = (
+                "  {resolution:4d}  rms {rms:.2e}  largest {largest:.2e}  to the cage {up_to_cage:.2e}  order {order}"
+            )
+            print(line.format(**rows[-1] | {"order": "-" if order is None else f"{order:.2f}"}), flush=True)
         seen = np.array(errors) > floor
         x, y = np.log(np.array(args.resolution)[seen]), np.log(np.array(errors)[seen])
         fitted = float(-np.polyfit(x, y, 1)[0])

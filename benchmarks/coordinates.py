@@ -19,7 +19,7 @@ import warp as wp
 from timing import median_seconds
 
 import warpcage
-from warpcage import devices
+from warpcage.core import devices
 
 KINDS = ("mean_value", "harmonic", "green")
 
@@ -32,8 +32,9 @@ def test_cage(vertex_count: int) -> warpcage.Cage:
     bumps = 1 + 0.25 * np.sin(3 * mesh.vertices[:, :1]) * np.cos(2 * mesh.vertices[:, 1:2])
     import trimesh
 
-    return warpcage.Cage.from_mesh(trimesh.Trimesh(mesh.vertices * bumps, mesh.faces, process=False),
-                                   vertex_count=vertex_count)
+    return warpcage.Cage.from_mesh(
+        trimesh.Trimesh(mesh.vertices * bumps, mesh.faces, process=False), vertex_count=vertex_count
+    )
 
 
 def interleaved_seconds(action, runs: int) -> tuple[float, float]:
@@ -63,7 +64,7 @@ def main() -> None:
     parser.add_argument("--json")
     args = parser.parse_args()
     wp.config.quiet = True
-    device = warpcage.devices.resolve_device(args.device)
+    device = warpcage.core.devices.resolve_device(args.device)
     args.points = args.points or (400_000 if device.is_cpu else 16_000_000)
     cages = [warpcage.Cage.load(file) for file in args.cage] or [test_cage(count) for count in args.vertices]
     rows = []
@@ -87,24 +88,46 @@ def main() -> None:
                     ratio = {"times_one_thread": round(alone / seconds, 2)}
                 else:
                     seconds = median_seconds(pose, device, runs=args.runs)
-                rows.append({"kind": kind, "resolution": resolution, "vertices": len(rest.vertices),
-                             "faces": len(rest.faces), "milliseconds": round(1e3 * seconds, 3),
-                             "cycles": position_map.cycles, "nodes": position_map.lattice.node_count,
-                             "megabytes": round(position_map.lattice.buffers.bytes / 1e6, 1), **ratio})
+                rows.append(
+                    {
+                        "kind": kind,
+                        "resolution": resolution,
+                        "vertices": len(rest.vertices),
+                        "faces": len(rest.faces),
+                        "milliseconds": round(1e3 * seconds, 3),
+                        "cycles": position_map.cycles,
+                        "nodes": position_map.lattice.node_count,
+                        "megabytes": round(position_map.lattice.buffers.bytes / 1e6, 1),
+                        **ratio,
+                    }
+                )
                 print(rows[-1], flush=True)
         random = np.random.default_rng(0)
         points = wp.array(random.uniform(-0.3, 0.3, (args.points, 3)), dtype=wp.vec3, device=device)
         for kind in [kind for kind in args.kinds if kind != "harmonic"]:
             seconds = median_seconds(
                 lambda kind=kind, points=points, rest=rest, poses=poses: warpcage.deform_points(
-                    points, rest, poses[0], coordinates=kind, device=device), device, runs=max(3, args.runs // 4))
-            rows.append({"kind": kind, "points": args.points, "vertices": len(rest.vertices),
-                         "million_points_a_second": round(args.points / seconds / 1e6, 2)})
+                    points, rest, poses[0], coordinates=kind, device=device
+                ),
+                device,
+                runs=max(3, args.runs // 4),
+            )
+            rows.append(
+                {
+                    "kind": kind,
+                    "points": args.points,
+                    "vertices": len(rest.vertices),
+                    "million_points_a_second": round(args.points / seconds / 1e6, 2),
+                }
+            )
             print(rows[-1], flush=True)
     if args.json:
         with open(args.json, "w", encoding="utf-8") as file:
-            json.dump({"device": device.name, "cpu_threads": devices.CPU_THREADS, "warp": wp.__version__, "rows": rows},
-                      file, indent=1)
+            json.dump(
+                {"device": device.name, "cpu_threads": devices.CPU_THREADS, "warp": wp.__version__, "rows": rows},
+                file,
+                indent=1,
+            )
 
 
 if __name__ == "__main__":

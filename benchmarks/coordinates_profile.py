@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=10)
     args = parser.parse_args()
     wp.config.quiet = True
-    device = warpcage.devices.resolve_device(args.device)
+    device = warpcage.core.devices.resolve_device(args.device)
     rest = test_cage(args.vertices)
     poses = [rest.twist(25).bend(20), rest.twist(-20)]
     for kind in args.kinds:
@@ -52,8 +52,10 @@ def main() -> None:
             whole = median_seconds(lambda m=position_map: m.pose(poses[0]), device)
             graph = position_map._graph
             replay = median_seconds(lambda g=graph: (g.begin(), g.go_on(), g.finish()), device)
-            print(f"{kind} {resolution}: pose {1e6 * whole:.0f} us, of which replay {1e6 * replay:.0f} us, "
-                  f"{position_map.cycles} cycles")
+            print(
+                f"{kind} {resolution}: pose {1e6 * whole:.0f} us, of which replay {1e6 * replay:.0f} us, "
+                f"{position_map.cycles} cycles"
+            )
             for name, step in (
                 ("check", lambda rest=rest: rest.with_vertices(poses[0].vertices).require_usable()),
                 ("lay", lambda m=position_map: m.lattice.lay(poses[0])),

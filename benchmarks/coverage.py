@@ -27,16 +27,31 @@ def main() -> None:
     parser.add_argument("--json")
     args = parser.parse_args()
     wp.config.quiet = True
-    device = warpcage.devices.resolve_device(args.device)
+    device = warpcage.core.devices.resolve_device(args.device)
     rows = []
     for name in SCENES:
-        scene = TruthScene(name, size=args.size, train_views=1, test_views=args.test_views, longest_edge=args.edge,
-                           samples=1, cuts=1, device=device)
+        scene = TruthScene(
+            name,
+            size=args.size,
+            train_views=1,
+            test_views=args.test_views,
+            longest_edge=args.edge,
+            samples=1,
+            cuts=1,
+            device=device,
+        )
         rest = covered(scene.rest_views())
         for pose, cage in pose_cages(name, scene.cage).items():
             posed = covered(scene.posed_views(cage, "mean_value")[0]["carried"])
-            rows.append({"scene": name, "pose": pose, "rest": rest, "posed": posed,
-                         "decibels": float(-10 * np.log10(posed / rest))})
+            rows.append(
+                {
+                    "scene": name,
+                    "pose": pose,
+                    "rest": rest,
+                    "posed": posed,
+                    "decibels": float(-10 * np.log10(posed / rest)),
+                }
+            )
             print(rows[-1], flush=True)
     if args.json:
         write_results(args.json, device, size=args.size, test_views=args.test_views, rows=rows)

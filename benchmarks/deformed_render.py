@@ -23,7 +23,7 @@ import warpcage
 def main() -> None:
     args = parse_arguments()
     wp.config.quiet = True
-    device = warpcage.devices.resolve_device(args.device)
+    device = warpcage.core.devices.resolve_device(args.device)
     field = warpcage.VoxelField.load(args.field, device=device)
     rest = warpcage.Cage.load(args.cage)
     camera = chosen_camera(field, args)
@@ -35,8 +35,9 @@ def main() -> None:
 
     def report_frame(what, render, **more):
         views = [lambda: render(camera), lambda: render(camera, background="black")]
-        seconds, *plain = median_seconds_by_turns(views if field.background_model else views[:1], device,
-                                                  runs=args.runs)
+        seconds, *plain = median_seconds_by_turns(
+            views if field.background_model else views[:1], device, runs=args.runs
+        )
         if plain:
             more["layers_milliseconds"] = round(1e3 * (seconds - plain[0]), 3)
         report(what, seconds, **more)
@@ -48,8 +49,9 @@ def main() -> None:
         report_frame("frame, lattice ready", deformer.render, kind=kind)
         cycle = Cycle(deformer, poses)
         report("pose", median_seconds(cycle.pose, device, runs=args.runs), kind=kind)
-        report("pose and frame", median_seconds(lambda c=cycle: c.pose().render(camera), device, runs=args.runs),
-               kind=kind)
+        report(
+            "pose and frame", median_seconds(lambda c=cycle: c.pose().render(camera), device, runs=args.runs), kind=kind
+        )
         if device.is_cuda:
             seconds = posing_loop(deformer, rest, camera, args)
             report("posing in a loop", seconds, kind=kind, frames_a_second=round(1 / seconds, 1))
@@ -65,10 +67,20 @@ def main() -> None:
     print({"peak_device_bytes": peak})
     if args.json:
         with open(args.json, "w", encoding="utf-8") as file:
-            json.dump({"device": device.name, "warp": wp.__version__, "voxels": field.voxel_count,
-                       "size": [camera.width, camera.height], "resolution": args.resolution,
-                       "layers": field.background_model.layer_count if field.background_model else 0,
-                       "peak_device_bytes": peak, "rows": rows}, file, indent=1)
+            json.dump(
+                {
+                    "device": device.name,
+                    "warp": wp.__version__,
+                    "voxels": field.voxel_count,
+                    "size": [camera.width, camera.height],
+                    "resolution": args.resolution,
+                    "layers": field.background_model.layer_count if field.background_model else 0,
+                    "peak_device_bytes": peak,
+                    "rows": rows,
+                },
+                file,
+                indent=1,
+            )
 
 
 def parse_arguments():
@@ -92,8 +104,9 @@ def parse_arguments():
 def chosen_camera(field, args):
     if args.scene:
         return warpcage.load_scene(args.scene, split="test", downscale=args.downscale).cameras[0]
-    return warpcage.turntable(field.center, 4.03, 30, 1, fov_degrees=39.6, width=args.size, height=args.size,
-                              start_degrees=30)[0]
+    return warpcage.turntable(
+        field.center, 4.03, 30, 1, fov_degrees=39.6, width=args.size, height=args.size, start_degrees=30
+    )[0]
 
 
 class Cycle:
@@ -124,8 +137,9 @@ def posing_loop(deformer, rest, camera, args, count: int = 60) -> float:
 def profile(action) -> None:
     """Print the device time of each kernel of action()."""
     action()
-    with wp.ScopedTimer("kernels", cuda_filter=wp.TIMING_KERNEL | wp.TIMING_MEMCPY | wp.TIMING_MEMSET | wp.TIMING_GRAPH,
-                        print=False) as timer:
+    with wp.ScopedTimer(
+        "kernels", cuda_filter=wp.TIMING_KERNEL | wp.TIMING_MEMCPY | wp.TIMING_MEMSET | wp.TIMING_GRAPH, print=False
+    ) as timer:
         action()
     totals: dict[str, list] = {}
     for result in timer.timing_results:

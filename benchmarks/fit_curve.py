@@ -24,11 +24,11 @@ import numpy as np
 import warp as wp
 
 import warpcage
-from warpcage.devices import launch
-from warpcage.evaluation import evaluate, mean_psnr
-from warpcage.fit_memory import array_bytes, device_arrays
-from warpcage.kernels.sample_count import count_samples
-from warpcage.optimize import STOP_TRANSMITTANCE, FieldOptimizer
+from warpcage.core.devices import launch
+from warpcage.fitting.evaluation import evaluate, mean_psnr
+from warpcage.fitting.memory import array_bytes, device_arrays
+from warpcage.fitting.optimizer import STOP_TRANSMITTANCE, FieldOptimizer
+from warpcage.kernels.reference.sample_count import count_samples
 
 
 def samples_per_ray(optimizer, *, wanted_rays: int = 1 << 20) -> np.ndarray:
@@ -39,8 +39,13 @@ def samples_per_ray(optimizer, *, wanted_rays: int = 1 << 20) -> np.ndarray:
     count = len(optimizer.scene) * -(-camera.width // stride) * -(-camera.height // stride)
     counts = [wp.empty(count, dtype=wp.int32, device=optimizer.device) for _ in range(2)]
     field = optimizer.field
-    launch(count_samples, count, [field.grid, optimizer.rays.cameras, stride, field.step, STOP_TRANSMITTANCE], counts,
-           device=optimizer.device)
+    launch(
+        count_samples,
+        count,
+        [field.grid, optimizer.rays.cameras, stride, field.step, STOP_TRANSMITTANCE],
+        counts,
+        device=optimizer.device,
+    )
     active = optimizer.active_tiles / optimizer.tile_total  # the others, which batches leave out, march nothing
     return np.array([each.numpy().mean(dtype=np.float64) for each in counts]) / active
 
@@ -105,9 +110,13 @@ class Clock:
 
 def curve_point(optimizer, test, seconds: float, samples) -> dict:
     return {
-        "seconds": round(seconds, 3), "steps": optimizer.step_count, "resolution": max(optimizer.field.resolution),
-        "voxels": optimizer.field.voxel_count, "psnr": round(mean_psnr(evaluate(optimizer.field, test)), 3),
-        "marched_per_ray": round(float(samples[0]), 2), "matter_per_ray": round(float(samples[1]), 2),
+        "seconds": round(seconds, 3),
+        "steps": optimizer.step_count,
+        "resolution": max(optimizer.field.resolution),
+        "voxels": optimizer.field.voxel_count,
+        "psnr": round(mean_psnr(evaluate(optimizer.field, test)), 3),
+        "marched_per_ray": round(float(samples[0]), 2),
+        "matter_per_ray": round(float(samples[1]), 2),
     }
 
 
@@ -158,12 +167,20 @@ def measure_fit(scene, test, device, points: int, options: dict, allocations: Co
         wp.synchronize_device(device)
         times.append(time.perf_counter() - begin)
     return {
-        "options": options, "seconds": round(spent, 3), "setup_seconds": round(setup, 3), "psnr": mean_psnr(rows),
-        "voxels": field.voxel_count, "resolution": field.resolution, "batch_rays": optimizer.batch_rays,
+        "options": options,
+        "seconds": round(spent, 3),
+        "setup_seconds": round(setup, 3),
+        "psnr": mean_psnr(rows),
+        "voxels": field.voxel_count,
+        "resolution": field.resolution,
+        "batch_rays": optimizer.batch_rays,
         "rays_per_second": round(optimizer.total_steps * optimizer.batch_rays / spent),
-        "samples_marched_per_second": round(samples[0] / spent), "samples_matter_per_second": round(samples[1] / spent),
-        "render_milliseconds": round(1e3 * float(np.median(times)), 3), "peak_device_bytes": allocations.peak,
-        "image_bytes": array_bytes(device_arrays(optimizer.pictures)), "image_bits": optimizer.pictures.bits,
+        "samples_marched_per_second": round(samples[0] / spent),
+        "samples_matter_per_second": round(samples[1] / spent),
+        "render_milliseconds": round(1e3 * float(np.median(times)), 3),
+        "peak_device_bytes": allocations.peak,
+        "image_bytes": array_bytes(device_arrays(optimizer.pictures)),
+        "image_bits": optimizer.pictures.bits,
         "curve": curve,
     }
 
@@ -178,7 +195,7 @@ def main() -> None:
     parser.add_argument("--json", help="file for the results")
     args = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
-    device = warpcage.devices.resolve_device(args.device)
+    device = warpcage.core.devices.resolve_device(args.device)
     scene = warpcage.load_scene(args.data, downscale=args.downscale)
     test = warpcage.load_scene(args.data, split="test", downscale=args.downscale)
     results = []

@@ -1,6 +1,6 @@
 """Where a fit's device time goes, kernel by kernel, at each level.
 
-    python benchmarks/fit_profile.py --data ../shared/data/lego_800 --device cuda:0
+python benchmarks/fit_profile.py --data ../shared/data/lego_800 --device cuda:0
 """
 
 import argparse
@@ -10,7 +10,7 @@ import collections
 import warp as wp
 
 import warpcage
-from warpcage.optimize import FieldOptimizer
+from warpcage.fitting.optimizer import FieldOptimizer
 
 
 def main() -> None:
@@ -36,8 +36,10 @@ def main() -> None:
             total = collections.Counter()
             for result in wp.timing_end():
                 total[result.name] += result.elapsed / count
-            print(f"level {level}: {optimizer.field.resolution}, {optimizer.field.voxel_count} voxels, "
-                  f"{optimizer.batch_rays} rays; ms a step")
+            print(
+                f"level {level}: {optimizer.field.resolution}, {optimizer.field.voxel_count} voxels, "
+                f"{optimizer.batch_rays} rays; ms a step"
+            )
             for name, milliseconds in total.most_common(8):
                 print(f"  {milliseconds:9.3f}  {name}")
         else:

@@ -17,8 +17,8 @@ import time
 import warp as wp
 
 import warpcage
-from warpcage.evaluation import evaluate, mean_psnr
-from warpcage.synthetic_scenes import KINDS, synthetic_scene
+from warpcage.fitting.evaluation import evaluate, mean_psnr
+from warpcage.reference.fit_scenes import KINDS, synthetic_scene
 
 
 def measure(name, scene, test, device, options: dict) -> dict:
@@ -27,9 +27,15 @@ def measure(name, scene, test, device, options: dict) -> dict:
     wp.synchronize_device(device)
     seconds = time.perf_counter() - begin
     return {
-        "scene": name, "views": len(scene), "size": scene.images.shape[1], "options": options,
-        "psnr": mean_psnr(evaluate(field, test)), "psnr_training": mean_psnr(evaluate(field, scene)),
-        "seconds": seconds, "voxels": field.voxel_count, "resolution": field.resolution,
+        "scene": name,
+        "views": len(scene),
+        "size": scene.images.shape[1],
+        "options": options,
+        "psnr": mean_psnr(evaluate(field, test)),
+        "psnr_training": mean_psnr(evaluate(field, scene)),
+        "seconds": seconds,
+        "voxels": field.voxel_count,
+        "resolution": field.resolution,
     }
 
 
@@ -46,12 +52,14 @@ def without_alphas(scene):
 def scenes_of(args, device):
     """(name, training views, test views) one after another."""
     for kind in args.kind:
-        train, test = synthetic_scene(kind, train_views=args.views, size=args.size, alpha=not args.opaque,
-                                      device=device)
+        train, test = synthetic_scene(
+            kind, train_views=args.views, size=args.size, alpha=not args.opaque, device=device
+        )
         yield kind, train, test
     if args.data:
-        train, test = (warpcage.load_scene(args.data, split=split, downscale=args.downscale)
-                       for split in ("train", "test"))
+        train, test = (
+            warpcage.load_scene(args.data, split=split, downscale=args.downscale) for split in ("train", "test")
+        )
         if args.opaque:
             train = without_alphas(train)
         yield f"{args.data}, every {args.every}.", every_nth(train, args.every), test
@@ -70,7 +78,7 @@ def main() -> None:
     parser.add_argument("--option", nargs="*", default=[], help="FitOptions as name=value")
     parser.add_argument("--json", help="file for the results")
     args = parser.parse_args()
-    device = warpcage.devices.resolve_device(args.device)
+    device = warpcage.core.devices.resolve_device(args.device)
     options = {name: ast.literal_eval(value) for name, value in (pair.split("=", 1) for pair in args.option)}
     results = []
     print(f"{'scene':32} views  PSNR dB  training  seconds    voxels  resolution")
@@ -78,8 +86,11 @@ def main() -> None:
         row = measure(name, scene, test, device, options)
         results.append(row)
         size = "x".join(str(n) for n in row["resolution"])
-        print(f"{name[-32:]:32} {row['views']:5d}  {row['psnr']:7.2f}  {row['psnr_training']:8.2f}"
-              f"  {row['seconds']:7.1f}  {row['voxels']:8d}  {size}", flush=True)
+        print(
+            f"{name[-32:]:32} {row['views']:5d}  {row['psnr']:7.2f}  {row['psnr_training']:8.2f}"
+            f"  {row['seconds']:7.1f}  {row['voxels']:8d}  {size}",
+            flush=True,
+        )
         if args.json:
             with open(args.json, "w", encoding="utf-8") as file:
                 content = {"device": device.name or platform.processor(), "warp": wp.__version__, "runs": results}

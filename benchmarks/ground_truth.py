@@ -29,8 +29,8 @@ from results import write_jpeg, write_results
 from truth_scenes import POSES, SCENES, TRUTHS, TruthScene, View, pose_cages
 
 import warpcage
-from warpcage.evaluation import ssim
-from warpcage.images import contact_sheet
+from warpcage.fitting.evaluation import ssim
+from warpcage.view.pictures import contact_sheet
 
 KINDS = ("mean_value", "harmonic", "green")
 
@@ -38,17 +38,31 @@ KINDS = ("mean_value", "harmonic", "green")
 def main() -> None:
     args = parse_arguments()
     wp.config.quiet = True
-    device = warpcage.devices.resolve_device(args.device)
+    device = warpcage.core.devices.resolve_device(args.device)
     scenes, rows = [], []
     for name in args.scenes:
         begin = time.perf_counter()
-        scene = TruthScene(name, size=args.size, train_views=args.train_views, test_views=args.test_views,
-                           longest_edge=args.edge, samples=args.samples, cuts=args.cuts, device=device)
+        scene = TruthScene(
+            name,
+            size=args.size,
+            train_views=args.train_views,
+            test_views=args.test_views,
+            longest_edge=args.edge,
+            samples=args.samples,
+            cuts=args.cuts,
+            device=device,
+        )
         field = warpcage.fit(scene.training(), device=device, quality=args.quality, progress=False)
         views = scene.rest_views()
         ceiling = measure([field.render(view.camera) for view in views], views, scene.cage.size)
-        facts = {"scene": name, "voxels": field.voxel_count, "field_resolution": list(field.resolution),
-                 "cage_vertices": len(scene.cage.vertices), "mesh_faces": len(scene.mesh.faces), **ceiling}
+        facts = {
+            "scene": name,
+            "voxels": field.voxel_count,
+            "field_resolution": list(field.resolution),
+            "cage_vertices": len(scene.cage.vertices),
+            "mesh_faces": len(scene.mesh.faces),
+            **ceiling,
+        }
         print(facts, flush=True)
         scenes.append(facts)
         measured, pictures = measure_scene(scene, field, ceiling["psnr"], args)
@@ -59,9 +73,19 @@ def main() -> None:
             write_jpeg(pathlib.Path(args.figures) / f"ground_truth_{name}.jpg", sheet, quality=85)
         print(f"{name}: {time.perf_counter() - begin:.1f} s", flush=True)
         if args.json:  # after each scene: what was measured is kept
-            write_results(args.json, device, size=args.size, train_views=args.train_views, test_views=args.test_views,
-                          samples=args.samples**2, quality=args.quality, cuts=args.cuts, middle=args.middle,
-                          scenes=scenes, rows=rows)
+            write_results(
+                args.json,
+                device,
+                size=args.size,
+                train_views=args.train_views,
+                test_views=args.test_views,
+                samples=args.samples**2,
+                quality=args.quality,
+                cuts=args.cuts,
+                middle=args.middle,
+                scenes=scenes,
+                rows=rows,
+            )
 
 
 def parse_arguments():
@@ -104,8 +128,14 @@ def measure_scene(scene, field, ceiling: float, args):
             views = truths["carried"]
 
             def report(frames, what="frame", against=views, **more):
-                row = {"scene": scene.name, "pose": pose, "kind": kind, "what": what,  # noqa: B023 (used at once)
-                       **more, **measure(frames, against, scene.cage.size, similarity=what == "frame")}
+                row = {
+                    "scene": scene.name,
+                    "pose": pose,  # noqa: B023 (used at once)
+                    "kind": kind,  # noqa: B023
+                    "what": what,  # noqa: B023 (used at once)
+                    **more,
+                    **measure(frames, against, scene.cage.size, similarity=what == "frame"),
+                }
                 row["to_ceiling"] = row["psnr"] - ceiling
                 rows.append(row)
                 print({name: value for name, value in row.items() if value is not None}, flush=True)
@@ -116,8 +146,12 @@ def measure_scene(scene, field, ceiling: float, args):
                 report(frames, resolution=resolution, **facts)
                 if kind == "harmonic" and resolution == args.middle:
                     if pose in args.refit:
-                        own = warpcage.fit(scene.posed_training(posed, kind), device=deformer.field.device,
-                                           quality=args.quality, progress=False)
+                        own = warpcage.fit(
+                            scene.posed_training(posed, kind),
+                            device=deformer.field.device,
+                            quality=args.quality,
+                            progress=False,
+                        )
                         report([own.render(view.camera) for view in views], "fit of the pose", resolution=resolution)
                     pictures[pose] = picture_line(scene, views[0], frames[0])
                     report_more(deformer, posed, views, truths, frames, report, args, pose in args.extra)
@@ -130,8 +164,9 @@ def report_more(deformer, posed, views, truths, frames, report, args, slow: bool
     for truth in TRUTHS[1:]:
         report(frames, f"truth {truth}", truths[truth], **middle)
     report([deformer.render(view.camera, step=0.5 * deformer.field.step) for view in views], "half step", **middle)
-    paper = warpcage.Deformer(deformer.field, deformer.edits[0].cage, coordinates="harmonic", resolution=args.middle,
-                              density="paper").pose(posed)
+    paper = warpcage.Deformer(
+        deformer.field, deformer.edits[0].cage, coordinates="harmonic", resolution=args.middle, density="paper"
+    ).pose(posed)
     report([paper.render(view.camera) for view in views], "density paper", **middle)
     for plain in (False, True) if slow else ():
         marched = [shortcuts.march(deformer, view.camera, plain_directions=plain, stride=2) for view in views[:1]]
@@ -147,6 +182,7 @@ def report_more(deformer, posed, views, truths, frames, report, args, slow: bool
 
 def measure(frames, views, size: float, *, similarity: bool = True) -> dict:
     """Mean PSNR (dB) and SSIM over views, and mean depth error as a share of `size` (None for bare pictures)."""
+
     def one(frame, view):
         bare = isinstance(frame, np.ndarray)
         rgb = frame if bare else frame.rgb

@@ -23,8 +23,12 @@ def main() -> None:
     args = parser.parse_args()
     folder = pathlib.Path(args.results)
     parts = [INTRODUCTION]
-    sections = {"table1.json": table1, "ground_truth*.json": ground_truth, "coverage.json": coverage,
-                "compile*.json": first_start}
+    sections = {
+        "table1.json": table1,
+        "ground_truth*.json": ground_truth,
+        "coverage.json": coverage,
+        "compile*.json": first_start,
+    }
     for pattern, section in sections.items():
         files = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob(pattern))]
         if files:
@@ -54,8 +58,10 @@ def source(results: dict) -> str:
     machine = results["machine"]
     on = machine["device"] if machine["device"] != "CPU" else f"{machine['processor']}, {machine['cores']} cores"
     cuda = f", driver for CUDA {machine['cuda_driver']}" if "cuda_driver" in machine else ""
-    return (f"`{results['command']}`\n({on}{cuda}, Python {machine['python']}, Warp {machine['warp']}, "
-            f"NumPy {machine['numpy']})\n")
+    return (
+        f"`{results['command']}`\n({on}{cuda}, Python {machine['python']}, Warp {machine['warp']}, "
+        f"NumPy {machine['numpy']})\n"
+    )
 
 
 def cells(resolution) -> str:
@@ -72,23 +78,29 @@ def table1(files) -> list[str]:
         paper, authors = ("–" if row[name] is None else f"{row[name]:g}" for name in ("paper_a100", "authors_h200"))
         psnr = "reference" if row["psnr_to_reference"] is None else f"{row['psnr_to_reference']:.1f}"
         rows.append([KINDS[row["kind"]], cells(row["resolution"]), f"**{row['seconds']:.4f}**", paper, authors, psnr])
-    return [f"""## Table 1: seconds a frame
+    return [
+        f"""## Table 1: seconds a frame
 
-Scene: {results['scene']}, {results['voxels']:,} voxels; {results['size']}x{results['size']} pixels,
-{results['samples']} samples a ray across the deformed scene's box; cage of {results['cage_vertices']} vertices. A frame
+Scene: {results["scene"]}, {results["voxels"]:,} voxels; {results["size"]}x{results["size"]} pixels,
+{results["samples"]} samples a ray across the deformed scene's box; cage of {results["cage_vertices"]} vertices. A frame
 is a new pose (checks, coordinates, lattice, marks) and its picture; median. PSNR is that of one pose's picture against
 the one with the closed form evaluated at every sample that may show something ("precise"); harmonic coordinates have
-none and are compared with {results['harmonic_reference']}³. The cage is told in benchmarks/NOTES-proof.md. The
+none and are compared with {results["harmonic_reference"]}³. The cage is told in benchmarks/NOTES-proof.md. The
 paper's figures are of one A100; those of the authors'
 code, on one H200, are its lattice plus its render with the lattice ready. Green maps lead out of the rest cage in
 places: where a fit leaves a speck of matter at the cage's face, two lattices may cut it differently, and those few
 pixels then decide their PSNR.
-""", table(["coordinates", "lattice", "warpcage, s", "paper, s (A100)", "authors' code, s (H200)", "PSNR, dB"], rows),
-            source(results), """![Rows: coordinates; columns: 64, 128, 256, precise](pictures/table1.jpg)
+""",
+        table(
+            ["coordinates", "lattice", "warpcage, s", "paper, s (A100)", "authors' code, s (H200)", "PSNR, dB"], rows
+        ),
+        source(results),
+        """![Rows: coordinates; columns: 64, 128, 256, precise](pictures/table1.jpg)
 
 The paper's Fig. 8: rows are mean value, harmonic and green coordinates; columns 64³, 128³, 256³ and precise (harmonic:
 512³). Made by the command above with `--figure`.
-"""]
+""",
+    ]
 
 
 # Ground truth
@@ -101,47 +113,97 @@ def ground_truth(files) -> list[str]:
     ceilings = {scene["scene"]: scene for scene in scenes}
     plain = [row for row in rows if row["what"] == "frame"]
     poses = [pose for pose in POSES if any(row["pose"] == pose for row in rows)]
-    parts = [TRUTH, "### The ceiling: the field at rest\n",
-             table(["scene", "voxels", "PSNR, dB", "SSIM", "depth error"],
-                   [[name, f"{scene['voxels']:,}", f"{scene['psnr']:.2f}", f"{scene['ssim']:.4f}",
-                     f"{1e3 * scene['depth_mean']:.1f} ‰"] for name, scene in ceilings.items()]),
-             "### Deformed: PSNR in dB, and how far from the ceiling\n"]
+    parts = [
+        TRUTH,
+        "### The ceiling: the field at rest\n",
+        table(
+            ["scene", "voxels", "PSNR, dB", "SSIM", "depth error"],
+            [
+                [
+                    name,
+                    f"{scene['voxels']:,}",
+                    f"{scene['psnr']:.2f}",
+                    f"{scene['ssim']:.4f}",
+                    f"{1e3 * scene['depth_mean']:.1f} ‰",
+                ]
+                for name, scene in ceilings.items()
+            ],
+        ),
+        "### Deformed: PSNR in dB, and how far from the ceiling\n",
+    ]
     body = []
     for name in ceilings:
         for pose in poses:
             for kind in KINDS:
-                found = {row["resolution"]: row for row in plain
-                         if (row["scene"], row["pose"], row["kind"]) == (name, pose, kind)}
+                found = {
+                    row["resolution"]: row
+                    for row in plain
+                    if (row["scene"], row["pose"], row["kind"]) == (name, pose, kind)
+                }
                 if found:
                     at = found[middle]
-                    body.append([name, pose, KINDS[kind], *(difference(found.get(r)) for r in (64, 128, 256, None)),
-                                 f"{at['psnr']:.2f}", f"{at['ssim']:.4f}", f"{1e3 * at['depth_mean']:.1f} ‰",
-                                 "{:.2f}–{:.2f}".format(*at["stretch"])])
+                    body.append(
+                        [
+                            name,
+                            pose,
+                            KINDS[kind],
+                            *(difference(found.get(r)) for r in (64, 128, 256, None)),
+                            f"{at['psnr']:.2f}",
+                            f"{at['ssim']:.4f}",
+                            f"{1e3 * at['depth_mean']:.1f} ‰",
+                            "{:.2f}–{:.2f}".format(*at["stretch"]),
+                        ]
+                    )
     worst = min((row for row in plain if row["resolution"] == middle), key=lambda row: row["to_ceiling"])
-    parts += [table(["scene", "pose", "coordinates", "64³", "128³", "256³", "precise", f"PSNR at {middle}³", "SSIM",
-                     "depth error", "stretch"], body),
-              f"The farthest from the ceiling at {middle}³: {worst['to_ceiling']:+.2f} dB ({worst['scene']}, "
-              f"{worst['pose']}, {KINDS[worst['kind']]}). Columns of lattices are dB relative to the scene's ceiling; "
-              "depth errors are means over pixels that truth and field cover, per mille of the cage's size; stretch is "
-              "the range of the singular values of the pose at the object.\n",
-              *[source(results) for results in files],
-              "\n".join(f"![{name}: rest, truth, deformed field, five times the difference]"
-                        f"(pictures/ground_truth_{name}.jpg)\n" for name in ceilings),
-              "From left to right: truth at rest, truth of the pose, deformed field (harmonic, "
-              f"{middle}³), five times their difference on white. Made by the commands above with `--figures`.\n",
-              OWN_FITS, own_fits(rows, middle),
-              CAUSES, differences(rows, middle, ["frame", "truth turned", "truth relit", "half step",
-                                                 "density paper"]),
-              SHORTCUTS, costs(rows, middle)]
+    parts += [
+        table(
+            [
+                "scene",
+                "pose",
+                "coordinates",
+                "64³",
+                "128³",
+                "256³",
+                "precise",
+                f"PSNR at {middle}³",
+                "SSIM",
+                "depth error",
+                "stretch",
+            ],
+            body,
+        ),
+        f"The farthest from the ceiling at {middle}³: {worst['to_ceiling']:+.2f} dB ({worst['scene']}, "
+        f"{worst['pose']}, {KINDS[worst['kind']]}). Columns of lattices are dB relative to the scene's ceiling; "
+        "depth errors are means over pixels that truth and field cover, per mille of the cage's size; stretch is "
+        "the range of the singular values of the pose at the object.\n",
+        *[source(results) for results in files],
+        "\n".join(
+            f"![{name}: rest, truth, deformed field, five times the difference](pictures/ground_truth_{name}.jpg)\n"
+            for name in ceilings
+        ),
+        "From left to right: truth at rest, truth of the pose, deformed field (harmonic, "
+        f"{middle}³), five times their difference on white. Made by the commands above with `--figures`.\n",
+        OWN_FITS,
+        own_fits(rows, middle),
+        CAUSES,
+        differences(rows, middle, ["frame", "truth turned", "truth relit", "half step", "density paper"]),
+        SHORTCUTS,
+        costs(rows, middle),
+    ]
     return parts
 
 
 def coverage(files) -> list[str]:
     results = files[0]
-    rows = [[row["scene"], row["pose"], f"{row['rest']:.3f}", f"{row['posed']:.3f}", f"{row['decibels']:+.2f}"]
-            for row in results["rows"]]
-    return [COVERAGE, table(["scene", "pose", "covered at rest", "covered posed", "dB by coverage alone"], rows),
-            source(results)]
+    rows = [
+        [row["scene"], row["pose"], f"{row['rest']:.3f}", f"{row['posed']:.3f}", f"{row['decibels']:+.2f}"]
+        for row in results["rows"]
+    ]
+    return [
+        COVERAGE,
+        table(["scene", "pose", "covered at rest", "covered posed", "dB by coverage alone"], rows),
+        source(results),
+    ]
 
 
 COVERAGE = """### What the pictures themselves change
@@ -193,22 +255,36 @@ lies between the object and the origin, an opaque shell.
 """
 
 #: Columns of the table of shortcuts: what each is compared with.
-COSTS = {"nearest voxel": "frame", "weight sum 0.98": "frame", "weight sum 0.5": "frame",
-         "march, plain directions": "march"}
-
+COSTS = {
+    "nearest voxel": "frame",
+    "weight sum 0.98": "frame",
+    "weight sum 0.5": "frame",
+    "march, plain directions": "march",
+}
 
 
 def own_fits(rows, middle: int) -> str:
     """Deformed fields beside fields fitted to the pose, harmonic, at the middle resolution."""
-    found = {(row["scene"], row["pose"], row["what"]): row for row in rows
-             if row["kind"] == "harmonic" and row["resolution"] == middle}
+    found = {
+        (row["scene"], row["pose"], row["what"]): row
+        for row in rows
+        if row["kind"] == "harmonic" and row["resolution"] == middle
+    }
     lines = []
     for (scene, pose, what), own in found.items():
         if what == "fit of the pose":
             frame = found[scene, pose, "frame"]
             ceiling = frame["psnr"] - frame["to_ceiling"]
-            lines.append([scene, pose, f"{ceiling:.2f}", f"{own['psnr']:.2f}", f"{frame['psnr']:.2f}",
-                          f"{frame['psnr'] - own['psnr']:+.2f}"])
+            lines.append(
+                [
+                    scene,
+                    pose,
+                    f"{ceiling:.2f}",
+                    f"{own['psnr']:.2f}",
+                    f"{frame['psnr']:.2f}",
+                    f"{frame['psnr'] - own['psnr']:+.2f}",
+                ]
+            )
     head = ["scene", "pose", "field at rest", "field of the pose", "deformed field", "deformed less field of the pose"]
     return table(head, lines)
 
@@ -233,12 +309,16 @@ def differences(rows, middle: int, whats: list[str]) -> str:
 
 def costs(rows, middle: int) -> str:
     """dB that each shortcut costs at the middle resolution, harmonic."""
-    found = {(row["scene"], row["pose"], row["what"]): row["psnr"] for row in rows
-             if row["kind"] == "harmonic" and row["resolution"] == middle}
+    found = {
+        (row["scene"], row["pose"], row["what"]): row["psnr"]
+        for row in rows
+        if row["kind"] == "harmonic" and row["resolution"] == middle
+    }
     lines = []
     for scene, pose in dict.fromkeys((scene, pose) for scene, pose, _ in found):
-        values = [(found.get((scene, pose, what)), found.get((scene, pose, reference)))
-                  for what, reference in COSTS.items()]
+        values = [
+            (found.get((scene, pose, what)), found.get((scene, pose, reference))) for what, reference in COSTS.items()
+        ]
         lines.append([scene, pose, *("–" if None in pair else f"{pair[0] - pair[1]:+.2f}" for pair in values)])
     return table(["scene", "pose", *(what.removeprefix("march, ") for what in COSTS)], lines)
 
@@ -247,16 +327,23 @@ def costs(rows, middle: int) -> str:
 
 
 def first_start(files) -> list[str]:
-    parts = ["## First start\n\nSeconds with an empty kernel cache, and with a filled one; in brackets the processor's "
-             "seconds, which other work on the machine does not lengthen much.\n"]
+    parts = [
+        "## First start\n\nSeconds with an empty kernel cache, and with a filled one; in brackets the processor's "
+        "seconds, which other work on the machine does not lengthen much.\n"
+    ]
     for results in files:
-        rows = [[row["stage"], f"{row['cold']:.2f} ({row['cold_work']:.2f})", f"{row['warm']:.2f}"]
-                for row in results["rows"]]
+        rows = [
+            [row["stage"], f"{row['cold']:.2f} ({row['cold_work']:.2f})", f"{row['warm']:.2f}"]
+            for row in results["rows"]
+        ]
         rows.append(["added by compiling", f"{results['added']:.2f} ({results['added_work']:.2f})", ""])
         twice = ", ".join(results["compiled_twice"]) or "none"
-        parts += [table(["stage", "cold, s", "warm, s"], rows),
-                  f"Limit {results['limit']:g} s; modules compiled twice in one process: {twice}; load of the machine "
-                  f"when it began: {results['load_average']:.1f}.\n", source(results)]
+        parts += [
+            table(["stage", "cold, s", "warm, s"], rows),
+            f"Limit {results['limit']:g} s; modules compiled twice in one process: {twice}; load of the machine "
+            f"when it began: {results['load_average']:.1f}.\n",
+            source(results),
+        ]
     return parts
 
 

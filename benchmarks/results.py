@@ -19,12 +19,22 @@ import warpcage
 def machine(device) -> dict:
     """What the figures were measured on."""
     device = wp.get_device(device)
-    facts = {"processor": _processor(), "cores": os.cpu_count(), "python": platform.python_version(),
-             "numpy": np.__version__, "warp": wp.__version__, "warpcage": warpcage.__version__, "device": device.name}
+    facts = {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "warp": wp.__version__,
+        "warpcage": warpcage.__version__,
+        "device": device.name,
+    }
     if device.is_cuda:
         toolkit, driver = wp.get_cuda_toolkit_version(), wp.get_cuda_driver_version()
-        facts |= {"cuda_toolkit": ".".join(map(str, toolkit)), "cuda_driver": ".".join(map(str, driver)),
-                  "memory_gigabytes": round(device.total_memory / 2**30)}
+        facts |= {
+            "cuda_toolkit": ".".join(map(str, toolkit)),
+            "cuda_driver": ".".join(map(str, driver)),
+            "memory_gigabytes": round(device.total_memory / 2**30),
+        }
     for package in ("scikit-image", "trimesh"):
         facts[package] = importlib.metadata.version(package)
     return facts
@@ -67,7 +77,7 @@ def write_jpeg(path, image, quality: int = 88) -> None:
     """Write an (h, w, 3) picture in [0, 1]."""
     import imageio.v3 as iio
 
-    from warpcage.images import to_uint8
+    from warpcage.view.pictures import to_uint8
 
     path = pathlib.Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

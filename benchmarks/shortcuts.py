@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpcage.devices import launch
-from warpcage.kernels.cage_edits import LatticeEdit
-from warpcage.kernels.edit_cells import mark_edit_cases
+from warpcage.core.devices import launch
+from warpcage.kernels.deform.cells import mark_edit_cases
+from warpcage.kernels.deform.edits import LatticeEdit
 
 
 def use_nearest_voxels(deformer, posed, tolerance: float = 1e-5) -> int:
@@ -82,8 +82,11 @@ def use_weight_sums(deformer, threshold: float) -> None:
     edit.deformed.distance.assign(((threshold - inside) * edit.deformed.spacing).astype(np.float32))
     rest = edit.rest.distance.numpy() < 0
     # the case is only asked for beside the deformed cage; `leaves`, which earlier code did not know, is left alone
-    edit.rest.distance = wp.array(np.where(rest, -4.0, 4.0).astype(np.float32) * np.float32(edit.rest.spacing),
-                                  dtype=float, device=deformer.device)
+    edit.rest.distance = wp.array(
+        np.where(rest, -4.0, 4.0).astype(np.float32) * np.float32(edit.rest.spacing),
+        dtype=float,
+        device=deformer.device,
+    )
     _remark(deformer, edit)
 
 

@@ -23,8 +23,8 @@ from results import write_jpeg, write_results
 from timing import median_seconds
 
 import warpcage
-from warpcage.images import contact_sheet
-from warpcage.synthetic import write_brick_scene
+from warpcage.reference.brick_scene import write_brick_scene
+from warpcage.view.pictures import contact_sheet
 
 KINDS = ("mean_value", "harmonic", "green")
 FINEST = 512
@@ -33,27 +33,41 @@ FINEST = 512
 SWING = 9
 
 #: Seconds a frame of the paper's Table 1 (one A100).
-PAPER = {"mean_value": {64: 0.31, 128: 0.98, 256: 5.71, None: 102.0}, "harmonic": {64: 0.23, 128: 0.90, 256: 6.32},
-         "green": {64: 0.35, 128: 2.49, 256: 19.69, None: 243.0}}
+PAPER = {
+    "mean_value": {64: 0.31, 128: 0.98, 256: 5.71, None: 102.0},
+    "harmonic": {64: 0.23, 128: 0.90, 256: 6.32},
+    "green": {64: 0.35, 128: 2.49, 256: 19.69, None: 243.0},
+}
 
 #: The authors' code on an H200 (DESIGN, section 5): seconds of a lattice with a 42-vertex cage, and of a render at
 #: 800x800 with 512 samples once the lattice is ready, whose middle of 0.550 to 0.576 is added.
-AUTHORS_LATTICE = {"mean_value": {64: 0.020, 128: 0.170, 256: 1.390}, "harmonic": {64: 0.490, 128: 1.240, 256: 1.650},
-                   "green": {64: 0.100, 128: 0.770, 256: 6.140}}
+AUTHORS_LATTICE = {
+    "mean_value": {64: 0.020, 128: 0.170, 256: 1.390},
+    "harmonic": {64: 0.490, 128: 1.240, 256: 1.650},
+    "green": {64: 0.100, 128: 0.770, 256: 6.140},
+}
 AUTHORS_RENDER = 0.563
 
 
 def main() -> None:
     args = parse_arguments()
     wp.config.quiet = True
-    device = warpcage.devices.resolve_device(args.device)
+    device = warpcage.core.devices.resolve_device(args.device)
     if args.field:
         field, test_psnr, scene = warpcage.VoxelField.load(args.field, device=device), None, args.scene
     else:
         field, test_psnr, scene = prepared_field(args, device)
     rest = warpcage.Cage.load(args.cage) if args.cage else warpcage.Cage.from_field(field, vertex_count=42)
-    camera = warpcage.turntable(field.center, args.distance * np.ptp(field.bounds, axis=0).max(), 30, 1,
-                                fov_degrees=39.6, width=args.size, height=args.size, start_degrees=args.view)[0]
+    camera = warpcage.turntable(
+        field.center,
+        args.distance * np.ptp(field.bounds, axis=0).max(),
+        30,
+        1,
+        fov_degrees=39.6,
+        width=args.size,
+        height=args.size,
+        start_degrees=args.view,
+    )[0]
     shown = rest.bend(args.bend, axis="y", towards="z").twist(15)
     step = longest_way(field, rest, shown) / args.samples
     rows, pictures = [], {}
@@ -62,13 +76,24 @@ def main() -> None:
         references = [None] if kind != "harmonic" else [finest]
         for resolution in [*args.resolution, *references]:
             deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=resolution)
-            seconds = median_seconds(NewPoses(deformer, rest, camera, step, args.bend), device, runs=args.runs,
-                                     warm=SWING if device.is_cuda else 2)
+            seconds = median_seconds(
+                NewPoses(deformer, rest, camera, step, args.bend),
+                device,
+                runs=args.runs,
+                warm=SWING if device.is_cuda else 2,
+            )
             frame = deformer.pose(shown).render(camera, step=step)
             pictures[kind, resolution] = np.clip(frame.rgb, 0, 1)
-            rows.append({"kind": kind, "resolution": resolution, "seconds": seconds,
-                         "paper_a100": PAPER[kind].get(resolution), "authors_h200": authors_seconds(kind, resolution),
-                         "outside_pixels": int((frame.outside > 0).sum())})
+            rows.append(
+                {
+                    "kind": kind,
+                    "resolution": resolution,
+                    "seconds": seconds,
+                    "paper_a100": PAPER[kind].get(resolution),
+                    "authors_h200": authors_seconds(kind, resolution),
+                    "outside_pixels": int((frame.outside > 0).sum()),
+                }
+            )
             print(rows[-1], flush=True)
     for row in rows:
         reference = pictures[row["kind"], None if row["kind"] != "harmonic" else finest]
@@ -77,10 +102,21 @@ def main() -> None:
     for row in rows:
         print(row)
     if args.json:
-        write_results(args.json, device, scene=scene, size=args.size,
-                      samples=args.samples, step=step, cage_vertices=len(rest.vertices), cage_faces=len(rest.faces),
-                      voxels=field.voxel_count, field_resolution=list(field.resolution), field_psnr=test_psnr,
-                      harmonic_reference=finest, rows=rows)
+        write_results(
+            args.json,
+            device,
+            scene=scene,
+            size=args.size,
+            samples=args.samples,
+            step=step,
+            cage_vertices=len(rest.vertices),
+            cage_faces=len(rest.faces),
+            voxels=field.voxel_count,
+            field_resolution=list(field.resolution),
+            field_psnr=test_psnr,
+            harmonic_reference=finest,
+            rows=rows,
+        )
     if args.figure:
         write_jpeg(args.figure, figure(pictures, args.resolution, args.crop))
 
@@ -99,8 +135,13 @@ def parse_arguments():
     parser.add_argument("--bend", type=float, default=40.0)
     parser.add_argument("--view", type=float, default=30.0, help="degrees around the object")
     parser.add_argument("--distance", type=float, default=1.75, help="of the camera, times the field's longest side")
-    parser.add_argument("--crop", type=float, nargs=4, default=[0.34, 0.32, 0.66, 0.64],
-                        help="part of the picture that the figure shows: left, top, right, bottom, 0 to 1")
+    parser.add_argument(
+        "--crop",
+        type=float,
+        nargs=4,
+        default=[0.34, 0.32, 0.66, 0.64],
+        help="part of the picture that the figure shows: left, top, right, bottom, 0 to 1",
+    )
     parser.add_argument("--runs", type=int, default=2 * SWING)
     parser.add_argument("--json")
     parser.add_argument("--figure", help="JPEG file: rows are kinds, columns resolutions and the reference")
@@ -116,8 +157,9 @@ def prepared_field(args, device):
     """The fitted field, its PSNR on test views, and the scene's name."""
     with tempfile.TemporaryDirectory() as folder:
         size = 48 if args.quick else 400
-        data = args.data or write_brick_scene(folder + "/bricks", train_views=30 if args.quick else 80, size=size,
-                                              device=device)
+        data = args.data or write_brick_scene(
+            folder + "/bricks", train_views=30 if args.quick else 80, size=size, device=device
+        )
         field = warpcage.fit(warpcage.load_scene(data), device=device, quality=args.quality, progress=False)
         test = warpcage.load_scene(data, split="test")
         psnr = warpcage.mean_psnr(warpcage.evaluate(field, test))

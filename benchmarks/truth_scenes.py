@@ -19,10 +19,10 @@ import pathlib
 import numpy as np
 
 import warpcage
-from warpcage.carried_mesh import CarriedMesh
-from warpcage.inverse_map import InverseMap
-from warpcage.scene import Scene
-from warpcage.synthetic_shapes import subdivided_model
+from warpcage.reference.carried_mesh import CarriedMesh
+from warpcage.reference.inverse_map import InverseMap
+from warpcage.reference.shapes import subdivided_model
+from warpcage.scene.scene import Scene
 
 SCENES = ("bricks", "animal", "chair")
 POSES = ("rigid", "twist", "bend", "stretch", "local")
@@ -34,8 +34,11 @@ FOV_DEGREES, DISTANCE = 39.6, 4.0
 def pose_cages(name: str, rest: warpcage.Cage) -> dict[str, warpcage.Cage]:
     """The moderate poses of a scene: each moves parts by 0.1 to 0.4 of the cage's size."""
     bend_axis, towards = {"bricks": ("x", "z"), "animal": ("x", "y"), "chair": ("z", "y")}[name]
-    offset, centre = {"bricks": ((0.25, -0.15, 0.2), (1.0, 0.0, 0.5)), "animal": ((0.1, 0.25, 0.2), (0.9, 0.0, 0.7)),
-                      "chair": ((-0.25, 0.2, 0.1), (-0.4, 0.0, 0.9))}[name]
+    offset, centre = {
+        "bricks": ((0.25, -0.15, 0.2), (1.0, 0.0, 0.5)),
+        "animal": ((0.1, 0.25, 0.2), (0.9, 0.0, 0.7)),
+        "chair": ((-0.25, 0.2, 0.1), (-0.4, 0.0, 0.9)),
+    }[name]
     return {
         "rigid": rest.rotate(35, axis="x").rotate(50, axis="z"),
         "twist": rest.twist(45),
@@ -76,8 +79,18 @@ class Place:
 class TruthScene:
     """A model, its cage, its training pictures, and its views at rest and in any pose."""
 
-    def __init__(self, name: str, *, size: int, train_views: int, test_views: int, longest_edge: float, samples: int,
-                 cuts: int, device):
+    def __init__(
+        self,
+        name: str,
+        *,
+        size: int,
+        train_views: int,
+        test_views: int,
+        longest_edge: float,
+        samples: int,
+        cuts: int,
+        device,
+    ):
         self.name, self.size, self.test_views = name, size, test_views
         self.samples, self.cuts, self.device = samples, cuts, device
         self.mesh = CarriedMesh(*subdivided_model(name, longest_edge), device=device)
@@ -107,8 +120,10 @@ class TruthScene:
         u, stretch, v = np.linalg.svd(place.jacobians)
         matrices = {"carried": place.jacobians, "turned": u @ v, "relit": None}
         views = {truth: self._views(place.middle, place.points, matrices[truth], truth == "relit") for truth in truths}
-        facts = {"largest_move": float(np.linalg.norm(place.points - self.mesh.vertices, axis=1).max()),
-                 "stretch": [float(1 / stretch.max()), float(1 / stretch.min())]}
+        facts = {
+            "largest_move": float(np.linalg.norm(place.points - self.mesh.vertices, axis=1).max()),
+            "stretch": [float(1 / stretch.max()), float(1 / stretch.min())],
+        }
         return views, facts
 
     def _place(self, posed: warpcage.Cage, kind: str) -> Place:
@@ -124,8 +139,9 @@ class TruthScene:
 
     def _views(self, target, points, matrices, light_stays) -> list[View]:
         places = cameras(target, self.test_views, self.size, sphere=False)
-        rgba, depth = self.mesh.render(places, posed=points, view_matrices=matrices, light_stays=light_stays,
-                                       samples=self.samples)
+        rgba, depth = self.mesh.render(
+            places, posed=points, view_matrices=matrices, light_stays=light_stays, samples=self.samples
+        )
         return [View(*view) for view in zip(places, _on_white(rgba), depth, strict=True)]
 
 

@@ -17,12 +17,13 @@ import time
 import numpy as np
 
 import warpcage
-from warpcage.cage_scenes import CAGE_SCENES, scene_field
-from warpcage.files import atomic_path
-from warpcage.images import contact_sheet, to_uint8, write_png
-from warpcage.overlay import draw_cage
-from warpcage.synthetic import brick_model, render_mesh_views
-from warpcage.views import framing_orbit
+from warpcage.core.files import atomic_path
+from warpcage.reference.bricks import brick_model
+from warpcage.reference.cage_scenes import CAGE_SCENES, scene_field
+from warpcage.reference.raycast import render_mesh_views
+from warpcage.view.camera import framing_orbit
+from warpcage.view.overlay import draw_cage
+from warpcage.view.pictures import contact_sheet, to_uint8, write_png
 
 STONE = (0.62, 0.66, 0.70)
 
@@ -47,8 +48,10 @@ def main(argv=None) -> dict:
     with atomic_path(out / "reports.json") as temporary:
         temporary.write_text(json.dumps(reports, indent=1) + "\n", encoding="utf-8")
     bad = [name for name, report in reports.items() if not trusted(report)]
-    print(f"wrote {out / 'cages.png'}: {len(reports)} cages, {len(reports) - len(bad)} enclose their objects whole, "
-          f"closed, and without crossings; at most {max(report['seconds'] for report in reports.values())} s each")
+    print(
+        f"wrote {out / 'cages.png'}: {len(reports)} cages, {len(reports) - len(bad)} enclose their objects whole, "
+        f"closed, and without crossings; at most {max(report['seconds'] for report in reports.values())} s each"
+    )
     if bad:
         raise SystemExit(f"not to be trusted: {', '.join(bad)}")
     return reports

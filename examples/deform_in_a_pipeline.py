@@ -9,7 +9,7 @@ send the samples through `to_canonical`, ask the field there, and leave out what
 import numpy as np
 
 import warpcage
-from warpcage.camera import Camera
+from warpcage.view.camera import Camera
 
 
 def make_field():

@@ -32,8 +32,9 @@ assert np.abs(by_weights - deform_points(mesh.vertices, rest, posed)).max() < 1e
 
 # Turning the cage turns the model.
 turned = rest.rotate(40, axis="z")
-expected = trimesh.transform_points(mesh.vertices, trimesh.transformations.rotation_matrix(np.radians(40), (0, 0, 1),
-                                                                                       rest.bounds.mean(axis=0)))
+expected = trimesh.transform_points(
+    mesh.vertices, trimesh.transformations.rotation_matrix(np.radians(40), (0, 0, 1), rest.bounds.mean(axis=0))
+)
 for kind in ("mean_value", "green", "harmonic"):
     moved = deform_points(mesh.vertices, rest, turned, coordinates=kind)
     assert np.abs(moved - expected).max() < 1e-4 * rest.size

@@ -21,10 +21,10 @@ import time
 import numpy as np
 
 import warpcage
-from warpcage.devices import resolve_device
-from warpcage.files import atomic_path
-from warpcage.images import colour_disparity, contact_sheet, disparity_range, write_png
-from warpcage.overlay import draw_cage
+from warpcage.core.devices import resolve_device
+from warpcage.core.files import atomic_path
+from warpcage.view.overlay import draw_cage
+from warpcage.view.pictures import colour_disparity, contact_sheet, disparity_range, write_png
 
 #: A box around the wing on the right, above its ground floor, in the house's own upright axes (see `upright_axes`).
 WING = ([-1.05, -0.62, -0.15], [0.05, 0.47, 0.66])
@@ -50,19 +50,33 @@ def main(argv=None) -> dict:
     seconds = time.perf_counter() - start
     rows = warpcage.evaluate(field, test)
     figures = {name: float(np.mean([row[name] for row in rows])) for name in ("masked_psnr", "psnr")}
-    print(f"{figures['masked_psnr']:.2f} dB inside the masks of {len(test)} held-out views, {figures['psnr']:.2f} dB "
-          f"on whole pictures, fitted in {seconds:.0f} s", flush=True)
+    print(
+        f"{figures['masked_psnr']:.2f} dB inside the masks of {len(test)} held-out views, {figures['psnr']:.2f} dB "
+        f"on whole pictures, fitted in {seconds:.0f} s",
+        flush=True,
+    )
     columns = [0, len(test) // 3, len(test) // 2, 2 * len(test) // 3]
-    write_png(out / "views.png", contact_sheet(
-        [test.whole[i] for i in columns] + [field.render(test.cameras[i]).rgb for i in columns], columns=len(columns)))
+    write_png(
+        out / "views.png",
+        contact_sheet(
+            [test.whole[i] for i in columns] + [field.render(test.cameras[i]).rgb for i in columns],
+            columns=len(columns),
+        ),
+    )
 
     axes = upright_axes(masked)
     box = turned(warpcage.Cage.box(*WING, segments=(3, 3, 3)), axes)
     generated = warpcage.Cage.load(args.cage) if args.cage else generate(field, masked, axes)
     edits = {
         "box": (box, posed(box, axes, lambda cage: cage.stretch(1.35, axis="z", centre=cage.bounds[0]))),
-        "generated": (generated, posed(generated, axes, lambda cage: cage.twist(-28, axis="z", limits=(0.1, 1.0))
-                                       .taper(0.75, axis="z", limits=(0.1, 1.0)))),
+        "generated": (
+            generated,
+            posed(
+                generated,
+                axes,
+                lambda cage: cage.twist(-28, axis="z", limits=(0.1, 1.0)).taper(0.75, axis="z", limits=(0.1, 1.0)),
+            ),
+        ),
     }
     camera = test.cameras[min(args.view, len(test) - 1)]
     camera = dataclasses.replace(camera, fx=0.85 * camera.fx, fy=0.85 * camera.fy)  # room for what the edits lift
@@ -70,9 +84,15 @@ def main(argv=None) -> dict:
     for name, (rest, moved) in edits.items():
         rest.save(out / f"{name}.obj")
         moved.save(out / f"{name}_posed.obj")
-    figures |= {"seconds": seconds, "voxels": field.voxel_count, "train_views": len(train), "test_views": len(test),
-                "image_size": list(train.images.shape[2:0:-1]), "views": rows,
-                "device": device.name if device.is_cuda else "CPU"}
+    figures |= {
+        "seconds": seconds,
+        "voxels": field.voxel_count,
+        "train_views": len(train),
+        "test_views": len(test),
+        "image_size": list(train.images.shape[2:0:-1]),
+        "views": rows,
+        "device": device.name if device.is_cuda else "CPU",
+    }
     with atomic_path(out / "summary.json") as temporary:
         temporary.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     assert figures["unmoved"] < 1e-5, "the background moved"

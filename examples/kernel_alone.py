@@ -2,15 +2,15 @@
 
     python examples/kernel_alone.py
 
-Copy kernels/mean_value.py and the siblings that it names (entries, face_fans, triangle) into a folder beside a program
-of your own, take them from there, and it works the same: nothing else of the library is used here.
+Copy kernels/coordinates/mean_value.py and the siblings that it names (entries, face_fans, triangle) into a folder
+beside a program of your own, take them from there, and it works the same: nothing else of the library is used here.
 """
 
 import numpy as np
 import warp as wp
 
-from warpcage.kernels.face_fans import prepare_fans
-from warpcage.kernels.mean_value import mean_value_position
+from warpcage.kernels.coordinates.mean_value import mean_value_position
+from warpcage.kernels.mesh.fans import prepare_fans
 
 
 @wp.kernel

@@ -23,22 +23,15 @@ import numpy as np
 import warp as wp
 
 import warpcage
-from warpcage.animation import pose_weights
-from warpcage.devices import CPU_THREADS, resolve_device
-from warpcage.evaluation import evaluate, mean_psnr
-from warpcage.files import atomic_path
-from warpcage.images import (
-    colour_disparity,
-    contact_sheet,
-    disparity_range,
-    to_uint8,
-    write_gif,
-    write_png,
-    write_video,
-)
-from warpcage.overlay import draw_cage
-from warpcage.synthetic import write_brick_scene
-from warpcage.views import framing_orbit
+from warpcage.core.devices import resolve_device
+from warpcage.core.files import atomic_path
+from warpcage.core.threads import CPU_THREADS
+from warpcage.fitting.evaluation import evaluate, mean_psnr
+from warpcage.reference.brick_scene import write_brick_scene
+from warpcage.view.camera import framing_orbit
+from warpcage.view.film import pose_weights, write_gif, write_video
+from warpcage.view.overlay import draw_cage
+from warpcage.view.pictures import colour_disparity, contact_sheet, disparity_range, to_uint8, write_png
 
 
 def main(argv=None) -> dict:
@@ -85,8 +78,11 @@ def main(argv=None) -> dict:
         scale = disparity_range(np.stack([frame.disparity for frame, _ in frames]))
         panels = []
         for frame, drawn in frames:
-            panels += [frame.rgb, draw_cage(frame.rgb, camera, drawn),
-                       colour_disparity(frame.disparity, alpha=frame.alpha, scale=scale)]
+            panels += [
+                frame.rgb,
+                draw_cage(frame.rgb, camera, drawn),
+                colour_disparity(frame.disparity, alpha=frame.alpha, scale=scale),
+            ]
         write_png(out / "deformed.png", contact_sheet(panels, columns=3))
     if not args.no_video:
         with stage("film", seconds):

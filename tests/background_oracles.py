@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from warpcage.background import LayeredBackground, surface_node_count
+from warpcage.field.background import LayeredBackground, surface_node_count
 
 
 def surface_points(side):
-    """(6 side^2 + 2, 3) lattice points of a cube's surface in the order of kernels.background: both faces across x,
-    then what is left across y, then across z, each walked row by row."""
+    """(6 side^2 + 2, 3) lattice points of a cube's surface in the order of kernels.field.background: both faces across
+    x, then what is left across y, then across z, each walked row by row."""
     points = []
     for axis in range(3):
         for top in (0, side):
@@ -20,8 +20,13 @@ def surface_points(side):
 def random_background(device, side=4, layers=5, seed=0, center=(0.3, -0.2, 0.5), half=1.5):
     """A LayeredBackground of random values, some optical depths below zero, and its values in float64."""
     random = np.random.default_rng(seed)
-    values = np.concatenate([random.random((layers, surface_node_count(side), 3)),
-                             random.normal(0.4, 0.5, (layers, surface_node_count(side), 1))], axis=-1)
+    values = np.concatenate(
+        [
+            random.random((layers, surface_node_count(side), 3)),
+            random.normal(0.4, 0.5, (layers, surface_node_count(side), 1)),
+        ],
+        axis=-1,
+    )
     values = values.astype(np.float32).astype(np.float64)
     return LayeredBackground(center, half, side, values, device=device), values
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from warpcage.cage import Cage
-from warpcage.camera import Camera
-from warpcage.field import VoxelField
+from warpcage.cage.cage import Cage
+from warpcage.field.voxel_field import VoxelField
+from warpcage.view.camera import Camera
 
 KINDS = ("harmonic", "mean_value", "green")
 SIZE = 64

@@ -3,8 +3,9 @@
 import numpy as np
 
 
-def random_field(device, resolution=(7, 6, 8), seed=0, keep=0.5, bounds=((-1.0, -0.6, -0.8), (1.1, 1.2, 1.6)),
-                 density_scale=3.0):
+def random_field(
+    device, resolution=(7, 6, 8), seed=0, keep=0.5, bounds=((-1.0, -0.6, -0.8), (1.1, 1.2, 1.6)), density_scale=3.0
+):
     """A VoxelField with random values at a random share of its nodes, and its dense float64 arrays."""
     from warpcage import VoxelField
 

@@ -38,8 +38,10 @@ def concave_l():
 def two_boxes():
     """Two separate boxes side by side along x."""
     vertices, faces = box()
-    return (np.concatenate([0.4 * vertices - [0.4, 0, 0], 0.5 * vertices + [0.4, 0, 0]]),
-            np.concatenate([faces, faces + len(vertices)]))
+    return (
+        np.concatenate([0.4 * vertices - [0.4, 0, 0], 0.5 * vertices + [0.4, 0, 0]]),
+        np.concatenate([faces, faces + len(vertices)]),
+    )
 
 
 def cage_with_sliver(height: float):
@@ -49,12 +51,19 @@ def cage_with_sliver(height: float):
     middle = (vertices[a] + vertices[b]) / 2
     up = (vertices[c] - middle) / np.linalg.norm(vertices[c] - middle)
     new = len(vertices)
-    return (single(np.concatenate([vertices, [middle + height * up]])),
-            np.concatenate([faces[1:], [[a, b, new], [b, c, new], [c, a, new]]]))
+    return (
+        single(np.concatenate([vertices, [middle + height * up]])),
+        np.concatenate([faces[1:], [[a, b, new], [b, c, new], [c, a, new]]]),
+    )
 
 
-CAGES = {"icosphere": lambda: icosphere(1), "fine icosphere": lambda: icosphere(2), "box": box, "concave": concave_l,
-         "two boxes": two_boxes}
+CAGES = {
+    "icosphere": lambda: icosphere(1),
+    "fine icosphere": lambda: icosphere(2),
+    "box": box,
+    "concave": concave_l,
+    "two boxes": two_boxes,
+}
 
 
 def winding_numbers(points, vertices, faces):
@@ -186,6 +195,7 @@ def green_weights(points, vertices, faces):
 
 def _gc_tri_int(p, v1, v2, eta):
     """Integral of the Green's function over the triangle p, v1, v2: GCTriInt of the paper."""
+
     def angle(a, b):
         return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
 
@@ -303,7 +313,8 @@ def _layers(points, corners, data, own=False, block=256):
         pull = np.einsum("mfi,fic->mfc", log, outward)
         barycentric = rim * lengths / double_area[:, None]
         slope = -outward * (lengths / double_area[:, None])[:, :, None]
-        hats = (barycentric * angle[:, :, None]
-                - height[:, :, None] * np.einsum("fic,mfc->mfi", slope, pull)) / (4 * np.pi)
+        hats = (barycentric * angle[:, :, None] - height[:, :, None] * np.einsum("fic,mfc->mfi", slope, pull)) / (
+            4 * np.pi
+        )
         double[start : start + block] = np.einsum("mfi,fik->mk", hats, data)
     return single, double

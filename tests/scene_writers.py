@@ -8,7 +8,8 @@ import imageio.v3 as iio
 import numpy as np
 
 from warpcage import Camera
-from warpcage.synthetic import brick_model, render_mesh_views
+from warpcage.reference.bricks import brick_model
+from warpcage.reference.raycast import render_mesh_views
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -106,8 +107,18 @@ def write_dtu(folder, pictures, *, name="cameras_sphere.npz", masks=True, seed=0
     return scale
 
 
-def write_transforms(folder, pictures, *, shared=True, masks=False, extension=True, ending=".png", distortion=None,
-                     name="transforms.json", **top):
+def write_transforms(
+    folder,
+    pictures,
+    *,
+    shared=True,
+    masks=False,
+    extension=True,
+    ending=".png",
+    distortion=None,
+    name="transforms.json",
+    **top,
+):
     frames = []
     for stem, rgba, camera in zip(pictures.names, pictures.rgba, pictures.cameras, strict=True):
         write_image(folder / "images" / f"{stem}{ending}", rgba if ending == ".png" and not masks else rgba[..., :3])
@@ -116,30 +127,53 @@ def write_transforms(folder, pictures, *, shared=True, masks=False, extension=Tr
         if masks:
             write_image(folder / "masks" / f"{stem}.png", rgba[..., 3])
             frame["mask_path"] = f"masks/{stem}.png"
-        intrinsics = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": camera.width,
-                      "h": camera.height, **(distortion or {})}
+        intrinsics = {
+            "fl_x": camera.fx,
+            "fl_y": camera.fy,
+            "cx": camera.cx,
+            "cy": camera.cy,
+            "w": camera.width,
+            "h": camera.height,
+            **(distortion or {}),
+        }
         frames.append(frame if shared else frame | intrinsics)
     content = {"camera_model": "OPENCV", **(intrinsics if shared else {}), "frames": frames[::-1], **top}
     (folder / name).write_text(json.dumps(content))
 
 
-MODEL_NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5,
-                 "FULL_OPENCV": 6}
+MODEL_NUMBERS = {
+    "SIMPLE_PINHOLE": 0,
+    "PINHOLE": 1,
+    "SIMPLE_RADIAL": 2,
+    "RADIAL": 3,
+    "OPENCV": 4,
+    "OPENCV_FISHEYE": 5,
+    "FULL_OPENCV": 6,
+}
 
 
 def quaternion(rotation):
     """(w, x, y, z) of a rotation: the eigenvector that it keeps (Bar-Itzhack 2000)."""
     r = rotation
-    k = np.array([[r[0, 0] - r[1, 1] - r[2, 2], 0, 0, 0], [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], 0, 0],
-                  [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], 0],
-                  [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]]]) / 3
+    k = (
+        np.array(
+            [
+                [r[0, 0] - r[1, 1] - r[2, 2], 0, 0, 0],
+                [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], 0, 0],
+                [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], 0],
+                [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+            ]
+        )
+        / 3
+    )
     _, vectors = np.linalg.eigh(k)
     x, y, z, w = vectors[:, -1]
     return np.array([w, x, y, z])
 
 
-def write_colmap(folder, pictures, *, binary, model="PINHOLE", distortion=(), points=None, masks=False,
-                 where="sparse/0"):
+def write_colmap(
+    folder, pictures, *, binary, model="PINHOLE", distortion=(), points=None, masks=False, where="sparse/0"
+):
     (folder / where).mkdir(parents=True)
     cameras, images = [], []
     for i, (name, rgba, camera) in enumerate(zip(pictures.names, pictures.rgba, pictures.cameras, strict=True)):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from warpcage.animation import cameras_along, frame_places, keyframe_weights, pose_along, pose_between, pose_weights
-from warpcage.cage import Cage
-from warpcage.camera import Camera, turntable
+from warpcage.cage.cage import Cage
 from warpcage.cli.keyframes import Keyframes, Preset, is_preset, read_pose
+from warpcage.view.camera import Camera, turntable
+from warpcage.view.film import cameras_along, frame_places, keyframe_weights, pose_along, pose_between, pose_weights
 
 BOX = Cage.box([-1, -1, -1], [1, 1, 1], segments=2)
 
@@ -70,15 +70,22 @@ def test_camera_paths_go_through_their_cameras():
     assert len(cameras_along(cameras[:1], 3)) == 3
 
 
-@pytest.mark.parametrize(("call", "message"), [
-    (lambda: frame_places(0, 2), "at least one frame"),
-    (lambda: frame_places(2, 2, "jump"), "motion 'jump'"),
-    (lambda: frame_places(2, 2, "once", "cubic"), "interpolation 'cubic'"),
-    (lambda: keyframe_weights(1.5, 2), "must be 0 to 1"),
-    (lambda: cameras_along([], 2), "at least one camera"),
-    (lambda: cameras_along([*turntable((0, 0, 0), 3, 0, 1, width=4, height=4), *turntable((0, 0, 0), 3, 0, 1)], 2),
-     "one picture"),
-])
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: frame_places(0, 2), "at least one frame"),
+        (lambda: frame_places(2, 2, "jump"), "motion 'jump'"),
+        (lambda: frame_places(2, 2, "once", "cubic"), "interpolation 'cubic'"),
+        (lambda: keyframe_weights(1.5, 2), "must be 0 to 1"),
+        (lambda: cameras_along([], 2), "at least one camera"),
+        (
+            lambda: cameras_along(
+                [*turntable((0, 0, 0), 3, 0, 1, width=4, height=4), *turntable((0, 0, 0), 3, 0, 1)], 2
+            ),
+            "one picture",
+        ),
+    ],
+)
 def test_bad_input_is_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call()
@@ -87,25 +94,30 @@ def test_bad_input_is_refused(call, message):
 # -- Poses as words
 
 
-@pytest.mark.parametrize(("text", "expected"), [
-    ("bend:40:y:z", lambda cage: cage.bend(40, axis="y", towards="z")),
-    ("bend:40:x", lambda cage: cage.bend(40, axis="x", towards="z")),
-    ("bend:-20", lambda cage: cage.bend(-20)),
-    ("twist:60:x", lambda cage: cage.twist(60, axis="x")),
-    ("taper:0.5", lambda cage: cage.taper(0.5)),
-    ("stretch:1.5:y", lambda cage: cage.stretch(1.5, axis="y")),
-    ("scale:0.8", lambda cage: cage.scale(0.8)),
-    ("rotate:30:x", lambda cage: cage.rotate(30, axis="x")),
-    ("translate:1:2:-3", lambda cage: cage.translate([1, 2, -3])),
-    ("rest", lambda cage: cage),
-])
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("bend:40:y:z", lambda cage: cage.bend(40, axis="y", towards="z")),
+        ("bend:40:x", lambda cage: cage.bend(40, axis="x", towards="z")),
+        ("bend:-20", lambda cage: cage.bend(-20)),
+        ("twist:60:x", lambda cage: cage.twist(60, axis="x")),
+        ("taper:0.5", lambda cage: cage.taper(0.5)),
+        ("stretch:1.5:y", lambda cage: cage.stretch(1.5, axis="y")),
+        ("scale:0.8", lambda cage: cage.scale(0.8)),
+        ("rotate:30:x", lambda cage: cage.rotate(30, axis="x")),
+        ("translate:1:2:-3", lambda cage: cage.translate([1, 2, -3])),
+        ("rest", lambda cage: cage),
+    ],
+)
 def test_presets(text, expected):
     assert is_preset(text)
     np.testing.assert_allclose(read_pose(BOX, text).vertices, expected(BOX).vertices)
 
 
-@pytest.mark.parametrize("text", ["bend", "bend:x", "bend:nan", "bend:3:w", "bend:3:-x", "twist:3:x:y", "rest:1",
-                                  "translate:1:2", "scale:1:x"])
+@pytest.mark.parametrize(
+    "text",
+    ["bend", "bend:x", "bend:nan", "bend:3:w", "bend:3:-x", "twist:3:x:y", "rest:1", "translate:1:2", "scale:1:x"],
+)
 def test_presets_that_are_none(text):
     with pytest.raises(ValueError, match="no preset: rest, bend:"):
         Preset(text)

@@ -12,15 +12,15 @@ from background_scenes import room_cameras, room_scene, write_room
 from test_optimize import photometric_gradient, training_rays
 
 import warpcage
-from warpcage.background import LayeredBackground, surface_node_count
-from warpcage.background_fit import chosen_background
-from warpcage.bounds import Silhouettes, keep_seen
 from warpcage.cli import main
-from warpcage.evaluation import mean_psnr
-from warpcage.fit_progress import load_progress, save_progress
-from warpcage.images import read_image
-from warpcage.kernels import background_loss
-from warpcage.optimize import FieldOptimizer
+from warpcage.field.background import LayeredBackground, surface_node_count
+from warpcage.fitting.background import chosen_background
+from warpcage.fitting.checkpoint import load_progress, save_progress
+from warpcage.fitting.evaluation import mean_psnr
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.fitting.silhouettes import Silhouettes, keep_seen
+from warpcage.kernels.fitting import background_loss
+from warpcage.view.pictures import read_image
 
 
 def rays_of(count, seed=0, reach=4.0):
@@ -51,11 +51,17 @@ def test_faces_join_without_a_seam(device):
     np.testing.assert_allclose(one, other, atol=2e-3)
 
 
-@pytest.mark.parametrize("change, word", [({"half": 0.0}, "half side"), ({"side": 1}, "2 cells"),
-                                          ({"values": np.zeros((1, 26, 4))}, "layers"),
-                                          ({"values": np.zeros((3, 25, 4))}, "26"),
-                                          ({"values": np.full((3, 26, 4), np.nan)}, "finite"),
-                                          ({"center": (0, np.inf, 0)}, "center")])
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"half": 0.0}, "half side"),
+        ({"side": 1}, "2 cells"),
+        ({"values": np.zeros((1, 26, 4))}, "layers"),
+        ({"values": np.zeros((3, 25, 4))}, "26"),
+        ({"values": np.full((3, 26, 4), np.nan)}, "finite"),
+        ({"center": (0, np.inf, 0)}, "center"),
+    ],
+)
 def test_bad_backgrounds(change, word):
     given = {"center": (0, 0, 0), "half": 1.0, "side": 2, "values": np.zeros((3, 26, 4))} | change
     with pytest.raises(ValueError, match=word):
@@ -64,24 +70,40 @@ def test_bad_backgrounds(change, word):
 
 def test_gradients_match_finite_differences(device):
     """Of the whole loss, the field's march included, by the layers' values; and the field's own with layers behind."""
-    field, density, sh = field_oracles.random_field(device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5,
-                                                    bounds=((-1,) * 3, (1,) * 3))
+    field, density, sh = field_oracles.random_field(
+        device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5, bounds=((-1,) * 3, (1,) * 3)
+    )
     background, values = oracle.random_background(device, side=3, layers=4, center=(0, 0, 0), half=1.0)
-    cameras = [warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=70, width=8, height=6)
-               for eye in ([3.0, 0.4, 0.5], [-0.3, 0.5, 0.2])]
+    cameras = [
+        warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=70, width=8, height=6)
+        for eye in ([3.0, 0.4, 0.5], [-0.3, 0.5, 0.2])
+    ]
     random = np.random.default_rng(0)
     images = random.random((2, 6, 8, 3)).astype(np.float16).astype(np.float64)
     rays = training_rays(cameras, images, np.ones((2, 6, 8)), field, device)
     behind, grad_behind = (wp.zeros(96, dtype=wp.vec3, device=device) for _ in range(2))
-    wp.launch(background_loss.gather_background, dim=96, inputs=[0, background.layers, rays], outputs=[behind],
-              device=device)
+    wp.launch(
+        background_loss.gather_background, dim=96, inputs=[0, background.layers, rays], outputs=[behind], device=device
+    )
     scale = 1 / (3 * 96)
-    gradients, _ = photometric_gradient(field, rays, 96, scale=scale, by_warps=not wp.get_device(device).is_cpu,
-                                        own_background=behind, grad_background=grad_behind)
+    gradients, _ = photometric_gradient(
+        field,
+        rays,
+        96,
+        scale=scale,
+        by_warps=not wp.get_device(device).is_cpu,
+        own_background=behind,
+        grad_background=grad_behind,
+    )
     grad_density = gradients[:, 27]
     grad = wp.zeros(background.layers.values.shape, dtype=wp.vec4, device=device)
-    wp.launch(background_loss.accumulate_background_gradient, dim=96, device=device,
-              inputs=[0, background.layers, rays, grad_behind], outputs=[grad])
+    wp.launch(
+        background_loss.accumulate_background_gradient,
+        dim=96,
+        device=device,
+        inputs=[0, background.layers, rays, grad_behind],
+        outputs=[grad],
+    )
 
     def loss(density, values):
         total = 0.0
@@ -125,9 +147,13 @@ def test_variation_gradient_matches_finite_differences(device):
     seen = (moments != 0).any(axis=-1)
     grad = wp.zeros(background.layers.values.shape, dtype=wp.vec4, device=device)
     scales = np.array([0.2, 0.2, 0.2, 0.7])
-    wp.launch(background_loss.accumulate_layer_variation, dim=grad.size, device=device,
-              inputs=[0, background.layers, wp.array(moments, dtype=wp.vec4, device=device), 5, 0.2, 0.7],
-              outputs=[grad])
+    wp.launch(
+        background_loss.accumulate_layer_variation,
+        dim=grad.size,
+        device=device,
+        inputs=[0, background.layers, wp.array(moments, dtype=wp.vec4, device=device), 5, 0.2, 0.7],
+        outputs=[grad],
+    )
     points = [tuple(point) for point in oracle.surface_points(side)]
     number = {point: n for n, point in enumerate(points)}
 
@@ -230,14 +256,19 @@ def test_fields_without_layers_stay_of_version_1(tmp_path, rooms):
         field.save(tmp_path / "p.npz", format="svox2")
 
 
-@pytest.mark.parametrize("change, word", [({"layers_rgba": np.zeros((3, 4), np.uint8)}, "layers_rgba"),
-                                          ({"layers_seen": np.zeros(3, np.uint8)}, "layers_seen"),
-                                          ({"layers_side": np.array(10**6)}, "cells along an edge"),
-                                          ({"layers_count": np.array(1)}, "cells along an edge"),
-                                          ({"layers_half": np.array(np.nan)}, "half side"),
-                                          ({"layers_center": np.array([0, np.inf, 0])}, "center"),
-                                          ({"layers_unseen": None}, "layers_unseen"),
-                                          ({"layers_count": None}, "layers_count")])
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"layers_rgba": np.zeros((3, 4), np.uint8)}, "layers_rgba"),
+        ({"layers_seen": np.zeros(3, np.uint8)}, "layers_seen"),
+        ({"layers_side": np.array(10**6)}, "cells along an edge"),
+        ({"layers_count": np.array(1)}, "cells along an edge"),
+        ({"layers_half": np.array(np.nan)}, "half side"),
+        ({"layers_center": np.array([0, np.inf, 0])}, "center"),
+        ({"layers_unseen": None}, "layers_unseen"),
+        ({"layers_count": None}, "layers_count"),
+    ],
+)
 def test_damaged_layers_are_named(rooms, tmp_path, change, word):
     rooms["split"][1].save(tmp_path / "f.npz")
     contents = dict(np.load(tmp_path / "f.npz")) | change
@@ -251,8 +282,10 @@ CAGE = warpcage.Cage.box([-1.0, -0.8, -0.9], [1.3, 0.8, 1.1])
 EMPTY = warpcage.Cage.box([-1.0, 0.9, -0.9], [1.0, 1.0, -0.5])
 
 
-@pytest.mark.parametrize("edits, resolution, coordinates", [(CAGE, 24, "harmonic"), (CAGE, None, "mean_value"),
-                                                            ([CAGE, EMPTY], 24, "mean_value")])
+@pytest.mark.parametrize(
+    "edits, resolution, coordinates",
+    [(CAGE, 24, "harmonic"), (CAGE, None, "mean_value"), ([CAGE, EMPTY], 24, "mean_value")],
+)
 def test_the_background_stays_while_the_object_moves(rooms, device, edits, resolution, coordinates):
     """The moved object is what the field alone shows of it; behind it is what was there before, also where it was."""
     field = rooms["split"][1].to(device)
@@ -345,15 +378,19 @@ def test_a_fit_with_layers_goes_on_from_its_checkpoint(tmp_path):
     save_progress(stopped, tmp_path / "c.npz")
     load_progress(resumed, tmp_path / "c.npz")
     assert resumed.level == 1
-    np.testing.assert_allclose(resumed.background.layers.values.numpy(), stopped.background.layers.values.numpy(),
-                               atol=2e-6)
+    np.testing.assert_allclose(
+        resumed.background.layers.values.numpy(), stopped.background.layers.values.numpy(), atol=2e-6
+    )
     while resumed.step_count < resumed.total_steps:
         resumed.step()
     psnrs = [mean_psnr(warpcage.evaluate(optimizer.finish(), scene)) for optimizer in (through, resumed)]
     assert abs(psnrs[0] - psnrs[1]) < 0.1
     contents = dict(np.load(tmp_path / "c.npz"))
-    for change in ({"layers_values": np.zeros((2, 4))}, {"layers_met": np.zeros(2, np.uint8)},
-                   {"layers_moments": np.full_like(contents["layers_moments"], -1)}):
+    for change in (
+        {"layers_values": np.zeros((2, 4))},
+        {"layers_met": np.zeros(2, np.uint8)},
+        {"layers_moments": np.full_like(contents["layers_moments"], -1)},
+    ):
         np.savez(tmp_path / "d.npz", **(contents | change))
         with pytest.raises(ValueError, match="damaged fit checkpoint"):
             load_progress(FieldOptimizer(scene, **options), tmp_path / "d.npz")
@@ -391,7 +428,7 @@ def test_voxels_that_few_cameras_see_stay_empty(device):
     mask = wp.ones((9, 8, 7), dtype=wp.uint8, device=device)
     keep_seen([[-4, -4, -4], [4, 4, 4]], scene.cameras, 6, mask)
     low, size = np.array([-4, -4, -4]), 8 / np.array([9, 8, 7])
-    centres = (low + (np.indices((9, 8, 7)).reshape(3, -1).T + 0.5) * size)
+    centres = low + (np.indices((9, 8, 7)).reshape(3, -1).T + 0.5) * size
     counts = np.zeros(len(centres), int)
     for camera in scene.cameras:
         pixels, depth = camera.project(centres)

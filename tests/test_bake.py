@@ -7,11 +7,11 @@ import pytest
 from background_oracles import random_background
 from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, rotation, shiny_field, view
 
-from warpcage.bake import bake
-from warpcage.cage import Cage
-from warpcage.cage_edits import CageEdit
-from warpcage.deformer import Deformer
-from warpcage.field import VoxelField
+from warpcage.cage.cage import Cage
+from warpcage.deform.bake import bake
+from warpcage.deform.deformer import Deformer
+from warpcage.deform.edits import CageEdit
+from warpcage.field.voxel_field import VoxelField
 
 
 def voxel_centres(field):
@@ -48,8 +48,9 @@ def test_voxels_hold_what_a_turned_scene_shows(kind, device):
 @pytest.mark.parametrize("density", ["opacity", "paper"])
 def test_density_follows_the_deformer(density, device):
     """A ball of twice the size keeps its opacity, so half its density, or its density."""
-    source = make_field(lambda x: ellipsoid(x, radii=(0.35, 0.35, 0.35), sigma=4.0), plain([0.2, 0.5, 0.7]),
-                        device=device)
+    source = make_field(
+        lambda x: ellipsoid(x, radii=(0.35, 0.35, 0.35), sigma=4.0), plain([0.2, 0.5, 0.7]), device=device
+    )
     cage = Cage.box([-0.6] * 3, [0.6] * 3)
     deformer = Deformer(source, cage, coordinates="mean_value", resolution=32, density=density)
     baked = bake(deformer.pose(cage.scale(2.0, centre=(0, 0, 0))))
@@ -77,8 +78,9 @@ def test_a_bent_scene_baked_and_saved_looks_like_the_live_one(format, device, tm
 
 def test_edits_and_what_is_not_deformed_are_baked_too(device):
     def balls(*centres):
-        return make_field(lambda x: sum(ellipsoid(x, c, (0.2, 0.2, 0.2)) for c in centres), plain([0.8, 0.3, 0.1]),
-                          device=device)
+        return make_field(
+            lambda x: sum(ellipsoid(x, c, (0.2, 0.2, 0.2)) for c in centres), plain([0.8, 0.3, 0.1]), device=device
+        )
 
     left, right = (Cage.box([x - 0.34, -0.34, -0.34], [x + 0.34, 0.34, 0.34]) for x in (-0.6, 0.6))
     edits = [CageEdit(left, keep_source=True), CageEdit(right, remove=True)]
@@ -105,8 +107,14 @@ def test_a_baked_field_is_viewed_as_its_source(device):
     plain_source = shiny_field(device)
     grid = plain_source.grid
     given = {"background": (0.1, 0.2, 0.3), "background_model": layers, "up": (0.0, 0.6, 0.8), "supersampling": 2}
-    assert set(given) == set(inspect.signature(VoxelField).parameters) - {"bounds", "links", "density", "sh", "weights",
-                                                                          "device"}
+    assert set(given) == set(inspect.signature(VoxelField).parameters) - {
+        "bounds",
+        "links",
+        "density",
+        "sh",
+        "weights",
+        "device",
+    }
     source = VoxelField(plain_source.bounds, grid.links, grid.density, grid.sh, **given, device=device)
     live = Deformer(source, BOX, coordinates="mean_value", resolution=32).pose(BOX.translate([0.1, 0, 0]))
     baked = bake(live)
@@ -119,13 +127,16 @@ def test_a_baked_field_is_viewed_as_its_source(device):
     assert like > 35 and like > single + 3
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"resolution": 1}, "resolution must be"),
-    ({"resolution": 20.5}, "resolution must be"),
-    ({"bounds": [[0, 0, 0], [1, 1, 0]]}, "bounds must be"),
-    ({"bounds": [[0, 0, 0], [1, 1, np.nan]]}, "bounds must be"),
-    ({"bounds": [[5, 5, 5], [6, 6, 6]]}, "nothing to bake"),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"resolution": 1}, "resolution must be"),
+        ({"resolution": 20.5}, "resolution must be"),
+        ({"bounds": [[0, 0, 0], [1, 1, 0]]}, "bounds must be"),
+        ({"bounds": [[0, 0, 0], [1, 1, np.nan]]}, "bounds must be"),
+        ({"bounds": [[5, 5, 5], [6, 6, 6]]}, "nothing to bake"),
+    ],
+)
 def test_bad_input_is_refused(options, message):
     deformer = Deformer(shiny_field(None, resolution=8), BOX, resolution=8)
     with pytest.raises(ValueError, match=message):

@@ -25,7 +25,7 @@ from scene_writers import (
 )
 
 from warpcage import VoxelField, load_scene
-from warpcage.archives import read_npz
+from warpcage.core.files import read_npz
 
 WRITERS = {
     "blender": write_blender,
@@ -119,7 +119,7 @@ def test_no_such_split(folder):
 
 @EVERY
 def test_more_pictures_than_memory(folder, monkeypatch):
-    monkeypatch.setattr("warpcage.scenes.views.free_host_bytes", lambda: 20000)
+    monkeypatch.setattr("warpcage.scene.formats.views.free_host_bytes", lambda: 20000)
     refuse(folder, "pictures of 24x20 need | give downscale=2 or more")
     assert load_scene(folder, downscale=2).images.shape[1:] == (10, 12, 3)
 
@@ -128,47 +128,55 @@ def test_more_pictures_than_memory(folder, monkeypatch):
 
 
 @pytest.mark.parametrize("folder", ["blender", "transforms"], indirect=True)
-@pytest.mark.parametrize("change, words", [
-    (lambda c: c["frames"][0]["transform_matrix"][1].__setitem__(2, float("nan")),
-     "frame 0: transform_matrix[1][2] | finite"),
-    (lambda c: c["frames"][0].update(transform_matrix=np.zeros((4, 4)).tolist()), "frame 0 | rotation"),
-    (lambda c: c["frames"][0].update(transform_matrix=(2 * np.eye(4)).tolist()), "frame 0 | rotation"),
-    (lambda c: c["frames"][0].update(transform_matrix=[[1, 2], [3, 4]]), "frame 0: transform_matrix | 4x4"),
-    (lambda c: c["frames"][0].pop("transform_matrix"), "frame 0: transform_matrix | None"),
-    (lambda c: c["frames"][0].pop("file_path"), "frame 0: file_path"),
-    (lambda c: c["frames"][0].update(file_path=7), "frame 0: file_path | 7"),
-    (lambda c: c["frames"].append(c["frames"][0]), "frame 3 | listed twice | frame 0"),
-    (lambda c: c.update(frames=[]), "no frames"),
-    (lambda c: c.update(frames=[1]), "frame 0 must be a JSON object"),
-    (lambda c: c["frames"][0].update(file_path="../../outside.png"), "file_path | out of the data folder"),
-    (lambda c: c["frames"][0].update(file_path="/etc/passwd"), "file_path | out of the data folder"),
-    (lambda c: c["frames"][0].update(file_path="images\\..\\..\\outside"), "file_path | out of the data folder"),
-])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (
+            lambda c: c["frames"][0]["transform_matrix"][1].__setitem__(2, float("nan")),
+            "frame 0: transform_matrix[1][2] | finite",
+        ),
+        (lambda c: c["frames"][0].update(transform_matrix=np.zeros((4, 4)).tolist()), "frame 0 | rotation"),
+        (lambda c: c["frames"][0].update(transform_matrix=(2 * np.eye(4)).tolist()), "frame 0 | rotation"),
+        (lambda c: c["frames"][0].update(transform_matrix=[[1, 2], [3, 4]]), "frame 0: transform_matrix | 4x4"),
+        (lambda c: c["frames"][0].pop("transform_matrix"), "frame 0: transform_matrix | None"),
+        (lambda c: c["frames"][0].pop("file_path"), "frame 0: file_path"),
+        (lambda c: c["frames"][0].update(file_path=7), "frame 0: file_path | 7"),
+        (lambda c: c["frames"].append(c["frames"][0]), "frame 3 | listed twice | frame 0"),
+        (lambda c: c.update(frames=[]), "no frames"),
+        (lambda c: c.update(frames=[1]), "frame 0 must be a JSON object"),
+        (lambda c: c["frames"][0].update(file_path="../../outside.png"), "file_path | out of the data folder"),
+        (lambda c: c["frames"][0].update(file_path="/etc/passwd"), "file_path | out of the data folder"),
+        (lambda c: c["frames"][0].update(file_path="images\\..\\..\\outside"), "file_path | out of the data folder"),
+    ],
+)
 def test_wrong_json(folder, change, words):
     edit_json(folder, change)
     refuse(folder, f"transforms | .json | {words}", split="all" if (folder / "transforms.json").exists() else "train")
 
 
 @pytest.mark.parametrize("folder", ["transforms"], indirect=True)
-@pytest.mark.parametrize("change, words", [
-    (lambda c: c.update(fl_x="wide"), "fl_x | finite number | 'wide'"),
-    (lambda c: c.update(fl_x=-3), "fl_x must be positive"),
-    (lambda c: (c.pop("fl_x"), c.pop("fl_y")), "no fl_x and no camera_angle_x"),
-    (lambda c: c.update(w=48), "48x20 | has 24x20"),
-    (lambda c: c.pop("h"), ": h must be a finite number"),
-    (lambda c: c.update(camera_model="OPENCV_FISHEYE"), "camera_model 'OPENCV_FISHEYE' is not read"),
-    (lambda c: c.update(is_fisheye=True), "is_fisheye is not read"),
-    (lambda c: c.update(k4=0.1), "k4"),
-    (lambda c: c.update(k1=1e9), "lens distortion k1=1e+09"),
-    (lambda c: c.update(k1=10**400), "k1 must be a finite number"),
-    (lambda c: c["frames"][1].update(mask_path="../mask.png"), "mask_path | out of the data folder"),
-    (lambda c: c.update(applied_transform=np.zeros((3, 4)).tolist()), "applied_transform is singular"),
-    (lambda c: c.update(ply_file_path="../points.ply"), "ply_file_path | out of the data folder"),
-    (lambda c: c.update(applied_transform=5), "applied_transform must be a 4x4 matrix"),
-    (lambda c: c.update(train_filenames=["images/other.png"]), "train_filenames names 'other.png'"),
-    (lambda c: c.update(train_filenames=[]), "train_filenames must list"),
-    (lambda c: c.update(train_filenames=["images/view_01.png"] * 2), "listed twice"),
-])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda c: c.update(fl_x="wide"), "fl_x | finite number | 'wide'"),
+        (lambda c: c.update(fl_x=-3), "fl_x must be positive"),
+        (lambda c: (c.pop("fl_x"), c.pop("fl_y")), "no fl_x and no camera_angle_x"),
+        (lambda c: c.update(w=48), "48x20 | has 24x20"),
+        (lambda c: c.pop("h"), ": h must be a finite number"),
+        (lambda c: c.update(camera_model="OPENCV_FISHEYE"), "camera_model 'OPENCV_FISHEYE' is not read"),
+        (lambda c: c.update(is_fisheye=True), "is_fisheye is not read"),
+        (lambda c: c.update(k4=0.1), "k4"),
+        (lambda c: c.update(k1=1e9), "lens distortion k1=1e+09"),
+        (lambda c: c.update(k1=10**400), "k1 must be a finite number"),
+        (lambda c: c["frames"][1].update(mask_path="../mask.png"), "mask_path | out of the data folder"),
+        (lambda c: c.update(applied_transform=np.zeros((3, 4)).tolist()), "applied_transform is singular"),
+        (lambda c: c.update(ply_file_path="../points.ply"), "ply_file_path | out of the data folder"),
+        (lambda c: c.update(applied_transform=5), "applied_transform must be a 4x4 matrix"),
+        (lambda c: c.update(train_filenames=["images/other.png"]), "train_filenames names 'other.png'"),
+        (lambda c: c.update(train_filenames=[]), "train_filenames must list"),
+        (lambda c: c.update(train_filenames=["images/view_01.png"] * 2), "listed twice"),
+    ],
+)
 def test_wrong_transforms(folder, change, words):
     edit_json(folder, change)
     refuse(folder, f"transforms.json | {words}")
@@ -193,26 +201,36 @@ def test_json_cut_off(folder, share):
 
 
 @pytest.mark.parametrize("folder", ["blender"], indirect=True)
-@pytest.mark.parametrize("content, words", [(b"\xff\xfe{", "no JSON file"), (b"[" * 100000, "no JSON file"),
-                                            (b"[1]", "must hold a JSON object"), (b"{}", "no scene of a known format")])
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        (b"\xff\xfe{", "no JSON file"),
+        (b"[" * 100000, "no JSON file"),
+        (b"[1]", "must hold a JSON object"),
+        (b"{}", "no scene of a known format"),
+    ],
+)
 def test_json_of_another_kind(folder, content, words):
     (folder / "transforms_train.json").write_bytes(content)
     refuse(folder, words)
 
 
 @pytest.mark.parametrize("folder", ["nsvf"], indirect=True)
-@pytest.mark.parametrize("file, content, words", [
-    ("pose/0_view_01.txt", None, "0_view_01.txt | is not there"),
-    ("pose/0_view_01.txt", "1 0 0", "0_view_01.txt | 4x4 pose expected, got 3 numbers"),
-    ("pose/0_view_01.txt", "nan " * 16, "0_view_01.txt | not finite"),
-    ("pose/0_view_01.txt", "one " * 16, "0_view_01.txt | 'one'"),
-    ("pose/0_view_01.txt", "0 " * 16, "0_view_01.txt | rotation"),
-    ("intrinsics.txt", "", "intrinsics.txt | got 0 numbers"),
-    ("intrinsics.txt", "-30 0 12 0 30 10 0 0 1", "focal lengths must be positive"),
-    ("intrinsics.txt", "30 1 12 0 30 10 0 0 1", "intrinsics.txt | skew"),
-    ("bbox.txt", "1 1 1 0 0 0", "bbox.txt | lower below upper"),
-    ("bbox.txt", "1 1", "bbox.txt | got 2 numbers"),
-])
+@pytest.mark.parametrize(
+    "file, content, words",
+    [
+        ("pose/0_view_01.txt", None, "0_view_01.txt | is not there"),
+        ("pose/0_view_01.txt", "1 0 0", "0_view_01.txt | 4x4 pose expected, got 3 numbers"),
+        ("pose/0_view_01.txt", "nan " * 16, "0_view_01.txt | not finite"),
+        ("pose/0_view_01.txt", "one " * 16, "0_view_01.txt | 'one'"),
+        ("pose/0_view_01.txt", "0 " * 16, "0_view_01.txt | rotation"),
+        ("intrinsics.txt", "", "intrinsics.txt | got 0 numbers"),
+        ("intrinsics.txt", "-30 0 12 0 30 10 0 0 1", "focal lengths must be positive"),
+        ("intrinsics.txt", "30 1 12 0 30 10 0 0 1", "intrinsics.txt | skew"),
+        ("bbox.txt", "1 1 1 0 0 0", "bbox.txt | lower below upper"),
+        ("bbox.txt", "1 1", "bbox.txt | got 2 numbers"),
+    ],
+)
 def test_wrong_nsvf(folder, file, content, words):
     (folder / file).unlink()
     if content is not None:
@@ -221,16 +239,19 @@ def test_wrong_nsvf(folder, file, content, words):
 
 
 @pytest.mark.parametrize("folder", ["dtu"], indirect=True)
-@pytest.mark.parametrize("changes, words", [
-    ({"world_mat_1": None}, "lacks world_mat_1"),
-    ({"world_mat_1": np.full((4, 4), np.nan)}, "world_mat_1 must be a finite 4x4 matrix"),
-    ({"world_mat_1": np.ones((4, 4))}, "world_mat_1 @ scale_mat_1 is singular"),
-    ({"world_mat_1": np.ones((2, 2))}, "world_mat_1 must be a finite 4x4"),
-    ({"scale_mat_1": np.zeros((4, 4))}, "is singular"),
-    ({"scale_mat_1": np.array(["a"])}, "scale_mat_1 must be"),
-    ({"scale_mat_1": np.eye(4) + np.eye(4, k=1) * [0, 0.5, 0, 0]}, "skew"),
-    ({"extra": np.array([{}], object)}, "array 'extra' holds pickled objects, which are never opened"),
-])
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"world_mat_1": None}, "lacks world_mat_1"),
+        ({"world_mat_1": np.full((4, 4), np.nan)}, "world_mat_1 must be a finite 4x4 matrix"),
+        ({"world_mat_1": np.ones((4, 4))}, "world_mat_1 @ scale_mat_1 is singular"),
+        ({"world_mat_1": np.ones((2, 2))}, "world_mat_1 must be a finite 4x4"),
+        ({"scale_mat_1": np.zeros((4, 4))}, "is singular"),
+        ({"scale_mat_1": np.array(["a"])}, "scale_mat_1 must be"),
+        ({"scale_mat_1": np.eye(4) + np.eye(4, k=1) * [0, 0.5, 0, 0]}, "skew"),
+        ({"extra": np.array([{}], object)}, "array 'extra' holds pickled objects, which are never opened"),
+    ],
+)
 def test_wrong_dtu(folder, changes, words):
     path = folder / "cameras_sphere.npz"
     contents = {name: array for name, array in {**np.load(path), **changes}.items() if array is not None}
@@ -239,17 +260,20 @@ def test_wrong_dtu(folder, changes, words):
 
 
 @pytest.mark.parametrize("folder", ["colmap"], indirect=True)
-@pytest.mark.parametrize("file, old, new, words", [
-    ("images.txt", "view_01.png", "../../outside.png", "images.txt | out of the data folder"),
-    ("images.txt", "view_01.png", "view_02.png", "view_02.png | listed twice"),
-    ("cameras.txt", "2 PINHOLE", "9 PINHOLE", "camera 2, which | cameras.txt lacks"),
-    ("cameras.txt", "2 PINHOLE", "2 FOV", "cameras.txt | 'FOV' is not read"),
-    ("cameras.txt", "2 PINHOLE", "2 OPENCV", "camera 2 needs 8 parameters"),
-    ("cameras.txt", "2 PINHOLE", "two PINHOLE", "cameras.txt:3 | 'two'"),
-    ("cameras.txt", "2 PINHOLE 24 20 31.0", "2 PINHOLE 24 20 nan", "cameras.txt:3 | not finite"),
-    ("cameras.txt", "2 PINHOLE 24 20", "2 PINHOLE 48 40", "camera is for 48x40 pixels"),
-    ("cameras.txt", "2 PINHOLE", "2", "cameras.txt:3"),
-])
+@pytest.mark.parametrize(
+    "file, old, new, words",
+    [
+        ("images.txt", "view_01.png", "../../outside.png", "images.txt | out of the data folder"),
+        ("images.txt", "view_01.png", "view_02.png", "view_02.png | listed twice"),
+        ("cameras.txt", "2 PINHOLE", "9 PINHOLE", "camera 2, which | cameras.txt lacks"),
+        ("cameras.txt", "2 PINHOLE", "2 FOV", "cameras.txt | 'FOV' is not read"),
+        ("cameras.txt", "2 PINHOLE", "2 OPENCV", "camera 2 needs 8 parameters"),
+        ("cameras.txt", "2 PINHOLE", "two PINHOLE", "cameras.txt:3 | 'two'"),
+        ("cameras.txt", "2 PINHOLE 24 20 31.0", "2 PINHOLE 24 20 nan", "cameras.txt:3 | not finite"),
+        ("cameras.txt", "2 PINHOLE 24 20", "2 PINHOLE 48 40", "camera is for 48x40 pixels"),
+        ("cameras.txt", "2 PINHOLE", "2", "cameras.txt:3"),
+    ],
+)
 def test_wrong_colmap(folder, file, old, new, words):
     path = folder / "sparse" / "0" / file
     text = path.read_text()
@@ -338,24 +362,27 @@ def test_field_file_cut_off(tmp_path, share):
     refuse_field(path, "is no .npz field file")
 
 
-@pytest.mark.parametrize("changes, words", [
-    ({"version": np.array(99)}, "format version 99 | upgrade"),
-    ({"version": np.array("new")}, "version must hold numbers"),
-    ({"version": None}, "lacks version"),
-    ({"sh": None}, "lacks sh"),
-    ({"resolution": np.array([6, 6])}, "resolution must hold numbers of shape (3,)"),
-    ({"resolution": np.array([100000] * 3)}, "resolution | (100000, 100000, 100000)"),
-    ({"resolution": np.array([-6, -6, 6])}, "resolution | (-6, -6, 6)"),
-    ({"occupancy": np.zeros(3, np.uint8)}, "occupancy must hold numbers of shape (27,)"),
-    ({"density": np.full(64, np.nan, np.float32)}, "density holds values that are not finite"),
-    ({"density": np.zeros(3, np.float32)}, "density must hold numbers of shape (64,), got float32 (3,)"),
-    ({"bounds": np.array([[0, 0, 0], [1, 1, 0.0]])}, "bounds | lower below upper"),
-    ({"bounds": np.array([[0, 0, 0], [1, 1, np.inf]])}, "bounds"),
-    ({"background": np.array([2, 0, 0.0])}, "background"),
-    ({"weights": np.full(64, np.nan)}, "weights holds values that are not finite"),
-    ({"format": "warpcage fit"}, "is the checkpoint of a fit, no field yet"),
-    ({"format": None}, "neither a warpcage nor a Plenoxels field: it holds background"),
-])
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"version": np.array(99)}, "format version 99 | upgrade"),
+        ({"version": np.array("new")}, "version must hold numbers"),
+        ({"version": None}, "lacks version"),
+        ({"sh": None}, "lacks sh"),
+        ({"resolution": np.array([6, 6])}, "resolution must hold numbers of shape (3,)"),
+        ({"resolution": np.array([100000] * 3)}, "resolution | (100000, 100000, 100000)"),
+        ({"resolution": np.array([-6, -6, 6])}, "resolution | (-6, -6, 6)"),
+        ({"occupancy": np.zeros(3, np.uint8)}, "occupancy must hold numbers of shape (27,)"),
+        ({"density": np.full(64, np.nan, np.float32)}, "density holds values that are not finite"),
+        ({"density": np.zeros(3, np.float32)}, "density must hold numbers of shape (64,), got float32 (3,)"),
+        ({"bounds": np.array([[0, 0, 0], [1, 1, 0.0]])}, "bounds | lower below upper"),
+        ({"bounds": np.array([[0, 0, 0], [1, 1, np.inf]])}, "bounds"),
+        ({"background": np.array([2, 0, 0.0])}, "background"),
+        ({"weights": np.full(64, np.nan)}, "weights holds values that are not finite"),
+        ({"format": "warpcage fit"}, "is the checkpoint of a fit, no field yet"),
+        ({"format": None}, "neither a warpcage nor a Plenoxels field: it holds background"),
+    ],
+)
 def test_wrong_field_files(tmp_path, changes, words):
     path = tmp_path / "field.npz"
     small_field().save(path)
@@ -387,15 +414,20 @@ def test_sizes_that_are_only_claimed(tmp_path, monkeypatch):
     refuse_field(path, "'density.npy' claims 4294966396 bytes out of")
     write_npz(path, "density", {**header, "shape": (10**7,)}, bytes(8 * 10**7))  # a real one: 80 kB hold 80 MB
     assert path.stat().st_size < 200_000
-    monkeypatch.setattr("warpcage.archives.free_host_bytes", lambda: 10**7)
+    monkeypatch.setattr("warpcage.core.files.free_host_bytes", lambda: 10**7)
     refuse_field(path, "its arrays claim 0.1 GiB, 0.0 GiB are free")
     write_npz(path, "density", {**header, "descr": "|O"}, bytes(80))
     refuse_field(path, "pickled objects")
 
 
 def test_archives_come_back_whole(tmp_path):
-    arrays = {"a": np.arange(24.0).reshape(2, 3, 4), "f": np.asfortranarray(np.arange(6).reshape(2, 3)),
-              "text": np.array("warpcage"), "empty": np.zeros((0, 3)), "one": np.float16(1.5)}
+    arrays = {
+        "a": np.arange(24.0).reshape(2, 3, 4),
+        "f": np.asfortranarray(np.arange(6).reshape(2, 3)),
+        "text": np.array("warpcage"),
+        "empty": np.zeros((0, 3)),
+        "one": np.float16(1.5),
+    }
     for save in (np.savez, np.savez_compressed):
         save(tmp_path / "file.npz", **arrays)
         read = read_npz(tmp_path / "file.npz", "file")
@@ -451,8 +483,13 @@ def save_in_child(folder, how):
     environment = {**os.environ, "WARP_CACHE_PATH": os.environ.get("WARP_CACHE_PATH", "")}
     if not environment["WARP_CACHE_PATH"]:
         del environment["WARP_CACHE_PATH"]
-    return subprocess.run([sys.executable, "-c", textwrap.dedent(SAVES), str(folder), how], env=environment,
-                          capture_output=True, text=True, timeout=120)
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(SAVES), str(folder), how],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
 
 
 def test_a_full_disk_leaves_the_previous_file(tmp_path):

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from warpcage.cage import Cage, require_same_faces
-from warpcage.cage_intersections import intersecting_faces
+from warpcage.cage.cage import Cage
+from warpcage.mesh.intersections import intersecting_faces
+from warpcage.mesh.match import require_same_faces
 
 
 def tetrahedron():
@@ -222,12 +223,19 @@ def test_intersections_are_found_and_neighbours_are_not():
     box = Cage.box([0, 0, 0], [1, 1, 1])
     assert len(intersecting_faces(box.vertices, box.faces)) == 0
     other = Cage.box([0.5, 0.4, 0.3], [1.5, 1.4, 1.3])
-    crossing = intersecting_faces(np.concatenate([box.vertices, other.vertices]),
-                                  np.concatenate([box.faces, other.faces + 8]))
+    crossing = intersecting_faces(
+        np.concatenate([box.vertices, other.vertices]), np.concatenate([box.faces, other.faces + 8])
+    )
     assert len(crossing) > 0 and (crossing[:, 0] < 12).all() and (crossing[:, 1] >= 12).all()
     inside = Cage.box([0.2, 0.2, 0.2], [0.8, 0.8, 0.8])
-    assert len(intersecting_faces(np.concatenate([box.vertices, inside.vertices]),
-                                  np.concatenate([box.faces, inside.faces + 8]))) == 0
+    assert (
+        len(
+            intersecting_faces(
+                np.concatenate([box.vertices, inside.vertices]), np.concatenate([box.faces, inside.faces + 8])
+            )
+        )
+        == 0
+    )
 
 
 def test_intersections_in_one_plane_and_between_neighbours():

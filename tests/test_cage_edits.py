@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from deformed_scenes import BOX, ellipsoid, make_field, plain, psnr, shiny_field, view
 
-from warpcage.cage import Cage
-from warpcage.cage_edits import CageEdit
-from warpcage.camera import Camera
-from warpcage.deformer import Deformer
+from warpcage.cage.cage import Cage
+from warpcage.deform.deformer import Deformer
+from warpcage.deform.edits import CageEdit
+from warpcage.view.camera import Camera
 
 LEFT = Cage.box([-0.9, -0.3, -0.3], [-0.3, 0.3, 0.3])
 RIGHT = Cage.box([0.3, -0.3, -0.3], [0.9, 0.3, 0.3])
@@ -27,9 +27,11 @@ def balls(*centres, device):
 
 def test_disjoint_edits_each_move_their_part(device, side_view):
     field = balls((-0.6, 0, 0), (0.6, 0, 0), device=device)
-    frame = Deformer(field, [LEFT, RIGHT], resolution=32).pose(
-        [LEFT.translate([0, 0, 0.5]), RIGHT.translate([-0.3, 0, -0.5])]
-    ).render(side_view)
+    frame = (
+        Deformer(field, [LEFT, RIGHT], resolution=32)
+        .pose([LEFT.translate([0, 0, 0.5]), RIGHT.translate([-0.3, 0, -0.5])])
+        .render(side_view)
+    )
     # shifts by whole voxels, so that the expected field is the same one
     expected = balls((-0.6, 0, 0.5), (0.3, 0, -0.5), device=device).render(side_view)
     assert psnr(frame.rgb, expected.rgb) > 45
@@ -64,13 +66,16 @@ def test_overlapping_edits_resolve_in_order(device, side_view):
 # -- Bad input
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"coordinates": "bilinear"}, "coordinates 'bilinear'"),
-    ({"density": "thick"}, "density 'thick'"),
-    ({"resolution": None}, "harmonic coordinates have no closed form"),
-    ({"resolution": 2}, "resolution"),
-    ({"device": "cuda:99"}, "device"),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"coordinates": "bilinear"}, "coordinates 'bilinear'"),
+        ({"density": "thick"}, "density 'thick'"),
+        ({"resolution": None}, "harmonic coordinates have no closed form"),
+        ({"resolution": 2}, "resolution"),
+        ({"device": "cuda:99"}, "device"),
+    ],
+)
 def test_bad_options_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         Deformer(shiny_field(None, resolution=8), BOX, **options)
@@ -101,9 +106,15 @@ def test_bad_poses_are_refused_and_the_last_one_stays():
     mirrored = BOX.with_vertices(BOX.vertices * [-1, 1, 1])
     flat = BOX.with_vertices(BOX.vertices * [1, 1, 0])
     other = Cage.box([0, 0, 0], [1, 1, 1])
-    for pose, message in ((reordered, "order"), (mirrored, "the deformed cage"), (flat, "the deformed cage"),
-                          (other, "vertices"), ([BOX, BOX], "one cage an edit"), (BOX.vertices, "a Cage, got ndarray"),
-                          (None, "a Cage, got NoneType")):
+    for pose, message in (
+        (reordered, "order"),
+        (mirrored, "the deformed cage"),
+        (flat, "the deformed cage"),
+        (other, "vertices"),
+        ([BOX, BOX], "one cage an edit"),
+        (BOX.vertices, "a Cage, got ndarray"),
+        (None, "a Cage, got NoneType"),
+    ):
         with pytest.raises(ValueError, match=message):
             deformer.pose(pose)
         np.testing.assert_array_equal(deformer.render(camera).rgb, before)

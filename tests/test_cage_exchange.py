@@ -9,12 +9,13 @@ import struct
 import numpy as np
 import pytest
 
-from warpcage.cage import Cage
-from warpcage.polygons import cut_polygon
+from warpcage.cage.cage import Cage
+from warpcage.mesh.polygons import cut_polygon
 
 FIXTURES = pathlib.Path(__file__).parent / "fixtures" / "blender"
-POSED = sorted(path.name for path in FIXTURES.iterdir() if path.stem not in ("rest", "bent")
-               and not path.stem.endswith("_rest"))
+POSED = sorted(
+    path.name for path in FIXTURES.iterdir() if path.stem not in ("rest", "bent") and not path.stem.endswith("_rest")
+)
 
 
 def up(name):

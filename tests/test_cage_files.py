@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from warpcage.cage import Cage
+from warpcage.cage.cage import Cage
 
 
 def awkward_cage():
@@ -68,8 +68,9 @@ def test_a_byte_order_mark_is_no_text(tmp_path, ending):
 
 
 def test_off_with_comments_and_colours(tmp_path):
-    (tmp_path / "c.off").write_text("OFF # head\n# note\n"
-                                    "4 2 0\n0 0 0\n1 0 0\n\n1 1 0\n0 1 0\n4 0 1 2 3 255 0 0\n3 0 1 2\n")
+    (tmp_path / "c.off").write_text(
+        "OFF # head\n# note\n4 2 0\n0 0 0\n1 0 0\n\n1 1 0\n0 1 0\n4 0 1 2 3 255 0 0\n3 0 1 2\n"
+    )
     cage = Cage.load(tmp_path / "c.off")
     assert len(cage.vertices) == 4 and cage.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2]]
 
@@ -107,9 +108,11 @@ def test_ascii_ply_with_other_elements(tmp_path):
 @pytest.mark.parametrize("order", ["little", "big"])
 def test_binary_ply_of_another_writer(tmp_path, order):
     sign = "<" if order == "little" else ">"
-    header = (f"ply\nformat binary_{order}_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
-              "property float z\nproperty uchar q\nelement face 2\n"
-              "property list uint8 uint32 vertex_indices\nend_header\n")
+    header = (
+        f"ply\nformat binary_{order}_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+        "property float z\nproperty uchar q\nelement face 2\n"
+        "property list uint8 uint32 vertex_indices\nend_header\n"
+    )
     vertices = np.zeros(4, dtype=[("p", sign + "f4", 3), ("q", "u1")])
     vertices["p"] = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]]
     quad, triangle = np.array([0, 1, 2, 3], sign + "u4"), np.array([0, 3, 1], sign + "u4")

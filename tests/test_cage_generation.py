@@ -3,9 +3,9 @@ import pytest
 import trimesh
 from test_surface import GridField, ball, nodes
 
-from warpcage.cage import Cage
-from warpcage.cage_generation import visible_nodes
-from warpcage.cage_shell import distance_to
+from warpcage.cage.cage import Cage
+from warpcage.cage.generate.shell import distance_to
+from warpcage.field.selection import visible_nodes
 
 
 def winding(points, vertices, faces):

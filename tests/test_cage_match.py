@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from warpcage.cage import Cage, require_same_faces
+from warpcage.cage.cage import Cage
+from warpcage.mesh.match import require_same_faces
 
 
 def cages():

@@ -7,11 +7,11 @@ import pytest
 import trimesh
 from test_cage_generation import shapes, winding
 
-from warpcage.cage import Cage
-from warpcage.cage_generation import visible_nodes
-from warpcage.cage_scenes import CAGE_SCENES, scene_field
-from warpcage.cage_topology import CageTopology
-from warpcage.cage_voxel import _manifold, outer_surface, principal_frame
+from warpcage.cage.cage import Cage
+from warpcage.cage.generate.voxel import _manifold, outer_surface, principal_frame
+from warpcage.field.selection import visible_nodes
+from warpcage.mesh.topology import MeshTopology
+from warpcage.reference.cage_scenes import CAGE_SCENES, scene_field
 
 SCENES = list(CAGE_SCENES)
 GENUS = {"ring": 1}
@@ -86,7 +86,7 @@ def test_tangled_voxels_become_manifold_surfaces():
         filled = _manifold(marks.copy())
         assert filled.shape == marks.shape and filled[marks].all()
         nodes, faces = outer_surface(filled)
-        topology = CageTopology(len(nodes), faces)
+        topology = MeshTopology(len(nodes), faces)
         assert topology.closed and topology.manifold and not len(topology.clashing_edges)
         assert Cage(nodes, faces).volume == pytest.approx(np.count_nonzero(filled))
 

@@ -5,15 +5,18 @@ import pytest
 import trimesh
 from test_cage_generation import winding
 
-from warpcage.cage import Cage
-from warpcage.cage_intersections import intersecting_faces
-from warpcage.cage_nested import nested
+from warpcage.cage.cage import Cage
+from warpcage.cage.generate.nested import nested
+from warpcage.mesh.intersections import intersecting_faces
 
 
 def surfaces():
     torus = trimesh.creation.torus(1.0, 0.3, major_sections=40, minor_sections=16)
-    return {"ball": Cage.icosphere([1, 2, 3], 1.0, 3), "box": Cage.box([0, 0, 0], [1, 2, 3], segments=7),
-            "torus": Cage(torus.vertices, torus.faces)}
+    return {
+        "ball": Cage.icosphere([1, 2, 3], 1.0, 3),
+        "box": Cage.box([0, 0, 0], [1, 2, 3], segments=7),
+        "torus": Cage(torus.vertices, torus.faces),
+    }
 
 
 @pytest.mark.parametrize(("name", "most"), [("ball", 1.2), ("box", 1.05), ("torus", 1.8)])

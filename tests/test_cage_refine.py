@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from test_cage_match import shuffled
 
-from warpcage import poses
-from warpcage.cage import Cage
-from warpcage.cage_scenes import scene_field
-from warpcage.pose_file import PoseFile, cage_hash
+from warpcage.cage import poses
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile, cage_hash
+from warpcage.reference.cage_scenes import scene_field
 
 
 def test_subdivision_keeps_the_surface_and_the_first_vertices():
@@ -83,8 +83,15 @@ def test_move_with_falloff():
     assert np.flatnonzero(alone[:, 1]).tolist() == [2, 3]
     cage = Cage.box([0, 0, 0], [1, 1, 1])
     assert cage.move([1, 0, 0], group=[0]).faces is cage.faces
-    for options in ({}, {"group": [0], "centre": [0, 0, 0]}, {"group": [11]}, {"group": []}, {"group": [0.5]},
-                    {"centre": [0, 0, 0]}, {"group": [0], "radius": 0.0}):
+    for options in (
+        {},
+        {"group": [0], "centre": [0, 0, 0]},
+        {"group": [11]},
+        {"group": []},
+        {"group": [0.5]},
+        {"centre": [0, 0, 0]},
+        {"group": [0], "radius": 0.0},
+    ):
         with pytest.raises(ValueError):
             poses.move(line, [0, 2, 0], **options)
 
@@ -150,8 +157,13 @@ def test_pose_files_survive(tmp_path):
 
 def test_keyframes_refuse():
     file = keyframes()
-    for call in (lambda: file["none"], lambda: file.blend({"none": 1.0}), lambda: file.blend({"bent": np.nan}),
-                 lambda: file.at(2.5), lambda: PoseFile(file.rest, {"": file.rest}),
-                 lambda: PoseFile(file.rest, {"few": file.rest.vertices[:3]})):
+    for call in (
+        lambda: file["none"],
+        lambda: file.blend({"none": 1.0}),
+        lambda: file.blend({"bent": np.nan}),
+        lambda: file.at(2.5),
+        lambda: PoseFile(file.rest, {"": file.rest}),
+        lambda: PoseFile(file.rest, {"few": file.rest.vertices[:3]}),
+    ):
         with pytest.raises(ValueError):
             call()

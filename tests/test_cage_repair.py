@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from warpcage.cage import Cage
+from warpcage.cage.cage import Cage
 
 
 def soup(cage):
@@ -52,8 +52,10 @@ def test_a_hole_beside_flipped_faces_and_repeated_vertices():
 
 def test_nothing_is_done_to_a_good_cage_and_its_cavity():
     outer, inner = Cage.icosphere([0, 0, 0], 2.0), Cage.icosphere([0, 0, 0], 1.0)
-    hollow = Cage(np.concatenate([outer.vertices, inner.vertices]),
-                  np.concatenate([outer.faces, inner.faces[:, ::-1] + len(outer.vertices)]))
+    hollow = Cage(
+        np.concatenate([outer.vertices, inner.vertices]),
+        np.concatenate([outer.faces, inner.faces[:, ::-1] + len(outer.vertices)]),
+    )
     assert hollow.repair() == (hollow, ())
     turned = Cage(hollow.vertices, hollow.faces[:, ::-1])
     assert turned.repair()[0].volume == pytest.approx(hollow.volume)
@@ -66,8 +68,13 @@ def test_what_is_not_safe_is_left():
     mended, notes = open_tube.repair(largest_hole=16)
     mended.require_usable()
     assert len(notes) == 1
-    strip = np.array([[np.cos(a) * (1 + s * np.cos(a / 2)), np.sin(a) * (1 + s * np.cos(a / 2)), s * np.sin(a / 2)]
-                      for a in np.linspace(0, 2 * np.pi, 12, endpoint=False) for s in (-0.3, 0.3)])
+    strip = np.array(
+        [
+            [np.cos(a) * (1 + s * np.cos(a / 2)), np.sin(a) * (1 + s * np.cos(a / 2)), s * np.sin(a / 2)]
+            for a in np.linspace(0, 2 * np.pi, 12, endpoint=False)
+            for s in (-0.3, 0.3)
+        ]
+    )
     faces = [f for k in range(0, 22, 2) for f in ((k, k + 2, k + 1), (k + 1, k + 2, k + 3))]
     moebius = Cage(strip, [*faces, (22, 1, 23), (23, 1, 0)])
     assert moebius.repair(largest_hole=3) == (moebius, ())

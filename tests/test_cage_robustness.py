@@ -12,17 +12,9 @@ import pytest
 import trimesh
 from test_cage_generation import winding
 
-from warpcage import (
-    cage_check,
-    cage_fitting,
-    cage_generation,
-    cage_intersections,
-    cage_nested,
-    cage_offset,
-    cage_shell,
-    cage_voxel,
-)
-from warpcage.cage import Cage
+from warpcage import Cage
+from warpcage.cage.generate import fitting, generate, nested, offset, shell, voxel
+from warpcage.mesh import intersections, usable
 
 #: Sizes of the noise on vertices, as shares of the object's size; each goes with a new order and another turn.
 JITTERS = (1e-9, 1e-7, 1e-5)
@@ -150,8 +142,8 @@ def varied(mesh, jitter, seed):
 
 
 def coarsen(monkeypatch):
-    fine = cage_generation._spacing
-    monkeypatch.setattr(cage_generation, "_spacing", lambda extent, count: COARSER * fine(extent, count))
+    fine = generate._spacing
+    monkeypatch.setattr(generate, "_spacing", lambda extent, count: COARSER * fine(extent, count))
 
 
 def assert_holds(cage, mesh, count):
@@ -211,8 +203,7 @@ def test_last_digits_of_products_cost_no_cage(shape, count, method, seed, monkey
     coarsen(monkeypatch)
     products = ("einsum", "cross", "matmul", "dot", "norm", "solve", "eigh", "svd", "det")
     numpy = Perturbed(np, products, np.random.default_rng(seed))
-    for module in (cage_check, cage_fitting, cage_generation, cage_intersections, cage_nested, cage_offset, cage_shell,
-                   cage_voxel):  # fmt: skip
+    for module in (fitting, generate, intersections, nested, offset, shell, usable, voxel):
         monkeypatch.setattr(module, "np", numpy)
     cage = Cage.from_mesh(SHAPES[shape], count, method=method)
     monkeypatch.undo()
@@ -223,10 +214,10 @@ def test_equal_spreads_take_the_axes_of_the_world():
     random = np.random.default_rng(0)
     grid = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 9)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     for scale in ([1, 1, 1], [1, 1, 0.01], [0.1, 1, 1], [1, 0.2, 1]):
-        frame = cage_voxel.principal_frame(grid * scale + 1e-9 * random.normal(size=grid.shape))
+        frame = voxel.principal_frame(grid * scale + 1e-9 * random.normal(size=grid.shape))
         assert np.allclose(frame, np.eye(3), atol=1e-6)
     turn = trimesh.transformations.random_rotation_matrix([0.1, 0.5, 0.8])[:3, :3]
-    frame = cage_voxel.principal_frame(grid * [1.0, 0.6, 0.3] @ turn.T)
+    frame = voxel.principal_frame(grid * [1.0, 0.6, 0.3] @ turn.T)
     assert np.allclose(np.sort(np.abs(frame.T @ turn), axis=1), [0, 0, 1], atol=1e-9)
     assert np.linalg.det(frame) == pytest.approx(1.0)
 
@@ -234,7 +225,7 @@ def test_equal_spreads_take_the_axes_of_the_world():
 @pytest.mark.parametrize("count", [8, 9, 31, 200])
 def test_the_last_resort_is_a_box_of_the_count(count):
     points = np.random.default_rng(0).normal(size=(50, 3)) * [1.0, 0.2, 0.01]
-    cage = Cage(*cage_offset.split_box(points, 0.1, count))
+    cage = Cage(*offset.split_box(points, 0.1, count))
     report = cage.check()
     assert report.usable and report.vertex_count == count and report.intersecting_faces == ()
     assert cage.volume == pytest.approx(np.prod(np.ptp(points, axis=0) + 0.2))
@@ -243,8 +234,8 @@ def test_the_last_resort_is_a_box_of_the_count(count):
 
 def test_where_all_attempts_fail_the_box_is_drawn_close(monkeypatch):
     coarsen(monkeypatch)
-    monkeypatch.setattr(cage_offset, "nested", lambda vertices, faces, count: (vertices, faces))
-    monkeypatch.setattr(cage_offset, "_CLOSINGS", (0.45, 5.0))
+    monkeypatch.setattr(offset, "nested", lambda vertices, faces, count: (vertices, faces))
+    monkeypatch.setattr(offset, "_CLOSINGS", (0.45, 5.0))
     assert_holds(Cage.from_mesh(SHAPES["U"], 16, method="shell"), SHAPES["U"], 16)
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from warpcage.camera import Camera
-from warpcage.carried_mesh import CarriedMesh
-from warpcage.synthetic import render_mesh_views
-from warpcage.synthetic_shapes import MODELS, chair_model, subdivided_model
+from warpcage.reference.carried_mesh import CarriedMesh
+from warpcage.reference.raycast import render_mesh_views
+from warpcage.reference.shapes import MODELS, chair_model, subdivided_model
+from warpcage.view.camera import Camera
 
 EYE = np.array([1.8, -1.6, 1.1])
 

@@ -11,9 +11,9 @@ import warp as wp
 from cli_runs import DEFORMED, run, succeed, write_files
 
 from warpcage.cli import COMMANDS, main
-from warpcage.field import VoxelField
-from warpcage.images import read_image
-from warpcage.notices import warn_caller
+from warpcage.core.checks import warn_caller
+from warpcage.field.voxel_field import VoxelField
+from warpcage.view.pictures import read_image
 
 NAMES = [module.NAME for module in COMMANDS]
 
@@ -145,7 +145,7 @@ def test_interruption_leaves_nothing_and_status_130(files, capsys, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warpcage.optimize.fit", interrupted)
+    monkeypatch.setattr("warpcage.cli.fit.fit", interrupted)
     before = sorted(files.rglob("*"))
     assert run(files, "fit", "@scene", "-o", "@new.npz", "--quiet") == 130
     assert "Traceback" not in capsys.readouterr().err
@@ -172,7 +172,7 @@ def test_fit_and_evaluate(files, capsys, tmp_path, device):
 def test_evaluate_says_where_it_errs(files, capsys, tmp_path):
     """A field rendered to a scene and one pixel painted over: that view is the worst, red where it was painted, and the
     untouched ones are right."""
-    from warpcage.scene import load_scene
+    from warpcage.scene.load import load_scene
 
     scene = load_scene(files / "scene", split="test")
     field = VoxelField.load(files / "ball.npz")

@@ -8,9 +8,9 @@ import pytest
 import trimesh
 from cli_runs import succeed, write_files
 
-from warpcage.cage import Cage
+from warpcage.cage.cage import Cage
 from warpcage.cli import main
-from warpcage.field import VoxelField
+from warpcage.field.voxel_field import VoxelField
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +47,31 @@ def test_gltf_meshes_stand_upright(tmp_path, capsys):
 
 
 def test_a_cage_around_a_mesh_says_one_line(files, tmp_path):
-    words = ["cage", files / "posed.obj", "-o", tmp_path / "cage.obj", "--vertices", "30", "--method", "shell",
-             "--quiet"]
+    words = [
+        "cage",
+        files / "posed.obj",
+        "-o",
+        tmp_path / "cage.obj",
+        "--vertices",
+        "30",
+        "--method",
+        "shell",
+        "--quiet",
+    ]
     done = subprocess.run([sys.executable, "-m", "warpcage", *map(str, words)], capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.startswith("wrote ") and done.stdout.count("\n") == 1
 
 
-@pytest.mark.parametrize("shape", [["--box"], ["--box", "--segments", 2, 3, 1], ["--box", "--margin", 0.2],
-                                   ["--cylinder"], ["--cylinder", "--axis", "x", "--sides", 7, "--rings", 2]])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        ["--box"],
+        ["--box", "--segments", 2, 3, 1],
+        ["--box", "--margin", 0.2],
+        ["--cylinder"],
+        ["--cylinder", "--axis", "x", "--sides", 7, "--rings", 2],
+    ],
+)
 @pytest.mark.parametrize("source", ["@ball.npz", "@posed.obj"])
 def test_simple_cages_hold_the_object(files, tmp_path, shape, source):
     succeed(files, "cage", source, "-o", tmp_path / "cage.ply", *shape)
@@ -77,8 +94,23 @@ def test_wrapped_cage_holds_the_object(files, tmp_path):
 
 
 def test_cage_of_a_part_of_a_field(files, tmp_path, capsys):
-    words = ["--in-box", -1, -1, 0, 1, 1, 1, "--floaters", 0.1, "--method", "voxel", "--symmetry", "x",
-             "--vertices", 60]
+    words = [
+        "--in-box",
+        -1,
+        -1,
+        0,
+        1,
+        1,
+        1,
+        "--floaters",
+        0.1,
+        "--method",
+        "voxel",
+        "--symmetry",
+        "x",
+        "--vertices",
+        60,
+    ]
     succeed(files, "cage", "@ball.npz", "-o", tmp_path / "half.glb", *words)
     assert "left out" in capsys.readouterr().out
     cage = Cage.load(tmp_path / "half.glb")
@@ -97,8 +129,9 @@ def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
     np.testing.assert_allclose(Cage.load(out).vertices, 2 * rest.vertices + [1, 0, 0])
     words = ["--bend", -40, "--axis", "x", "--towards=-y", "--limits", 0.2, 0.9]
     succeed(files, "pose", "@cage.obj", "-o", out, *words)
-    np.testing.assert_allclose(Cage.load(out).vertices,
-                               rest.bend(-40, axis="x", towards="-y", limits=(0.2, 0.9)).vertices)
+    np.testing.assert_allclose(
+        Cage.load(out).vertices, rest.bend(-40, axis="x", towards="-y", limits=(0.2, 0.9)).vertices
+    )
     succeed(files, "pose", "@cage.obj", "-o", out, "--twist", 30, "--taper", 0.5, "--stretch", 1.5, "--rotate", 20)
     expected = rest.twist(30).taper(0.5).stretch(1.5).rotate(20)
     np.testing.assert_allclose(Cage.load(out).vertices, expected.vertices)

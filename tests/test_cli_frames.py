@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
-from warpcage.cage import Cage
-from warpcage.field import VoxelField
-from warpcage.images import read_image
-from warpcage.pose_file import PoseFile
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
+from warpcage.field.voxel_field import VoxelField
+from warpcage.view.pictures import read_image
 
 
 @pytest.fixture(scope="module")
@@ -17,8 +17,28 @@ def files(tmp_path_factory):
 
 
 def test_render_of_a_plain_field(files, tmp_path):
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "ball.png", "--disparity", tmp_path / "disparity.png",
-            *SMALL, "--eye", 0, -3, 0, "--target", 0, 0, 0, "--fov", 50, "--background", "black")
+    succeed(
+        files,
+        "render",
+        "@ball.npz",
+        "-o",
+        tmp_path / "ball.png",
+        "--disparity",
+        tmp_path / "disparity.png",
+        *SMALL,
+        "--eye",
+        0,
+        -3,
+        0,
+        "--target",
+        0,
+        0,
+        0,
+        "--fov",
+        50,
+        "--background",
+        "black",
+    )
     image = read_image(tmp_path / "ball.png")
     assert image.shape == (40, 40, 3)
     assert (image[0] == 0).all() and image[15, 20].argmax() == 0 and image[25, 20].argmax() == 2
@@ -74,16 +94,45 @@ def test_animate_goes_through_keyframes_and_cameras(files, tmp_path):
     words[3] = folder
     succeed(files, *words, "--posed", "rest", "--frames", 3, "--cameras", "@scene:test", "--overlay")
     first = read_image(folder / "frame_0000.png")
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "one.png", "--cage", "@cage.obj", "--posed", "rest",
-            "--camera", "@scene:test:0", *SMALL, "--overlay")
+    succeed(
+        files,
+        "render",
+        "@ball.npz",
+        "-o",
+        tmp_path / "one.png",
+        "--cage",
+        "@cage.obj",
+        "--posed",
+        "rest",
+        "--camera",
+        "@scene:test:0",
+        *SMALL,
+        "--overlay",
+    )
     assert np.abs(first - read_image(tmp_path / "one.png")).mean() < 0.01
 
 
 @pytest.mark.parametrize("kind", ["alpha", "depth", "disparity", "masks"])
 def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
     folder = tmp_path / kind
-    words = ["animate", "@ball.npz", "-o", folder, "--cage", "@cage.obj", "--posed", "translate:0:0:1.5", *SMALL,
-             "--frames", 4, "--quiet", "--turn", 0, "--show", kind]
+    words = [
+        "animate",
+        "@ball.npz",
+        "-o",
+        folder,
+        "--cage",
+        "@cage.obj",
+        "--posed",
+        "translate:0:0:1.5",
+        *SMALL,
+        "--frames",
+        4,
+        "--quiet",
+        "--turn",
+        0,
+        "--show",
+        kind,
+    ]
     succeed(files, *words)
     said = capsys.readouterr().err
     assert ("uncovered" in said and "% of the film" in said) == (kind == "masks")
@@ -95,8 +144,17 @@ def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
 
 
 def test_render_writes_masks_when_asked_and_warns(files, tmp_path, capsys):
-    view = ["render", "@ball.npz", "-o", tmp_path / "a.png", *SMALL, "--cage", "@cage.obj",
-            "--posed", "translate:0:0:1"]
+    view = [
+        "render",
+        "@ball.npz",
+        "-o",
+        tmp_path / "a.png",
+        *SMALL,
+        "--cage",
+        "@cage.obj",
+        "--posed",
+        "translate:0:0:1",
+    ]
     succeed(files, *view)
     assert "warning" not in capsys.readouterr().err
     extra = [word for kind in ("masks", "depth", "alpha") for word in (f"--{kind}", tmp_path / f"{kind}.png")]
@@ -123,8 +181,12 @@ def test_bake_then_render(files, tmp_path, format):
 
 def test_fields_of_scaled_scenes_come_back_to_scale(files, tmp_path, capsys):
     ball = VoxelField.load(files / "ball.npz")
-    small = VoxelField(ball.bounds * 2 / 3, ball.grid.links.numpy(), ball.grid.density.numpy() * 1.5,
-                       ball.grid.sh.numpy().transpose(0, 2, 1))
+    small = VoxelField(
+        ball.bounds * 2 / 3,
+        ball.grid.links.numpy(),
+        ball.grid.density.numpy() * 1.5,
+        ball.grid.sh.numpy().transpose(0, 2, 1),
+    )
     small.save(tmp_path / "small.npz", format="svox2")
     view = [*SMALL, "--camera", "@scene:test:1"]
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "ball.png", *view)
@@ -159,8 +221,11 @@ def test_poses_come_from_pose_files(files, tmp_path, capsys):
     for pose in (f"{path}:bent", "bend:40:x:z"):
         succeed(files, "check", "@cage.obj", "--posed", pose)
         assert "pose: usable" in capsys.readouterr().out
-    for pose, said in ((path, "holds 2 keyframes: name one"), (f"{path}:no", "no keyframe 'no': bent, small one"),
-                       (tmp_path / "none.json", "is not there")):
+    for pose, said in (
+        (path, "holds 2 keyframes: name one"),
+        (f"{path}:no", "no keyframe 'no': bent, small one"),
+        (tmp_path / "none.json", "is not there"),
+    ):
         assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *view, *words, pose) == 2
         error = capsys.readouterr().err
         assert said in error and error.count("\n") == 1
@@ -183,8 +248,18 @@ def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):
     one, two = (VoxelField.load(tmp_path / f"{name}.npz") for name in "yz")
     np.testing.assert_allclose(one.bounds, two.bounds, atol=1e-6)
 
-    succeed(files, "render", "@ball.npz", "-o", tmp_path / "mixed.png", *view, "--cage", "@cage.obj", "--posed",
-            tmp_path / "posed.obj")
+    succeed(
+        files,
+        "render",
+        "@ball.npz",
+        "-o",
+        tmp_path / "mixed.png",
+        *view,
+        "--cage",
+        "@cage.obj",
+        "--posed",
+        tmp_path / "posed.obj",
+    )
     assert "with another axis up" in capsys.readouterr().err
 
 

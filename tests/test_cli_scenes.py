@@ -5,11 +5,11 @@ import pytest
 from scene_writers import brick_pictures, write_colmap, write_dtu, write_nsvf, write_transforms
 
 from warpcage import load_scene
-from warpcage.cage import Cage
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
 from warpcage.cli import main
-from warpcage.field import VoxelField
-from warpcage.images import read_image
-from warpcage.pose_file import PoseFile
+from warpcage.field.voxel_field import VoxelField
+from warpcage.view.pictures import read_image
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +41,10 @@ def test_info_of_scenes(files, capsys, name):
     assert rows["pictures"] == "8 of 24x20" and rows["split"] == "train"
     assert rows["focal length"] == "29.5 to 31 pixels"
     assert rows["opacity"].startswith("yes, ") and rows["colours"].endswith("to 1 of 1")
-    assert rows["bounds"] == {"nsvf": "[-1.5, -1.5, -1.5] to [1.5, 1.5, 1.5]",
-                              "dtu": "[-1.0, -1.0, -1.0] to [1.0, 1.0, 1.0]"}.get(name, "not given")
+    assert rows["bounds"] == {
+        "nsvf": "[-1.5, -1.5, -1.5] to [1.5, 1.5, 1.5]",
+        "dtu": "[-1.0, -1.0, -1.0] to [1.0, 1.0, 1.0]",
+    }.get(name, "not given")
     assert info(capsys, files / name, "--split", "test")["pictures"] == "2 of 24x20"
 
 
@@ -111,8 +113,17 @@ def test_cameras_are_interpolated(files, tmp_path, capsys):
 
 
 def test_film_of_a_pose_through_the_cameras(files, tmp_path):
-    words = ["--cage", files / "cage.ply", "--posed", files / "cage.ply", "--coordinates", "mean_value", "--resolution",
-             16, "--overlay"]
+    words = [
+        "--cage",
+        files / "cage.ply",
+        "--posed",
+        files / "cage.ply",
+        "--coordinates",
+        "mean_value",
+        "--resolution",
+        16,
+        "--overlay",
+    ]
     film = tmp_path / "way.gif"
     assert render(files, "-o", film, "--cameras", "interpolate", "--scene", f"{files / 'colmap'}:test", *words) == 0
     import imageio.v3 as iio
@@ -120,17 +131,20 @@ def test_film_of_a_pose_through_the_cameras(files, tmp_path):
     assert iio.imread(film).shape[:3] == (9, 20, 24)
 
 
-@pytest.mark.parametrize("words, expected", [
-    (["-o", "new", "--cameras", "interpolate"], "--cameras needs --scene"),
-    (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--camera", "@dtu:0"], "--camera exclude"),
-    (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--depth", "new.png"], "--depth exclude"),
-    (["-o", "new", "--cameras", "given", "--scene", "@dtu", "--frames", "3"], "--frames belongs"),
-    (["-o", "new.png", "--cameras", "given", "--scene", "@dtu"], "must end in .mp4 or .gif"),
-    (["-o", "@dtu", "--cameras", "given", "--scene", "@dtu"], "is there"),
-    (["-o", "new", "--cameras", "given", "--scene", "@nowhere"], "nowhere"),
-    (["-o", "new", "--cameras", "given", "--scene", "@dtu:validation"], "validation"),
-    (["-o", "new.png", "--scene", "@dtu"], "belong to --cameras"),
-])
+@pytest.mark.parametrize(
+    "words, expected",
+    [
+        (["-o", "new", "--cameras", "interpolate"], "--cameras needs --scene"),
+        (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--camera", "@dtu:0"], "--camera exclude"),
+        (["-o", "new", "--cameras", "interpolate", "--scene", "@dtu", "--depth", "new.png"], "--depth exclude"),
+        (["-o", "new", "--cameras", "given", "--scene", "@dtu", "--frames", "3"], "--frames belongs"),
+        (["-o", "new.png", "--cameras", "given", "--scene", "@dtu"], "must end in .mp4 or .gif"),
+        (["-o", "@dtu", "--cameras", "given", "--scene", "@dtu"], "is there"),
+        (["-o", "new", "--cameras", "given", "--scene", "@nowhere"], "nowhere"),
+        (["-o", "new", "--cameras", "given", "--scene", "@dtu:validation"], "validation"),
+        (["-o", "new.png", "--scene", "@dtu"], "belong to --cameras"),
+    ],
+)
 def test_wrong_cameras(files, tmp_path, monkeypatch, capsys, words, expected):
     monkeypatch.chdir(tmp_path)
     assert render(files, *[word.replace("@", f"{files}/") for word in words]) == 2

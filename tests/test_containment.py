@@ -1,4 +1,4 @@
-"""Winding number and distance of kernels/containment.py against float64 references."""
+"""Winding number and distance of kernels/mesh/containment.py against float64 references."""
 
 import numpy as np
 import oracles
@@ -6,9 +6,9 @@ import pytest
 import trimesh
 import warp as wp
 
-from warpcage.cage import Cage
-from warpcage.devices import launch
-from warpcage.kernels.containment import measure_distance, measure_winding_number
+from warpcage.cage.cage import Cage
+from warpcage.core.devices import launch
+from warpcage.kernels.mesh.containment import measure_distance, measure_winding_number
 
 
 def measure(kernel, points, vertices, faces, device):

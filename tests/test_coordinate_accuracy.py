@@ -9,15 +9,16 @@ import pytest
 import trimesh
 import warp as wp
 
-from warpcage import memory
-from warpcage.cage import Cage
-from warpcage.coordinates import deform_points, green_coordinates, harmonic_coordinates, mean_value_coordinates
-from warpcage.devices import launch
-from warpcage.kernels.cage_map import sample_map
-from warpcage.map_sides import MapSides
-from warpcage.pose_graph import PoseGraph
-from warpcage.position_map import PositionMap
-from warpcage.synthetic import brick_model
+from warpcage.cage.cage import Cage
+from warpcage.coordinates.deform import deform_points
+from warpcage.coordinates.weights import green_coordinates, harmonic_coordinates, mean_value_coordinates
+from warpcage.core import memory
+from warpcage.core.devices import launch
+from warpcage.kernels.lattice.cage_map import sample_map
+from warpcage.lattice.gaps import MapSides
+from warpcage.lattice.graph import PoseGraph
+from warpcage.lattice.position_map import PositionMap
+from warpcage.reference.bricks import brick_model
 
 NAMES = ("icosphere", "box", "concave", "bricks")
 COUNT = 10_000
@@ -88,9 +89,7 @@ def look_up(position_map, points):
     local = wp.array((points - position_map.origin).astype(np.float32), dtype=wp.vec3, device=position_map.device)
     positions = wp.empty(len(points), dtype=wp.vec3, device=position_map.device)
     distance = wp.empty(len(points), dtype=float, device=position_map.device)
-    launch(
-        sample_map, len(points), [position_map.data, local], [positions, distance], device=position_map.device
-    )
+    launch(sample_map, len(points), [position_map.data, local], [positions, distance], device=position_map.device)
     return positions.numpy() + position_map.origin
 
 

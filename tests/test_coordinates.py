@@ -6,8 +6,9 @@ import pytest
 import trimesh
 import warp as wp
 
-import warpcage.coordinates as coordinates
-from warpcage.cage import Cage
+import warpcage as coordinates
+from warpcage.core.names import KINDS
+from warpcage.cage.cage import Cage
 
 CLOSED_FORMS = ["mean_value", "green"]
 
@@ -53,15 +54,18 @@ def test_weights_match_oracles(name, device):
         assert np.abs(ours - theirs).max() < 1e-5
 
 
-@pytest.mark.parametrize("centre, scale", [((1e4, -2e4, 5e3), 1.0), ((0, 0, 0), 1e3), ((0, 0, 0), 1e-3),
-                                           ((300.0, 0, -40.0), 1e-2), ((0, 0, 0), 1e12)])
+@pytest.mark.parametrize(
+    "centre, scale",
+    [((1e4, -2e4, 5e3), 1.0), ((0, 0, 0), 1e3), ((0, 0, 0), 1e-3), ((300.0, 0, -40.0), 1e-2), ((0, 0, 0), 1e12)],
+)
 def test_weights_do_not_depend_on_place_and_scale(centre, scale, device):
     cage, points = cage_and_points(centre=centre, scale=scale)
     near, near_points = cage_and_points()
     weights = coordinates.mean_value_coordinates(points, cage, device=device)
     assert np.abs(weights - coordinates.mean_value_coordinates(near_points, near, device=device)).max() < 1e-5
-    (phi, psi), (near_phi, near_psi) = (coordinates.green_coordinates(p, c, device=device)
-                                        for p, c in ((points, cage), (near_points, near)))
+    (phi, psi), (near_phi, near_psi) = (
+        coordinates.green_coordinates(p, c, device=device) for p, c in ((points, cage), (near_points, near))
+    )
     assert np.abs(phi - near_phi).max() < 1e-5
     assert np.abs(psi / scale - near_psi).max() < 1e-5  # lengths
 
@@ -167,8 +171,10 @@ def test_stretched_normals_of_known_faces():
 def test_points_outside_are_refused_by_green_and_taken_by_mean_value(device):
     cage, points = cage_and_points("box")
     points[[7, 9]] += 5.0
-    for call in (lambda p: coordinates.green_coordinates(p, cage, device=device),
-                 lambda p: coordinates.deform_points(p, cage, cage, "green", device=device)):
+    for call in (
+        lambda p: coordinates.green_coordinates(p, cage, device=device),
+        lambda p: coordinates.deform_points(p, cage, cage, "green", device=device),
+    ):
         for given in (points, wrapped(points, "vec3", device)):
             with pytest.raises(ValueError, match=r"^2 of 300 points are outside .* the first is point 7 at \(.*\).*$"):
                 call(given)
@@ -193,7 +199,9 @@ def test_points_just_outside_count_as_inside(device):
 
 
 BAD_POINTS = [(np.zeros(shape), r"\(n, 3\)") for shape in ((4, 2), (5, 0), (0, 2), 3, (2, 2, 3))] + [
-    ([[0, 0, np.nan]], "row 0"), ([[0, 0, 0], [np.inf, 0, 0]], "row 1")]
+    ([[0, 0, np.nan]], "row 0"),
+    ([[0, 0, 0], [np.inf, 0, 0]], "row 1"),
+]
 
 
 @pytest.mark.parametrize("points, message", BAD_POINTS)
@@ -202,9 +210,11 @@ def test_bad_points_are_refused(points, message, on_device, device):
     cage, _ = cage_and_points("box")
     if on_device:
         points = wp.array(np.asarray(points, np.float32), dtype=float, device=device)
-    for call in (lambda: coordinates.mean_value_coordinates(points, cage, device=device),
-                 lambda: coordinates.green_coordinates(points, cage, device=device),
-                 lambda: coordinates.deform_points(points, cage, cage, device=device)):
+    for call in (
+        lambda: coordinates.mean_value_coordinates(points, cage, device=device),
+        lambda: coordinates.green_coordinates(points, cage, device=device),
+        lambda: coordinates.deform_points(points, cage, cage, device=device),
+    ):
         with pytest.raises(ValueError, match=message) as caught:
             call()
         assert "\n" not in str(caught.value)
@@ -214,8 +224,11 @@ def test_bad_cages_and_options_are_refused(device):
     cage, points = cage_and_points("box")
     opened, inward = Cage(cage.vertices, cage.faces[1:]), Cage(cage.vertices, cage.faces[:, ::-1])
     for bad, message in ((opened, "open"), (inward, "inward")):
-        for call in (coordinates.mean_value_coordinates, coordinates.green_coordinates,
-                     coordinates.harmonic_coordinates):
+        for call in (
+            coordinates.mean_value_coordinates,
+            coordinates.green_coordinates,
+            coordinates.harmonic_coordinates,
+        ):
             with pytest.raises(ValueError, match=message):
                 call(points, bad, device=device)
         with pytest.raises(ValueError, match=message):
@@ -241,7 +254,7 @@ def test_harmonic_matches_boundary_elements(device):
 
 
 def test_harmonic_moves_points_and_refuses_those_outside(device, monkeypatch):
-    monkeypatch.setattr(coordinates, "HARMONIC_RESOLUTION", 32)
+    monkeypatch.setattr("warpcage.coordinates.deform.HARMONIC_RESOLUTION", 32)
     rest, points = cage_and_points("concave", centre=(1e3, 0, 0), scale=2.0)
     matrix = rotation() @ np.diag([1.0, 2.0, 0.5])
     deformed = rest.with_vertices(rest.vertices @ matrix.T)
@@ -253,9 +266,9 @@ def test_harmonic_moves_points_and_refuses_those_outside(device, monkeypatch):
         coordinates.harmonic_coordinates(rest.vertices[:1] + 10.0, rest, 32, device=device)
 
 
-@pytest.mark.parametrize("kind", coordinates.KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_points_follow_a_cage_that_goes_far(kind, device, monkeypatch):
-    monkeypatch.setattr(coordinates, "HARMONIC_RESOLUTION", 24)
+    monkeypatch.setattr("warpcage.coordinates.deform.HARMONIC_RESOLUTION", 24)
     rest, points = cage_and_points("concave")
     deformed = rest.twist(30)
     offset = np.array([1e6, -1e6, 1e6])
@@ -265,7 +278,7 @@ def test_points_follow_a_cage_that_goes_far(kind, device, monkeypatch):
 
 
 def test_harmonic_names_the_cage_that_cannot_be_used(device, monkeypatch):
-    monkeypatch.setattr(coordinates, "HARMONIC_RESOLUTION", 16)
+    monkeypatch.setattr("warpcage.coordinates.deform.HARMONIC_RESOLUTION", 16)
     rest, points = cage_and_points("box")
     mirrored = rest.with_vertices(rest.vertices * [-1, 1, 1])
     with pytest.raises(ValueError, match="^deformed cage looks inward"):

@@ -6,9 +6,11 @@ import pytest
 from deformed_scenes import make_field, plain, shiny_field, view
 
 from warpcage import Cage, Deformer, PositionMap
-from warpcage.devices import load_modules, module_block_dim
-from warpcage.inverse_map import InverseMap
-from warpcage.kernels import deformed_single, edit_cells, volume_render
+from warpcage.core.devices import load_modules, module_block_dim
+from warpcage.kernels.deform import cells as edit_cells
+from warpcage.kernels.deform import render_single as deformed_single
+from warpcage.kernels.field import render as volume_render
+from warpcage.reference.inverse_map import InverseMap
 
 
 @pytest.mark.parametrize("kind", ["mean_value", "green"])

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, shiny_field, view
 
-from warpcage.cage import Cage
-from warpcage.cage_edits import CageEdit
-from warpcage.camera import Camera
-from warpcage.deformer import Deformer
-from warpcage.kernels.deformed_render import render_edits
-from warpcage.kernels.deformed_single import render_edit
+from warpcage.cage.cage import Cage
+from warpcage.deform.deformer import Deformer
+from warpcage.deform.edits import CageEdit
+from warpcage.kernels.deform.render import render_edits
+from warpcage.kernels.deform.render_single import render_edit
+from warpcage.view.camera import Camera
 
 
 def both(deformer, camera, **options):
@@ -82,8 +82,11 @@ def slotted(width):
 @pytest.mark.parametrize("kind", ["harmonic", "mean_value"])
 def test_a_slot_that_a_pose_closes_to_less_than_a_cell(kind, device):
     """What lies on both sides of a slot comes from both sides of a wide one: nothing is drawn over the slot."""
-    field = make_field(lambda x: np.where(np.abs(x[..., 0]) < 0.2, 0.0, 30.0) * (np.abs(x).max(axis=-1) < 0.9),
-                       plain([0.2, 0.6, 0.3]), device=device)
+    field = make_field(
+        lambda x: np.where(np.abs(x[..., 0]) < 0.2, 0.0, 30.0) * (np.abs(x).max(axis=-1) < 0.9),
+        plain([0.2, 0.6, 0.3]),
+        device=device,
+    )
     deformer = Deformer(field, slotted(0.5), coordinates=kind, resolution=32).pose(slotted(0.03))
     camera = Camera.look_at([0.1, 0.6, 3.0], (0, 0.1, 0), up=(0, 1, 0), width=64, height=64, fov_degrees=40)
     single, general = both(deformer, camera)
@@ -107,10 +110,13 @@ def test_stored_weights_render_the_same_picture(kind, device):
     assert psnr(frames[0].rgb, field.render(camera).rgb) < 30
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"store": "both"}, "store 'both' is not known"),
-    ({"store": "weights", "coordinates": "green", "resolution": None}, "give a resolution"),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"store": "both"}, "store 'both' is not known"),
+        ({"store": "weights", "coordinates": "green", "resolution": None}, "give a resolution"),
+    ],
+)
 def test_stores_that_cannot_be_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         Deformer(shiny_field(None, resolution=8), BOX, **options)

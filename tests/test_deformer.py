@@ -19,10 +19,10 @@ from deformed_scenes import (
     view,
 )
 
-from warpcage.cage import Cage
-from warpcage.camera import Camera
-from warpcage.coordinates import stretched_normals
-from warpcage.deformer import Deformer
+from warpcage.cage.cage import Cage
+from warpcage.coordinates.deform import stretched_normals
+from warpcage.deform.deformer import Deformer
+from warpcage.view.camera import Camera
 
 # -- Poses whose picture is known
 
@@ -44,9 +44,11 @@ def test_at_rest_it_is_the_field(kind, device):
 def test_a_rigid_pose_is_a_moved_camera(kind, resolution, device):
     field, camera = shiny_field(device), view()
     turn, offset = rotation(40, 25), np.array([0.1, -0.05, 0.15])
-    frame = Deformer(field, BOX, coordinates=kind, resolution=resolution).pose(
-        BOX.with_vertices(BOX.vertices @ turn.T + offset)
-    ).render(camera)
+    frame = (
+        Deformer(field, BOX, coordinates=kind, resolution=resolution)
+        .pose(BOX.with_vertices(BOX.vertices @ turn.T + offset))
+        .render(camera)
+    )
     expected = field.render(counter_moved(camera, turn, offset))
     assert psnr(frame.rgb, expected.rgb) > 45
     assert psnr(frame.rgb, field.render(camera).rgb) < 30  # the pose is not a small one
@@ -150,9 +152,10 @@ def test_a_compressed_thin_sheet_is_not_jumped_over(device):
 # -- Optical depth
 
 
-@pytest.mark.parametrize(("density", "stretched_along", "factor"), [
-    ("opacity", 0, 1.0), ("paper", 0, 2.0), ("opacity", 2, 1.0), ("paper", 2, 1.0),
-])
+@pytest.mark.parametrize(
+    ("density", "stretched_along", "factor"),
+    [("opacity", 0, 1.0), ("paper", 0, 2.0), ("opacity", 2, 1.0), ("paper", 2, 1.0)],
+)
 def test_optical_depth_of_a_stretched_part(density, stretched_along, factor, device):
     """A ray along x through 0.8 of matter of density 1.5, stretched to twice its size along x or across it."""
 
@@ -164,9 +167,11 @@ def test_optical_depth_of_a_stretched_part(density, stretched_along, factor, dev
     sizes = np.ones(3)
     sizes[stretched_along] = 2.0
     camera = Camera.look_at([4.0, 0.02, 0.03], (0, 0.02, 0.03), width=4, height=4, fov_degrees=2)
-    frame = Deformer(field, cage, coordinates="mean_value", resolution=32, density=density).pose(
-        cage.scale(sizes, centre=(0, 0, 0))
-    ).render(camera)
+    frame = (
+        Deformer(field, cage, coordinates="mean_value", resolution=32, density=density)
+        .pose(cage.scale(sizes, centre=(0, 0, 0)))
+        .render(camera)
+    )
     np.testing.assert_allclose(-np.log1p(-frame.alpha), 1.5 * 0.8 * factor, rtol=0.01)
 
 
@@ -325,12 +330,16 @@ def test_samples_that_leave_the_rest_cage_are_empty_and_marked(device):
         assert (outside[stays] == 0).all() and (region[stays] == 2).all()
         np.testing.assert_array_equal(x[outside == 1], np.float64(points[outside == 1]))
 
-    frame = Deformer(field, BOX, coordinates="green", resolution=48).pose(stretched.translate([0, 0, 4])).render(
-        Camera.look_at([6.0, 0, 4], (0, 0, 4), width=32, height=32, fov_degrees=24)
+    frame = (
+        Deformer(field, BOX, coordinates="green", resolution=48)
+        .pose(stretched.translate([0, 0, 4]))
+        .render(Camera.look_at([6.0, 0, 4], (0, 0, 4), width=32, height=32, fov_degrees=24))
     )
     assert frame.outside.max() > 2
-    harmonic = Deformer(field, BOX, resolution=48).pose(stretched.translate([0, 0, 4])).render(
-        Camera.look_at([6.0, 0, 4], (0, 0, 4), width=32, height=32, fov_degrees=24)
+    harmonic = (
+        Deformer(field, BOX, resolution=48)
+        .pose(stretched.translate([0, 0, 4]))
+        .render(Camera.look_at([6.0, 0, 4], (0, 0, 4), width=32, height=32, fov_degrees=24))
     )
     assert harmonic.outside.max() == 0
 

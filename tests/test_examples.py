@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from background_scenes import write_room
 
-from warpcage.cage import Cage
-from warpcage.images import read_image
+from warpcage.cage.cage import Cage
+from warpcage.view.pictures import read_image
 
 EXAMPLES = pathlib.Path(__file__).resolve().parent.parent / "examples"
 
@@ -70,8 +70,17 @@ def test_edit_dtu_on_a_room(tmp_path, device):
     assert read_image(out / "edits.png").shape == (3 * 32 + 8, 3 * 32 + 8, 3)
     assert Cage.load(out / "generated.obj").check().usable and Cage.load(out / "box_posed.obj").check().usable
     # once more with that field and cage
-    run("edit_dtu.py", "--out", "again", "--field", out / "field.npz", "--cage", out / "generated.obj", *words,
-        cwd=tmp_path)
+    run(
+        "edit_dtu.py",
+        "--out",
+        "again",
+        "--field",
+        out / "field.npz",
+        "--cage",
+        out / "generated.obj",
+        *words,
+        cwd=tmp_path,
+    )
     assert read_image(tmp_path / "again" / "edits.png").shape == (3 * 32 + 8, 3 * 32 + 8, 3)
 
 

@@ -5,10 +5,10 @@ import oracles
 import pytest
 import warp as wp
 
-from warpcage.cage import Cage
-from warpcage.devices import launch
-from warpcage.face_fans import face_fans, prepared_fans
-from warpcage.kernels import green, mean_value
+from warpcage.cage.cage import Cage
+from warpcage.core.devices import launch
+from warpcage.kernels.coordinates import green, mean_value
+from warpcage.mesh.fans import face_fans, prepared_fans
 
 
 def goes_on(faces):

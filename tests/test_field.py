@@ -6,7 +6,7 @@ import pytest
 import warp as wp
 
 import warpcage
-from warpcage.kernels import spherical_harmonics
+from warpcage.kernels.field import harmonics as spherical_harmonics
 
 
 @wp.kernel
@@ -25,8 +25,9 @@ def directions_of(count, seed=1):
 def test_basis_is_the_real_spherical_harmonics(device):
     d = directions_of(200)
     values = wp.empty((200, 9), dtype=wp.float32, device=device)
-    wp.launch(evaluate_basis, dim=200, inputs=[wp.array(d, dtype=wp.vec3, device=device)], outputs=[values],
-              device=device)
+    wp.launch(
+        evaluate_basis, dim=200, inputs=[wp.array(d, dtype=wp.vec3, device=device)], outputs=[values], device=device
+    )
     expected = oracle.basis(d)
     np.testing.assert_allclose(values.numpy(), expected, atol=2e-6)
 
@@ -40,7 +41,7 @@ def test_sample_matches_numpy_inside_and_outside(device):
     expected_rgb, expected_sigma = oracle.sample(field, density, sh, points, d)
     # a point within float32 of the outermost node planes may fall on either side
     g = (points - field.bounds[0]) / field.voxel_size - 0.5
-    clear = (np.abs(g - np.round(g)).min(axis=1) > 1e-5)
+    clear = np.abs(g - np.round(g)).min(axis=1) > 1e-5
     np.testing.assert_allclose(sigma[clear], expected_sigma[clear], atol=2e-4)
     np.testing.assert_allclose(rgb[clear], expected_rgb[clear], atol=2e-4)
     assert clear.mean() > 0.99 and (expected_sigma > 0).mean() > 0.1
@@ -65,8 +66,9 @@ def test_render_matches_brute_force_march(device, shift):
     frame = moved.render(camera, background=background)
     origins, d = camera.rays()
     for row, column in [(0, 0), (3, 4), (2, 5), (6, 8), (4, 2)]:
-        rgb, alpha, depth = oracle.render_ray(moved, density, sh, origins[row, column], d[row, column], moved.step,
-                                              background)
+        rgb, alpha, depth = oracle.render_ray(
+            moved, density, sh, origins[row, column], d[row, column], moved.step, background
+        )
         # early termination leaves at most 1e-3 of the light
         np.testing.assert_allclose(frame.rgb[row, column], rgb, atol=3e-3)
         assert abs(frame.alpha[row, column] - alpha) < 2e-3
@@ -160,11 +162,14 @@ def test_from_dense_keeps_what_interpolation_reaches(device):
     np.testing.assert_allclose(rgb, expected[0], atol=1e-4)
 
 
-@pytest.mark.parametrize("contents, word", [
-    ({"a": np.zeros(2)}, "neither"),
-    ({"format": "warpcage", "version": 99}, "version 99"),
-    ({"format": "warpcage", "version": 1}, "lacks"),
-])
+@pytest.mark.parametrize(
+    "contents, word",
+    [
+        ({"a": np.zeros(2)}, "neither"),
+        ({"format": "warpcage", "version": 99}, "version 99"),
+        ({"format": "warpcage", "version": 1}, "lacks"),
+    ],
+)
 def test_bad_files_are_named(tmp_path, contents, word):
     np.savez(tmp_path / "bad.npz", **contents)
     with pytest.raises(ValueError, match=word):
@@ -210,8 +215,9 @@ def test_supersampling_is_the_area_average(device, side):
         values = getattr(parts, name)
         expected = values.reshape(9, side, 13, side, *values.shape[2:]).mean(axis=(1, 3))
         np.testing.assert_allclose(getattr(whole, name), expected, atol=1e-6)
-    depth, alpha = (v.reshape(9, side, 13, side).transpose(0, 2, 1, 3).reshape(9, 13, -1) for v in
-                    (parts.depth, parts.alpha))
+    depth, alpha = (
+        v.reshape(9, side, 13, side).transpose(0, 2, 1, 3).reshape(9, 13, -1) for v in (parts.depth, parts.alpha)
+    )
     weight = np.where(np.isfinite(depth), alpha, 0).astype(np.float64)
     seen = weight.sum(axis=-1) > 0
     expected = (weight * np.where(weight > 0, depth, 0)).sum(axis=-1)[seen] / weight.sum(axis=-1)[seen]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from warpcage import Camera, Scene, fit
-from warpcage.camera import turntable
-from warpcage.evaluation import evaluate, mean_psnr
-from warpcage.field import VoxelField
-from warpcage.optimize import FieldOptimizer
+from warpcage.field.voxel_field import VoxelField
+from warpcage.fitting.evaluation import evaluate, mean_psnr
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.view.camera import turntable
 
 SIZE = 16
 QUICK = {"progress": False, "resolution": 16, "levels": 2, "epochs": 8, "batch_rays": 512}
@@ -45,19 +45,28 @@ def grey(count=2):
     return np.full((count, SIZE, SIZE, 3), 0.5, np.float32)
 
 
-@pytest.mark.parametrize("change, words", [
-    (lambda images, alphas: (images[:0], None, []), "at least one image"),
-    (lambda images, alphas: ([], None, []), "at least one image"),
-    (lambda images, alphas: ([images[0], images[1, :8]], None), r"one size: image 0 is \(16, 16\), image 1 \(8, 16\)"),
-    (lambda images, alphas: (np.where(np.arange(3) == 1, np.nan, images), None), "image 0000 .* not finite"),
-    (lambda images, alphas: (np.where(np.arange(3) == 1, np.inf, images), None), "image 0000 .* not finite"),
-    (lambda images, alphas: ((255 * images).astype(np.uint8), None), r"from 127 to 127: .*\[0, 1\].* divided by 255"),
-    (lambda images, alphas: (images, alphas * np.nan), "alpha of image 0000 .* from nan"),
-    (lambda images, alphas: (images, alphas * 255), "alpha of image 0000 .* to 255"),
-    (lambda images, alphas: (images, alphas[:, :8]), "alphas must be"),
-    (lambda images, alphas: (images, alphas, around(3)), "2 images, 3 cameras"),
-    (lambda images, alphas: (images, alphas, around(2, size=8)), "is 8x8, images are 16x16"),
-])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda images, alphas: (images[:0], None, []), "at least one image"),
+        (lambda images, alphas: ([], None, []), "at least one image"),
+        (
+            lambda images, alphas: ([images[0], images[1, :8]], None),
+            r"one size: image 0 is \(16, 16\), image 1 \(8, 16\)",
+        ),
+        (lambda images, alphas: (np.where(np.arange(3) == 1, np.nan, images), None), "image 0000 .* not finite"),
+        (lambda images, alphas: (np.where(np.arange(3) == 1, np.inf, images), None), "image 0000 .* not finite"),
+        (
+            lambda images, alphas: ((255 * images).astype(np.uint8), None),
+            r"from 127 to 127: .*\[0, 1\].* divided by 255",
+        ),
+        (lambda images, alphas: (images, alphas * np.nan), "alpha of image 0000 .* from nan"),
+        (lambda images, alphas: (images, alphas * 255), "alpha of image 0000 .* to 255"),
+        (lambda images, alphas: (images, alphas[:, :8]), "alphas must be"),
+        (lambda images, alphas: (images, alphas, around(3)), "2 images, 3 cameras"),
+        (lambda images, alphas: (images, alphas, around(2, size=8)), "is 8x8, images are 16x16"),
+    ],
+)
 def test_scenes_that_are_refused(change, words):
     images, alphas, *cameras = change(grey(), np.ones((2, SIZE, SIZE)))
     with pytest.raises(ValueError, match=words) as caught:
@@ -66,8 +75,10 @@ def test_scenes_that_are_refused(change, words):
 
 
 @pytest.mark.parametrize("name", ["fx", "fy"])
-@pytest.mark.parametrize("focal, words", [(0.0, "positive"), (-3.0, "positive"), (np.nan, "finite"), (np.inf, "finite"),
-                                          (None, "finite"), ("9", "finite")])
+@pytest.mark.parametrize(
+    "focal, words",
+    [(0.0, "positive"), (-3.0, "positive"), (np.nan, "finite"), (np.inf, "finite"), (None, "finite"), ("9", "finite")],
+)
 def test_focal_lengths_that_are_refused(name, focal, words):
     with pytest.raises(ValueError, match=words):
         dataclasses.replace(around(1)[0], **{name: focal})
@@ -76,11 +87,18 @@ def test_focal_lengths_that_are_refused(name, focal, words):
 SHEAR = np.eye(4) + 0.2 * np.eye(4, k=1)
 
 
-@pytest.mark.parametrize("pose, words", [
-    (np.zeros((4, 4)), "rotation"), (2 * np.eye(4), "rotation"), (SHEAR, "rotation"),
-    (np.diag([-1.0, 1, 1, 1]), "rotation"), (np.full((4, 4), np.nan), "finite"), (np.eye(3), "shape"),
-    (np.diag([1.0, 1, 1, 0]), "row 0 0 0 1"),
-])
+@pytest.mark.parametrize(
+    "pose, words",
+    [
+        (np.zeros((4, 4)), "rotation"),
+        (2 * np.eye(4), "rotation"),
+        (SHEAR, "rotation"),
+        (np.diag([-1.0, 1, 1, 1]), "rotation"),
+        (np.full((4, 4), np.nan), "finite"),
+        (np.eye(3), "shape"),
+        (np.diag([1.0, 1, 1, 0]), "row 0 0 0 1"),
+    ],
+)
 def test_poses_that_are_refused(pose, words):
     with pytest.raises(ValueError, match=words):
         Camera(20, 20, 8, 8, 16, 16, pose)
@@ -89,14 +107,28 @@ def test_poses_that_are_refused(pose, words):
 # What a fit refuses
 
 
-@pytest.mark.parametrize("options, words", [
-    ({"bounds": [1, 2]}, "bounds must be"), ({"bounds": [[0, 0, 0], [1, 1, 0]]}, "lower below upper"),
-    ({"bounds": [[0, 0, 0], [1, 1, np.nan]]}, "finite"), ({"bounds": [[50] * 3, [51] * 3]}, "inside all silhouettes"),
-    ({"seed": -1}, "seed"), ({"seed": 1.5}, "seed"), ({"epochs": "3"}, "epochs"), ({"epochs": np.nan}, "epochs"),
-    ({"resolution": 16.5}, "resolution"), ({"levels": 2.5}, "levels"), ({"batch_rays": -5}, "batch_rays"),
-    ({"variation_share": 0}, "variation_share"), ({"keep_at": 2}, "keep_at"), ({"beta": 1}, "beta"),
-    ({"tile_size": 0}, "tile_size"), ({"rate_sh": -1.0}, "rate_sh"), ({"max_resolution": 4}, "max_resolution"),
-])
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"bounds": [1, 2]}, "bounds must be"),
+        ({"bounds": [[0, 0, 0], [1, 1, 0]]}, "lower below upper"),
+        ({"bounds": [[0, 0, 0], [1, 1, np.nan]]}, "finite"),
+        ({"bounds": [[50] * 3, [51] * 3]}, "inside all silhouettes"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 1.5}, "seed"),
+        ({"epochs": "3"}, "epochs"),
+        ({"epochs": np.nan}, "epochs"),
+        ({"resolution": 16.5}, "resolution"),
+        ({"levels": 2.5}, "levels"),
+        ({"batch_rays": -5}, "batch_rays"),
+        ({"variation_share": 0}, "variation_share"),
+        ({"keep_at": 2}, "keep_at"),
+        ({"beta": 1}, "beta"),
+        ({"tile_size": 0}, "tile_size"),
+        ({"rate_sh": -1.0}, "rate_sh"),
+        ({"max_resolution": 4}, "max_resolution"),
+    ],
+)
 def test_options_that_are_refused(options, words):
     with pytest.raises(ValueError, match=words) as caught:
         FieldOptimizer(seen(around(2)), **options)
@@ -122,8 +154,10 @@ def test_cameras_that_all_look_away_are_refused(alpha):
 
 
 def test_cameras_in_one_place_that_look_around_need_bounds():
-    cameras = [Camera.look_at([0, 0, 0], [np.cos(a), np.sin(a), 0.2 * np.sin(3 * a)], fov_degrees=80, width=SIZE,
-                              height=SIZE) for a in 2 * np.pi * np.arange(6) / 6]
+    cameras = [
+        Camera.look_at([0, 0, 0], [np.cos(a), np.sin(a), 0.2 * np.sin(3 * a)], fov_degrees=80, width=SIZE, height=SIZE)
+        for a in 2 * np.pi * np.arange(6) / 6
+    ]
     with pytest.raises(ValueError, match="cameras look away .* give the bounds"):
         fit(Scene(grey(6), None, cameras), **QUICK)
     with pytest.raises(ValueError, match="size of what they look at"):
@@ -168,8 +202,16 @@ def test_cameras_inside_what_they_see(bounds):
     sh = np.zeros((32, 32, 32, 9, 3))
     sh[..., 0, :] = centres
     shell = VoxelField.from_dense(np.where(radius > 0.8, 40.0, 0.0), sh, [[-1] * 3, [1] * 3])
-    cameras = [Camera.look_at(0.4 * np.array([np.cos(a), np.sin(a), 0.3 * np.cos(2 * a)]), [0, 0, 0], fov_degrees=70,
-                              width=SIZE, height=SIZE) for a in 2 * np.pi * np.arange(10) / 10]
+    cameras = [
+        Camera.look_at(
+            0.4 * np.array([np.cos(a), np.sin(a), 0.3 * np.cos(2 * a)]),
+            [0, 0, 0],
+            fov_degrees=70,
+            width=SIZE,
+            height=SIZE,
+        )
+        for a in 2 * np.pi * np.arange(10) / 10
+    ]
     scene = seen(cameras, alpha=False, field=shell)
     field = fit(scene, bounds=bounds, **{**QUICK, "epochs": 40})
     assert mean_psnr(evaluate(field, scene)) > 20

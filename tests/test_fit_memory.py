@@ -9,12 +9,12 @@ from background_scenes import room_scene
 from test_fit_edges import around, seen
 
 from warpcage import Scene, fit
-from warpcage.evaluation import evaluate, mean_psnr
-from warpcage.fit_memory import FitMemory, array_bytes, device_arrays, memory_size, scaled_shape
-from warpcage.fit_progress import load_progress, save_progress
-from warpcage.optimize import FieldOptimizer
-from warpcage.synthetic_scenes import synthetic_scene
-from warpcage.training_pictures import PRECISIONS, TrainingPictures, picture_bytes
+from warpcage.fitting.checkpoint import load_progress, save_progress
+from warpcage.fitting.evaluation import evaluate, mean_psnr
+from warpcage.fitting.memory import FitMemory, array_bytes, device_arrays, memory_size, scaled_shape
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.fitting.pictures import PRECISIONS, TrainingPictures, picture_bytes
+from warpcage.reference.fit_scenes import synthetic_scene
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +22,19 @@ def scene():
     return seen(around(12, size=48))
 
 
-@pytest.mark.parametrize("text, size", [(12345, 12345), ("4GB", 4 * 10**9), ("1.5 MiB", 3 * 2**19), ("200kb", 200_000),
-                                        (".5tb", 5 * 10**11), (np.int64(7), 7), ("99", 99), (2e6, 2_000_000)])
+@pytest.mark.parametrize(
+    "text, size",
+    [
+        (12345, 12345),
+        ("4GB", 4 * 10**9),
+        ("1.5 MiB", 3 * 2**19),
+        ("200kb", 200_000),
+        (".5tb", 5 * 10**11),
+        (np.int64(7), 7),
+        ("99", 99),
+        (2e6, 2_000_000),
+    ],
+)
 def test_memory_sizes(text, size):
     assert memory_size(text) == size
 
@@ -79,9 +90,17 @@ class Allocations:
         monkeypatch.setattr(allocator, "deallocate", counted_deallocate)
 
 
-@pytest.mark.parametrize("pictures, limit, least", [("scene", "20MB", 30), ("scene", "7MB", 30), ("scene", "2MB", 28),
-                                                    ("scene", "1.3MB", 24), ("large_pictures", "4MB", 28),
-                                                    ("large_pictures", "2.2MB", 26)])
+@pytest.mark.parametrize(
+    "pictures, limit, least",
+    [
+        ("scene", "20MB", 30),
+        ("scene", "7MB", 30),
+        ("scene", "2MB", 28),
+        ("scene", "1.3MB", 24),
+        ("large_pictures", "4MB", 28),
+        ("large_pictures", "2.2MB", 26),
+    ],
+)
 def test_a_limit_is_kept(request, device, monkeypatch, pictures, limit, least):
     """Every array is counted, masks in between too."""
     scene = request.getfixturevalue(pictures)
@@ -135,8 +154,15 @@ def test_pictures_on_the_device(device, bits, masks):
 def test_a_loss_compares_with_either_precision(device, bits, masks):
     """The squared error of a field with nothing in it before a colour: what the pictures hold of another colour."""
     scene = room_scene(2, 8, masks=masks)
-    optimizer = FieldOptimizer(scene, device=device, resolution=16, levels=1, epochs=1, background_side=4,
-                               **({} if masks else {"background": "constant"}))
+    optimizer = FieldOptimizer(
+        scene,
+        device=device,
+        resolution=16,
+        levels=1,
+        epochs=1,
+        background_side=4,
+        **({} if masks else {"background": "constant"}),
+    )
     optimizer.keep_pictures(bits)
     field = optimizer.field
     field.grid.density.zero_()
@@ -159,7 +185,7 @@ def test_8_bits_a_channel_are_enough(device, monkeypatch, kind):
     train, test = synthetic_scene(kind, train_views=32, test_views=16, size=32, samples=2, device=device)
     found = []
     for precisions in (PRECISIONS, PRECISIONS[1:]):
-        monkeypatch.setattr("warpcage.optimize.PRECISIONS", precisions)
+        monkeypatch.setattr("warpcage.fitting.optimizer.PRECISIONS", precisions)
         optimizer = FieldOptimizer(train, device=device, resolution=32, levels=2, least_steps=150, batch_rays=4096)
         assert optimizer.pictures.bits == precisions[0]
         while optimizer.step_count < optimizer.total_steps:
@@ -171,10 +197,10 @@ def test_8_bits_a_channel_are_enough(device, monkeypatch, kind):
 @pytest.mark.parametrize("limit, bits", [("15MB", 8), ("9MB", 16), ("4MB", 8), ("3MB", 16), ("2.2MB", 8), ("1.2MB", 8)])
 def test_8_bits_are_chosen_where_they_buy_resolution(large_pictures, device, monkeypatch, limit, bits):
     if wp.get_device(device).is_cpu:
-        monkeypatch.setattr("warpcage.optimize.CPU_THREADS", 2)  # a level takes more memory with more of them
+        monkeypatch.setattr("warpcage.fitting.optimizer.CPU_THREADS", 2)  # a level takes more memory with more of them
     shapes, chosen = [], []
     for precisions in (PRECISIONS, PRECISIONS[:1], PRECISIONS[1:]):
-        for module in ("optimize", "training_pictures"):
+        for module in ("fitting.optimizer", "fitting.pictures"):
             monkeypatch.setattr(f"warpcage.{module}.PRECISIONS", precisions)
         try:
             optimizer = FieldOptimizer(large_pictures, device=device, max_memory=limit, least_steps=9, epochs=0.01)
@@ -204,7 +230,7 @@ def test_limits_that_cannot_be_kept(scene, device):
 
 def test_a_small_device_is_not_overrun(scene, monkeypatch):
     """Without max_memory, what is free is the limit."""
-    monkeypatch.setattr("warpcage.fit_memory.free_bytes", lambda device: 2_000_000)
+    monkeypatch.setattr("warpcage.fitting.memory.free_bytes", lambda device: 2_000_000)
     optimizer = FieldOptimizer(scene, least_steps=9, epochs=0.1)
     assert optimizer.memory_limit == 1_800_000
     while optimizer.step_count < optimizer.total_steps:
@@ -215,7 +241,7 @@ def test_a_small_device_is_not_overrun(scene, monkeypatch):
 @pytest.mark.parametrize("pictures, limit, bits", [("scene", "7MB", 16), ("large_pictures", "4MB", 8)])
 def test_a_checkpoint_of_a_limited_fit_goes_on(request, device, monkeypatch, tmp_path, pictures, limit, bits):
     if wp.get_device(device).is_cpu:
-        monkeypatch.setattr("warpcage.optimize.CPU_THREADS", 2)
+        monkeypatch.setattr("warpcage.fitting.optimizer.CPU_THREADS", 2)
     scene, options = request.getfixturevalue(pictures), {"max_memory": limit, "least_steps": 60, "device": device}
     optimizer = FieldOptimizer(scene, **options)
     while optimizer.level < 2:

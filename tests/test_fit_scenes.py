@@ -7,13 +7,13 @@ import pytest
 import warp as wp
 
 from warpcage import Camera, Scene, fit
-from warpcage.camera import turntable
-from warpcage.evaluation import evaluate, mean_psnr
-from warpcage.fit_defaults import MOST_SCARCE, PLENTY, scarcity
-from warpcage.kernels.spherical_harmonics import vec9
-from warpcage.kernels.view_dependence import shrink_view_dependence
-from warpcage.optimize import FieldOptimizer
-from warpcage.synthetic_scenes import KINDS, MODELS, synthetic_scene
+from warpcage.fitting.evaluation import evaluate, mean_psnr
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.fitting.plan import MOST_SCARCE, PLENTY, scarcity
+from warpcage.kernels.field.harmonics import vec9
+from warpcage.kernels.fitting.rmsprop import shrink_view_dependence
+from warpcage.reference.fit_scenes import KINDS, MODELS, synthetic_scene
+from warpcage.view.camera import turntable
 
 SMALL = {"progress": False, "least_steps": 120, "batch_rays": 2048}
 
@@ -29,8 +29,9 @@ def held_out_psnr(kind, device, **options):
     return mean_psnr(evaluate(fit(train, device=device, **SMALL, **options), test))
 
 
-@pytest.mark.parametrize("kind, least", [("bricks", 24.8), ("thin", 24.0), ("specular", 27.5), ("textured", 24.4),
-                                         ("aside", 24.6)])
+@pytest.mark.parametrize(
+    "kind, least", [("bricks", 24.8), ("thin", 24.0), ("specular", 27.5), ("textured", 24.4), ("aside", 24.6)]
+)
 def test_views_that_were_held_out(device, kind, least):
     """About 0.8 dB below what was measured."""
     assert held_out_psnr(kind, device) > least
@@ -54,8 +55,10 @@ def test_few_views_get_more_of_a_prior(device, count, kind, gain):
 
 def test_scarcity_by_hand():
     """Pixels of 0.01 at the centre, voxels of 0.02: each view sees one by four pixels."""
-    cameras = [Camera.look_at((3, 0, 0), (0, 0, 0), fov_degrees=2 * np.degrees(np.arctan(0.5)), width=300, height=200),
-               *turntable((0, 0, 0), 3.0, 10.0, 4, fov_degrees=2 * np.degrees(np.arctan(0.5)), width=300, height=200)]
+    cameras = [
+        Camera.look_at((3, 0, 0), (0, 0, 0), fov_degrees=2 * np.degrees(np.arctan(0.5)), width=300, height=200),
+        *turntable((0, 0, 0), 3.0, 10.0, 4, fov_degrees=2 * np.degrees(np.arctan(0.5)), width=300, height=200),
+    ]
     assert scarcity(cameras, np.zeros(3), 0.02) == pytest.approx(PLENTY / 20)
     assert scarcity(cameras, np.zeros(3), 0.04) == pytest.approx(PLENTY / 80)
     assert scarcity(cameras, np.zeros(3), 0.2) == 1.0

@@ -22,24 +22,50 @@ from scene_writers import (  # noqa: E402
 )
 
 from warpcage import VoxelField, load_scene  # noqa: E402
-from warpcage.background import LayeredBackground  # noqa: E402
-from warpcage.cage import Cage  # noqa: E402
-from warpcage.fit_progress import load_progress, save_progress  # noqa: E402
-from warpcage.images import read_image  # noqa: E402
-from warpcage.optimize import FieldOptimizer  # noqa: E402
-from warpcage.pose_file import PoseFile  # noqa: E402
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
+from warpcage.field.background import LayeredBackground
+from warpcage.fitting.checkpoint import load_progress, save_progress
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.view.pictures import read_image
 
 EXAMPLES = os.environ.get("WARPCAGE_FUZZ_EXAMPLES")
 COUNT = int(EXAMPLES or 120)
 
-fuzz = settings(max_examples=COUNT, derandomize=EXAMPLES is None, deadline=None, database=None,
-                suppress_health_check=list(HealthCheck))
+fuzz = settings(
+    max_examples=COUNT,
+    derandomize=EXAMPLES is None,
+    deadline=None,
+    database=None,
+    suppress_health_check=list(HealthCheck),
+)
 
 #: Megabytes that reading one damaged file of a few kilobytes may take.
 MEMORY = 600
 
-WORDS = [b"nan", b"-inf", b"1e400", b"-1", b"0", b"99999999999999999999", b"1" * 5000, b"4294967295", b"x", b"\x00",
-         b"null", b"true", b"\"text\"", b"[]", b"{}", b"[" * 3000, b"../../x", b"/etc/passwd", b"\xff\xfe", b"\n", b"#"]
+WORDS = [
+    b"nan",
+    b"-inf",
+    b"1e400",
+    b"-1",
+    b"0",
+    b"99999999999999999999",
+    b"1" * 5000,
+    b"4294967295",
+    b"x",
+    b"\x00",
+    b"null",
+    b"true",
+    b'"text"',
+    b"[]",
+    b"{}",
+    b"[" * 3000,
+    b"../../x",
+    b"/etc/passwd",
+    b"\xff\xfe",
+    b"\n",
+    b"#",
+]
 
 
 @st.composite
@@ -133,11 +159,33 @@ def test_scene_folders(folders, name):
 
 
 JSON_VALUES = st.recursive(
-    st.one_of(st.none(), st.booleans(), st.integers(-(10**320), 10**320), st.floats(), st.text(max_size=8),
-              st.sampled_from(["../x.png", "/etc/passwd", "images", "..", ".", "images/view_00.png", "\0", "a" * 5000,
-                               "train", "train/view_01", "masks/view_01.png", "PINHOLE", "OPENCV_FISHEYE"])),
+    st.one_of(
+        st.none(),
+        st.booleans(),
+        st.integers(-(10**320), 10**320),
+        st.floats(),
+        st.text(max_size=8),
+        st.sampled_from(
+            [
+                "../x.png",
+                "/etc/passwd",
+                "images",
+                "..",
+                ".",
+                "images/view_00.png",
+                "\0",
+                "a" * 5000,
+                "train",
+                "train/view_01",
+                "masks/view_01.png",
+                "PINHOLE",
+                "OPENCV_FISHEYE",
+            ]
+        ),
+    ),
     lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=4), inner, max_size=3)),
-    max_leaves=8)
+    max_leaves=8,
+)
 
 
 @pytest.mark.parametrize("name", ["blender", "transforms"])
@@ -180,8 +228,9 @@ def test_json_of_cages_with_wrong_values(tmp_path, name):
         content = inner = json.loads(json.dumps(original))
         while isinstance(inner, dict | list) and inner and (inner is content or data.draw(st.booleans())):
             outer = inner
-            key = data.draw(st.sampled_from(sorted(inner)) if isinstance(inner, dict)
-                            else st.integers(0, len(inner) - 1))
+            key = data.draw(
+                st.sampled_from(sorted(inner)) if isinstance(inner, dict) else st.integers(0, len(inner) - 1)
+            )
             inner = outer[key]
         outer[key] = data.draw(JSON_VALUES | st.integers(-9, 10**10) | st.sampled_from(["../x.bin", "cage.gltf"]))
         path.write_text(json.dumps(content))
@@ -206,16 +255,19 @@ def test_field_files(tmp_path_factory, format):
     density[2:4, 2:4, 2:4] = 3.0
     field = VoxelField.from_dense(density, np.zeros((6, 6, 6, 9, 3)), [[0, 0, 0], [1, 1, 1]])
     if format == "layers":
-        field.background_model = LayeredBackground((0.5, 0.5, 0.5), 0.5, 2, np.full((3, 26, 4), 0.5),
-                                                   unseen=(0.1, 0.2, 0.3, 0.4))
+        field.background_model = LayeredBackground(
+            (0.5, 0.5, 0.5), 0.5, 2, np.full((3, 26, 4), 0.5), unseen=(0.1, 0.2, 0.3, 0.4)
+        )
     path = tmp_path_factory.mktemp("field") / "field.npz"
     field.save(path, format="svox2" if format == "svox2" else "warpcage")
     whole = path.read_bytes()
     contents = dict(np.load(path))
 
     @fuzz
-    @given(st.lists(damages(), max_size=2), st.dictionaries(st.sampled_from(sorted(contents)), st.none() | ARRAYS,
-                                                            max_size=2))
+    @given(
+        st.lists(damages(), max_size=2),
+        st.dictionaries(st.sampled_from(sorted(contents)), st.none() | ARRAYS, max_size=2),
+    )
     def try_damaged(applied, changes):
         changed = {name: array for name, array in {**contents, **changes}.items() if array is not None}
         np.savez(path, **changed)
@@ -247,8 +299,12 @@ def test_fit_checkpoints(folders, tmp_path):
     target = FieldOptimizer(scene, **options)
 
     @fuzz
-    @given(st.lists(damages(), max_size=2), st.dictionaries(st.sampled_from(sorted(contents)), st.none() | ARRAYS,
-                                                            max_size=2), st.none() | JSON_VALUES, st.integers(0, 5))
+    @given(
+        st.lists(damages(), max_size=2),
+        st.dictionaries(st.sampled_from(sorted(contents)), st.none() | ARRAYS, max_size=2),
+        st.none() | JSON_VALUES,
+        st.integers(0, 5),
+    )
     def try_damaged(applied, changes, value, which):
         changed = {name: array for name, array in {**contents, **changes}.items() if array is not None}
         if value is not None and "state" not in changes:
@@ -299,9 +355,17 @@ def test_cage_files(tmp_path_factory, ending):
     cage = Cage.box((0, 0, 0), (1, 2, 3), segments=2)
     path = tmp_path_factory.mktemp("cage") / f"cage{ending}"
     if ending == "text.ply":
-        lines = ["ply", "format ascii 1.0", f"element vertex {len(cage.vertices)}", "property float x",
-                 "property float y", "property float z", f"element face {len(cage.faces)}",
-                 "property list uchar int vertex_indices", "end_header"]
+        lines = [
+            "ply",
+            "format ascii 1.0",
+            f"element vertex {len(cage.vertices)}",
+            "property float x",
+            "property float y",
+            "property float z",
+            f"element face {len(cage.faces)}",
+            "property list uchar int vertex_indices",
+            "end_header",
+        ]
         lines += [" ".join(map(str, point)) for point in cage.vertices.tolist()]
         lines += [" ".join(map(str, [3, *face])) for face in cage.faces.tolist()]
         path.write_text("\n".join(lines) + "\n")

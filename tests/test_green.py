@@ -6,18 +6,20 @@ import pytest
 import trimesh
 import warp as wp
 
-from warpcage.cage import Cage
-from warpcage.coordinates import deform_points, green_coordinates, stretched_normals
-from warpcage.devices import launch
-from warpcage.face_fans import prepared_fans
-from warpcage.kernels import green
+from warpcage.cage.cage import Cage
+from warpcage.coordinates.deform import deform_points, stretched_normals
+from warpcage.coordinates.weights import green_coordinates
+from warpcage.core.devices import launch
+from warpcage.kernels.coordinates import green
+from warpcage.mesh.fans import prepared_fans
 
 NAMES = list(oracles.CAGES)
 
 
 def on_device(points, vertices, faces, device):
     return [wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device=device) for a in (points, vertices)] + [
-        wp.array(np.asarray(faces, np.int32), dtype=wp.vec3i, device=device)]
+        wp.array(np.asarray(faces, np.int32), dtype=wp.vec3i, device=device)
+    ]
 
 
 def weigh(points, vertices, faces, device):
@@ -103,8 +105,12 @@ def test_map_is_the_weighted_sum(device):
     targets, normals = random.normal(size=vertices.shape), random.normal(size=faces.shape)
     positions = wp.empty(len(points), dtype=wp.vec3, device=device)
     arrays = on_device(points, vertices, faces, device)
-    inputs = [*arrays, prepared_fans(*arrays[1:], 1.0),
-              *(wp.array(a, dtype=wp.vec3, device=device) for a in (targets, normals)), 1.0]
+    inputs = [
+        *arrays,
+        prepared_fans(*arrays[1:], 1.0),
+        *(wp.array(a, dtype=wp.vec3, device=device) for a in (targets, normals)),
+        1.0,
+    ]
     launch(green.map_green, len(points), inputs, [positions], device=device)
     phi, psi = weigh(points, vertices, faces, device)
     assert np.abs(positions.numpy() - phi @ targets - psi @ normals).max() < 1e-5

@@ -12,10 +12,10 @@ from test_containment import reference_distance
 from test_coordinate_accuracy import points_beside_slot, slot_cages
 from trimesh.transformations import rotation_matrix
 
-from warpcage.cage import Cage
-from warpcage.harmonic_solver import HarmonicSolver
-from warpcage.lattice import CageLattice
-from warpcage.position_map import harmonic_weights
+from warpcage.cage.cage import Cage
+from warpcage.coordinates.harmonic import harmonic_weights
+from warpcage.lattice.harmonic import HarmonicSolver
+from warpcage.lattice.lattice import CageLattice
 
 CAGES = ("icosphere", "box", "concave", "two boxes")
 

@@ -7,7 +7,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from warpcage.images import (
+from warpcage.view.film import write_gif, write_video
+from warpcage.view.pictures import (
     colour_disparity,
     contact_sheet,
     disparity_range,
@@ -15,9 +16,7 @@ from warpcage.images import (
     read_image,
     side_by_side,
     to_uint8,
-    write_gif,
     write_png,
-    write_video,
 )
 
 

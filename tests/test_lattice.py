@@ -5,8 +5,8 @@ import oracles
 import pytest
 from test_containment import reference_distance
 
-from warpcage.cage import Cage
-from warpcage.lattice import LINE_CAPACITY, CageLattice
+from warpcage.cage.cage import Cage
+from warpcage.lattice.lattice import LINE_CAPACITY, CageLattice
 
 
 def nodes_of(lattice):

@@ -8,10 +8,10 @@ import pytest
 import trimesh
 from test_position_map import inside_points, look_up, pose_noisily
 
-from warpcage.cage import Cage
-from warpcage.closed_form_solver import MeanValueSolver
-from warpcage.map_extension import launch_rings
-from warpcage.position_map import PositionMap
+from warpcage.cage.cage import Cage
+from warpcage.lattice.closed_form import MeanValueSolver
+from warpcage.lattice.position_map import PositionMap
+from warpcage.lattice.rings import launch_rings
 
 STEPS = np.array(list(itertools.product((0, 1), repeat=3)))
 

@@ -5,11 +5,12 @@ import oracles
 import pytest
 import warp as wp
 
-from warpcage.cage import Cage
-from warpcage.coordinates import deform_points, green_coordinates, mean_value_coordinates
-from warpcage.devices import launch
-from warpcage.face_fans import prepared_fans
-from warpcage.kernels import mean_value
+from warpcage.cage.cage import Cage
+from warpcage.coordinates.deform import deform_points
+from warpcage.coordinates.weights import green_coordinates, mean_value_coordinates
+from warpcage.core.devices import launch
+from warpcage.kernels.coordinates import mean_value
+from warpcage.mesh.fans import prepared_fans
 
 NAMES = list(oracles.CAGES)
 
@@ -25,7 +26,8 @@ def weigh(points, vertices, faces, device):
 
 def on_device(points, vertices, faces, device):
     return [wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device=device) for a in (points, vertices)] + [
-        wp.array(np.asarray(faces, np.int32), dtype=wp.vec3i, device=device)]
+        wp.array(np.asarray(faces, np.int32), dtype=wp.vec3i, device=device)
+    ]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -94,8 +96,13 @@ def test_map_is_the_weighted_sum(device):
     positions = wp.empty(len(points), dtype=wp.vec3, device=device)
     arrays = on_device(points, vertices, faces, device)
     targets_there = wp.array(targets, dtype=wp.vec3, device=device)
-    launch(mean_value.map_mean_value, len(points),
-           [*arrays, prepared_fans(*arrays[1:], 1.0), targets_there, 1.0], [positions], device=device)
+    launch(
+        mean_value.map_mean_value,
+        len(points),
+        [*arrays, prepared_fans(*arrays[1:], 1.0), targets_there, 1.0],
+        [positions],
+        device=device,
+    )
     weights = weigh(points, vertices, faces, device)
     assert np.abs(positions.numpy() - weights @ targets).max() < 1e-5
 
@@ -163,8 +170,10 @@ def test_points_too_far_for_the_formula_are_refused(distance, on_device, device)
     points = np.array([[0, 0, 0], [0, -distance, 1], [900, 0, 0]])
     if on_device:
         points = wp.array(points.astype(np.float32), dtype=wp.vec3, device=device)
-    for call in (lambda: mean_value_coordinates(points, cage, device=device),
-                 lambda: deform_points(points, cage, cage, device=device)):
+    for call in (
+        lambda: mean_value_coordinates(points, cage, device=device),
+        lambda: deform_points(points, cage, cage, device=device),
+    ):
         with pytest.raises(ValueError, match="1 of 3 points are 1000 times .* the first is point 1 at"):
             call()
     phi, _ = green_coordinates(points, cage, device=device, outside="nan")

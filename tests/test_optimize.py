@@ -10,12 +10,16 @@ import pytest
 import warp as wp
 
 import warpcage
-from warpcage.bounds import camera_array, object_bounds
-from warpcage.devices import resolve_device
-from warpcage.evaluation import error_image, evaluate, mean_psnr, psnr, ssim
-from warpcage.kernels import field_loss, field_loss_warps, field_step, field_variation
-from warpcage.optimize import FieldOptimizer
-from warpcage.row_views import coefficient_rows, gradient_parts
+from warpcage.core.devices import resolve_device
+from warpcage.fitting.evaluation import error_image, evaluate, mean_psnr, psnr, ssim
+from warpcage.fitting.level import coefficient_rows, gradient_parts
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.fitting.silhouettes import object_bounds
+from warpcage.kernels.fitting import loss as field_loss
+from warpcage.kernels.fitting import loss_warps as field_loss_warps
+from warpcage.kernels.fitting import rmsprop as field_step
+from warpcage.kernels.fitting import variation as field_variation
+from warpcage.view.frame import camera_array
 
 
 def training_rays(cameras, images, alphas, field, device, side=1):
@@ -31,8 +35,20 @@ def training_rays(cameras, images, alphas, field, device, side=1):
     return rays
 
 
-def photometric_gradient(field, rays, count, *, background=(1.0, 1.0, 1.0), random_background=0, seed=0, stop=0.0,
-                         scale=1.0, by_warps=False, own_background=None, grad_background=None):
+def photometric_gradient(
+    field,
+    rays,
+    count,
+    *,
+    background=(1.0, 1.0, 1.0),
+    random_background=0,
+    seed=0,
+    stop=0.0,
+    scale=1.0,
+    by_warps=False,
+    own_background=None,
+    grad_background=None,
+):
     """Gradient rows (rows, 28) and squared errors (count,) of a batch. own_background, grad_background: Warp arrays."""
     device = field.device
     gradients = wp.zeros((field.voxel_count, 28), dtype=wp.float32, device=device)
@@ -40,21 +56,34 @@ def photometric_gradient(field, rays, count, *, background=(1.0, 1.0, 1.0), rand
     error = wp.zeros(count, dtype=wp.float32, device=device)
     inputs = [rays, wp.vec3(*background), random_background, seed, field.step, stop, scale, own_background]
     if by_warps:
-        wp.launch(field_loss_warps.accumulate_photometric_gradient_by_warps, dim=32 * count, device=device,
-                  block_dim=128, inputs=[0, field.grid, coefficient_rows(field.grid.sh), *inputs],
-                  outputs=[gradients, touched, error, grad_background])
+        wp.launch(
+            field_loss_warps.accumulate_photometric_gradient_by_warps,
+            dim=32 * count,
+            device=device,
+            block_dim=128,
+            inputs=[0, field.grid, coefficient_rows(field.grid.sh), *inputs],
+            outputs=[gradients, touched, error, grad_background],
+        )
         assert touched.numpy()[gradients.numpy().any(axis=1)].all()
     else:
-        wp.launch(field_loss.accumulate_photometric_gradient, dim=count, device=device,
-                  inputs=[0, field.grid, *inputs], outputs=[*gradient_parts(gradients), error, grad_background])
+        wp.launch(
+            field_loss.accumulate_photometric_gradient,
+            dim=count,
+            device=device,
+            inputs=[0, field.grid, *inputs],
+            outputs=[*gradient_parts(gradients), error, grad_background],
+        )
     return gradients.numpy(), error.numpy()
 
 
 def test_photometric_gradient_matches_finite_differences(device):
-    field, density, sh = oracle.random_field(device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3),
-                                             density_scale=1.0)
-    cameras = [warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=38, width=8, height=6)
-               for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2])]
+    field, density, sh = oracle.random_field(
+        device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0
+    )
+    cameras = [
+        warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=38, width=8, height=6)
+        for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2])
+    ]
     random = np.random.default_rng(0)
     images, alphas = random.random((2, 6, 8, 3)), np.ones((2, 6, 8))
     images = images.astype(np.float16).astype(np.float64)
@@ -68,8 +97,16 @@ def test_photometric_gradient_matches_finite_differences(device):
         for camera, image in zip(cameras, images, strict=True):
             origins, directions = camera.rays()
             for row, column in np.ndindex(6, 8):
-                rgb, _, _ = oracle.render_ray(field, density, sh, origins[row, column], directions[row, column],
-                                              field.step, background, length=6.0)
+                rgb, _, _ = oracle.render_ray(
+                    field,
+                    density,
+                    sh,
+                    origins[row, column],
+                    directions[row, column],
+                    field.step,
+                    background,
+                    length=6.0,
+                )
                 total += ((rgb - image[row, column]) ** 2).sum()
         return total * scale
 
@@ -90,8 +127,9 @@ def test_photometric_gradient_matches_finite_differences(device):
 
 
 def test_gradient_of_subrays_matches_finite_differences(device):
-    field, _, _ = oracle.random_field(device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3),
-                                      density_scale=1.0)
+    field, _, _ = oracle.random_field(
+        device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0
+    )
     camera = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=8, height=6)
     random = np.random.default_rng(0)
     rays = training_rays([camera], random.random((1, 6, 8, 3)), np.ones((1, 6, 8)), field, device, 2)
@@ -117,8 +155,10 @@ def test_gradient_by_warps_is_the_same(device, side):
     if device == "cpu":
         pytest.skip("warp shuffles: CUDA only")
     field, _, _ = oracle.random_field(device, resolution=(40, 36, 44), keep=0.6, density_scale=1.5)
-    cameras = [warpcage.Camera.look_at(eye, [0, 0, 0.3], fov_degrees=60, width=7, height=5)
-               for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2], [0.1, 0.2, 0.3])]
+    cameras = [
+        warpcage.Camera.look_at(eye, [0, 0, 0.3], fov_degrees=60, width=7, height=5)
+        for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2], [0.1, 0.2, 0.3])
+    ]
     random = np.random.default_rng(0)
     rays = training_rays(cameras, random.random((3, 5, 7, 3)), random.random((3, 5, 7)), field, device, side)
     how = {"random_background": 1, "seed": 5, "stop": 1e-4}
@@ -163,9 +203,22 @@ def test_variation_gradient_matches_finite_differences(device):
     gradients = wp.zeros((rows, 28), dtype=wp.float32, device=device)
     touched = wp.zeros(rows, dtype=wp.uint8, device=device)
     unit, scale_density, scale_sh = 0.7, 0.3, 0.2
-    wp.launch(field_variation.accumulate_variation_gradient, dim=28 * rows, device=device,
-              inputs=[0, field.grid, coefficient_rows(field.grid.sh), wp.array(nodes, dtype=wp.vec3i, device=device), 3,
-                      unit, scale_density, scale_sh], outputs=[gradients, touched])
+    wp.launch(
+        field_variation.accumulate_variation_gradient,
+        dim=28 * rows,
+        device=device,
+        inputs=[
+            0,
+            field.grid,
+            coefficient_rows(field.grid.sh),
+            wp.array(nodes, dtype=wp.vec3i, device=device),
+            3,
+            unit,
+            scale_density,
+            scale_sh,
+        ],
+        outputs=[gradients, touched],
+    )
     gradients = gradients.numpy()
     assert touched.numpy().all()
 
@@ -208,9 +261,13 @@ def test_rmsprop_step_matches_numpy(device):
         g[3:5] = 0
         gradients = wp.array(g.astype(np.float32), device=device)
         touched = wp.array((g != 0).any(axis=1).astype(np.uint8), device=device)
-        wp.launch(field_step.apply_rmsprop, dim=12 * 28, device=device,
-                  inputs=[0, 0.7, 0.5, 0.2, 0.9, 1e-12, 1e-12, touched, gradients, held_moments],
-                  outputs=[density, coefficients])
+        wp.launch(
+            field_step.apply_rmsprop,
+            dim=12 * 28,
+            device=device,
+            inputs=[0, 0.7, 0.5, 0.2, 0.9, 1e-12, 1e-12, touched, gradients, held_moments],
+            outputs=[density, coefficients],
+        )
         assert not gradients.numpy().any()
         v = np.where(moments == 0, g * g, 0.9 * moments + 0.1 * g * g)
         moments = np.where(g != 0, v, moments)
@@ -228,9 +285,12 @@ def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=
     sh[..., 0, :] = grid / 0.2820948  # colour by position
     offset = np.asarray(offset)
     field = warpcage.VoxelField.from_dense(density, sh, [offset - scale, offset + scale], device=device)
-    cameras = warpcage.camera.turntable(offset, 3.2 * scale, 30, count // 2, fov_degrees=35, width=size, height=size)
-    cameras += warpcage.camera.turntable(offset, 3.2 * scale, -25, count - count // 2, fov_degrees=35, width=size,
-                                         height=size, start_degrees=13)
+    cameras = warpcage.view.camera.turntable(
+        offset, 3.2 * scale, 30, count // 2, fov_degrees=35, width=size, height=size
+    )
+    cameras += warpcage.view.camera.turntable(
+        offset, 3.2 * scale, -25, count - count // 2, fov_degrees=35, width=size, height=size, start_degrees=13
+    )
     frames = [field.render(camera) for camera in cameras]
     alphas = np.stack([frame.alpha for frame in frames]) if with_alpha else None
     return warpcage.Scene(np.stack([frame.rgb for frame in frames]), alphas, cameras)
@@ -239,8 +299,9 @@ def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=
 SMALL = {"resolution": 40, "levels": 2, "epochs": 25, "batch_rays": 1024}
 
 
-@pytest.mark.parametrize("scale, offset, with_alpha", [(1.0, (0, 0, 0), True), (10.0, (40, -30, 5), True),
-                                                       (1.0, (0, 0, 0), False)])
+@pytest.mark.parametrize(
+    "scale, offset, with_alpha", [(1.0, (0, 0, 0), True), (10.0, (40, -30, 5), True), (1.0, (0, 0, 0), False)]
+)
 def test_fit_finds_what_was_rendered(device, scale, offset, with_alpha):
     scene = blob_scene(count=40, size=32, scale=scale, offset=offset, with_alpha=with_alpha, device=device)
     held, rest = [7, 29], [i for i in range(40) if i not in (7, 29)]
@@ -263,12 +324,16 @@ def test_fit_finds_what_was_rendered(device, scale, offset, with_alpha):
 
 def test_fit_is_deterministic_on_the_cpu():
     scene = blob_scene(count=6, size=24, device="cpu")
-    fields = [warpcage.fit(scene, device="cpu", seed=seed, progress=False, resolution=24, levels=2, epochs=2,
-                           batch_rays=512) for seed in (3, 3, 4)]
+    fields = [
+        warpcage.fit(scene, device="cpu", seed=seed, progress=False, resolution=24, levels=2, epochs=2, batch_rays=512)
+        for seed in (3, 3, 4)
+    ]
     np.testing.assert_array_equal(fields[0].grid.density.numpy(), fields[1].grid.density.numpy())
     np.testing.assert_array_equal(fields[0].grid.sh.numpy(), fields[1].grid.sh.numpy())
-    assert (fields[0].voxel_count != fields[2].voxel_count
-            or (fields[0].grid.density.numpy() != fields[2].grid.density.numpy()).any())
+    assert (
+        fields[0].voxel_count != fields[2].voxel_count
+        or (fields[0].grid.density.numpy() != fields[2].grid.density.numpy()).any()
+    )
 
 
 def test_bounds_hold_the_object():
@@ -290,9 +355,16 @@ def test_optimizer_counts_steps_and_refuses_more():
         optimizer.step()
 
 
-@pytest.mark.parametrize("options, word", [({"epoch": 3}, "no option 'epoch'"), ({"resolution": 2}, "resolution"),
-                                           ({"levels": 0}, "levels"), ({"epochs": 0}, "epochs"),
-                                           ({"quality": "best"}, "quality")])
+@pytest.mark.parametrize(
+    "options, word",
+    [
+        ({"epoch": 3}, "no option 'epoch'"),
+        ({"resolution": 2}, "resolution"),
+        ({"levels": 0}, "levels"),
+        ({"epochs": 0}, "epochs"),
+        ({"quality": "best"}, "quality"),
+    ],
+)
 def test_bad_options(options, word):
     with pytest.raises(ValueError, match=word):
         warpcage.fit(blob_scene(count=2, size=8), progress=False, **options)
@@ -362,8 +434,12 @@ RESUMED = {"resolution": 24, "levels": 2, "epochs": 12, "batch_rays": 512}
 
 def test_a_killed_fit_goes_on_from_its_checkpoint(tmp_path):
     checkpoint = tmp_path / "progress.npz"
-    killed = subprocess.run([sys.executable, "-c", KILLED, str(checkpoint)], cwd=pathlib.Path(__file__).parent,
-                            capture_output=True, timeout=120)
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, str(checkpoint)],
+        cwd=pathlib.Path(__file__).parent,
+        capture_output=True,
+        timeout=120,
+    )
     assert killed.returncode == -9, killed.stderr.decode()
     assert [p.name for p in tmp_path.iterdir()] == ["progress.npz"]
     scene = blob_scene(count=12, size=24)
@@ -374,7 +450,7 @@ def test_a_killed_fit_goes_on_from_its_checkpoint(tmp_path):
 
 
 def test_checkpoints_of_other_fits_are_refused(tmp_path):
-    from warpcage.fit_progress import load_progress, save_progress
+    from warpcage.fitting.checkpoint import load_progress, save_progress
 
     scene = blob_scene(count=4, size=16)
     optimizer = FieldOptimizer(scene, resolution=16, levels=1, batch_rays=256)

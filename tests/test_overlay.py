@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from warpcage.cage import Cage
-from warpcage.camera import Camera
-from warpcage.overlay import draw_cage
+from warpcage.cage.cage import Cage
+from warpcage.view.camera import Camera
+from warpcage.view.overlay import draw_cage
 
 SIZE = 64
 RED = (1.0, 0.0, 0.0)
@@ -89,12 +89,15 @@ def test_uint8_pictures_stay_uint8(camera):
     assert result[pixel(camera, [1, -1, 0.3])][0] > 240
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"width": 0}, "line width"),
-    ({"color": (2, 0, 0)}, "color must be"),
-    ({"opacity": 1.5}, "opacities"),
-    ({"depth": np.zeros((3, 3))}, "depth must be"),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"width": 0}, "line width"),
+        ({"color": (2, 0, 0)}, "color must be"),
+        ({"opacity": 1.5}, "opacities"),
+        ({"depth": np.zeros((3, 3))}, "depth must be"),
+    ],
+)
 def test_bad_options_are_refused(camera, options, message):
     with pytest.raises(ValueError, match=message):
         draw_cage(np.zeros((SIZE, SIZE, 3)), camera, Cage.box([-1, -1, -1], [1, 1, 1]), **options)

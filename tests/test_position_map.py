@@ -5,13 +5,14 @@ import oracles
 import pytest
 import warp as wp
 
-from warpcage import memory
-from warpcage.cage import Cage
-from warpcage.coordinates import stretched_normals
-from warpcage.devices import launch
-from warpcage.kernels.cage_map import sample_map
-from warpcage.pose_graph import PoseGraph
-from warpcage.position_map import PositionMap, fit_affine, harmonic_weights
+from warpcage.cage.cage import Cage
+from warpcage.coordinates.deform import stretched_normals
+from warpcage.coordinates.harmonic import harmonic_weights
+from warpcage.core import memory
+from warpcage.core.devices import launch
+from warpcage.kernels.lattice.cage_map import sample_map
+from warpcage.lattice.graph import PoseGraph
+from warpcage.lattice.position_map import PositionMap, fit_affine
 
 KINDS = ("harmonic", "mean_value", "green")
 STORES = ("map", "weights")
@@ -259,9 +260,11 @@ def test_harmonic_map_reports_its_solver(device):
 def test_nodes_at_narrow_gaps_are_counted(device):
     """A slit between two boxes, half a cell wide, then five cells wide."""
     box = Cage.box((0, 0, 0), (1, 1, 1))
+
     def pair(gap):
-        return Cage(np.concatenate([box.vertices, box.vertices + [1 + gap, 0, 0]]),
-                    np.concatenate([box.faces, box.faces + 8]))
+        return Cage(
+            np.concatenate([box.vertices, box.vertices + [1 + gap, 0, 0]]), np.concatenate([box.faces, box.faces + 8])
+        )
 
     wide, narrow = pair(5 * 2.1 / 32), pair(0.5 * 2.1 / 32)
     position_map = PositionMap(wide, resolution=32, device=device)
@@ -291,8 +294,13 @@ def test_maps_take_less_than_100_and_700_megabytes():
 
 def test_bad_input_is_refused(device):
     rest = cage_named("box")
-    for options in (dict(coordinates="bezier"), dict(store="disk"), dict(resolution=4), dict(resolution=5000),
-                    dict(tolerance=0)):
+    for options in (
+        dict(coordinates="bezier"),
+        dict(store="disk"),
+        dict(resolution=4),
+        dict(resolution=5000),
+        dict(tolerance=0),
+    ):
         with pytest.raises(ValueError):
             PositionMap(rest, device=device, **options)
     position_map = PositionMap(rest, resolution=8, device=device)

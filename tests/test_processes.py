@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from warpcage.devices import CPU_THREADS, run_parallel
+from warpcage.core.threads import CPU_THREADS, run_parallel
 
 PROGRAM = """\
 import multiprocessing
@@ -17,7 +17,7 @@ import sys
 import numpy as np
 
 from warpcage import Cage, deform_points
-from warpcage.devices import run_parallel
+from warpcage.core.threads import run_parallel
 
 CAGE = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
 POINTS = np.random.default_rng(0).uniform(-0.9, 0.9, (5000, 3))
@@ -44,8 +44,9 @@ def test_processes_on_a_cpu_compute_what_their_parent_does(method, when, tmp_pat
     if method not in multiprocessing.get_all_start_methods():
         pytest.skip(f"processes do not {method} here")
     (tmp_path / "program.py").write_text(PROGRAM)
-    done = subprocess.run([sys.executable, "program.py", method, when], cwd=tmp_path, capture_output=True, text=True,
-                          timeout=120)
+    done = subprocess.run(
+        [sys.executable, "program.py", method, when], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpcage.camera import Camera
-from warpcage.render import Frame, camera_struct
+from warpcage.view.camera import Camera
+from warpcage.view.frame import Frame, camera_struct
 
 
 def test_a_frame_converts_once_and_reshapes(device):
@@ -35,8 +35,10 @@ def test_a_frame_is_told_in_one_short_line():
 def test_a_frame_passes_between_processes(again, device):
     random = np.random.default_rng(0)
     rgb, alpha, reveal = random.random((6, 3)), random.random(6), random.random(6)
-    arrays = [wp.array(values.astype(np.float32), dtype=dtype, device=device)
-              for values, dtype in ((rgb, wp.vec3), (alpha, float), (alpha, float), (reveal, float))]
+    arrays = [
+        wp.array(values.astype(np.float32), dtype=dtype, device=device)
+        for values, dtype in ((rgb, wp.vec3), (alpha, float), (alpha, float), (reveal, float))
+    ]
     frame = Frame(3, 2, *arrays[:3], reveal=arrays[3])
     other = again(frame)
     for name in ("rgb", "alpha", "depth", "disparity", "reveal"):
@@ -49,12 +51,15 @@ def test_a_frame_takes_numpy():
     assert frame.depth.shape == (1, 2)
 
 
-@pytest.mark.parametrize(("size", "rgb", "masks", "message"), [
-    ((2, 1), np.zeros((1, 3, 3)), {}, "rgb of a 2x1 frame"),
-    ((0, 1), np.zeros((1, 0, 3)), {}, "at least 1x1"),
-    ((2, 1), np.zeros((1, 2, 3)), {"shadow": np.zeros(2)}, "no mask 'shadow'"),
-    ((2, 1), np.zeros((1, 2, 3)), {"fold": np.zeros(3)}, "fold of a 2x1 frame"),
-])
+@pytest.mark.parametrize(
+    ("size", "rgb", "masks", "message"),
+    [
+        ((2, 1), np.zeros((1, 3, 3)), {}, "rgb of a 2x1 frame"),
+        ((0, 1), np.zeros((1, 0, 3)), {}, "at least 1x1"),
+        ((2, 1), np.zeros((1, 2, 3)), {"shadow": np.zeros(2)}, "no mask 'shadow'"),
+        ((2, 1), np.zeros((1, 2, 3)), {"fold": np.zeros(3)}, "fold of a 2x1 frame"),
+    ],
+)
 def test_a_frame_refuses_what_does_not_fit(size, rgb, masks, message):
     with pytest.raises(ValueError, match=message):
         Frame(*size, rgb, np.zeros(size[0] * size[1]), np.zeros(size[0] * size[1]), **masks)

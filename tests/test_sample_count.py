@@ -4,9 +4,9 @@ import numpy as np
 import warp as wp
 
 from warpcage import Camera, VoxelField
-from warpcage.bounds import camera_array
-from warpcage.devices import launch
-from warpcage.kernels.sample_count import count_samples
+from warpcage.core.devices import launch
+from warpcage.kernels.reference.sample_count import count_samples
+from warpcage.view.frame import camera_array
 
 
 def counts(field, cameras, stride=1, stop=1e-4):
@@ -22,8 +22,9 @@ def test_samples_of_a_block(device):
     links = np.arange(1000, dtype=np.int32).reshape(10, 10, 10)
     density = np.zeros((10, 10, 10), np.float32)
     density[5:] = 1e-3
-    field = VoxelField([[0, 0, 0], [10, 10, 10]], links, density.ravel(), np.zeros((1000, 9, 3), np.float32),
-                       device=device)
+    field = VoxelField(
+        [[0, 0, 0], [10, 10, 10]], links, density.ravel(), np.zeros((1000, 9, 3), np.float32), device=device
+    )
     ahead = Camera.look_at([-20, 5, 5], [5, 5, 5], fov_degrees=2, width=3, height=3)
     past = Camera.look_at([-20, 30, 5], [5, 30, 5], fov_degrees=2, width=3, height=3)
     marched, matter = counts(field, [ahead, past])
@@ -33,7 +34,8 @@ def test_samples_of_a_block(device):
 
 
 def test_opaque_matter_ends_a_ray(device):
-    field = VoxelField.from_dense(np.full((10, 10, 10), 50.0), np.zeros((10, 10, 10, 9, 3)), [[0, 0, 0], [10, 10, 10]],
-                                  device=device)
+    field = VoxelField.from_dense(
+        np.full((10, 10, 10), 50.0), np.zeros((10, 10, 10, 9, 3)), [[0, 0, 0], [10, 10, 10]], device=device
+    )
     marched, matter = counts(field, [Camera.look_at([-20, 5, 5], [5, 5, 5], fov_degrees=2, width=1, height=1)])
     assert marched.item() == matter.item() == 1  # exp(-50 / 2) is less than what counts

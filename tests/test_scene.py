@@ -8,7 +8,7 @@ import pytest
 
 import warpcage
 from warpcage import Camera, load_scene
-from warpcage.camera import turntable
+from warpcage.view.camera import turntable
 
 
 def write_folder(folder, images, *, angle=0.8, split="train", poses=None, **changes):
@@ -58,8 +58,9 @@ def test_downscale_averages_premultiplied_colour(tmp_path, factor):
     # the mean of the whole picture is kept, and each cell is the mean over its own area
     np.testing.assert_allclose(scene.images[0].mean(axis=(0, 1)), premultiplied.mean(axis=(0, 1)), atol=1e-6)
     if 8 % factor == 0:
-        np.testing.assert_allclose(scene.images[0, 0, 1], premultiplied[:factor, factor:2 * factor].mean(axis=(0, 1)),
-                                   atol=1e-6)
+        np.testing.assert_allclose(
+            scene.images[0, 0, 1], premultiplied[:factor, factor : 2 * factor].mean(axis=(0, 1)), atol=1e-6
+        )
     full = load_scene(tmp_path).cameras[0]
     assert scene.cameras[0].fx / full.fx == pytest.approx(width / 12)
 
@@ -94,11 +95,19 @@ def damaged(folder, kind):
         (folder / "train" / "r_0.png").write_bytes(b"no picture")
 
 
-@pytest.mark.parametrize("kind, error, word", [
-    ("missing image", FileNotFoundError, "r_0.png"), ("sizes", ValueError, "one size"),
-    ("angle", ValueError, "camera_angle_x"), ("no frames", ValueError, "no frames"), ("json", ValueError, "no JSON"),
-    ("pose", ValueError, "rotation"), ("broken image", ValueError, "cannot be read"), ("empty", ValueError, "no scene"),
-])
+@pytest.mark.parametrize(
+    "kind, error, word",
+    [
+        ("missing image", FileNotFoundError, "r_0.png"),
+        ("sizes", ValueError, "one size"),
+        ("angle", ValueError, "camera_angle_x"),
+        ("no frames", ValueError, "no frames"),
+        ("json", ValueError, "no JSON"),
+        ("pose", ValueError, "rotation"),
+        ("broken image", ValueError, "cannot be read"),
+        ("empty", ValueError, "no scene"),
+    ],
+)
 def test_damaged_folders_are_named_in_one_line(tmp_path, kind, error, word):
     damaged(tmp_path, kind)
     with pytest.raises(error, match=word) as caught:
@@ -168,9 +177,15 @@ def test_turntable_goes_round():
     np.testing.assert_allclose(centres[0, :2], -centres[4, :2], atol=1e-12)
 
 
-@pytest.mark.parametrize("changes, word", [({"fx": 0.0}, "focal"), ({"width": 0}, "1x1"),
-                                           ({"camera_to_world": np.eye(3)}, "4, 4"),
-                                           ({"camera_to_world": np.diag([1, 1, -1, 1.0])}, "rotation")])
+@pytest.mark.parametrize(
+    "changes, word",
+    [
+        ({"fx": 0.0}, "focal"),
+        ({"width": 0}, "1x1"),
+        ({"camera_to_world": np.eye(3)}, "4, 4"),
+        ({"camera_to_world": np.diag([1, 1, -1, 1.0])}, "rotation"),
+    ],
+)
 def test_bad_cameras(changes, word):
     good = {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0, "width": 2, "height": 2, "camera_to_world": np.eye(4)}
     with pytest.raises(ValueError, match=word):

@@ -17,7 +17,7 @@ from scene_writers import (
 )
 
 from warpcage import Camera, load_scene
-from warpcage.scenes.distortion import COEFFICIENTS, distort, undistort, undistorted_intrinsics
+from warpcage.scene.formats.distortion import COEFFICIENTS, distort, undistort, undistorted_intrinsics
 
 BACKGROUND = (0.1, 0.5, 0.9)
 
@@ -104,9 +104,16 @@ def test_dtu_without_masks(tmp_path, bricks):
     assert load(tmp_path).alphas is None
 
 
-@pytest.mark.parametrize("options", [
-    {}, {"shared": False}, {"masks": True}, {"extension": False}, {"masks": True, "extension": False, "shared": False},
-])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"shared": False},
+        {"masks": True},
+        {"extension": False},
+        {"masks": True, "extension": False, "shared": False},
+    ],
+)
 def test_transforms(tmp_path, bricks, options):
     write_transforms(tmp_path, bricks, **options)
     require_held_out_splits(tmp_path, bricks)
@@ -250,15 +257,20 @@ def test_jpeg(tmp_path, extension):
 # Distortion
 
 LENSES = {
-    "barrel": (-0.12, 0.02), "pincushion": (0.1, 0.01), "tangential": (0.0, 0.0, 0.01, -0.008),
-    "all": (-0.1, 0.03, 0.004, -0.006), "rational": (0.05, 0.01, 0.002, 0.001, 0.01, 0.02, 0.01, 0.005),
+    "barrel": (-0.12, 0.02),
+    "pincushion": (0.1, 0.01),
+    "tangential": (0.0, 0.0, 0.01, -0.008),
+    "all": (-0.1, 0.03, 0.004, -0.006),
+    "rational": (0.05, 0.01, 0.002, 0.001, 0.01, 0.02, 0.01, 0.005),
 }
 
 
 def picture_of(camera, pixels):
     """A smooth picture on the sky, looked up along the rays through pixels (h, w, 2) of a pinhole camera."""
-    local = np.stack([(pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy,
-                      np.ones(pixels.shape[:2])], axis=-1)
+    local = np.stack(
+        [(pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy, np.ones(pixels.shape[:2])],
+        axis=-1,
+    )
     world = local @ camera.rotation.T
     world /= np.linalg.norm(world, axis=-1, keepdims=True)
     return 0.5 + 0.4 * np.sin(world @ np.array([[3.0, 1, 2], [1, 4, -2], [2, -1, 3]]))
@@ -302,13 +314,21 @@ def require_undistorted(scene, pictures):
 @pytest.mark.parametrize("lens", ["barrel", "pincushion", "tangential", "all"])
 def test_transforms_distortion_is_undone(tmp_path, lens):
     pictures = lens_pictures(LENSES[lens])
-    write_transforms(tmp_path, pictures, shared=False,
-                     distortion=dict(zip(("k1", "k2", "p1", "p2"), LENSES[lens], strict=False)))
+    write_transforms(
+        tmp_path, pictures, shared=False, distortion=dict(zip(("k1", "k2", "p1", "p2"), LENSES[lens], strict=False))
+    )
     require_undistorted(load_scene(tmp_path), pictures)
 
 
-@pytest.mark.parametrize("model, lens", [("SIMPLE_RADIAL", (-0.12,)), ("RADIAL", LENSES["barrel"]),
-                                         ("OPENCV", LENSES["all"]), ("FULL_OPENCV", LENSES["rational"])])
+@pytest.mark.parametrize(
+    "model, lens",
+    [
+        ("SIMPLE_RADIAL", (-0.12,)),
+        ("RADIAL", LENSES["barrel"]),
+        ("OPENCV", LENSES["all"]),
+        ("FULL_OPENCV", LENSES["rational"]),
+    ],
+)
 @pytest.mark.parametrize("binary", [False, True])
 def test_colmap_distortion_is_undone(tmp_path, model, lens, binary):
     pictures = lens_pictures(lens, single_focal="RADIAL" in model)
@@ -332,8 +352,15 @@ def test_a_lens_that_folds_the_picture_is_refused(k1):
 # Readers of others
 
 
-@pytest.mark.parametrize("model, lens", [("OPENCV", LENSES["all"]), ("FULL_OPENCV", LENSES["rational"]),
-                                         ("RADIAL", LENSES["barrel"]), ("SIMPLE_RADIAL", (0.1,))])
+@pytest.mark.parametrize(
+    "model, lens",
+    [
+        ("OPENCV", LENSES["all"]),
+        ("FULL_OPENCV", LENSES["rational"]),
+        ("RADIAL", LENSES["barrel"]),
+        ("SIMPLE_RADIAL", (0.1,)),
+    ],
+)
 def test_distortion_is_that_of_colmap(model, lens):
     pycolmap = pytest.importorskip("pycolmap")
     focal = [50.0] if "RADIAL" in model else [50.0, 52.0]
@@ -371,7 +398,7 @@ def test_a_model_that_colmap_wrote(tmp_path, bricks, binary):
     for index, image in enumerate(theirs.images.values()):
         path = tmp_path / "images" / image.name
         path.parent.mkdir(parents=True, exist_ok=True)
-        from warpcage.images import write_png
+        from warpcage.view.pictures import write_png
 
         write_png(path, bricks.rgba[index % 10])
     scene = load(tmp_path, split="all")
@@ -384,8 +411,9 @@ def test_a_model_that_colmap_wrote(tmp_path, bricks, binary):
 def require_same_as_colmap(scene, theirs):
     by_name = sorted(theirs.images.values(), key=lambda image: image.name)
     for camera, image in zip(scene.cameras, by_name, strict=True):
-        np.testing.assert_allclose([camera.fx, camera.fy, camera.cx, camera.cy],
-                                   theirs.cameras[image.camera_id].params, rtol=1e-12)
+        np.testing.assert_allclose(
+            [camera.fx, camera.fy, camera.cx, camera.cy], theirs.cameras[image.camera_id].params, rtol=1e-12
+        )
         np.testing.assert_allclose(camera.centre, image.projection_center(), atol=1e-9)
         point = camera.centre + camera.rotation @ [0.3, -0.2, 2.0]
         pixel = image.camera.img_from_cam(image.cam_from_world() * point)
@@ -400,8 +428,9 @@ def test_projections_are_split_as_opencv_does(bricks, tmp_path):
         projection = (matrices[f"world_mat_{i}"] @ matrices[f"scale_mat_{i}"])[:3]
         k, rotation, centre = cv2.decomposeProjectionMatrix(projection * np.sign(np.linalg.det(projection[:, :3])))[:3]
         k = k / k[2, 2]
-        np.testing.assert_allclose([k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5],
-                                   [camera.fx, camera.fy, camera.cx, camera.cy], rtol=1e-9)
+        np.testing.assert_allclose(
+            [k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5], [camera.fx, camera.fy, camera.cx, camera.cy], rtol=1e-9
+        )
         np.testing.assert_allclose(rotation.T, camera.rotation, atol=1e-9)
         np.testing.assert_allclose(centre[:3, 0] / centre[3, 0], camera.centre, atol=1e-9)
 

@@ -7,14 +7,20 @@ import pytest
 from scene_writers import brick_pictures, write_colmap, write_nsvf
 
 from warpcage import Camera, Deformer, Scene, VoxelField, fit, load_scene
-from warpcage.bounds import object_bounds, view_box
-from warpcage.cage import Cage
-from warpcage.camera import turntable
-from warpcage.devices import resolve_device
+from warpcage.cage.cage import Cage
+from warpcage.core.devices import resolve_device
+from warpcage.fitting.silhouettes import object_bounds
+from warpcage.scene.box import view_box
+from warpcage.view.camera import turntable
 
 FAR = np.array([1e4, -2e4, 3e4])
-WORLDS = {"1024 times": (1024.0, 0 * FAR), "1000 times": (1000.0, 0 * FAR), "a thousandth": (1e-3, 0 * FAR),
-          "far": (1.0, FAR), "1000 times and far": (1000.0, 1000.0 * FAR)}
+WORLDS = {
+    "1024 times": (1024.0, 0 * FAR),
+    "1000 times": (1000.0, 0 * FAR),
+    "a thousandth": (1e-3, 0 * FAR),
+    "far": (1.0, FAR),
+    "1000 times and far": (1000.0, 1000.0 * FAR),
+}
 
 
 @pytest.fixture(scope="module")
@@ -89,8 +95,11 @@ def test_bounds_follow_the_cameras(pictures, world, layout):
     scale, shift = WORLDS[world]
     cameras = pictures.cameras
     if layout == "parallel":
-        cameras = [Camera(40, 40, 14, 14, 28, 28, np.block([[np.eye(3), np.array([[x], [y], [0.0]])], [0, 0, 0, 1.0]]))
-                   for x in (0.0, 0.5, 1.0) for y in (0.0, 0.3)]
+        cameras = [
+            Camera(40, 40, 14, 14, 28, 28, np.block([[np.eye(3), np.array([[x], [y], [0.0]])], [0, 0, 0, 1.0]]))
+            for x in (0.0, 0.5, 1.0)
+            for y in (0.0, 0.3)
+        ]
     images = np.zeros((len(cameras), 28, 28, 3))
     box, moved = (view_box(Scene(images, None, placed(cameras, *place))) for place in ((1.0, 0 * FAR), (scale, shift)))
     np.testing.assert_allclose((moved - shift) / scale, box, atol=1e-8)

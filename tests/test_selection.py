@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from test_surface import GridField, nodes
 
-from warpcage.cage import Cage
-from warpcage.camera import Camera
-from warpcage.selection import select_nodes
-from warpcage.surface import extract_mesh
+from warpcage.cage.cage import Cage
+from warpcage.field.selection import select_nodes
+from warpcage.field.surface import extract_mesh
+from warpcage.view.camera import Camera
 
 DTU = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data")) / "dtu_scan24_half"
 
@@ -55,8 +55,10 @@ def test_a_selection_stands_in_for_its_field():
 
 def test_masks_of_several_views_cut_the_object_out():
     field, truth = room()
-    views = [Camera.look_at(eye, (0, 0, 0), width=64, height=48, fov_degrees=50)
-             for eye in ((4, 0, 0), (0, -3, 2.5), (-3, -3, 1))]
+    views = [
+        Camera.look_at(eye, (0, 0, 0), width=64, height=48, fov_degrees=50)
+        for eye in ((4, 0, 0), (0, -3, 2.5), (-3, -3, 1))
+    ]
     centres = nodes((32,) * 3)
     masks = []
     for camera in views:
@@ -75,7 +77,7 @@ def test_masks_of_several_views_cut_the_object_out():
 
 @pytest.mark.skipif(not DTU.is_dir(), reason=f"no DTU data in {DTU} (set WARPCAGE_DATA)")
 def test_the_object_of_dtu_scan_24_by_its_masks():
-    from warpcage.images import read_image
+    from warpcage.view.pictures import read_image
 
     bundle = np.load(DTU / "cameras_sphere.npz")
     names = sorted((DTU / "mask").glob("*.png"))[::2]

@@ -8,8 +8,10 @@ import scipy.sparse
 import scipy.sparse.csgraph
 
 from warpcage import Camera, load_scene
-from warpcage.images import read_image
-from warpcage.synthetic import brick_model, render_mesh_views, write_brick_scene
+from warpcage.reference.brick_scene import write_brick_scene
+from warpcage.reference.bricks import brick_model
+from warpcage.reference.raycast import render_mesh_views
+from warpcage.view.pictures import read_image
 
 BOX_VERTICES = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float) * (0.5, 0.3, 0.4)
 BOX_FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
@@ -20,7 +22,7 @@ def box_is_hit(camera, offset):
     """Slab test of the box for the ray through each pixel centre, float64, (h, w)."""
     origins, directions = camera.rays()
     with np.errstate(divide="ignore"):
-        crossings = (np.stack([BOX_VERTICES.min(axis=0), BOX_VERTICES.max(axis=0)])[:, None, None] + offset - origins)
+        crossings = np.stack([BOX_VERTICES.min(axis=0), BOX_VERTICES.max(axis=0)])[:, None, None] + offset - origins
         crossings = crossings / directions
     return crossings.min(axis=0).max(axis=-1) < crossings.max(axis=0).min(axis=-1)
 
@@ -52,6 +54,7 @@ def test_supersampling_gives_the_covered_share(device):
 
 def test_light_comes_from_above_and_casts_shadows(device):
     """A floor under a small roof, seen from below the roof's height: dark under it, light beside it."""
+
     def square(size, height):
         return [[-size, -size, height], [size, -size, height], [size, size, height], [-size, size, height]]
 
@@ -73,8 +76,13 @@ def test_light_comes_from_above_and_casts_shadows(device):
 def test_highlight_depends_on_the_view(device):
     floor = np.array([[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]], float)
     eyes = [(-1.8, 2.4, 3.6), (1.8, 2.4, 3.6)]  # the first stands where the key light is mirrored to
-    views = render_mesh_views(floor, [[0, 1, 2], [0, 2, 3]], np.full((2, 3), 0.3),
-                              [Camera.look_at(eye, (0, 0, 0), width=9, height=9) for eye in eyes], device=device)
+    views = render_mesh_views(
+        floor,
+        [[0, 1, 2], [0, 2, 3]],
+        np.full((2, 3), 0.3),
+        [Camera.look_at(eye, (0, 0, 0), width=9, height=9) for eye in eyes],
+        device=device,
+    )
     centre = views[:, 4, 4, :3].mean(axis=-1)
     assert centre[0] - centre[1] > 0.05
 
@@ -158,7 +166,7 @@ def test_scene_depends_on_the_seed_only(tmp_path, brick_scene):
 
 
 def test_scene_is_complete_or_absent(tmp_path, monkeypatch):
-    import warpcage.synthetic as synthetic
+    import warpcage.reference.brick_scene as synthetic
 
     small = {"train_views": 2, "test_views": 1, "size": 8}
     real = synthetic.write_png

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from warpcage.animation import pose_between, pose_weights
-from warpcage.cage import Cage
-from warpcage.views import framing_orbit
+from warpcage.cage.cage import Cage
+from warpcage.view.camera import framing_orbit
+from warpcage.view.film import pose_between, pose_weights
 
 
 @pytest.mark.parametrize("width, height", [(64, 64), (90, 40), (40, 90)])

@@ -4,25 +4,26 @@ images + cameras -> Scene -> VoxelField -> surface mesh -> Cage -> coordinates o
 after Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022).
 """
 
-from .bake import bake
-from .cage import Cage
-from .cage_check import CageReport
-from .cage_edits import CageEdit
-from .camera import Camera, turntable
-from .coordinates import deform_points, green_coordinates, harmonic_coordinates, mean_value_coordinates
-from .deformer import Deformer
-from .evaluation import evaluate, mean_psnr, psnr
-from .field import VoxelField
-from .fit_options import FitOptions
-from .optimize import FieldOptimizer, fit
-from .pose_file import PoseFile
-from .position_map import PositionMap
-from .render import Frame
-from .scene import Scene, load_scene
-from .selection import NodeSelection, select_nodes
+from .cage.cage import Cage
+from .cage.pose_file import PoseFile
+from .cage.report import CageReport
+from .coordinates.deform import deform_points
+from .coordinates.weights import green_coordinates, harmonic_coordinates, mean_value_coordinates
+from .deform.bake import bake
+from .deform.deformer import Deformer
+from .deform.edits import CageEdit
+from .field.selection import NodeSelection, select_nodes
+from .field.voxel_field import VoxelField
+from .fitting.evaluation import evaluate, mean_psnr, psnr
+from .fitting.optimizer import FieldOptimizer, fit
+from .fitting.options import FitOptions
+from .lattice.position_map import PositionMap
+from .scene.load import load_scene
+from .scene.scene import Scene
+from .view.camera import Camera, turntable
+from .view.frame import Frame
 
 __version__ = "0.1.0"
-
 __all__ = [
     "Cage",
     "CageEdit",

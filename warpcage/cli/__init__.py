@@ -12,9 +12,9 @@ import sys
 import warnings
 
 from . import animate, bake, cage, check, evaluate, fit, info, mesh, pose, render
+from .options import package_version
 
 COMMANDS = (fit, mesh, cage, check, pose, render, animate, bake, evaluate, info)
-
 EXAMPLE = """\
 example, from pictures to a bent object:
   warpcage fit data/lego --downscale 2 -o lego.npz
@@ -83,8 +83,6 @@ class _Version(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, **options)
 
     def __call__(self, parser, namespace, values, option_string=None):
-        from .options import package_version
-
         print(f"warpcage {package_version()}")
         parser.exit()
 

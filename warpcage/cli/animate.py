@@ -1,9 +1,14 @@
 """`warpcage animate`: a film of a pose."""
 
+from __future__ import annotations
+
 import hashlib
 import json
 import pathlib
 
+from ..core.files import atomic_path
+from ..view.film import axis_rotation, cameras_along, frame_places, write_gif, write_video
+from ..view.pictures import write_png
 from . import inputs, options, outputs, view
 from .keyframes import Keyframes, is_preset, pose_file
 from .render import background_option
@@ -21,32 +26,52 @@ An output without an ending is a folder of PNG files: run the same command again
 what is missing. The film goes from rest through the poses of --posed in their order. Each vertex takes its own way from
 pose to pose; where all poses are one preset, the amount of it changes, so that a bend stays an arc.
 """
-
 SETTINGS_NAME = "animation.json"
 
 
 def add_arguments(parser):
     parser.add_argument("field", help="field file (.npz)")
-    parser.add_argument("-o", "--output", required=True, metavar="FILM",
-                        help="film (.mp4, .gif) or folder of PNG files")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FILM", help="film (.mp4, .gif) or folder of PNG files"
+    )
     parser.add_argument("--frames", type=options.positive_int, default=48, metavar="N", help="(default: %(default)s)")
-    parser.add_argument("--fps", type=options.positive_float, default=24.0,
-                        help="frames a second (default: %(default)s)")
-    parser.add_argument("--motion", choices=("swing", "once", "hold"), default="swing",
-                        help="swing: to the last pose and back; once: to the last pose; hold: posed throughout "
-                             "(default: %(default)s)")
-    parser.add_argument("--interpolation", choices=("smooth", "linear"), default="smooth",
-                        help="linear: straight from pose to pose at one speed; smooth: through the poses without a "
-                             "jolt, gentle at both ends (default: %(default)s)")
+    parser.add_argument(
+        "--fps", type=options.positive_float, default=24.0, help="frames a second (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--motion",
+        choices=("swing", "once", "hold"),
+        default="swing",
+        help="swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--interpolation",
+        choices=("smooth", "linear"),
+        default="smooth",
+        help="linear: straight from pose to pose at one speed; smooth: through the poses without a "
+        "jolt, gentle at both ends (default: %(default)s)",
+    )
     path = parser.add_argument_group("camera path")
-    path.add_argument("--turn", type=options.finite_float, default=None, metavar="DEGREES",
-                      help="how far the camera goes around the target; 0 keeps it where it is (default: 360)")
-    path.add_argument("--cameras", metavar="SCENE[:SPLIT]",
-                      help="go through the cameras of a scene's pictures instead, e.g. data/lego:test (split: train)")
-    parser.add_argument("--show", choices=outputs.KINDS, default="rgb",
-                        help="rgb; alpha; depth (near is white) or disparity, of one scale for the film; masks: where "
-                             "the map folds, what it uncovers and loses, and a warning of their shares "
-                             "(default: %(default)s)")
+    path.add_argument(
+        "--turn",
+        type=options.finite_float,
+        default=None,
+        metavar="DEGREES",
+        help="how far the camera goes around the target; 0 keeps it where it is (default: 360)",
+    )
+    path.add_argument(
+        "--cameras",
+        metavar="SCENE[:SPLIT]",
+        help="go through the cameras of a scene's pictures instead, e.g. data/lego:test (split: train)",
+    )
+    parser.add_argument(
+        "--show",
+        choices=outputs.KINDS,
+        default="rgb",
+        help="rgb; alpha; depth (near is white) or disparity, of one scale for the film; masks: where "
+        "the map folds, what it uncovers and loses, and a warning of their shares "
+        "(default: %(default)s)",
+    )
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the pictures")
     options.add_background(parser, "the field's own")
     options.add_deformation(parser, keyframes=True)
@@ -72,8 +97,6 @@ def run(args):
 
     from tqdm import tqdm
 
-    from ..images import write_gif, write_video
-
     frames = tqdm(range(args.frames), desc="animate", disable=args.quiet)
     if output.suffix.lower() == ".mp4":
         write_video(output, map(shot.picture, frames), args.fps)
@@ -84,8 +107,10 @@ def run(args):
         print(f"wrote {output}: {args.frames - kept} frames, {kept} were there")
         shot.warn()
         return
-    print(f"wrote {output}: {args.frames} frames of {cameras[0].width}x{cameras[0].height}, "
-          f"{output.stat().st_size / 1e6:.2f} MB")
+    print(
+        f"wrote {output}: {args.frames} frames of {cameras[0].width}x{cameras[0].height}, "
+        f"{output.stat().st_size / 1e6:.2f} MB"
+    )
     shot.warn()
 
 
@@ -93,8 +118,6 @@ class _Shot:
     """Renders frame by index, so that a folder can be taken up anywhere."""
 
     def __init__(self, renderer, keyframes, cameras, args):
-        from ..animation import frame_places
-
         self.renderer, self.keyframes, self.cameras, self.args = renderer, keyframes, cameras, args
         count = 1 if keyframes is None else len(keyframes.cages)
         self.places = frame_places(args.frames, count, args.motion, args.interpolation)
@@ -141,7 +164,6 @@ def _chosen_cameras(args, points) -> list:
         return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)
     if any(given is not None for given in (args.turn, args.camera, args.eye, args.target)):
         raise ValueError("--cameras and --turn, --camera, --eye or --target exclude each other")
-    from ..animation import cameras_along
 
     cameras, size = view.scene_cameras(args.cameras), view.image_size(args)
     if size is not None:
@@ -152,8 +174,6 @@ def _chosen_cameras(args, points) -> list:
 def turned_cameras(camera, pivot, up, degrees: float, count: int):
     """`count` cameras: this one carried around the line through `pivot` along `up`; a full turn closes."""
     import numpy as np
-
-    from ..animation import axis_rotation
 
     axis = np.asarray(up, np.float64)
     if np.linalg.norm(axis) == 0:
@@ -181,8 +201,20 @@ def _checked_output(text: str) -> pathlib.Path:
 
 def _settings(args, cameras) -> dict:
     """What decides how frames look, so that a folder never mixes two films."""
-    names = ("frames", "motion", "interpolation", "turn", "show", "overlay", "background", "coordinates", "resolution",
-             "density", "cage_up", "scene_scale")
+    names = (
+        "frames",
+        "motion",
+        "interpolation",
+        "turn",
+        "show",
+        "overlay",
+        "background",
+        "coordinates",
+        "resolution",
+        "density",
+        "cage_up",
+        "scene_scale",
+    )
     settings = {name: getattr(args, name) for name in names}
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()
@@ -202,9 +234,6 @@ def _fingerprint(text: str | None) -> str | None:
 
 def _write_folder(folder: pathlib.Path, shot: _Shot, frames, settings: dict) -> int:
     """Write the frames that are not there yet; returns how many were. Frames appear whole, so those there are good."""
-    from ..files import atomic_path
-    from ..images import write_png
-
     note = folder / SETTINGS_NAME
     if note.exists():
         try:
@@ -213,8 +242,10 @@ def _write_folder(folder: pathlib.Path, shot: _Shot, frames, settings: dict) -> 
             found = None
         if found != settings:
             changed = [name for name in settings if not isinstance(found, dict) or found.get(name) != settings[name]]
-            raise ValueError(f"folder {str(folder)!r} holds frames of another film (other {', '.join(changed)}): "
-                             "give another folder or empty this one")
+            raise ValueError(
+                f"folder {str(folder)!r} holds frames of another film (other {', '.join(changed)}): "
+                "give another folder or empty this one"
+            )
     elif folder.is_dir() and any(folder.glob("frame_*.png")):
         raise ValueError(f"folder {str(folder)!r} holds other frames (no {SETTINGS_NAME}): give another folder")
     else:

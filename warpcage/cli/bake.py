@@ -1,5 +1,8 @@
 """`warpcage bake`: a deformed scene as a field of its own."""
 
+from __future__ import annotations
+
+from ..deform.bake import bake
 from . import inputs, options
 
 NAME = "bake"
@@ -13,10 +16,18 @@ EXAMPLE = """\
 def add_arguments(parser):
     parser.add_argument("field", help="field file (.npz)")
     parser.add_argument("-o", "--output", required=True, metavar="FIELD", help="field to write (.npz)")
-    parser.add_argument("--voxels", type=options.positive_int, metavar="N",
-                        help="voxels along the longest side of the deformed scene (default: as large as the field's)")
-    parser.add_argument("--format", choices=("warpcage", "svox2"), default="warpcage",
-                        help="warpcage, or svox2: a Plenoxels checkpoint (default: %(default)s)")
+    parser.add_argument(
+        "--voxels",
+        type=options.positive_int,
+        metavar="N",
+        help="voxels along the longest side of the deformed scene (default: as large as the field's)",
+    )
+    parser.add_argument(
+        "--format",
+        choices=("warpcage", "svox2"),
+        default="warpcage",
+        help="warpcage, or svox2: a Plenoxels checkpoint (default: %(default)s)",
+    )
     options.add_deformation(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)
@@ -28,7 +39,6 @@ def run(args):
         raise ValueError("bake needs a deformation: --cage and --posed")
     rest, posed = inputs.read_cages(args)
     field = inputs.read_field(args)
-    from ..bake import bake
 
     baked = bake(inputs.make_deformer(field, rest, args).pose(posed), resolution=args.voxels)
     baked.save(output, format=args.format)

@@ -1,8 +1,16 @@
 """`warpcage cage`: a cage around a field or a mesh."""
 
+from __future__ import annotations
+
 import pathlib
 
+from ..cage.cage import Cage
+from ..core.files import require_file
+from ..field.selection import select_nodes
+from ..field.surface import extract_mesh
+from ..scene.load import load_scene
 from . import inputs, options
+from .mesh import TO_Y_UP
 
 NAME = "cage"
 HELP = "put a cage around a field or a mesh"
@@ -13,34 +21,51 @@ EXAMPLE = """\
   warpcage cage lego.obj -o box.obj --box --segments 2 2 3
   warpcage cage lego.obj -o tube.obj --cylinder --axis z --sides 12 --rings 4
 """
-
 MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
 
 
 def add_arguments(parser):
     parser.add_argument("field", metavar="object", help="field (.npz) or mesh (.obj .ply .off .stl .glb)")
-    parser.add_argument("-o", "--output", required=True, metavar="CAGE",
-                        help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="CAGE", help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})"
+    )
     options.add_cage_up(parser)
-    parser.add_argument("--vertices", type=options.positive_int, metavar="N",
-                        help="about this many vertices, 30 to 200, wrapped around the object (default: 100)")
-    parser.add_argument("--margin", type=options.positive_float, metavar="LENGTH",
-                        help="room between object and cage, world units (default: 0.03 of the object's size for a "
-                             "box or a cylinder, chosen from the object otherwise)")
-    parser.add_argument("--method", choices=("auto", "shell", "voxel"),
-                        help="shell: offset, decimated, drawn close; voxel: of more even faces, as the paper's; auto: "
-                             "the tighter of both (default: auto)")
+    parser.add_argument(
+        "--vertices",
+        type=options.positive_int,
+        metavar="N",
+        help="about this many vertices, 30 to 200, wrapped around the object (default: 100)",
+    )
+    parser.add_argument(
+        "--margin",
+        type=options.positive_float,
+        metavar="LENGTH",
+        help="room between object and cage, world units (default: 0.03 of the object's size for a "
+        "box or a cylinder, chosen from the object otherwise)",
+    )
+    parser.add_argument(
+        "--method",
+        choices=("auto", "shell", "voxel"),
+        help="shell: offset, decimated, drawn close; voxel: of more even faces, as the paper's; auto: "
+        "the tighter of both (default: auto)",
+    )
     parser.add_argument("--symmetry", choices="xyz", help="mirror-symmetric across the middle of this axis (voxel)")
     _add_selection(parser)
     shape = parser.add_mutually_exclusive_group()
     shape.add_argument("--box", action="store_true", help="a box along the axes")
     shape.add_argument("--cylinder", action="store_true", help="a cylinder along --axis")
-    parser.add_argument("--segments", type=options.positive_int, nargs="+", metavar="N",
-                        help="pieces along each axis of the box, one number or three (default: 1)")
+    parser.add_argument(
+        "--segments",
+        type=options.positive_int,
+        nargs="+",
+        metavar="N",
+        help="pieces along each axis of the box, one number or three (default: 1)",
+    )
     parser.add_argument("--axis", choices="xyz", help="axis of the cylinder (default: z)")
     parser.add_argument("--sides", type=options.positive_int, metavar="N", help="sides of the cylinder (default: 12)")
-    parser.add_argument("--rings", type=options.positive_int, metavar="N",
-                        help="pieces of the cylinder along its axis (default: 4)")
+    parser.add_argument(
+        "--rings", type=options.positive_int, metavar="N", help="pieces of the cylinder along its axis (default: 4)"
+    )
     parser.add_argument("--quiet", action="store_true", help="do not tell what is tried")
     options.add_scene_scale(parser)
     options.add_device(parser)
@@ -48,14 +73,24 @@ def add_arguments(parser):
 
 def _add_selection(parser):
     group = parser.add_argument_group("object of a larger field (each leaves away from what is left)")
-    group.add_argument("--in-box", type=options.finite_float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-                       help="what lies between two corners, world units")
+    group.add_argument(
+        "--in-box",
+        type=options.finite_float,
+        nargs=6,
+        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+        help="what lies between two corners, world units",
+    )
     group.add_argument("--masks", metavar="SCENE", help="what the opacity of every training picture of a scene shows")
-    group.add_argument("--seed", type=options.finite_float, nargs=3, metavar=("X", "Y", "Z"),
-                       help="what connects to a point")
+    group.add_argument(
+        "--seed", type=options.finite_float, nargs=3, metavar=("X", "Y", "Z"), help="what connects to a point"
+    )
     group.add_argument("--parts", type=options.positive_int, metavar="N", help="the N largest connected parts")
-    group.add_argument("--floaters", type=options.positive_float, metavar="SHARE",
-                       help="leave out connected parts of fewer voxels than this share of the largest, e.g. 0.01")
+    group.add_argument(
+        "--floaters",
+        type=options.positive_float,
+        metavar="SHARE",
+        help="leave out connected parts of fewer voxels than this share of the largest, e.g. 0.01",
+    )
 
 
 def run(args):
@@ -65,7 +100,6 @@ def run(args):
     inputs.quiet_warp()
     is_field = pathlib.Path(args.field).suffix.lower() == ".npz"
     thing = inputs.read_field(args) if is_field else read_mesh(args.field)
-    from ..cage import Cage
 
     if any(value is not None for value in _selection(args).values()):
         thing = _selected(thing, is_field, args)
@@ -74,22 +108,33 @@ def run(args):
         cage = _box_around(mesh, args) if args.box else _cylinder_around(mesh, args)
     else:
         make = Cage.from_field if is_field else Cage.from_mesh
-        cage = make(thing, vertex_count=args.vertices or 100, margin=args.margin, method=args.method or "auto",
-                    symmetry=args.symmetry, progress=not args.quiet)
+        cage = make(
+            thing,
+            vertex_count=args.vertices or 100,
+            margin=args.margin,
+            method=args.method or "auto",
+            symmetry=args.symmetry,
+            progress=not args.quiet,
+        )
     cage.require_usable("the cage")
     cage.save(output, up=args.cage_up)
     print(f"wrote {output}: {len(cage.vertices)} vertices, {len(cage.faces)} faces")
 
 
 def _check_combination(args):
-    needs = {"segments": ("box", args.box), "axis": ("cylinder", args.cylinder), "sides": ("cylinder", args.cylinder),
-             "rings": ("cylinder", args.cylinder)}
+    needs = {
+        "segments": ("box", args.box),
+        "axis": ("cylinder", args.cylinder),
+        "sides": ("cylinder", args.cylinder),
+        "rings": ("cylinder", args.cylinder),
+    }
     for name, (shape, chosen) in needs.items():
         if getattr(args, name) is not None and not chosen:
             raise ValueError(f"--{name} belongs to --{shape}")
     if args.vertices is not None and (args.box or args.cylinder):
-        raise ValueError("--vertices is for a cage wrapped around the object; a box takes --segments, a cylinder "
-                         "--sides and --rings")
+        raise ValueError(
+            "--vertices is for a cage wrapped around the object; a box takes --segments, a cylinder --sides and --rings"
+        )
     for name in ("method", "symmetry"):
         if getattr(args, name) is not None and (args.box or args.cylinder):
             raise ValueError(f"--{name} is for a cage wrapped around the object")
@@ -103,9 +148,6 @@ def _selection(args) -> dict:
 
 def _selected(field, is_field: bool, args):
     """The chosen nodes of a field; what was left out goes to standard output."""
-    from ..scene import load_scene
-    from ..selection import select_nodes
-
     chosen = {name: value for name, value in _selection(args).items() if value is not None}
     if not is_field:
         raise ValueError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields: cut a mesh yourself")
@@ -123,8 +165,6 @@ def _selected(field, is_field: bool, args):
 
 
 def _surface(field):
-    from ..surface import extract_mesh
-
     return extract_mesh(field, components="all")
 
 
@@ -132,9 +172,6 @@ def read_mesh(path):
     """A trimesh.Trimesh with its vertices in the file's order, z up: what glTF holds is turned."""
     import numpy as np
     import trimesh
-
-    from ..files import require_file
-    from .mesh import TO_Y_UP
 
     path = require_file(path, "mesh file")
     if path.suffix.lower() not in MESH_ENDINGS:
@@ -153,8 +190,6 @@ def _margin(mesh, args) -> float:
 
 
 def _box_around(mesh, args):
-    from ..cage import Cage
-
     margin = _margin(mesh, args)
     segments = args.segments or [1]
     low, high = mesh.bounds
@@ -164,8 +199,6 @@ def _box_around(mesh, args):
 def _cylinder_around(mesh, args):
     """About the middle of the bounding box, so wide that the flat sides clear every vertex."""
     import numpy as np
-
-    from ..cage import Cage
 
     margin, axis, sides = _margin(mesh, args), args.axis or "z", args.sides or 12
     if sides < 3:

@@ -1,9 +1,13 @@
 """`warpcage check`: whether a cage, and a pose of it, can be trusted."""
 
+from __future__ import annotations
+
 import json
 import pathlib
 
+from ..cage.cage import Cage
 from . import inputs, options
+from .cage import read_mesh
 from .keyframes import is_preset, pose_file, read_pose
 
 NAME = "check"
@@ -18,12 +22,15 @@ EXAMPLE = """\
 
 def add_arguments(parser):
     parser.add_argument("cage", help=f"cage to examine ({' '.join(options.CAGE_ENDINGS)})")
-    parser.add_argument("--object", dest="field", metavar="OBJECT",
-                        help="field (.npz) or mesh that ought to be inside")
-    parser.add_argument("--posed", metavar="POSED",
-                        help="a pose of the cage, a file or a preset: inverted volume, stretch, folds")
-    parser.add_argument("--repair", metavar="MENDED",
-                        help="mend what can be mended safely, say what was done, write the cage here and examine it")
+    parser.add_argument("--object", dest="field", metavar="OBJECT", help="field (.npz) or mesh that ought to be inside")
+    parser.add_argument(
+        "--posed", metavar="POSED", help="a pose of the cage, a file or a preset: inverted volume, stretch, folds"
+    )
+    parser.add_argument(
+        "--repair",
+        metavar="MENDED",
+        help="mend what can be mended safely, say what was done, write the cage here and examine it",
+    )
     parser.add_argument("--json", action="store_true", help="print the report as JSON instead of a table")
     options.add_cage_up(parser)
     options.add_scene_scale(parser)
@@ -34,7 +41,6 @@ def run(args):
     inputs.require_field_scale(args)
     output = None if args.repair is None else options.check_output(args.repair, options.CAGE_ENDINGS, "cage file")
     inputs.quiet_warp()
-    from ..cage import Cage
 
     cage = Cage.load(args.cage, up=args.cage_up)
     pose = None
@@ -60,6 +66,5 @@ def _enclosed(args) -> dict:
         return {}
     if pathlib.Path(args.field).suffix.lower() == ".npz":
         return {"field": inputs.read_field(args)}
-    from .cage import read_mesh
 
     return {"mesh": read_mesh(args.field)}

@@ -1,7 +1,13 @@
 """`warpcage evaluate`: a field against pictures that it has not seen."""
 
+from __future__ import annotations
+
 import json
 
+from ..core.files import atomic_path
+from ..fitting.evaluation import comparison, error_image, evaluate, mean_psnr
+from ..scene.load import load_scene
+from ..view.pictures import side_by_side, write_png
 from . import inputs, options
 
 NAME = "evaluate"
@@ -18,8 +24,13 @@ def add_arguments(parser):
     parser.add_argument("--split", default="test", help="which pictures (default: %(default)s)")
     parser.add_argument("--format", metavar="NAME", help="scene format (default: found out)")
     options.add_masks(parser)
-    parser.add_argument("--downscale", type=options.positive_int, default=1, metavar="N",
-                        help="shrink the pictures by averaging N x N pixels (default: %(default)s)")
+    parser.add_argument(
+        "--downscale",
+        type=options.positive_int,
+        default=1,
+        metavar="N",
+        help="shrink the pictures by averaging N x N pixels (default: %(default)s)",
+    )
     options.add_background(parser, "the field's own")
     parser.add_argument("--json", metavar="FILE", help="write the figures too")
     parser.add_argument("--worst", metavar="FILE", help="PNG of the worst view: picture, render, and where it errs")
@@ -33,13 +44,16 @@ def run(args):
     worst = None if args.worst is None else options.check_output(args.worst, (".png",), "picture")
     options.require_folder(args.scene)
     field = inputs.read_field(args)
-    from ..evaluation import comparison, error_image, evaluate, mean_psnr
-    from ..files import atomic_path
-    from ..scene import load_scene
 
     background = field.background if args.background is None else args.background
-    scene = load_scene(args.scene, split=args.split, downscale=args.downscale, format=args.format,
-                       background=background, masks=args.masks)
+    scene = load_scene(
+        args.scene,
+        split=args.split,
+        downscale=args.downscale,
+        format=args.format,
+        background=background,
+        masks=args.masks,
+    )
     rows = evaluate(field, scene, similarity=min(scene.images.shape[1:3]) >= 11, progress=not args.quiet)
     mean = mean_psnr(rows)
     width = max(len("view"), *(len(row["view"]) for row in rows))
@@ -49,22 +63,31 @@ def run(args):
     mean_masked = sum(masked) / len(masked) if masked else None
     print(f"{'view':{width}}  PSNR dB" + ("    SSIM" if similarities else "") + ("  in mask dB" if masked else ""))
     for row in [*rows, {"view": "mean", "psnr": mean, "ssim": mean_ssim, "masked_psnr": mean_masked}]:
-        print(f"{row['view']:{width}}  {row['psnr']:7.2f}" + (f"  {row['ssim']:6.4f}" if similarities else "")
-              + (f"  {row['masked_psnr']:10.2f}" if row.get("masked_psnr") is not None else ""))
+        print(
+            f"{row['view']:{width}}  {row['psnr']:7.2f}"
+            + (f"  {row['ssim']:6.4f}" if similarities else "")
+            + (f"  {row['masked_psnr']:10.2f}" if row.get("masked_psnr") is not None else "")
+        )
     index = min(range(len(rows)), key=lambda i: rows[i]["psnr"])
     if worst is not None:
-        from ..images import side_by_side, write_png
-
         behind, images = comparison(field, scene)
         image, rgb = images[index], field.render(scene.cameras[index], background=behind).rgb
         write_png(worst, side_by_side([image, rgb, error_image(rgb, image)]))
         print(f"wrote {worst}: view {rows[index]['view']}, its picture, the render, and where it errs")
     if report is not None:
-        content = {"field": args.field, "scene": args.scene, "split": args.split, "downscale": args.downscale,
-                   "mean_psnr": finite(mean), "mean_ssim": mean_ssim, "mean_masked_psnr": finite(mean_masked),
-                   "worst_view": rows[index]["view"],
-                   "views": [{name: finite(value) if name.endswith("psnr") else value for name, value in row.items()}
-                             for row in rows]}
+        content = {
+            "field": args.field,
+            "scene": args.scene,
+            "split": args.split,
+            "downscale": args.downscale,
+            "mean_psnr": finite(mean),
+            "mean_ssim": mean_ssim,
+            "mean_masked_psnr": finite(mean_masked),
+            "worst_view": rows[index]["view"],
+            "views": [
+                {name: finite(value) if name.endswith("psnr") else value for name, value in row.items()} for row in rows
+            ],
+        }
         with atomic_path(report) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 

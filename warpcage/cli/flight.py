@@ -1,7 +1,11 @@
 """Pictures from all cameras of a scene, or from cameras in between, for `warpcage render --cameras`."""
 
+from __future__ import annotations
+
 import pathlib
 
+from ..view.film import cameras_along, write_gif, write_video
+from ..view.pictures import write_png
 from . import inputs, options, outputs, view
 
 KINDS = ("interpolate", "given")
@@ -12,12 +16,19 @@ SINGLE = ("disparity", "depth", "alpha", "masks", "camera", "eye", "target")
 
 def add_arguments(parser) -> None:
     group = parser.add_argument_group("many pictures")
-    group.add_argument("--cameras", choices=KINDS,
-                       help="interpolate: go through the cameras of --scene, positions along a curve, rotations by the "
-                            "shortest turn; given: from each of them. The output is a folder, .mp4 or .gif then")
+    group.add_argument(
+        "--cameras",
+        choices=KINDS,
+        help="interpolate: go through the cameras of --scene, positions along a curve, rotations by the "
+        "shortest turn; given: from each of them. The output is a folder, .mp4 or .gif then",
+    )
     group.add_argument("--scene", metavar="SCENE[:SPLIT]", help="whose cameras, e.g. data/lego:test (split: train)")
-    group.add_argument("--frames", type=options.positive_int, metavar="N",
-                       help="pictures of --cameras interpolate (default: 8 from each camera to the next)")
+    group.add_argument(
+        "--frames",
+        type=options.positive_int,
+        metavar="N",
+        help="pictures of --cameras interpolate (default: 8 from each camera to the next)",
+    )
 
 
 def run(args, background: dict) -> None:
@@ -46,8 +57,6 @@ def run(args, background: dict) -> None:
 
 
 def chosen_cameras(args) -> list:
-    from ..animation import cameras_along
-
     cameras, size = view.scene_cameras(args.scene), view.image_size(args)
     if size is not None:
         cameras = [view.fitted(camera, *size) for camera in cameras]
@@ -67,8 +76,6 @@ def _checked_output(text: str) -> pathlib.Path:
 
 
 def _write(output: pathlib.Path, pictures) -> None:
-    from ..images import write_gif, write_png, write_video
-
     if output.suffix.lower() == ".mp4":
         write_video(output, pictures, 24.0)
     elif output.suffix.lower() == ".gif":

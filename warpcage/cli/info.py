@@ -1,8 +1,15 @@
 """`warpcage info`: what a file holds, or what this machine has."""
 
+from __future__ import annotations
+
 import pathlib
 import platform
 
+from ..cage.cage import Cage
+from ..cage.pose_file import PoseFile
+from ..core.threads import CPU_THREADS
+from ..scene.load import detect_format, load_scene
+from ..view.pictures import contact_sheet, shrink, write_png
 from . import inputs, options
 
 NAME = "info"
@@ -19,12 +26,19 @@ SHEET_PICTURES, SHEET_SIDE = 100, 160
 
 
 def add_arguments(parser):
-    parser.add_argument("field", metavar="file", nargs="?",
-                        help=f"field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), poses (.json) or scene folder")
+    parser.add_argument(
+        "field",
+        metavar="file",
+        nargs="?",
+        help=f"field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), poses (.json) or scene folder",
+    )
     parser.add_argument("--split", default="train", help="split of a scene (default: %(default)s)")
     parser.add_argument("--format", metavar="NAME", help="scene format (default: found out)")
-    parser.add_argument("--sheet", metavar="PICTURE",
-                        help=f"write a contact sheet of a scene's pictures, {SHEET_PICTURES} at most (.png)")
+    parser.add_argument(
+        "--sheet",
+        metavar="PICTURE",
+        help=f"write a contact sheet of a scene's pictures, {SHEET_PICTURES} at most (.png)",
+    )
     options.add_scene_scale(parser)
     options.add_device(parser)
 
@@ -48,8 +62,10 @@ def run(args):
     elif path.suffix.lower() == ".json":
         rows = _poses(path)
     else:
-        raise ValueError(f"{args.field!r} is no field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), pose file "
-                         "(.json) or scene folder")
+        raise ValueError(
+            f"{args.field!r} is no field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), pose file "
+            "(.json) or scene folder"
+        )
     width = max(len(name) for name, _ in rows)
     for name, value in rows:
         print(f"{name:{width}}  {value}")
@@ -61,15 +77,18 @@ def _machine():
 
     inputs.quiet_warp()
     warp.init()
-    rows = [("warpcage", options.package_version()), ("warp", warp.__version__), ("numpy", numpy.__version__),
-            ("python", platform.python_version()), ("platform", platform.platform())]
+    rows = [
+        ("warpcage", options.package_version()),
+        ("warp", warp.__version__),
+        ("numpy", numpy.__version__),
+        ("python", platform.python_version()),
+        ("platform", platform.platform()),
+    ]
     return rows + [(device.alias, _device_line(device)) for device in warp.get_devices()]
 
 
 def _device_line(device) -> str:
     if device.is_cpu:
-        from ..devices import CPU_THREADS
-
         return f"{platform.processor() or device.name}, {CPU_THREADS} threads"
     return f"{device.name}, {device.total_memory / 2**30:.1f} GiB, sm_{device.arch}"
 
@@ -79,24 +98,31 @@ def _field(path, args):
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
     density = field.grid.density.numpy()
     weights = None if field.weights is None else field.weights.numpy()
-    return [("kind", "field"), ("resolution", "x".join(str(n) for n in field.resolution)),
-            ("voxels", f"{field.voxel_count} ({100 * share:.1f} % of the box)"), ("bounds", _box(*field.bounds)),
-            ("voxel size", field.voxel_size.round(6).tolist()), ("density", _range(density, "a world unit")),
-            ("weights", "not recorded" if weights is None else _range(weights, "largest of a training ray")),
-            ("background", field.background.round(3).tolist()), ("layers behind", _layers(field.background_model)),
-            ("file", _file_size(path))]
+    return [
+        ("kind", "field"),
+        ("resolution", "x".join(str(n) for n in field.resolution)),
+        ("voxels", f"{field.voxel_count} ({100 * share:.1f} % of the box)"),
+        ("bounds", _box(*field.bounds)),
+        ("voxel size", field.voxel_size.round(6).tolist()),
+        ("density", _range(density, "a world unit")),
+        ("weights", "not recorded" if weights is None else _range(weights, "largest of a training ray")),
+        ("background", field.background.round(3).tolist()),
+        ("layers behind", _layers(field.background_model)),
+        ("file", _file_size(path)),
+    ]
 
 
 def _layers(background) -> str:
     if background is None:
         return "none"
-    return (f"{background.layer_count} of 6x{background.side}x{background.side} cells, from "
-            f"{background.half:.4g} to infinity around {background.center.round(4).tolist()}")
+    return (
+        f"{background.layer_count} of 6x{background.side}x{background.side} cells, from "
+        f"{background.half:.4g} to infinity around {background.center.round(4).tolist()}"
+    )
 
 
 def _cage(path):
     inputs.quiet_warp()
-    from ..cage import Cage
 
     cage = Cage.load(path)
     try:
@@ -104,21 +130,33 @@ def _cage(path):
         state = "yes"
     except ValueError as error:
         state = f"no: {error}"
-    return [("kind", "cage"), ("vertices", len(cage.vertices)), ("faces", len(cage.faces)), ("edges", len(cage.edges)),
-            ("bounds", _box(*cage.bounds)), ("size", f"{cage.size:.4g}"), ("volume", f"{cage.volume:.4g}"),
-            ("usable", state), ("file", _file_size(path))]
+    return [
+        ("kind", "cage"),
+        ("vertices", len(cage.vertices)),
+        ("faces", len(cage.faces)),
+        ("edges", len(cage.edges)),
+        ("bounds", _box(*cage.bounds)),
+        ("size", f"{cage.size:.4g}"),
+        ("volume", f"{cage.volume:.4g}"),
+        ("usable", state),
+        ("file", _file_size(path)),
+    ]
 
 
 def _poses(path):
     inputs.quiet_warp()
     import numpy as np
 
-    from ..pose_file import PoseFile
-
     poses = PoseFile.load(path)
     rest = poses.rest
-    rows = [("kind", "poses"), ("keyframes", len(poses)), ("cage vertices", len(rest.vertices)),
-            ("cage faces", len(rest.faces)), ("cage bounds", _box(*rest.bounds)), ("file", _file_size(path))]
+    rows = [
+        ("kind", "poses"),
+        ("keyframes", len(poses)),
+        ("cage vertices", len(rest.vertices)),
+        ("cage faces", len(rest.faces)),
+        ("cage bounds", _box(*rest.bounds)),
+        ("file", _file_size(path)),
+    ]
     for name in poses.names:
         moved = np.linalg.norm(poses[name].vertices - rest.vertices, axis=1)
         rows.append((f"pose {name!r}", f"{int((moved > 0).sum())} vertices moved by up to {moved.max():.4g}"))
@@ -128,20 +166,24 @@ def _poses(path):
 def _scene(path, args, sheet):
     import numpy as np
 
-    from ..scene import detect_format, load_scene
-
     form = args.format or detect_format(path)
     scene = load_scene(path, split=args.split, format=form)
     camera = scene.cameras[0]
     centres = np.stack([each.centre for each in scene.cameras])
     focal = np.array([[each.fx, each.fy] for each in scene.cameras])
-    rows = [("kind", "scene"), ("format", form), ("split", args.split),
-            ("pictures", f"{len(scene)} of {camera.width}x{camera.height}"), ("colours", _range(scene.images, "of 1")),
-            ("opacity", "no" if scene.alphas is None else f"yes, {100 * float(scene.alphas.mean()):.1f} % covered"),
-            ("focal length", _range(focal, "pixels")), ("cameras in", _box(centres.min(axis=0), centres.max(axis=0))),
-            ("up", scene.up.round(3).tolist()),
-            ("bounds", "not given" if scene.bounds is None else _box(*scene.bounds)),
-            ("memory", f"{(scene.images.nbytes + (0 if scene.alphas is None else scene.alphas.nbytes)) / 1e6:.0f} MB")]
+    rows = [
+        ("kind", "scene"),
+        ("format", form),
+        ("split", args.split),
+        ("pictures", f"{len(scene)} of {camera.width}x{camera.height}"),
+        ("colours", _range(scene.images, "of 1")),
+        ("opacity", "no" if scene.alphas is None else f"yes, {100 * float(scene.alphas.mean()):.1f} % covered"),
+        ("focal length", _range(focal, "pixels")),
+        ("cameras in", _box(centres.min(axis=0), centres.max(axis=0))),
+        ("up", scene.up.round(3).tolist()),
+        ("bounds", "not given" if scene.bounds is None else _box(*scene.bounds)),
+        ("memory", f"{(scene.images.nbytes + (0 if scene.alphas is None else scene.alphas.nbytes)) / 1e6:.0f} MB"),
+    ]
     if sheet is not None:
         rows.append(("sheet", _write_sheet(scene, sheet)))
     return rows
@@ -149,9 +191,6 @@ def _scene(path, args, sheet):
 
 def _write_sheet(scene, path) -> str:
     import numpy as np
-
-    from ..images import contact_sheet, write_png
-    from ..scene import shrink
 
     chosen = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), SHEET_PICTURES)).round().astype(int))
     factor = max(1, -(-max(scene.images.shape[1:3]) // SHEET_SIDE))

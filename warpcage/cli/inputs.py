@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from ..cage.cage import Cage
+from ..core.devices import resolve_device
+from ..core.files import require_file
+from ..deform.deformer import Deformer
+from ..field.voxel_field import VoxelField
 from .keyframes import read_pose
 
 
@@ -13,19 +18,14 @@ def quiet_warp() -> None:
 
 
 def chosen_device(args):
-    from ..devices import resolve_device
-
     quiet_warp()
     return resolve_device(args.device)
 
 
 def read_field(args):
     """The field file of a command on the chosen device; the file is looked for before Warp starts."""
-    from ..files import require_file
-
     require_file(args.field, "field file")
     device = chosen_device(args)
-    from ..field import VoxelField
 
     field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=device)
     if getattr(args, "up", field) is None:  # a command with a view
@@ -51,8 +51,6 @@ def visible_points(field, rest=None, posed=None):
 
 def read_rest(args):
     """The cage of --cage, or None where the field is shown as it is."""
-    from ..cage import Cage
-
     if (args.cage is None) != (args.posed is None):
         raise ValueError("--cage and --posed go together: the cage at rest and the same cage posed")
     if args.cage is None:
@@ -70,6 +68,4 @@ def read_cages(args):
 
 
 def make_deformer(field, rest, args):
-    from ..deformer import Deformer
-
     return Deformer(field, rest, coordinates=args.coordinates, resolution=args.resolution, density=args.density)

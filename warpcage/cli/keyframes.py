@@ -6,12 +6,17 @@ import pathlib
 import re
 import sys
 
+from ..cage.cage import Cage
+from ..cage.pose_file import PoseFile
+from ..view.film import keyframe_weights, pose_along
+
 #: Preset -> what it takes, the amount that changes nothing, and how many names of axes it may have.
 PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0, 1), "stretch": (1.0, 1),
            "scale": (1.0, 0), "rotate": (0.0, 1), "translate": (0.0, 0)}  # fmt: skip
-
-PRESET_HELP = ("rest, bend:DEGREES[:AXIS[:TOWARDS]], twist:DEGREES[:AXIS], taper:FACTOR[:AXIS], "
-               "stretch:FACTOR[:AXIS], scale:FACTOR, rotate:DEGREES[:AXIS] or translate:X:Y:Z")
+PRESET_HELP = (
+    "rest, bend:DEGREES[:AXIS[:TOWARDS]], twist:DEGREES[:AXIS], taper:FACTOR[:AXIS], "
+    "stretch:FACTOR[:AXIS], scale:FACTOR, rotate:DEGREES[:AXIS] or translate:X:Y:Z"
+)
 
 
 class Preset:
@@ -59,14 +64,10 @@ def pose_file(text: str) -> tuple[str, str] | None:
 def read_poses(rest, text: str, up: str | None = None, usable: bool = True) -> list:
     """The posed cages that a word of --posed names, those of a whole pose file in their order; up: of --cage-up, the
     axis that points up in a cage file. Unusable ones are refused unless `usable` is False."""
-    from ..cage import Cage
-
     if is_preset(text):
         preset = Preset(text)
         poses = [preset.at(rest, preset.amount)]
     elif pose_file(text):
-        from ..pose_file import PoseFile
-
         path, name = pose_file(text)
         file = PoseFile.load(path, rest)
         if not len(file):
@@ -98,8 +99,11 @@ def matched(rest, posed, name: str):
     if not np.array_equal(posed.faces, rest.faces) or len(posed.vertices) != len(rest.vertices):
         print(f"warpcage: cage {name!r} comes in another order than its rest cage: matched", file=sys.stderr)
     if lies_on_its_side(rest.vertices, found.vertices):
-        print(f"warpcage: warning: cage {name!r} would lie much nearer to its rest cage with another axis up: write "
-              "both with the same one (see --cage-up)", file=sys.stderr)
+        print(
+            f"warpcage: warning: cage {name!r} would lie much nearer to its rest cage with another axis up: write "
+            "both with the same one (see --cage-up)",
+            file=sys.stderr,
+        )
     return found
 
 
@@ -133,8 +137,6 @@ class Keyframes:
 
     def at(self, place: float):
         """The cage at a place, 0 rest, 1 the first pose, and so on."""
-        from ..animation import keyframe_weights, pose_along
-
         if self.preset is None:
             return pose_along(self.cages, place, self.interpolation)
         weights = keyframe_weights(place, len(self.amounts), self.interpolation)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import sys
 
+from ..view.overlay import draw_cage
+from ..view.pictures import colour_disparity, disparity_range
+
 KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
 
 #: Mask -> its colour in the picture, and what it says of a share of the picture.
@@ -23,9 +26,6 @@ def picture(frame, kind: str, camera=None, cage=None, scale=None):
     scale: (low, high) disparities of depth and disparity pictures; None takes this frame's.
     """
     import numpy as np
-
-    from ..images import colour_disparity, disparity_range
-    from ..overlay import draw_cage
 
     if kind == "alpha":
         shown = frame.alpha
@@ -77,8 +77,6 @@ def warn_of_masks(shares: dict[str, float], where: str = "the picture") -> None:
 def disparity_scale(frames) -> tuple[float, float]:
     """One scale for several frames of a film that a few wild pixels do not spoil."""
     import numpy as np
-
-    from ..images import disparity_range
 
     # what is hardly there has a depth too, and no say
     return disparity_range(np.stack([np.where(frame.alpha > 0.5, frame.disparity, 0.0) for frame in frames]))

@@ -1,7 +1,10 @@
 """`warpcage pose`: move the vertices of a cage."""
 
+from __future__ import annotations
+
 import argparse
 
+from ..cage.cage import Cage
 from . import inputs, options
 
 NAME = "pose"
@@ -25,30 +28,71 @@ class _Step(argparse.Action):
 def add_arguments(parser):
     number = options.finite_float
     parser.add_argument("cage", help=f"cage to pose ({' '.join(options.CAGE_ENDINGS)})")
-    parser.add_argument("-o", "--output", required=True, metavar="POSED",
-                        help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="POSED", help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})"
+    )
     options.add_cage_up(parser)
     steps = parser.add_argument_group("steps")
     add = steps.add_argument
-    add("--bend", dest="steps", action=_Step, type=number, metavar="DEGREES", help="along --axis into an arc towards "
-        "--towards")
-    add("--twist", dest="steps", action=_Step, type=number, metavar="DEGREES",
-        help="about --axis, more and more along it")
-    add("--taper", dest="steps", action=_Step, type=options.positive_float, metavar="FACTOR",
-        help="scale across --axis by 1 at its beginning to FACTOR at its end")
+    add(
+        "--bend",
+        dest="steps",
+        action=_Step,
+        type=number,
+        metavar="DEGREES",
+        help="along --axis into an arc towards --towards",
+    )
+    add(
+        "--twist",
+        dest="steps",
+        action=_Step,
+        type=number,
+        metavar="DEGREES",
+        help="about --axis, more and more along it",
+    )
+    add(
+        "--taper",
+        dest="steps",
+        action=_Step,
+        type=options.positive_float,
+        metavar="FACTOR",
+        help="scale across --axis by 1 at its beginning to FACTOR at its end",
+    )
     add("--stretch", dest="steps", action=_Step, type=options.positive_float, metavar="FACTOR", help="along --axis")
-    add("--scale", dest="steps", action=_Step, type=options.positive_float, nargs="+", metavar="FACTOR",
-        help="one factor, or one for each of x, y, z")
+    add(
+        "--scale",
+        dest="steps",
+        action=_Step,
+        type=options.positive_float,
+        nargs="+",
+        metavar="FACTOR",
+        help="one factor, or one for each of x, y, z",
+    )
     add("--rotate", dest="steps", action=_Step, type=number, metavar="DEGREES", help="about --axis")
     add("--translate", dest="steps", action=_Step, type=number, nargs=3, metavar=("X", "Y", "Z"), help="world units")
     where = parser.add_argument_group("where")
     where.add_argument("--axis", choices="xyz", default="z", help="(default: %(default)s)")
-    where.add_argument("--towards", choices=("x", "y", "z", "-x", "-y", "-z"), default=None,
-                       help="where a bend leads (default: x, or z where --axis is x)")
-    where.add_argument("--limits", type=number, nargs=2, metavar=("FROM", "TO"), default=(0.0, 1.0),
-                       help="part of the extent along --axis that is bent, twisted, tapered, stretched (default: 0 1)")
-    where.add_argument("--centre", type=number, nargs=3, metavar=("X", "Y", "Z"),
-                       help="fixed point of steps that have one (default: middle of the bounding box)")
+    where.add_argument(
+        "--towards",
+        choices=("x", "y", "z", "-x", "-y", "-z"),
+        default=None,
+        help="where a bend leads (default: x, or z where --axis is x)",
+    )
+    where.add_argument(
+        "--limits",
+        type=number,
+        nargs=2,
+        metavar=("FROM", "TO"),
+        default=(0.0, 1.0),
+        help="part of the extent along --axis that is bent, twisted, tapered, stretched (default: 0 1)",
+    )
+    where.add_argument(
+        "--centre",
+        type=number,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="fixed point of steps that have one (default: middle of the bounding box)",
+    )
     parser.set_defaults(steps=None)
 
 
@@ -57,7 +101,6 @@ def run(args):
     if not args.steps:
         raise ValueError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
     inputs.quiet_warp()
-    from ..cage import Cage
 
     cage = Cage.load(args.cage, up=args.cage_up)
     cage.require_usable(f"cage {args.cage!r}")

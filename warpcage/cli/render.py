@@ -1,5 +1,8 @@
 """`warpcage render`: a picture of a field, deformed or not, or many of them."""
 
+from __future__ import annotations
+
+from ..view.pictures import write_png
 from . import flight, inputs, options, outputs, view
 
 NAME = "render"
@@ -21,9 +24,12 @@ def add_arguments(parser):
     parser.add_argument("--disparity", metavar="PICTURE", help="write the disparity in colour too (.png)")
     parser.add_argument("--depth", metavar="PICTURE", help="write the depth in grey too, near is white (.png)")
     parser.add_argument("--alpha", metavar="PICTURE", help="write the opacity too (.png)")
-    parser.add_argument("--masks", metavar="PICTURE",
-                        help="write where the map folds over (red), what it uncovers (blue) and what it sends out of "
-                             "the rest cage (yellow) too (.png), and warn of their shares")
+    parser.add_argument(
+        "--masks",
+        metavar="PICTURE",
+        help="write where the map folds over (red), what it uncovers (blue) and what it sends out of "
+        "the rest cage (yellow) too (.png), and warn of their shares",
+    )
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the picture")
     options.add_background(parser, "the field's own")
     options.add_deformation(parser)
@@ -49,7 +55,6 @@ def run(args):
         raise ValueError("--masks needs a deformation: --cage and --posed")
     rest, posed = inputs.read_cages(args)
     field = inputs.read_field(args)
-    from ..images import write_png
 
     camera = view.chosen_camera(args, inputs.visible_points(field, rest, posed))
     renderer = field if rest is None else inputs.make_deformer(field, rest, args)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import pathlib
 
+from ..scene.load import load_scene
+from ..view.camera import Camera, framing_orbit
+
 
 def image_size(args) -> tuple[int, int] | None:
     if args.size is None:
@@ -15,9 +18,6 @@ def image_size(args) -> tuple[int, int] | None:
 
 def chosen_camera(args, points):
     """The camera of add_view; points (n, 3) that should be seen where none is given."""
-    from ..camera import Camera
-    from ..views import framing_orbit
-
     size = image_size(args)
     if args.camera is not None:
         if args.eye is not None or args.target is not None:
@@ -49,15 +49,15 @@ def middle(points):
 def fitted(camera, width: int, height: int):
     """The same view at another size; refused where that would squeeze it."""
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
-        raise ValueError(f"--size {width} {height} would squeeze a {camera.width}x{camera.height} picture: give "
-                         f"{width} {round(width * camera.height / camera.width)}")
+        raise ValueError(
+            f"--size {width} {height} would squeeze a {camera.width}x{camera.height} picture: give "
+            f"{width} {round(width * camera.height / camera.width)}"
+        )
     return camera.resized(width, height)
 
 
 def scene_cameras(text: str) -> list:
     """The cameras that SCENE[:SPLIT] names, in the order of the pictures."""
-    from ..scene import load_scene
-
     path, split = text, "train"
     if not pathlib.Path(path).exists() and ":" in path:
         path, _, split = path.rpartition(":")

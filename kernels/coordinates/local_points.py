@@ -1,0 +1,46 @@
+"""Points between world units and the local frame of a cage: local = (world - centre) / size.
+
+The difference is taken in float64, so that a scene far from the origin keeps the digits that its points have.
+Needs: none.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+#: Along an axis, in sizes of the cage: mean value weights keep four digits so far outside.
+FARTHEST = wp.constant(1.0e3)
+
+
+@wp.kernel
+def localise_points(
+    first: int,
+    points: wp.array(dtype=wp.vec3),
+    centre: wp.vec3d,
+    size: wp.float64,
+    local: wp.array(dtype=wp.vec3),
+    bad: wp.array(dtype=int),
+):
+    """local (n,) = (points - centre) / size; bad (1,) becomes 1 where a point is not finite or FARTHEST away."""
+    n = first + wp.tid()
+    x = wp.vec3((wp.vec3d(points[n]) - centre) / size)
+    if not wp.isfinite(x) or wp.max(wp.abs(x)) >= FARTHEST:
+        bad[0] = 1
+    local[n] = x
+
+
+@wp.kernel
+def restore_points(
+    first: int, local: wp.array(dtype=wp.vec3), centre: wp.vec3d, size: wp.float64, points: wp.array(dtype=wp.vec3)
+):
+    """points (n,) = local * size + centre."""
+    n = first + wp.tid()
+    points[n] = wp.vec3(wp.vec3d(local[n]) * size + centre)
+
+
+@wp.kernel
+def scale_rows(first: int, factor: float, weights: wp.array2d(dtype=wp.float32)):
+    """weights (n, k) times factor."""
+    n = first + wp.tid()
+    for j in range(weights.shape[1]):
+        weights[n, j] = weights[n, j] * factor

@@ -1,0 +1,1 @@
+"""Helpers of kernels: lanes of threads, entries of vectors."""

@@ -1,0 +1,162 @@
+"""A group of lanes that share an item: the 32 threads of a warp on CUDA, one thread on a CPU.
+
+Kernels written for a group take lane_count() times as many items as they have work for: item / lane_count() is what
+to do, item % lane_count() the lane. Loops run with the lanes' stride, and all lanes of a group must come to every
+function below that says "all lanes"; so the same kernel runs on both. Where there is little to share, octets do: eight
+lanes of a warp, or one thread on a CPU.
+Needs: none.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return 32;
+#else
+    return 1;
+#endif
+""")
+def lane_count() -> wp.int32:
+    """Lanes of a group."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return (int)__ballot_sync(0xffffffffu, flag);
+#else
+    return flag != 0;
+#endif
+""")
+def ballot(flag: wp.int32) -> wp.int32:
+    """Bit i is set where lane i has a flag. All lanes."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, value, lane);
+#else
+    return value;
+#endif
+""")
+def from_lane(value: wp.float32, lane: wp.int32) -> wp.float32:
+    """The value that another lane holds. All lanes."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int reach = 16; reach > 0; reach >>= 1)
+        value = fminf(value, __shfl_xor_sync(0xffffffffu, value, reach));
+#endif
+    return value;
+""")
+def least_of_lanes(value: wp.float32) -> wp.float32:
+    """The smallest of the lanes' values, in each of them. All lanes."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int reach = 16; reach > 0; reach >>= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, reach);
+#endif
+    return value;
+""")
+def sum_of_lanes(value: wp.float32) -> wp.float32:
+    """The sum of the lanes' values, the same in each of them. All lanes."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return 8;
+#else
+    return 1;
+#endif
+""")
+def octet_count() -> wp.int32:
+    """Lanes of an octet."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int reach = 4; reach > 0; reach >>= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, reach);
+#endif
+    return value;
+""")
+def sum_of_octet(value: wp.float32) -> wp.float32:
+    """The sum of the values of an octet's lanes, the same in each of them. All lanes of the warp."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int reach = 16; reach > 0; reach >>= 1)
+        bits |= __shfl_xor_sync(0xffffffffu, bits, reach);
+#endif
+    return bits;
+""")
+def union_of_lanes(bits: wp.int32) -> wp.int32:
+    """The bits that any of the lanes has set. All lanes."""
+    ...
+
+
+@wp.func
+def largest_of_lanes(value: float):
+    """The largest of the lanes' values, in each of them. All lanes."""
+    return -least_of_lanes(-value)
+
+
+@wp.func_native("""
+    unsigned int left = (unsigned int)bits;
+#if defined(__CUDA_ARCH__)
+    return __popc(left);
+#else
+    int count = 0;
+    for (; left != 0u; left &= left - 1u)
+        ++count;
+    return count;
+#endif
+""")
+def bit_count(bits: wp.int32) -> wp.int32:
+    """How many bits are set."""
+    ...
+
+
+@wp.func_native("""
+    unsigned int left = (unsigned int)bits;
+#if defined(__CUDA_ARCH__)
+    return __ffs(left) - 1;
+#else
+    int place = 0;
+    for (; left != 0u && (left & 1u) == 0u; left >>= 1)
+        ++place;
+    return left == 0u ? -1 : place;
+#endif
+""")
+def lowest_bit(bits: wp.int32) -> wp.int32:
+    """Place of the lowest bit that is set, -1 for none."""
+    ...
+
+
+@wp.func_native("""
+    return (int)((unsigned int)bits & ((unsigned int)bits - 1u));
+""")
+def without_lowest_bit(bits: wp.int32) -> wp.int32:
+    """The bits but for the lowest that is set."""
+    ...
+
+
+@wp.func_native("""
+    return (int)((unsigned int)bits & ((1u << lane) - 1u));
+""")
+def bits_before(bits: wp.int32, lane: wp.int32) -> wp.int32:
+    """The bits of the lanes before one."""
+    ...

@@ -1,0 +1,1 @@
+"""Deformed marches, edits and baking."""

@@ -1,0 +1,196 @@
+"""What holds for whole lattice cells of an edit: the cases that a cell settles, and the cells that a march may skip.
+
+"Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. A module of its own,
+so that a pose compiles no march.
+Needs: deform/edits, deform/march, field/grid, field/skip, lattice/cage_map.
+"""
+
+import warp as wp
+
+from ..field.grid import VoxelGrid, empty_distance, grid_position
+from ..field.skip import SKIP_LIMIT
+from ..lattice.cage_map import cell_sides, map_distance
+from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH, LatticeEdit, in_rest_cage
+from .march import lattice_lower, lattice_upper
+
+wp.set_module_options({"enable_backward": False})
+mat83 = wp.types.matrix(shape=(8, 3), dtype=wp.float32)
+
+
+@wp.func
+def corner_edge(corners: mat83, axis: int, side: int):
+    """One of the four edges along an axis of a trilinear cell; corner c is at (c & 4, c & 2, c & 1)."""
+    low = wp.where(axis == 0, side, wp.where(axis == 1, (side & 1) + 2 * (side & 2), 2 * side))
+    return corners[low + (4 >> axis)] - corners[low]
+
+
+@wp.func
+def mean_jacobian(corners: mat83):
+    """Jacobian at the middle of a trilinear cell, per cell: its columns are the means of four edges."""
+    columns = wp.mat33()
+    for axis in range(3):
+        mean = wp.vec3()
+        for side in range(4):
+            mean += 0.25 * corner_edge(corners, axis, side)
+        for row in range(3):
+            columns[row, axis] = mean[row]
+    return columns
+
+
+@wp.func
+def jacobian_spread(corners: mat83, mean: wp.mat33):
+    """Bound of how far, in the Frobenius norm, the Jacobian anywhere in a trilinear cell is from its mean."""
+    total = float(0.0)
+    for axis in range(3):
+        column = wp.vec3(mean[0, axis], mean[1, axis], mean[2, axis])
+        farthest = float(0.0)
+        for side in range(4):
+            farthest = wp.max(farthest, wp.length_sq(corner_edge(corners, axis, side) - column))
+        total += farthest
+    return wp.sqrt(total)
+
+
+@wp.func
+def largest_stretch(jacobian: wp.mat33):
+    """Bound of the largest singular value: the root of the largest absolute row sum of J^T J."""
+    gram = wp.transpose(jacobian) * jacobian
+    largest = float(0.0)
+    for row in range(3):
+        largest = wp.max(largest, wp.abs(gram[row, 0]) + wp.abs(gram[row, 1]) + wp.abs(gram[row, 2]))
+    return wp.sqrt(largest)
+
+
+@wp.kernel
+def mark_edit_cases(first: int, edit: LatticeEdit, cells: wp.array3d(dtype=wp.uint8)):
+    """The CELL_... flags of each lattice cell of an edit, so that most samples need neither distance.
+
+    The trilinear distance in a cell lies between its corners'; the trilinear map in the bounding box of its corners'.
+    """
+    n = first + wp.tid()
+    k = n % cells.shape[2]
+    j = (n // cells.shape[2]) % cells.shape[1]
+    i = n // (cells.shape[2] * cells.shape[1])
+    nearest = float(1.0e30)
+    farthest = float(-1.0e30)
+    for c in range(8):
+        distance = edit.deformed.distance[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
+        nearest = wp.min(nearest, distance)
+        farthest = wp.max(farthest, distance)
+    flags = int(0)
+    if nearest > edit.tolerance:
+        flags = CELL_OUTSIDE
+    elif edit.removes == 0 and cell_sides(edit.deformed, i, j, k) != 0:
+        flags = CELL_STEEP  # at a narrow gap of the cage: nothing is settled for the cell as a whole
+    elif edit.removes == 0:
+        corners = mat83()
+        lower = wp.vec3(1.0e30, 1.0e30, 1.0e30)
+        upper = -lower
+        for c in range(8):
+            corners[c] = edit.deformed.positions[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
+            lower = wp.min(lower, corners[c])
+            upper = wp.max(upper, corners[c])
+        if farthest <= edit.tolerance:
+            flags = CELL_INSIDE
+        # twice what the distance can change to the corners of the box, as the trilinear one is a little steeper
+        if map_distance(edit.rest, 0.5 * (lower + upper)) < -wp.length(upper - lower):
+            flags = flags | CELL_STAYS
+        jacobian = mean_jacobian(corners) * edit.deformed.inverse_spacing
+        if wp.determinant(jacobian) <= 0.0:
+            flags = flags | CELL_FOLDED
+        spread = jacobian_spread(corners, edit.deformed.spacing * jacobian) * edit.deformed.inverse_spacing
+        if largest_stretch(jacobian) + spread > CUT_LENGTH:
+            flags = flags | CELL_STEEP
+    cells[i, j, k] = wp.uint8(flags)
+
+
+@wp.func
+def grid_is_empty(grid: VoxelGrid, centre: wp.vec3, half: wp.vec3):
+    """Whether a box is certainly empty in the canonical grid."""
+    g = grid_position(grid, centre)
+    reach = wp.cw_mul(half, grid.inverse_voxel_size)
+    needed = float(0.0)
+    nearest = wp.vec3(0.0, 0.0, 0.0)
+    for axis in range(3):
+        top = float(grid.skip.shape[axis])
+        if g[axis] + reach[axis] < 0.0 or g[axis] - reach[axis] > top:
+            return True  # beside the grid
+        nearest[axis] = wp.clamp(g[axis], 0.5, top - 0.5)
+        needed = wp.max(needed, reach[axis] + wp.abs(g[axis] - nearest[axis]))
+    return float(empty_distance(grid, nearest)) > needed + 1.0
+
+
+@wp.func
+def scene_is_empty(
+    edits: wp.array(dtype=LatticeEdit), edit_count: int, grid: VoxelGrid, centre: wp.vec3, half: wp.vec3
+):
+    """Whether a box is certainly empty in the scene that the first `edit_count` edits leave."""
+    e = edit_count - 1
+    while e >= 0:
+        edit = edits[e]
+        lower = lattice_lower(edit)
+        upper = lattice_upper(edit)
+        beside = bool(False)
+        within = bool(True)
+        for axis in range(3):
+            if centre[axis] + half[axis] < lower[axis] or centre[axis] - half[axis] > upper[axis]:
+                beside = True
+            if centre[axis] - half[axis] < lower[axis] or centre[axis] + half[axis] > upper[axis]:
+                within = False
+        if not beside:
+            if not within:
+                return False  # partly in the edit's box: too rare to look closer
+            g = (centre - lower) * edit.deformed.inverse_spacing
+            i = wp.clamp(int(wp.floor(g[0])), 0, edit.skip.shape[0] - 1)
+            j = wp.clamp(int(wp.floor(g[1])), 0, edit.skip.shape[1] - 1)
+            k = wp.clamp(int(wp.floor(g[2])), 0, edit.skip.shape[2] - 1)
+            return float(edit.skip[i, j, k]) > wp.max(half) * edit.deformed.inverse_spacing + 1.0
+        e -= 1
+    return grid_is_empty(grid, centre, half)
+
+
+@wp.kernel
+def mark_edit_cells(
+    first: int,
+    grid: VoxelGrid,
+    edits: wp.array(dtype=LatticeEdit),
+    edit_index: int,
+    step: float,
+    marks: wp.array3d(dtype=wp.uint8),
+):
+    """0 at the lattice cells of an edit in which a march must look, SKIP_LIMIT at the others.
+
+    The trilinear image of a cell lies in the bounding box of its eight corners' canonical positions; the scene beneath
+    (canonical grid and earlier edits, whose `skip` must be ready) is asked whether that box is empty. `step`:
+    sub-samples reach half a march step out of the cell. Cells that the map sends out of the rest cage are looked at, to
+    be counted.
+    """
+    n = first + wp.tid()
+    k = n % marks.shape[2]
+    j = (n // marks.shape[2]) % marks.shape[1]
+    i = n // (marks.shape[2] * marks.shape[1])
+    edit = edits[edit_index]
+    nearest = float(1.0e30)
+    farthest = float(-1.0e30)
+    for c in range(8):
+        distance = edit.deformed.distance[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
+        nearest = wp.min(nearest, distance)
+        farthest = wp.max(farthest, distance)
+    empty = bool(True)
+    if edit.removes == 0 and nearest <= edit.tolerance:
+        empty = cell_sides(edit.deformed, i, j, k) == 0
+        stays = (int(edit.cells[i, j, k]) & CELL_STAYS) != 0
+        lower = wp.vec3(1.0e30, 1.0e30, 1.0e30)
+        upper = -lower
+        for c in range(8):
+            position = edit.deformed.positions[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
+            lower = wp.min(lower, position)
+            upper = wp.max(upper, position)
+            if empty and not stays:
+                empty = in_rest_cage(edit, position, edit.slack)
+        reach = 0.5 * (1.0 + step * edit.deformed.inverse_spacing)
+        empty = empty and scene_is_empty(edits, edit_index, grid, 0.5 * (lower + upper), reach * (upper - lower))
+    if edit.removes == 1 or farthest > edit.tolerance:
+        h = 0.5 * edit.deformed.spacing
+        centre = edit.deformed.lower + edit.deformed.spacing * wp.vec3(float(i) + 0.5, float(j) + 0.5, float(k) + 0.5)
+        empty = empty and scene_is_empty(edits, edit_index, grid, centre, wp.vec3(h, h, h))
+    marks[i, j, k] = wp.uint8(wp.where(empty, SKIP_LIMIT, 0))

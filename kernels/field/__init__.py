@@ -1,0 +1,1 @@
+"""Voxel grids: samples, rendering, refinement, background layers."""

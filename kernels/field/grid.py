@@ -1,0 +1,145 @@
+"""Sparse voxel grid: trilinear density and spherical-harmonic colour at arbitrary points.
+
+Model: Fridovich-Keil and Yu et al., "Plenoxels: Radiance Fields without Neural Networks" (CVPR 2022), section 3.
+density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5).
+
+Values live at nodes; node (i, j, k) lies at lower + (i, j, k) * voxel_size. Nodes without a row hold zero.
+Positions are world units relative to any origin that the caller keeps to (warpcage: the field's centre, so that float32
+suffices).
+Needs: field/harmonics.
+"""
+
+import warp as wp
+
+from .harmonics import sh_basis, vec9
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class VoxelGrid:
+    lower: wp.vec3  # position of node (0, 0, 0)
+    voxel_size: wp.vec3
+    inverse_voxel_size: wp.vec3
+    links: wp.array3d(dtype=wp.int32)  # row of a node, or -1
+    skip: wp.array3d(dtype=wp.uint8)  # cell -> Chebyshev distance in cells to the nearest that holds anything, 0 there
+    density: wp.array(dtype=wp.float32)  # (rows,) per world unit
+    sh: wp.array2d(dtype=vec9)  # (rows, 3) coefficients of red, green and blue
+
+
+@wp.struct
+class CellSample:
+    """Rows and trilinear weights of the eight nodes of the cell around a point; corner c is at (c&4, c&2, c&1)."""
+
+    rows: wp.types.vector(length=8, dtype=wp.int32)
+    weights: wp.types.vector(length=8, dtype=wp.float32)
+
+
+@wp.func
+def grid_position(grid: VoxelGrid, x: wp.vec3):
+    """Node coordinates (voxel units) of a point."""
+    return wp.cw_mul(x - grid.lower, grid.inverse_voxel_size)
+
+
+@wp.func
+def cell_sample(grid: VoxelGrid, g: wp.vec3):
+    """Rows and weights around node coordinates g; all rows are -1 outside the grid."""
+    result = CellSample()
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    inside = (
+        i >= 0
+        and j >= 0
+        and k >= 0
+        and i < grid.links.shape[0] - 1
+        and j < grid.links.shape[1] - 1
+        and k < grid.links.shape[2] - 1
+    )
+    fx = g[0] - float(i)
+    fy = g[1] - float(j)
+    fz = g[2] - float(k)
+    for c in range(8):
+        di = c >> 2
+        dj = (c >> 1) & 1
+        dk = c & 1
+        row = int(-1)
+        if inside:
+            row = grid.links[i + di, j + dj, k + dk]
+        wx = wp.where(di == 1, fx, 1.0 - fx)
+        wy = wp.where(dj == 1, fy, 1.0 - fy)
+        wz = wp.where(dk == 1, fz, 1.0 - fz)
+        result.rows[c] = row
+        result.weights[c] = wx * wy * wz
+    return result
+
+
+@wp.func
+def cell_density(grid: VoxelGrid, cell: CellSample):
+    """Trilinear density before the ReLU."""
+    sigma = float(0.0)
+    for c in range(8):
+        if cell.rows[c] >= 0:
+            sigma += cell.weights[c] * grid.density[cell.rows[c]]
+    return sigma
+
+
+@wp.func
+def cell_channel(grid: VoxelGrid, cell: CellSample, basis: vec9, channel: int):
+    """One channel of the colour before the clamp at zero: basis . trilinear sh + 0.5."""
+    sh = vec9()
+    for c in range(8):
+        if cell.rows[c] >= 0:
+            sh += cell.weights[c] * grid.sh[cell.rows[c], channel]
+    return wp.dot(basis, sh) + 0.5
+
+
+@wp.func
+def cell_colour(grid: VoxelGrid, cell: CellSample, basis: vec9):
+    """SH colour before the clamp at zero."""
+    return wp.vec3(
+        cell_channel(grid, cell, basis, 0), cell_channel(grid, cell, basis, 1), cell_channel(grid, cell, basis, 2)
+    )
+
+
+@wp.func
+def empty_distance(grid: VoxelGrid, g: wp.vec3):
+    """Chebyshev distance in cells from the cell of g to the nearest cell that holds anything; 1 outside the grid."""
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    if i < 0 or j < 0 or k < 0 or i >= grid.skip.shape[0] or j >= grid.skip.shape[1] or k >= grid.skip.shape[2]:
+        return int(1)
+    return int(grid.skip[i, j, k])
+
+
+@wp.func
+def sample_density(grid: VoxelGrid, x: wp.vec3):
+    """Density at a point, zero outside the grid."""
+    return wp.max(cell_density(grid, cell_sample(grid, grid_position(grid, x))), 0.0)
+
+
+@wp.func
+def sample_colour(grid: VoxelGrid, x: wp.vec3, direction: wp.vec3):
+    """Colour at a point seen along a unit direction (from the camera into the scene)."""
+    colour = cell_colour(grid, cell_sample(grid, grid_position(grid, x)), sh_basis(direction))
+    return wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+
+
+@wp.kernel
+def sample_field(
+    first: int,
+    grid: VoxelGrid,
+    origin: wp.vec3,
+    points: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    rgb: wp.array(dtype=wp.vec3),
+    density: wp.array(dtype=wp.float32),
+):
+    """Colour and density at points (n,) seen along directions (n,) of any length. origin: the grid's origin among the
+    points."""
+    n = first + wp.tid()
+    cell = cell_sample(grid, grid_position(grid, points[n] - origin))
+    basis = sh_basis(wp.normalize(directions[n]))
+    rgb[n] = wp.max(cell_colour(grid, cell, basis), wp.vec3(0.0, 0.0, 0.0))
+    density[n] = wp.max(cell_density(grid, cell), 0.0)

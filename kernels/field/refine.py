@@ -1,0 +1,149 @@
+"""Prune, dilate and refine the nodes of a sparse voxel grid.
+
+Needs: field/grid, field/harmonics.
+"""
+
+import warp as wp
+
+from .grid import VoxelGrid
+from .harmonics import vec9
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def dilate_mask(first: int, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
+    """1 where any of a node's 27 neighbours is set."""
+    n = first + wp.tid()
+    k = n % mask.shape[2]
+    j = (n // mask.shape[2]) % mask.shape[1]
+    i = n // (mask.shape[2] * mask.shape[1])
+    value = wp.uint8(0)
+    for a in range(wp.max(i - 1, 0), wp.min(i + 2, mask.shape[0])):
+        for b in range(wp.max(j - 1, 0), wp.min(j + 2, mask.shape[1])):
+            for c in range(wp.max(k - 1, 0), wp.min(k + 2, mask.shape[2])):
+                if source[a, b, c] != wp.uint8(0):
+                    value = wp.uint8(1)
+    mask[i, j, k] = value
+
+
+@wp.kernel
+def mark_weighty_nodes(
+    first: int,
+    nodes: wp.array(dtype=wp.vec3i),
+    weights: wp.array(dtype=wp.float32),
+    threshold: float,
+    mask: wp.array3d(dtype=wp.uint8),
+):
+    """1 at the nodes of rows whose recorded weight reaches a threshold; the rest of `mask` is left."""
+    row = first + wp.tid()
+    if weights[row] >= threshold:
+        mask[nodes[row][0], nodes[row][1], nodes[row][2]] = wp.uint8(1)
+
+
+@wp.kernel
+def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(dtype=wp.uint8)):
+    """Clear `mask` where there is no row: dilation may not bring back what was pruned before."""
+    n = first + wp.tid()
+    k = n % mask.shape[2]
+    j = (n // mask.shape[2]) % mask.shape[1]
+    i = n // (mask.shape[2] * mask.shape[1])
+    if links[i, j, k] < 0:
+        mask[i, j, k] = wp.uint8(0)
+
+
+@wp.kernel
+def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
+    """What the voxel says in which a finer one has its centre. ratio: finer voxels a voxel, along each axis."""
+    n = first + wp.tid()
+    k = n % mask.shape[2]
+    j = (n // mask.shape[2]) % mask.shape[1]
+    i = n // (mask.shape[2] * mask.shape[1])
+    a = wp.min(int((float(i) + 0.5) / ratio[0]), source.shape[0] - 1)
+    b = wp.min(int((float(j) + 0.5) / ratio[1]), source.shape[1] - 1)
+    c = wp.min(int((float(k) + 0.5) / ratio[2]), source.shape[2] - 1)
+    mask[i, j, k] = source[a, b, c]
+
+
+@wp.kernel
+def count_lines(first: int, mask: wp.array3d(dtype=wp.uint8), counts: wp.array(dtype=wp.int32)):
+    """Set nodes of each line (i, j) along the last axis. counts: (nx * ny,)."""
+    n = first + wp.tid()
+    i = n // mask.shape[1]
+    j = n % mask.shape[1]
+    count = int(0)
+    for k in range(mask.shape[2]):
+        if mask[i, j, k] != wp.uint8(0):
+            count += 1
+    counts[n] = count
+
+
+@wp.kernel
+def link_nodes(
+    first: int,
+    mask: wp.array3d(dtype=wp.uint8),
+    running_count: wp.array(dtype=wp.int32),
+    links: wp.array3d(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.vec3i),
+):
+    """Number the set nodes in memory order, one item a line. running_count: inclusive scan of the lines' counts."""
+    n = first + wp.tid()
+    i = n // mask.shape[1]
+    j = n % mask.shape[1]
+    row = int(0)
+    if n > 0:
+        row = running_count[n - 1]
+    for k in range(mask.shape[2]):
+        if mask[i, j, k] != wp.uint8(0):
+            links[i, j, k] = row
+            nodes[row] = wp.vec3i(i, j, k)
+            row += 1
+        else:
+            links[i, j, k] = -1
+
+
+@wp.kernel
+def resample_rows(
+    first: int,
+    coarse: VoxelGrid,
+    ratio: wp.vec3,
+    nodes: wp.array(dtype=wp.vec3i),
+    density: wp.array(dtype=wp.float32),
+    sh: wp.array2d(dtype=vec9),
+):
+    """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (weights renormalised).
+
+    ratio: fine voxels a coarse one, along each axis.
+    """
+    row = first + wp.tid()
+    node = nodes[row]
+    g = wp.vec3(float(node[0]), float(node[1]), float(node[2])) + wp.vec3(0.5, 0.5, 0.5)
+    g = wp.cw_div(g, ratio) - wp.vec3(0.5, 0.5, 0.5)
+    total = float(0.0)
+    value = float(0.0)
+    red = vec9()
+    green = vec9()
+    blue = vec9()
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    for c in range(8):
+        a = wp.clamp(i + (c >> 2), 0, coarse.links.shape[0] - 1)
+        b = wp.clamp(j + ((c >> 1) & 1), 0, coarse.links.shape[1] - 1)
+        d = wp.clamp(k + (c & 1), 0, coarse.links.shape[2] - 1)
+        wx = wp.where((c >> 2) == 1, g[0] - float(i), 1.0 - g[0] + float(i))
+        wy = wp.where(((c >> 1) & 1) == 1, g[1] - float(j), 1.0 - g[1] + float(j))
+        wz = wp.where((c & 1) == 1, g[2] - float(k), 1.0 - g[2] + float(k))
+        other = coarse.links[a, b, d]
+        weight = wx * wy * wz
+        if other >= 0 and weight > 0.0:
+            total += weight
+            value += weight * coarse.density[other]
+            red += weight * coarse.sh[other, 0]
+            green += weight * coarse.sh[other, 1]
+            blue += weight * coarse.sh[other, 2]
+    scale = wp.where(total > 0.0, 1.0 / wp.max(total, 1.0e-12), 0.0)
+    density[row] = scale * value
+    sh[row, 0] = scale * red
+    sh[row, 1] = scale * green
+    sh[row, 2] = scale * blue

@@ -1,0 +1,47 @@
+"""Distances that let a march jump over empty cells: an L-infinity (Chebyshev) distance transform of the occupied cells.
+
+The transform is separable: along each axis in turn, d(i) = min over j of max(|i - j|, d(j)).
+Needs: none.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+#: Distances are cut here: larger empty regions are crossed in several jumps.
+SKIP_LIMIT = wp.constant(32)
+
+
+@wp.kernel
+def mark_cells(first: int, links: wp.array3d(dtype=wp.int32), distance: wp.array3d(dtype=wp.uint8)):
+    """0 where any of a cell's eight nodes has a row, SKIP_LIMIT elsewhere. distance: (nx-1, ny-1, nz-1)."""
+    n = first + wp.tid()
+    k = n % distance.shape[2]
+    j = (n // distance.shape[2]) % distance.shape[1]
+    i = n // (distance.shape[2] * distance.shape[1])
+    value = int(SKIP_LIMIT)
+    for c in range(8):
+        if links[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)] >= 0:
+            value = int(0)
+    distance[i, j, k] = wp.uint8(value)
+
+
+@wp.kernel
+def spread_distance(first: int, axis: int, source: wp.array3d(dtype=wp.uint8), distance: wp.array3d(dtype=wp.uint8)):
+    """One pass of the transform along an axis."""
+    n = first + wp.tid()
+    k = n % source.shape[2]
+    j = (n // source.shape[2]) % source.shape[1]
+    i = n // (source.shape[2] * source.shape[1])
+    best = int(source[i, j, k])
+    step = int(1)
+    while step < best:
+        for side in range(2):
+            offset = wp.where(side == 0, -step, step)
+            a = i + wp.where(axis == 0, offset, 0)
+            b = j + wp.where(axis == 1, offset, 0)
+            c = k + wp.where(axis == 2, offset, 0)
+            if a >= 0 and b >= 0 and c >= 0 and a < source.shape[0] and b < source.shape[1] and c < source.shape[2]:
+                best = wp.min(best, wp.max(step, int(source[a, b, c])))
+        step += 1
+    distance[i, j, k] = wp.uint8(best)

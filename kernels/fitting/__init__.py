@@ -1,0 +1,1 @@
+"""Gradients, optimiser steps and what a fit needs around them."""

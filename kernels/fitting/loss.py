@@ -1,0 +1,178 @@
+"""Gradient of the photometric loss by the density and SH coefficients of a voxel grid.
+
+Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. With g = dL/dC, w_k = T_k alpha_k and the
+background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
+hand-written adjoint of volume_render.march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop
+of unknown length).
+Needs: field/grid, field/harmonics, field/samples, fitting/pictures, view/rays.
+"""
+
+import warp as wp
+
+from ..field.grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance
+from ..field.harmonics import sh_basis, vec9
+from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
+from ..view.rays import PinholeCamera, image_direction
+from .pictures import Pictures, picture_pixel
+
+wp.set_module_options({"enable_backward": False})
+mat43 = wp.types.matrix(shape=(4, 3), dtype=wp.float32)
+
+#: Sub-rays of a pixel, at most.
+MAX_SUBRAYS = wp.constant(4)
+
+
+@wp.struct
+class TrainingRays:
+    """Images cut into square tiles; a batch is a run of tiles in a shuffled order."""
+
+    cameras: wp.array(dtype=PinholeCamera)  # (views,)
+    pictures: Pictures  # (views, h, w)
+    height: int  # of a picture, pixels
+    width: int
+    tiles: wp.array(dtype=wp.int32)  # shuffled flat tile indices: (view * tile rows + tile row) * tile columns + column
+    tile_size: int
+    first_tile: int  # where this batch begins in `tiles`
+    rays_per_side: int  # 1: through the middle of a pixel, 2: four rays, each somewhere in its quarter
+
+
+@wp.func
+def batch_pixel(rays: TrainingRays, n: int):
+    """(view, row, column) of the n-th ray of a batch; the far tiles' pixels may lie beyond the image."""
+    size = rays.tile_size
+    columns = (rays.width + size - 1) // size
+    rows = (rays.height + size - 1) // size
+    tile = rays.tiles[(rays.first_tile + n // (size * size)) % rays.tiles.shape[0]]
+    within = n % (size * size)
+    view = tile // (rows * columns)
+    row = (tile // columns) % rows * size + within // size
+    column = tile % columns * size + within % size
+    return wp.vec3i(view, row, column)
+
+
+@wp.func
+def in_picture(rays: TrainingRays, pixel: wp.vec3i):
+    return pixel[1] < rays.height and pixel[2] < rays.width
+
+
+@wp.func
+def training_colour(rays: TrainingRays, pixel: wp.vec3i, behind: wp.vec3):
+    """What a pixel of the pictures shows before a background."""
+    rgba = picture_pixel(rays.pictures, pixel[0], pixel[1], pixel[2])
+    return wp.vec3(rgba[0], rgba[1], rgba[2]) + (1.0 - rgba[3]) * behind
+
+
+@wp.func
+def subray_direction(rays: TrainingRays, camera: PinholeCamera, pixel: wp.vec3i, subray: int, seed: int, n: int):
+    """Direction of a sub-ray of the n-th pixel of a batch: in the middle, or anywhere in its share of the pixel."""
+    side = rays.rays_per_side
+    right = float(0.5)
+    down = float(0.5)
+    if side > 1:
+        random = wp.rand_init(seed, MAX_SUBRAYS * n + subray)
+        right = (float(subray % side) + wp.randf(random)) / float(side)
+        down = (float(subray // side) + wp.randf(random)) / float(side)
+    return image_direction(camera, float(pixel[2]) + right, float(pixel[1]) + down)
+
+
+@wp.func
+def background_behind(background: wp.vec3, random_background: int, seed: int, n: int):
+    """The given background, or a colour drawn for each pixel."""
+    if random_background == 1:
+        random = wp.rand_init(seed + 1, n)
+        return wp.vec3(wp.randf(random), wp.randf(random), wp.randf(random))
+    return background
+
+
+@wp.kernel
+def accumulate_photometric_gradient(
+    first: int,
+    grid: VoxelGrid,
+    rays: TrainingRays,
+    background: wp.vec3,
+    random_background: int,
+    seed: int,
+    step: float,
+    stop: float,
+    scale: float,
+    own_background: wp.array(dtype=wp.vec3),
+    grad_density: wp.array(dtype=wp.float32),
+    grad_sh: wp.array2d(dtype=vec9),
+    squared_error: wp.array(dtype=wp.float32),
+    grad_background: wp.array(dtype=wp.vec3),
+):
+    """Adds scale * d(sum over channels of (C - C*)^2) for each pixel of a batch; squared_error: (pixels,) that sum.
+
+    random_background: a colour drawn for each pixel goes behind both the image's alpha and the render, so that opacity
+    is supervised too; 0 takes `background` for all. own_background: (pixels,) a colour of each pixel's own instead,
+    whose gradient goes to grad_background (pixels,); both are empty where there is none. Gradient rows are shared: on
+    the CPU each thread needs its own.
+    """
+    n = first + wp.tid()
+    squared_error[n] = 0.0
+    has_background = own_background.shape[0] > 0
+    if has_background:
+        grad_background[n] = wp.vec3()
+    pixel = batch_pixel(rays, n)
+    if not in_picture(rays, pixel):
+        return
+    camera = rays.cameras[pixel[0]]
+    behind = background_behind(background, random_background, seed, n)
+    if has_background:
+        behind = own_background[n]
+    target = training_colour(rays, pixel, behind)
+
+    subray_count = rays.rays_per_side * rays.rays_per_side
+    colours = mat43()
+    left = float(0.0)  # transmittance, summed over the sub-rays
+    grad_colour = wp.vec3()
+    march = int(0)
+    while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
+        subray = march % subray_count
+        direction = subray_direction(rays, camera, pixel, subray, seed, n)
+        basis = sh_basis(direction)
+        ray = grid_ray(grid, camera.centre, direction, step)
+        # the part of C . dL/dC that comes from behind the current sample
+        later = wp.dot(colours[subray], grad_colour)
+        colour = wp.vec3()
+        transmittance = float(1.0)
+        k = ray.first
+        while sample_distance(ray, k) < ray.far and transmittance > stop:
+            g = sample_place(ray, k)
+            empty = empty_distance(grid, g)
+            if empty > 0:
+                k = sample_beyond(ray, k, g, empty)
+            else:
+                cell = cell_sample(grid, g)
+                sigma = cell_density(grid, cell)
+                if sigma > 0.0:
+                    weight = transmittance * (1.0 - wp.exp(-sigma * step))
+                    transmittance *= wp.exp(-sigma * step)
+                    raw = cell_colour(grid, cell, basis)
+                    radiance = wp.max(raw, wp.vec3(0.0, 0.0, 0.0))
+                    if march < subray_count:
+                        colour += weight * radiance
+                    else:
+                        change = wp.dot(radiance, grad_colour)
+                        later -= weight * change
+                        grad_sigma = step * (transmittance * change - later)
+                        for c in range(8):
+                            if cell.rows[c] >= 0:
+                                wp.atomic_add(grad_density, cell.rows[c], cell.weights[c] * grad_sigma)
+                        for channel in range(3):
+                            if raw[channel] > 0.0:  # the clamp max(0, .) passes no gradient
+                                grad_cell = weight * grad_colour[channel] * basis
+                                for c in range(8):
+                                    if cell.rows[c] >= 0:
+                                        wp.atomic_add(grad_sh, cell.rows[c], channel, cell.weights[c] * grad_cell)
+                k += 1
+        if march < subray_count:
+            colours[subray] = colour + transmittance * behind
+            left += transmittance
+        if march == subray_count - 1:
+            error = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count) - target
+            squared_error[n] = wp.dot(error, error)
+            grad_colour = 2.0 * scale / float(subray_count) * error
+            if has_background:
+                grad_background[n] = left * grad_colour
+        march += 1

@@ -1,0 +1,179 @@
+"""The photometric gradient of field_loss, for CUDA: one warp a ray, one lane a coefficient.
+
+The same sums as field_loss.accumulate_photometric_gradient, which says what they are. Densities of 32 samples in a row
+are looked up at once, one a lane; then the samples that hold matter are taken one by one, and the 27 coefficients of a
+voxel are read, and their gradients added, by 27 neighbouring lanes: a voxel's row is one run of memory instead of 27
+scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
+Needs: core/lanes, field/grid, field/harmonics, field/samples, fitting/loss, fitting/rmsprop.
+"""
+
+import warp as wp
+
+from ..core.lanes import ballot, from_lane, lowest_bit, without_lowest_bit
+from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from ..field.harmonics import sh_basis
+from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
+from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
+from .rmsprop import COEFFICIENTS, GRADIENT_ROW
+
+wp.set_module_options({"enable_backward": False, "block_dim": 128})
+LANES = wp.constant(32)
+
+
+@wp.func
+def sum_before(value: float, lane: int):
+    """Sum of the values of the lanes before this one."""
+    total = float(value)
+    for i in range(5):
+        other = from_lane(total, wp.max(lane - (1 << i), 0))
+        if lane >= (1 << i):
+            total += other
+    return total - value
+
+
+@wp.func
+def channel_sum(value: float, lane: int, channel: int):
+    """Sum over the nine lanes of a channel, in each of them."""
+    b = lane - 9 * channel
+    ninth = from_lane(value, wp.min(9 * channel + 8, 31))
+    total = float(value)
+    for i in range(3):
+        reach = 4 >> i
+        other = from_lane(total, wp.min(lane + reach, 31))
+        if b < reach:
+            total += other
+    return from_lane(total + ninth, wp.min(9 * channel, 31))
+
+
+@wp.func
+def over_channels(value: float):
+    """Sum of what the first lanes of red, green and blue hold."""
+    return from_lane(value, 0) + from_lane(value, 9) + from_lane(value, 18)
+
+
+@wp.func
+def pick(v: wp.vec3, channel: int):
+    return wp.where(channel == 0, v[0], wp.where(channel == 1, v[1], v[2]))
+
+
+# few registers: many rays in flight hide the latency of their loads
+@wp.kernel(launch_bounds=(128, 8))
+def accumulate_photometric_gradient_by_warps(
+    first: int,
+    grid: VoxelGrid,
+    coefficients: wp.array2d(dtype=wp.float32),
+    rays: TrainingRays,
+    background: wp.vec3,
+    random_background: int,
+    seed: int,
+    step: float,
+    stop: float,
+    scale: float,
+    own_background: wp.array(dtype=wp.vec3),
+    gradients: wp.array2d(dtype=wp.float32),
+    touched: wp.array(dtype=wp.uint8),
+    squared_error: wp.array(dtype=wp.float32),
+    grad_background: wp.array(dtype=wp.vec3),
+):
+    """As field_loss.accumulate_photometric_gradient, 32 items a pixel, in blocks of at most 128.
+
+    coefficients: (rows, 27), grid.sh as numbers. gradients: (rows, 28), coefficients, then density. touched: (rows,)
+    set to 1 where there is a gradient.
+    """
+    item = first + wp.tid()
+    n = item // LANES
+    lane = item % LANES
+    has_background = own_background.shape[0] > 0
+    pixel = batch_pixel(rays, n)
+    if not in_picture(rays, pixel):
+        if lane == 0:
+            squared_error[n] = 0.0
+            if has_background:
+                grad_background[n] = wp.vec3()
+        return
+    channel = wp.min(lane // 9, 3)
+    camera = rays.cameras[pixel[0]]
+    all_behind = background_behind(background, random_background, seed, n)
+    if has_background:
+        all_behind = own_background[n]
+    behind = pick(all_behind, channel)
+    target = pick(training_colour(rays, pixel, all_behind), channel)
+
+    # of this lane's channel
+    subray_count = rays.rays_per_side * rays.rays_per_side
+    colours = wp.vec4()
+    left_over = float(0.0)  # transmittance, summed over the sub-rays
+    grad_colour = float(0.0)
+    march = int(0)
+    while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
+        subray = march % subray_count
+        direction = subray_direction(rays, camera, pixel, subray, seed, n)
+        all_basis = sh_basis(direction)
+        basis = float(0.0)
+        for b in range(9):
+            if lane < COEFFICIENTS and lane - 9 * channel == b:
+                basis = all_basis[b]
+        ray = grid_ray(grid, camera.centre, direction, step)
+        # the part of C . dL/dC that comes from behind the current sample
+        later = over_channels(colours[subray] * grad_colour)
+        colour = float(0.0)
+        transmittance = float(1.0)
+        k = ray.first
+        while sample_distance(ray, k) < ray.far and transmittance > stop:
+            g = sample_place(ray, k)
+            empty = empty_distance(grid, g)
+            if empty > 0:
+                k = sample_beyond(ray, k, g, empty)
+            else:
+                # density of 32 samples, one a lane
+                own_g = sample_place(ray, k + lane)
+                depth = float(0.0)
+                if sample_distance(ray, k + lane) < ray.far and empty_distance(grid, own_g) == 0:
+                    depth = wp.max(cell_density(grid, cell_sample(grid, own_g)), 0.0) * step
+                before = transmittance * wp.exp(-sum_before(depth, lane))
+                alpha = 1.0 - wp.exp(-depth)
+                matter = ballot(wp.where(depth > 0.0 and before > stop, 1, 0))
+                transmittance = from_lane(before * (1.0 - alpha), LANES - 1)
+                while matter != 0:
+                    j = lowest_bit(matter)
+                    matter = without_lowest_bit(matter)
+                    cell = cell_sample(grid, sample_place(ray, k + j))
+                    left = from_lane(before, j)
+                    weight = left * from_lane(alpha, j)
+                    value = float(0.0)
+                    if lane < COEFFICIENTS:
+                        for c in range(8):
+                            if cell.rows[c] >= 0:
+                                value += cell.weights[c] * coefficients[cell.rows[c], lane]
+                    raw = channel_sum(basis * value, lane, channel) + 0.5
+                    radiance = wp.max(raw, 0.0)
+                    if march < subray_count:
+                        colour += weight * radiance
+                    else:
+                        change = over_channels(radiance * grad_colour)
+                        later -= weight * change
+                        gradient = step * ((left - weight) * change - later)
+                        if lane < COEFFICIENTS:
+                            gradient = wp.where(raw > 0.0, weight * grad_colour * basis, 0.0)
+                        if lane < GRADIENT_ROW:
+                            for c in range(8):
+                                if cell.rows[c] >= 0:
+                                    if lane == c:
+                                        touched[cell.rows[c]] = wp.uint8(1)
+                                    wp.atomic_add(gradients, cell.rows[c], lane, cell.weights[c] * gradient)
+                k += LANES
+        if march < subray_count:
+            colours[subray] = colour + transmittance * behind
+            left_over += transmittance
+        if march == subray_count - 1:
+            error = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count) - target
+            grad_colour = 2.0 * scale / float(subray_count) * error
+            total = over_channels(error * error)
+            red = from_lane(grad_colour, 0)
+            green = from_lane(grad_colour, 9)
+            blue = from_lane(grad_colour, 18)
+            if lane == 0:
+                squared_error[n] = total
+                if has_background:
+                    grad_background[n] = left_over * wp.vec3(red, green, blue)
+        march += 1

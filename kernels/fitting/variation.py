@@ -1,0 +1,75 @@
+"""Gradient of the total variation of a voxel field's density and SH coefficients.
+
+Per node and number sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences (Plenoxels 2022, Eq. 3).
+Needs: field/grid, fitting/rmsprop.
+"""
+
+import warp as wp
+
+from ..field.grid import VoxelGrid
+from .rmsprop import COEFFICIENTS, GRADIENT_ROW
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def neighbour_row(grid: VoxelGrid, node: wp.vec3i, axis: int):
+    """Row of the next node along an axis, or -1."""
+    i = node[0] + wp.where(axis == 0, 1, 0)
+    j = node[1] + wp.where(axis == 1, 1, 0)
+    k = node[2] + wp.where(axis == 2, 1, 0)
+    if i < grid.links.shape[0] and j < grid.links.shape[1] and k < grid.links.shape[2]:
+        return grid.links[i, j, k]
+    return int(-1)
+
+
+@wp.kernel
+def accumulate_variation_gradient(
+    first: int,
+    grid: VoxelGrid,
+    coefficients: wp.array2d(dtype=wp.float32),
+    nodes: wp.array(dtype=wp.vec3i),
+    first_row: int,
+    density_unit: float,
+    scale_density: float,
+    scale_sh: float,
+    gradients: wp.array2d(dtype=wp.float32),
+    touched: wp.array(dtype=wp.uint8),
+):
+    """Adds the gradient of scale_density * TV(density / density_unit) + scale_sh * TV(sh) over a run of rows.
+
+    GRADIENT_ROW items a row, one a number, so that neighbouring threads read neighbouring numbers. coefficients:
+    (rows, 27), grid.sh as numbers. nodes: (rows,) grid indices of each row. gradients: (rows, 28). touched: (rows,) set
+    to 1 where there is a gradient. A difference to a node without a row counts as zero. Rows are shared with
+    neighbours: on the CPU each thread needs gradients of its own.
+    """
+    n = first + wp.tid()
+    number = n % GRADIENT_ROW
+    row = (first_row + n // GRADIENT_ROW) % nodes.shape[0]
+    unit = float(1.0)
+    scale = float(scale_sh)
+    value = float(0.0)
+    if number < COEFFICIENTS:
+        value = coefficients[row, number]
+    else:
+        unit = density_unit
+        scale = scale_density
+        value = grid.density[row]
+    rows = wp.vec3i()
+    difference = wp.vec3()
+    for axis in range(3):
+        rows[axis] = neighbour_row(grid, nodes[row], axis)
+        if rows[axis] >= 0:
+            if number < COEFFICIENTS:
+                difference[axis] = coefficients[rows[axis], number] - value
+            else:
+                difference[axis] = (grid.density[rows[axis]] - value) / unit
+    slope = scale / unit / wp.sqrt(wp.dot(difference, difference) + 1.0e-9)
+    if number == 0:
+        touched[row] = wp.uint8(1)
+    wp.atomic_add(gradients, row, number, -slope * (difference[0] + difference[1] + difference[2]))
+    for axis in range(3):
+        if rows[axis] >= 0:
+            if number == 0:
+                touched[rows[axis]] = wp.uint8(1)
+            wp.atomic_add(gradients, rows[axis], number, slope * difference[axis])

@@ -1,0 +1,1 @@
+"""Crossings, distances, nodes, solvers and gaps on a lattice over a cage."""

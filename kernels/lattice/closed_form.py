@@ -1,0 +1,144 @@
+"""Mean value and Green maps at the listed nodes of a lattice.
+
+Cage vertices are in node units (see crossings) relative to the middle of the lattice, so that float32 keeps most
+digits where the cage is; `size` is the cage's size in them.
+
+Both maps are harmonic or nearly so, and smooth at CLEARANCE cells from the cage and more: there they are evaluated at
+every second node along each axis, and the others take the polynomial of degree five through three nodes either side,
+axis after axis. That errs by 1e-6 of the size in poses that bend or twist, by 4e-5 in wild ones.
+Needs: coordinates/green, coordinates/mean_value, lattice/cut_rows, lattice/nodes.
+"""
+
+import warp as wp
+
+from ..coordinates.green import green_position
+from ..coordinates.mean_value import mean_value_position
+from .cut_rows import CutRows
+from .nodes import NodeLevels, centred_place, node_place
+
+# so many registers a thread that larger blocks fill a GPU worse
+wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
+
+
+@wp.kernel(launch_bounds=(128, 5))
+def map_nodes_mean_value(
+    first: int,
+    levels: NodeLevels,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+    values: wp.array(dtype=wp.vec3),
+):
+    """values[node] = sum_j w_j targets_j at inside nodes that are not interpolated. fans: see face_fans. One item a
+    node; one level."""
+    n = first + wp.tid()
+    if n >= levels.starts[1]:
+        return
+    node = levels.nodes[n]
+    values[node] = mean_value_position(centred_place(levels, node), vertices, faces, fans, targets, size)
+
+
+@wp.kernel
+def map_nodes_green(
+    first: int,
+    levels: NodeLevels,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    target_normals: wp.array(dtype=wp.vec3),
+    size: float,
+    values: wp.array(dtype=wp.vec3),
+):
+    """values[node] = sum_i phi_i targets_i + sum_f psi_f target_normals_f at inside nodes that are not interpolated.
+    One item a node; one level."""
+    n = first + wp.tid()
+    if n >= levels.starts[1]:
+        return
+    node = levels.nodes[n]
+    values[node] = green_position(centred_place(levels, node), vertices, faces, fans, targets, target_normals, size)
+
+
+@wp.kernel
+def interpolate_nodes(first: int, axis: int, levels: NodeLevels, values: wp.array(dtype=wp.vec3)):
+    """Values at interpolated nodes that are odd along `axis` and even along the axes after it; the axes in order."""
+    n = first + wp.tid()
+    if n >= levels.starts[2] - levels.starts[1]:
+        return
+    node = levels.nodes[levels.starts[1] + n]
+    p = node_place(levels, 0, node)
+    shape = levels.shapes[0]
+    step = int(1)
+    belongs = (p[2] & 1) == 1
+    if axis == 1:
+        step = shape[2]
+        belongs = (p[1] & 1) == 1 and (p[2] & 1) == 0
+    if axis == 0:
+        step = shape[1] * shape[2]
+        belongs = (p[0] & 1) == 1 and (p[1] & 1) == 0 and (p[2] & 1) == 0
+    if belongs:
+        values[node] = (
+            150.0 * (values[node - step] + values[node + step])
+            - 25.0 * (values[node - 3 * step] + values[node + 3 * step])
+            + 3.0 * (values[node - 5 * step] + values[node + 5 * step])
+        ) / 256.0
+
+
+@wp.kernel
+def stretch_normals(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    rest_normals: wp.array(dtype=wp.vec3),
+    rest_products: wp.array(dtype=wp.vec3),
+    affine: wp.array(dtype=wp.vec3),
+    rest_size: float,
+    values: wp.array(dtype=wp.vec3),
+):
+    """values (f,): what psi in node units multiplies for the remainder of a map after its affine part A x + b, as a
+    share of the rest cage's size: stretched normals of the rest cage less A n, as x = sum phi v + sum psi n.
+
+    rest_normals: unit normals; rest_products: |s|^2, s.t, |t|^2 of the edges from the first corner of each face, over
+    the rest cage's size squared; affine: as in add_affine. Stretch (Lipman et al. 2008, 3-D) from a face of area A with
+    edges u, v: sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
+    """
+    f = first + wp.tid()
+    face = faces[f]
+    u = vertices[face[1]] - vertices[face[0]]
+    v = vertices[face[2]] - vertices[face[0]]
+    normal = wp.cross(u, v)
+    double_area = wp.length(normal)
+    normal = normal / (double_area * rest_size)
+    rest = rest_products[f]
+    energy = rest[0] * wp.dot(v, v) - 2.0 * rest[1] * wp.dot(u, v) + rest[2] * wp.dot(u, u)
+    stretch = wp.sqrt(wp.max(0.5 * energy, 0.0)) / double_area
+    values[f] = stretch * rest_normals[f] - (normal[0] * affine[0] + normal[1] * affine[1] + normal[2] * affine[2])
+
+
+@wp.kernel
+def map_crossings_green(
+    first: int,
+    levels: NodeLevels,
+    rows: CutRows,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    target_normals: wp.array(dtype=wp.vec3),
+    size: float,
+    boundary: wp.array2d(dtype=wp.vec3),
+):
+    """boundary (rows, 6): the map's limit from inside where links of cut nodes cross the cage. One level."""
+    item = first + wp.tid()
+    row = item / 6
+    direction = item % 6
+    if row >= levels.starts[3] - levels.starts[2]:
+        return
+    if rows.faces[row, direction] >= 0:
+        x = centred_place(levels, levels.nodes[levels.starts[2] + row])
+        away = rows.fractions[row, direction]
+        axis = direction / 2
+        x[axis] = x[axis] + wp.where(direction % 2 == 1, away, -away)
+        boundary[row, direction] = green_position(x, vertices, faces, fans, targets, target_normals, size)

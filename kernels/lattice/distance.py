@@ -1,0 +1,211 @@
+"""Signed distance to a cage on the nodes of a lattice: exact in a narrow band, clamped outside it.
+
+The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
+the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Which octants of a block
+are CLEARANCE cells and more from the cage is kept as well. Units: node units (see crossings) for vertices, world units
+for the result.
+Needs: core/lanes, lattice/crossings, mesh/containment.
+"""
+
+import warp as wp
+
+from ..core.lanes import (
+    ballot,
+    bit_count,
+    bits_before,
+    lane_count,
+    least_of_lanes,
+    lowest_bit,
+    union_of_lanes,
+    without_lowest_bit,
+)
+from ..mesh.containment import triangle_distance_squared
+from .crossings import LineCrossings, is_inside
+
+wp.set_module_options({"enable_backward": False})
+
+#: Half-width of the band, in cells.
+BAND = wp.constant(4.0)
+
+#: Nodes along a side of a block, and half of its diagonal in cells; the same diagonal of an octant of 2 x 2 x 2 nodes.
+BLOCK = wp.constant(4)
+HALF_DIAGONAL = wp.constant(2.5981)
+OCTANT_DIAGONAL = wp.constant(0.8661)
+_Octants = wp.types.vector(length=8, dtype=float)
+
+#: Cells from the cage from which on a map of closed forms counts as smooth.
+CLEARANCE = wp.constant(6.0)
+
+
+@wp.func
+def box_gap_squared(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Squared distance from x to the bounding box of triangle abc."""
+    below = wp.min(wp.min(a, b), c) - x
+    above = x - wp.max(wp.max(a, b), c)
+    gap = wp.max(wp.max(below, above), wp.vec3(0.0, 0.0, 0.0))
+    return wp.dot(gap, gap)
+
+
+@wp.func
+def block_count(side: int):
+    """Blocks that cover a side of so many nodes."""
+    return (side + BLOCK - 1) / BLOCK
+
+
+@wp.func
+def octant_centre(centre: wp.vec3, octant: int):
+    """Middle of an octant of a block; bits 0, 1, 2: its upper half along the axes."""
+    return centre + wp.vec3(float(2 * (octant & 1) - 1), float((octant & 2) - 1), float((octant & 4) / 2 - 1))
+
+
+@wp.func
+def clear_octant_bits(
+    centre: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), lane: int, lanes: int
+):
+    """Bit o is set where the nodes of octant o are CLEARANCE cells and more from the cage. The lanes look at as many
+    faces at once, and then each at its octants where a face is near. All lanes."""
+    apart = _Octants()
+    for octant in range(lane, 8, lanes):
+        apart[octant] = (CLEARANCE + OCTANT_DIAGONAL) * (CLEARANCE + OCTANT_DIAGONAL)
+    reach = CLEARANCE + HALF_DIAGONAL
+    for f in range(0, faces.shape[0], lanes):
+        own = faces[wp.min(f + lane, faces.shape[0] - 1)]
+        gap = box_gap_squared(centre, vertices[own[0]], vertices[own[1]], vertices[own[2]])
+        near = ballot(wp.where(f + lane < faces.shape[0] and gap < reach * reach, 1, 0))
+        while near != 0:
+            face = faces[f + lowest_bit(near)]
+            near = without_lowest_bit(near)
+            for octant in range(lane, 8, lanes):
+                x = octant_centre(centre, octant)
+                found = triangle_distance_squared(x, vertices[face[0]], vertices[face[1]], vertices[face[2]])
+                apart[octant] = wp.min(apart[octant], found)
+    bits = int(0)
+    for octant in range(lane, 8, lanes):
+        if apart[octant] >= (CLEARANCE + OCTANT_DIAGONAL) * (CLEARANCE + OCTANT_DIAGONAL):
+            bits = bits | (1 << octant)
+    return union_of_lanes(bits)
+
+
+@wp.kernel
+def list_block_faces(
+    first: int,
+    shapes: wp.array(dtype=wp.vec3i),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    counts: wp.array(dtype=int),
+    near: wp.array2d(dtype=int),
+    clear_octants: wp.array(dtype=int),
+):
+    """shapes: as in LineCrossings. near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,): how
+    many, also beyond m;
+    clear_octants (blocks,): bit o is set where the nodes of octant o are at least CLEARANCE cells from the cage; bits
+    0, 1, 2 of o: its upper half along the axes. A group of lanes a block, a lane a face."""
+    item = first + wp.tid()
+    lanes = lane_count()
+    lane = item % lanes
+    block = item / lanes
+    shape = shapes[0]
+    ny = block_count(shape[1])
+    nz = block_count(shape[2])
+    if block >= block_count(shape[0]) * ny * nz:
+        return
+    half = 0.5 * float(BLOCK - 1)
+    centre = wp.vec3(
+        float((block / (ny * nz)) * BLOCK) + half, float(((block / nz) % ny) * BLOCK) + half,
+        float((block % nz) * BLOCK) + half,
+    )  # fmt: skip
+    reach = BAND + HALF_DIAGONAL
+    nearest = (CLEARANCE + HALF_DIAGONAL) * (CLEARANCE + HALF_DIAGONAL)
+    count = int(0)
+    for f in range(lane, (faces.shape[0] + lanes - 1) / lanes * lanes, lanes):
+        face = faces[wp.min(f, faces.shape[0] - 1)]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        is_near = int(0)
+        if f < faces.shape[0] and box_gap_squared(centre, a, b, c) <= wp.max(nearest, reach * reach):
+            apart = triangle_distance_squared(centre, a, b, c)
+            nearest = wp.min(nearest, apart)
+            is_near = wp.where(apart <= reach * reach, 1, 0)
+        found = ballot(is_near)
+        slot = count + bit_count(bits_before(found, lane))
+        if is_near == 1 and slot < near.shape[1]:
+            near[block, slot] = f
+        count += bit_count(found)
+    apart = wp.sqrt(least_of_lanes(nearest))
+    clear = wp.where(apart >= 0.9999 * (CLEARANCE + HALF_DIAGONAL), 255, 0)
+    if clear == 0 and apart > CLEARANCE - HALF_DIAGONAL:
+        clear = clear_octant_bits(centre, vertices, faces, lane, lanes)
+    if lane == 0:
+        counts[block] = count
+        clear_octants[block] = clear
+
+
+@wp.func
+def is_clear(shape: wp.vec3i, clear_octants: wp.array(dtype=int), i: int, j: int, k: int):
+    """Whether node (i, j, k) of a lattice is known to be CLEARANCE cells and more from the cage."""
+    block = ((i / BLOCK) * block_count(shape[1]) + j / BLOCK) * block_count(shape[2]) + k / BLOCK
+    octant = (i % BLOCK) / 2 + 2 * ((j % BLOCK) / 2) + 4 * ((k % BLOCK) / 2)
+    return (clear_octants[block] >> octant) & 1 == 1
+
+
+@wp.func
+def nearest_face(
+    x: wp.vec3,
+    block: int,
+    counts: wp.array(dtype=int),
+    near: wp.array2d(dtype=int),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+):
+    """Squared distance from a node x to the cage, at most BAND^2, and the face that is nearest, -1 where none is within
+    BAND. block: the one that the node lies in; counts, near: see list_block_faces."""
+    count = counts[block]
+    listed = count <= near.shape[1]
+    if not listed:
+        count = faces.shape[0]
+    nearest = float(BAND * BAND)
+    found = int(-1)
+    for m in range(count):
+        f = int(m)
+        if listed:
+            f = near[block, m]
+        face = faces[f]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        if box_gap_squared(x, a, b, c) < nearest:
+            apart = triangle_distance_squared(x, a, b, c)
+            found = wp.where(apart < nearest, f, found)
+            nearest = wp.min(nearest, apart)
+    return nearest, found
+
+
+@wp.kernel
+def measure_band(
+    first: int,
+    crossings: LineCrossings,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    counts: wp.array(dtype=int),
+    near: wp.array2d(dtype=int),
+    scales: wp.array(dtype=float),
+    distance: wp.array(dtype=float),
+):
+    """distance (nodes,): signed, clamped to BAND cells. scales[0]: world units a cell. BLOCK^3 items a block of nodes,
+    which look at the same faces."""
+    item = first + wp.tid()
+    shape = crossings.shapes[0]
+    ny = block_count(shape[1])
+    nz = block_count(shape[2])
+    block = item / (BLOCK * BLOCK * BLOCK)
+    local = item % (BLOCK * BLOCK * BLOCK)
+    i = (block / (ny * nz)) * BLOCK + local / (BLOCK * BLOCK)
+    j = ((block / nz) % ny) * BLOCK + (local / BLOCK) % BLOCK
+    k = (block % nz) * BLOCK + local % BLOCK
+    if i >= shape[0] or j >= shape[1] or k >= shape[2]:
+        return
+    x = wp.vec3(float(i), float(j), float(k))
+    nearest, _face = nearest_face(x, block, counts, near, vertices, faces)
+    found = wp.max(wp.sqrt(nearest) * scales[0], 1.0e-30)  # a node on the cage keeps its side
+    distance[(i * shape[1] + j) * shape[2] + k] = wp.where(is_inside(crossings, i, j, k), -found, found)

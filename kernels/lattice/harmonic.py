@@ -1,0 +1,283 @@
+"""Multigrid for the Laplace equation inside a cage: three channels at a time, on lists of inside nodes.
+
+V-cycles of red-black Gauss-Seidel, full weighting and trilinear prolongation (Brandt 1977; Briggs, Henson and
+McCormick, "A Multigrid Tutorial") for the rows of harmonic_rows. On level l the row at node 0 is
+
+    sum over uncut links u_k - d u_0 + b = 0,    d = 6, or the sum of 1 / theta at a cut node
+
+with b the boundary values' sources on level 0 and 4 times the restricted residual on coarser ones (the spacing
+doubles), where the boundary values of the correction are zero. A sweep is red nodes, then black ones, whose residual it
+leaves zero. So only red residuals are restricted, and as the next sweep sets red values anew, only black ones need the
+correction, and the residuals can lie in the red values' place meanwhile. On coarser levels, which begin at zero, the
+first half sweep is load / d. The half sweep that ends a cycle begins the next one: what it changes is the residual.
+
+values (nodes of all levels,) vec3, as numbered by node_levels; zero outside. A launch writes nodes of one colour and
+reads the other, so items are independent. Every kernel takes its count from the device: launches may be longer than
+the list, which lets one CUDA graph serve poses with different counts.
+Needs: core/lanes, lattice/cut_rows, lattice/nodes.
+"""
+
+import warp as wp
+
+from ..core.lanes import lane_count, largest_of_lanes
+from .cut_rows import CutRows
+from .nodes import OUTSIDE, NodeLevels, node_place
+
+wp.set_module_options({"enable_backward": False})
+
+#: Diagonal above which a node counts as lying on the cage: a fraction of about 0.002 of a cell.
+LARGEST_DIAGONAL = wp.constant(500.0)
+
+
+@wp.struct
+class LaplaceSystem:
+    levels: NodeLevels
+    rows: CutRows
+    sources: wp.array(dtype=wp.vec3)  # (rows of level 0,)
+    loads: wp.array(dtype=wp.vec3)  # (nodes of levels 1 and up,) right-hand side of the correction
+    values: wp.array(dtype=wp.vec3)  # (nodes of all levels,) solution on level 0, corrections above
+
+
+@wp.func
+def right_side(system: LaplaceSystem, level: int, node: int, code: int):
+    """b of a node's row."""
+    if level > 0:
+        return system.loads[node - system.levels.first_node[1]]
+    if code >= 0:
+        return system.sources[code]
+    return wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.func
+def link_sum(system: LaplaceSystem, level: int, node: int, code: int):
+    """Sum of the values at the ends of a node's uncut links."""
+    shape = system.levels.shapes[level]
+    row = shape[2]
+    slab = shape[1] * shape[2]
+    if code < 0:
+        return (
+            system.values[node - slab]
+            + system.values[node + slab]
+            + system.values[node - row]
+            + system.values[node + row]
+            + system.values[node - 1]
+            + system.values[node + 1]
+        )
+    links = system.rows.links[code]
+    total = wp.vec3(0.0, 0.0, 0.0)
+    if links & 1:
+        total += system.values[node - slab]
+    if links & 2:
+        total += system.values[node + slab]
+    if links & 4:
+        total += system.values[node - row]
+    if links & 8:
+        total += system.values[node + row]
+    if links & 16:
+        total += system.values[node - 1]
+    if links & 32:
+        total += system.values[node + 1]
+    return total
+
+
+@wp.func
+def diagonal(system: LaplaceSystem, code: int):
+    """d of a node's row."""
+    if code < 0:
+        return float(6.0)
+    return system.rows.diagonals[code]
+
+
+@wp.func
+def residual(system: LaplaceSystem, level: int, node: int):
+    """What is left of a node's row; zero at outside nodes and at nodes that all but lie on the cage.
+
+    The rows of the latter hold 1 / theta times rounding, which coarse levels would take for a load.
+    """
+    code = system.levels.codes[node]
+    d = float(0.0)
+    if code > OUTSIDE:
+        d = diagonal(system, code)
+    if d == 0.0 or d > LARGEST_DIAGONAL:
+        return wp.vec3(0.0, 0.0, 0.0)
+    return right_side(system, level, node, code) + link_sum(system, level, node, code) - d * system.values[node]
+
+
+@wp.func
+def relaxed_value(system: LaplaceSystem, level: int, node: int):
+    """Solution of a node's row for its own value."""
+    code = system.levels.codes[node]
+    total = right_side(system, level, node, code) + link_sum(system, level, node, code)
+    return total / diagonal(system, code)
+
+
+@wp.func
+def restricted_load(system: LaplaceSystem, level: int, node: int):
+    """Load of a node of `level` (1 and up) by full weighting from the level below, whose red values are residuals."""
+    p = node_place(system.levels, level, node)
+    shape = system.levels.shapes[level - 1]
+    row = shape[2]
+    slab = shape[1] * shape[2]
+    centre = system.levels.first_node[level - 1] + 2 * (p[0] * slab + p[1] * row + p[2])
+    total = 4.0 * system.values[centre]
+    for s in range(-1, 2, 2):
+        for t in range(-1, 2, 2):
+            total += system.values[centre + s * slab + t * row]
+            total += system.values[centre + s * slab + t]
+            total += system.values[centre + s * row + t]
+    # weights 1/8 and 1/32, times 4 for the doubled spacing
+    return total / 8.0
+
+
+@wp.func
+def take_load(system: LaplaceSystem, level: int, node: int, is_red: bool):
+    """Restrict to a node of `level` (1 and up) and, where it is red, relax it from zero."""
+    load = restricted_load(system, level, node)
+    system.loads[node - system.levels.first_node[1]] = load
+    if is_red:
+        system.values[node] = load / diagonal(system, system.levels.codes[node])
+
+
+@wp.func
+def prolonged_correction(system: LaplaceSystem, level: int, node: int):
+    """Trilinear interpolation of the correction of level + 1 at a black node of `level`."""
+    p = node_place(system.levels, level, node)
+    shape = system.levels.shapes[level + 1]
+    coarse = system.levels.first_node[level + 1] + ((p[0] / 2) * shape[1] + p[1] / 2) * shape[2] + p[2] / 2
+    # an odd coordinate lies half way to the next coarse node; a black node has one or three of them
+    di = (p[0] % 2) * shape[1] * shape[2]
+    dj = (p[1] % 2) * shape[2]
+    dk = p[2] % 2
+    total = system.values[coarse] + system.values[coarse + di + dj + dk]
+    if p[0] % 2 + p[1] % 2 + p[2] % 2 == 3:
+        total += system.values[coarse + di] + system.values[coarse + dj] + system.values[coarse + dk]
+        total += system.values[coarse + dj + dk] + system.values[coarse + di + dk] + system.values[coarse + di + dj]
+        total = 0.25 * total
+    return 0.5 * total
+
+
+@wp.func
+def raise_largest(largest: wp.array(dtype=wp.vec2), item: int, found: wp.vec2):
+    """Raise the entry of an item's group of lanes; a look at what is held, which only grows, spares most of the
+    waiting. All lanes."""
+    most = wp.vec2(largest_of_lanes(found[0]), largest_of_lanes(found[1]))
+    lanes = lane_count()
+    if item % lanes == 0:
+        slot = (item / lanes) % largest.shape[0]
+        held = largest[slot]
+        if most[0] > held[0] or most[1] > held[1]:
+            wp.atomic_max(largest, slot, most)
+
+
+@wp.kernel
+def relax_laplace(first: int, level: int, colour: int, system: LaplaceSystem):
+    """Half a Gauss-Seidel sweep: solve the rows of one colour for their own node."""
+    n = first + wp.tid()
+    begin = system.levels.starts[2 * level + colour]
+    if n >= system.levels.starts[2 * level + colour + 1] - begin:
+        return
+    node = system.levels.nodes[begin + n]
+    system.values[node] = relaxed_value(system, level, node)
+
+
+@wp.kernel
+def relax_and_measure(first: int, span: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
+    """Relax the red nodes of level 0, and raise `largest` (slots,), first component, to what changes most.
+
+    An item takes `span` nodes, and a group of lanes raises one entry: on a CPU, items as many as there are entries.
+    """
+    item = first + wp.tid()
+    begin = system.levels.starts[0]
+    worst = float(0.0)
+    for n in range(begin + item * span, wp.min(begin + (item + 1) * span, system.levels.starts[1])):
+        node = system.levels.nodes[n]
+        value = relaxed_value(system, 0, node)
+        if diagonal(system, system.levels.codes[node]) <= LARGEST_DIAGONAL:
+            worst = wp.max(worst, wp.max(wp.abs(value - system.values[node])))
+        system.values[node] = value
+    raise_largest(largest, item, wp.vec2(worst, 0.0))
+
+
+@wp.kernel
+def leave_residual(first: int, level: int, system: LaplaceSystem):
+    """Put the residuals of the red nodes of a level in the place of their values."""
+    n = first + wp.tid()
+    begin = system.levels.starts[2 * level]
+    if n >= system.levels.starts[2 * level + 1] - begin:
+        return
+    node = system.levels.nodes[begin + n]
+    system.values[node] = residual(system, level, node)
+
+
+@wp.kernel
+def restrict_residual(first: int, level: int, system: LaplaceSystem):
+    """Loads of `level` (1 and up), and its first half sweep."""
+    n = first + wp.tid()
+    begin = system.levels.starts[2 * level]
+    if n >= system.levels.starts[2 * level + 2] - begin:
+        return
+    take_load(system, level, system.levels.nodes[begin + n], begin + n < system.levels.starts[2 * level + 1])
+
+
+@wp.kernel
+def prolong_correction(first: int, level: int, system: LaplaceSystem):
+    """Add the correction of level + 1 to the black nodes of `level`."""
+    n = first + wp.tid()
+    begin = system.levels.starts[2 * level + 1]
+    if n >= system.levels.starts[2 * level + 2] - begin:
+        return
+    node = system.levels.nodes[begin + n]
+    system.values[node] = system.values[node] + prolonged_correction(system, level, node)
+
+
+@wp.kernel
+def prolong_and_measure(first: int, span: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
+    """prolong_correction on level 0; the second component of `largest` rises to the largest correction (see
+    relax_and_measure)."""
+    item = first + wp.tid()
+    begin = system.levels.starts[1]
+    worst = float(0.0)
+    for n in range(begin + item * span, wp.min(begin + (item + 1) * span, system.levels.starts[2])):
+        node = system.levels.nodes[n]
+        correction = prolonged_correction(system, 0, node)
+        worst = wp.max(worst, wp.max(wp.abs(correction)))
+        system.values[node] = system.values[node] + correction
+    raise_largest(largest, item, wp.vec2(0.0, worst))
+
+
+@wp.kernel
+def begin_cycles(
+    first: int, going: wp.array(dtype=int), status: wp.array(dtype=float), largest: wp.array(dtype=wp.vec2)
+):
+    """going (1,) becomes 1, status (cycles, residual) and largest (slots,) zero. An item a slot."""
+    item = first + wp.tid()
+    largest[item] = wp.vec2(0.0, 0.0)
+    if item == 0:
+        going[0] = 1
+        status[0] = 0.0
+        status[1] = 0.0
+
+
+@wp.kernel
+def judge_cycle(
+    first: int,
+    per_residual: float,
+    per_correction: float,
+    tolerance: float,
+    most_cycles: int,
+    largest: wp.array(dtype=wp.vec2),
+    going: wp.array(dtype=int),
+    status: wp.array(dtype=float),
+):
+    """Count a cycle and work out what is left after it; going (1,) becomes 0 where that is within the tolerance, and
+    largest zero. One group of lanes."""
+    item = first + wp.tid()
+    own = wp.vec2(0.0, 0.0)
+    for n in range(item, largest.shape[0], lane_count()):
+        own = wp.max(own, largest[n])
+        largest[n] = wp.vec2(0.0, 0.0)
+    left = wp.max(per_residual * largest_of_lanes(own[0]), per_correction * largest_of_lanes(own[1]))
+    if item == 0:
+        status[0] = status[0] + 1.0
+        status[1] = left
+        going[0] = wp.where(left > tolerance and status[0] < float(most_cycles), 1, 0)

@@ -1,0 +1,1 @@
+"""Triangles, fans of faces, containment."""

@@ -1,0 +1,1 @@
+"""Ray casting and inverse maps: ground truth."""

@@ -1,0 +1,101 @@
+"""Ray casting of a deformed mesh that carries its colour and light along: what a captured field shows when it is posed.
+
+Where a ray meets the posed mesh, the same place of the mesh at rest is shaded as mesh_raycast does it, with the
+texture, the normal, the shadows and the light that it has there; the view direction is taken to rest space by a matrix
+given at each vertex ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4, if that is the Jacobian of
+the map from posed to rest space). With the mesh at rest in both places and unit matrices it is the picture of the mesh
+at rest.
+
+For comparison the posed mesh can be lit where it is instead, by lights fixed to the world: then only its texture comes
+from rest.
+
+The texture is solid: Perlin noise of the place at rest, in two octaves, over the colours of the faces.
+Positions relative to any one origin for each of the two meshes; depths in the posed mesh's unit.
+Needs: reference/mesh_raycast, view/rays.
+"""
+
+import warp as wp
+
+from ..view.rays import PinholeCamera
+from .mesh_raycast import MeshLighting, sample_direction, shaded_colour
+
+wp.set_module_options({"enable_backward": False})
+TEXTURE_SEED = wp.constant(7)
+
+
+@wp.struct
+class SolidTexture:
+    amplitude: float  # of the darkening and lightening, 0: plain colours
+    frequency: float  # of the coarser octave, in the rest mesh's unit
+
+
+@wp.func
+def texture_factor(texture: SolidTexture, place: wp.vec3):
+    """What a colour is multiplied with at a place at rest, about 1 on average."""
+    p = texture.frequency * place
+    noise = wp.noise(wp.rand_init(TEXTURE_SEED), p) + 0.5 * wp.noise(wp.rand_init(TEXTURE_SEED + 1), 2.3 * p)
+    return 1.0 + texture.amplitude * wp.clamp(2.0 * noise, -1.0, 1.0)
+
+
+@wp.func
+def vertex_mean(matrices: wp.array(dtype=wp.mat33), mesh: wp.uint64, face: int, u: float, v: float):
+    """A matrix at each vertex, interpolated on a face."""
+    a = matrices[wp.mesh_get_index(mesh, 3 * face)]
+    b = matrices[wp.mesh_get_index(mesh, 3 * face + 1)]
+    c = matrices[wp.mesh_get_index(mesh, 3 * face + 2)]
+    return u * a + v * b + (1.0 - u - v) * c
+
+
+@wp.kernel
+def cast_carried_rays(
+    first: int,
+    posed: wp.uint64,
+    rest: wp.uint64,
+    face_colours: wp.array(dtype=wp.vec3),
+    view_matrices: wp.array(dtype=wp.mat33),
+    texture: SolidTexture,
+    lighting: MeshLighting,
+    light_stays: int,
+    camera: PinholeCamera,
+    side_samples: int,
+    rgba: wp.array(dtype=wp.vec4),
+    depth: wp.array(dtype=wp.float32),
+):
+    """One pixel an item, as mesh_raycast.cast_mesh_rays; both meshes have the same faces.
+
+    light_stays: 1 lights the posed mesh by lights fixed to the world. view_matrices (v,): posed to rest directions.
+    depth (height * width,): mean distance over the samples that hit, inf where not all do.
+    """
+    item = first + wp.tid()
+    column = item % camera.width
+    row = item // camera.width
+    colour = wp.vec3(0.0, 0.0, 0.0)
+    distance = float(0.0)
+    hits = float(0.0)
+    for k in range(side_samples * side_samples):
+        x = float(column) + (float(k % side_samples) + 0.5) / float(side_samples)
+        y = float(row) + (float(k // side_samples) + 0.5) / float(side_samples)
+        direction = sample_direction(camera, x, y)
+        query = wp.mesh_query_ray(posed, camera.centre, direction, 1.0e6)
+        if query.result:
+            face = query.face
+            place = wp.mesh_eval_position(rest, face, query.u, query.v)
+            view = wp.normalize(vertex_mean(view_matrices, rest, face, query.u, query.v) * direction)
+            normal = wp.mesh_eval_face_normal(rest, face)
+            base = texture_factor(texture, place) * face_colours[face]
+            lit = rest
+            if light_stays == 1:
+                lit = posed
+                place = camera.centre + query.t * direction
+                view = direction
+                normal = wp.normalize(query.normal)
+            if wp.dot(normal, view) > 0.0:
+                normal = -normal
+            colour += shaded_colour(lit, lighting, base, place, normal, view)
+            distance += query.t
+            hits += 1.0
+    count = float(side_samples * side_samples)
+    if hits > 0.0:
+        colour = colour / hits
+    rgba[item] = wp.vec4(colour[0], colour[1], colour[2], hits / count)
+    depth[item] = wp.where(hits == count, distance / count, wp.inf)

@@ -1,0 +1,128 @@
+"""Ray casting of a triangle mesh with per-face colour: the pictures of the project's own scene.
+
+Each sample of a pixel casts one ray (Moeller and Trumbore 1997, inside `wp.mesh_query_ray`) and shades what it hits:
+hemispheric ambient light times the openness of the place, Lambert's cosine for two distant lights (the first with a
+shadow ray) and a modest Blinn-Phong highlight (Blinn 1977), which is what makes the colour depend on the view.
+Everything is a fixed function of position and view direction: two cameras that see one point agree about it.
+
+Positions in any one unit, relative to any one origin; directions unit length; colours in [0, 1], display-referred.
+
+Needs: view/rays.
+"""
+
+import warp as wp
+
+from ..view.rays import PinholeCamera
+
+wp.set_module_options({"enable_backward": False})
+
+#: Directions that look for nearby matter.
+OPENNESS_RAYS = wp.constant(6)
+
+
+@wp.struct
+class MeshLighting:
+    """Light of the scene. Reach and offset are lengths in the unit of the mesh."""
+
+    key_direction: wp.vec3  # towards the light that casts shadows
+    key_colour: wp.vec3
+    fill_direction: wp.vec3  # towards the light that casts none
+    fill_colour: wp.vec3
+    sky_colour: wp.vec3  # ambient on faces that look up (+z)
+    ground_colour: wp.vec3  # ambient on faces that look down
+    highlight: float  # strength of the specular term
+    shininess: float  # its exponent
+    reach: float  # matter nearer than this darkens the ambient light
+    offset: float  # second rays start this far off the surface
+
+
+@wp.func
+def sample_direction(camera: PinholeCamera, x: float, y: float):
+    """Unit direction through the point (x, y) of the image plane, pixels."""
+    a = (x - camera.principal_point[0]) / camera.focal[0]
+    b = (y - camera.principal_point[1]) / camera.focal[1]
+    return wp.normalize(camera.rotation * wp.vec3(a, b, 1.0))
+
+
+@wp.func
+def openness(mesh: wp.uint64, position: wp.vec3, normal: wp.vec3, reach: float):
+    """Share in [0, 1] of fixed directions over a surface that are free of matter, nearer matter counting more."""
+    free = float(0.0)
+    total = float(0.0)
+    for i in range(OPENNESS_RAYS):
+        # a Fibonacci hemisphere about +z, mirrored to the surface's side
+        z = (float(i) + 0.5) / float(OPENNESS_RAYS)
+        r = wp.sqrt(1.0 - z * z)
+        turn = 2.3999632 * float(i)
+        direction = wp.vec3(r * wp.cos(turn), r * wp.sin(turn), z)
+        cosine = wp.dot(direction, normal)
+        if cosine < 0.0:
+            direction = -direction
+            cosine = -cosine
+        share = 1.0
+        query = wp.mesh_query_ray(mesh, position, direction, reach)
+        if query.result:
+            share = query.t / reach
+        free += cosine * share
+        total += cosine
+    return free / wp.max(total, 1.0e-6)
+
+
+@wp.func
+def shaded_colour(
+    mesh: wp.uint64, lighting: MeshLighting, colour: wp.vec3, position: wp.vec3, normal: wp.vec3, view: wp.vec3
+):
+    """Colour that leaves a surface point towards the eye; `view` points from the eye to the surface."""
+    start = position + lighting.offset * normal
+    up = 0.5 * normal[2] + 0.5
+    ambient = up * lighting.sky_colour + (1.0 - up) * lighting.ground_colour
+    light = openness(mesh, start, normal, lighting.reach) * ambient
+    light += wp.max(wp.dot(normal, lighting.fill_direction), 0.0) * lighting.fill_colour
+
+    highlight = wp.vec3(0.0, 0.0, 0.0)
+    cosine = wp.dot(normal, lighting.key_direction)
+    if cosine > 0.0:
+        shadow = wp.mesh_query_ray(mesh, start, lighting.key_direction, 1.0e6)
+        if not shadow.result:
+            light += cosine * lighting.key_colour
+            half = wp.normalize(lighting.key_direction - view)
+            gloss = wp.pow(wp.max(wp.dot(normal, half), 0.0), lighting.shininess)
+            highlight = lighting.highlight * gloss * lighting.key_colour
+    shaded = wp.cw_mul(colour, light) + highlight
+    return wp.vec3(wp.min(shaded[0], 1.0), wp.min(shaded[1], 1.0), wp.min(shaded[2], 1.0))
+
+
+@wp.kernel
+def cast_mesh_rays(
+    first: int,
+    mesh: wp.uint64,
+    face_colours: wp.array(dtype=wp.vec3),
+    lighting: MeshLighting,
+    camera: PinholeCamera,
+    side_samples: int,
+    rgba: wp.array(dtype=wp.vec4),
+):
+    """One pixel an item: side_samples^2 samples on a regular grid, averaged to straight (not premultiplied) RGBA.
+
+    face_colours (f,); rgba (height * width,): colour is the mean over the samples that hit (0 where none does).
+    """
+    item = first + wp.tid()
+    column = item % camera.width
+    row = item // camera.width
+    colour = wp.vec3(0.0, 0.0, 0.0)
+    hits = float(0.0)
+    for k in range(side_samples * side_samples):
+        x = float(column) + (float(k % side_samples) + 0.5) / float(side_samples)
+        y = float(row) + (float(k // side_samples) + 0.5) / float(side_samples)
+        direction = sample_direction(camera, x, y)
+        query = wp.mesh_query_ray(mesh, camera.centre, direction, 1.0e6)
+        if query.result:
+            normal = wp.normalize(query.normal)
+            if wp.dot(normal, direction) > 0.0:
+                normal = -normal
+            position = camera.centre + query.t * direction
+            colour += shaded_colour(mesh, lighting, face_colours[query.face], position, normal, direction)
+            hits += 1.0
+    if hits > 0.0:
+        colour = colour / hits
+    rgba[item] = wp.vec4(colour[0], colour[1], colour[2], hits / float(side_samples * side_samples))

@@ -1,0 +1,56 @@
+"""Count the samples that a march takes along the rays of cameras: what a step of a fit has to do.
+
+Marches as volume_render.march does.
+Needs: field/grid, field/samples, view/rays.
+"""
+
+import warp as wp
+
+from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
+from ..view.rays import PinholeCamera, pixel_direction
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def count_samples(
+    first: int,
+    grid: VoxelGrid,
+    cameras: wp.array(dtype=PinholeCamera),
+    pixel_stride: int,
+    step: float,
+    stop: float,
+    marched_count: wp.array(dtype=wp.int32),
+    matter_count: wp.array(dtype=wp.int32),
+):
+    """One item a ray, every pixel_stride-th row and column of every camera, all of one size.
+
+    Outputs (rays,): samples in cells that hold values, until less than `stop` of the light is left; those of them with
+    density.
+    """
+    n = first + wp.tid()
+    per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride
+    per_view = per_row * ((cameras[0].height + pixel_stride - 1) // pixel_stride)
+    camera = cameras[n // per_view]
+    column = (n % per_view % per_row) * pixel_stride
+    direction = pixel_direction(camera, column, (n % per_view // per_row) * pixel_stride)
+    ray = grid_ray(grid, camera.centre, direction, step)
+    k = ray.first
+    transmittance = float(1.0)
+    marched = int(0)
+    matter = int(0)
+    while sample_distance(ray, k) < ray.far and transmittance > stop:
+        g = sample_place(ray, k)
+        empty = empty_distance(grid, g)
+        if empty > 0:
+            k = sample_beyond(ray, k, g, empty)
+        else:
+            marched += 1
+            sigma = cell_density(grid, cell_sample(grid, g))
+            if sigma > 0.0:
+                matter += 1
+                transmittance *= wp.exp(-sigma * step)
+            k += 1
+    marched_count[n] = marched
+    matter_count[n] = matter

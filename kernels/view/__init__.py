@@ -1,0 +1,1 @@
+"""Rays of cameras, pictures made smaller."""

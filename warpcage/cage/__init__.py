@@ -1,0 +1,1 @@
+"""Cages: shapes, poses, checks, repair, refinement and generation."""

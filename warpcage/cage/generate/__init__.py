@@ -1,0 +1,1 @@
+"""Cages made around an object."""

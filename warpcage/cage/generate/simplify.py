@@ -1,0 +1,68 @@
+"""Fewer vertices around the same object."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...field.selection import visible_nodes
+from ...mesh.closed_mesh import ClosedMesh
+from ...mesh.containment import inside_mesh
+from ...mesh.usable import require_usable
+from .fitting import cleared
+from .nested import nested
+from .offset import decimated, flaw
+from .points import checked_count, surface_points
+from .shell import ObjectShell
+
+
+def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> tuple[np.ndarray, np.ndarray]:
+    """A cage decimated outward, or else plainly, then moved off points (p, 3) where faces come nearer than `need`."""
+    reasons = []
+    for decimate, closing in ((nested, 0.0), (decimated, 0.05), (decimated, 0.1), (decimated, 0.2), (decimated, 0.4)):
+        reach = need + max(2.0 * spacing, closing * np.ptp(points, axis=0).max())
+        shell = ObjectShell(points, spacing, reach, need)
+        found, triangles = decimate(vertices, faces, vertex_count)
+        if abs(len(found) - vertex_count) > 0.1 * vertex_count:
+            reasons.append(f"decimation left {len(found)} vertices")
+            continue
+        found = cleared(shell, found, triangles, need)
+        reason = flaw(shell, found, triangles, need)
+        if not reason:
+            return found, triangles
+        reasons.append(reason)
+    raise ValueError(f"no cage of {vertex_count} vertices encloses the same ({reasons[-1]}): ask for more vertices")
+
+
+def simplified(
+    cage: ClosedMesh, vertex_count: int, *, field=None, mesh=None, margin: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """About `vertex_count` vertices (within a tenth) that enclose what the cage encloses: decimated so that the surface
+    only moves outward (`nested`), then off the object where faces come too near to it.
+
+    field, mesh: what must stay enclosed, visible voxels or vertices and points on faces; without either it is the cage
+    itself, so that the simpler one lies around it. margin: least distance to it, world units.
+    Raises ValueError for a cage that is not usable, a count not below the cage's, an object that is not enclosed
+    before, or where no such cage is found.
+    """
+    require_usable(cage, "the cage")
+    vertex_count = checked_count(vertex_count)
+    if vertex_count >= len(cage.vertices):
+        raise ValueError(f"the cage has {len(cage.vertices)} vertices already: ask for fewer, got {vertex_count}")
+    if not (np.isfinite(margin) and margin >= 0.0):
+        raise ValueError(f"margin must be finite and not negative, got {margin}")
+    thing = cage if mesh is None and field is None else mesh
+    spacing, slack, points = cage.size / 96.0, 0.0, []
+    if thing is not None:
+        vertices, faces = np.asarray(thing.vertices, dtype=np.float64), np.asarray(thing.faces, dtype=np.int64)
+        points += [vertices, surface_points(vertices, faces, 0.5 * spacing)]
+        slack = 0.29 * spacing  # how far a face may lie off the points on it
+    if field is not None:
+        points.append(visible_nodes(field))
+        spacing = max(spacing, float(np.max(field.voxel_size)))
+        slack = max(slack, 0.5 * float(np.linalg.norm(np.broadcast_to(field.voxel_size, 3))))
+    points = np.concatenate(points)
+    if not len(points):
+        raise ValueError("there is nothing to enclose: the object is empty")
+    if thing is not cage and not inside_mesh(points, cage).all():
+        raise ValueError("the cage does not enclose the object even before: check(field=...) says where")
+    return simplified_cage(cage.vertices, cage.faces, points, spacing, slack + margin, vertex_count)

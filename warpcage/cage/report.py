@@ -1,0 +1,183 @@
+"""What `Cage.check` found, as numbers, as JSON and as a table that says what to do."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+#: Lattice cells along the longest side that the expected cost of a pose is counted for.
+COST_RESOLUTION = 128
+
+
+@dataclasses.dataclass(frozen=True)
+class PoseReport:
+    """What a pose does to the inside of its cage, from samples of the map posed -> rest by mean value coordinates.
+
+    volume_ratio: posed over rest volume. inverted_share: share of the samples where the map turns space inside out.
+    outside_share: share that is mapped out of the rest cage, where nothing is drawn. least_stretch, largest_stretch:
+    length in the pose over length at rest, over all directions and samples that are not inverted.
+    intersecting_faces: pairs of faces of the posed cage that cross: the pose folds there. problem: why the posed cage
+    cannot be used, empty where it can.
+    """
+
+    sample_count: int
+    volume_ratio: float
+    inverted_share: float
+    outside_share: float
+    least_stretch: float
+    largest_stretch: float
+    intersecting_faces: tuple
+    problem: str
+
+    @property
+    def usable(self) -> bool:
+        """Whether the posed cage can be used at all; folds and inverted parts are drawn as they are."""
+        return not self.problem
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """What, value and advice, a row each."""
+        inverted = "bring the vertices there apart: colours would show through" if self.inverted_share else ""
+        outside = "pull the pose closer to the rest cage: nothing is drawn there" if self.outside_share > 0.01 else ""
+        strong = self.least_stretch < 0.25 or self.largest_stretch > 4.0
+        stretch = "strong: expect blur where it is large, aliasing where it is small" if strong else ""
+        return [
+            ("pose: volume", f"{100 * self.volume_ratio:.1f} % of rest", ""),
+            ("pose: inverted volume", f"{100 * self.inverted_share:.2f} %", inverted),
+            ("pose: mapped out of the rest cage", f"{100 * self.outside_share:.2f} %", outside),
+            ("pose: stretch", f"{self.least_stretch:.3g} to {self.largest_stretch:.3g}", stretch),
+            offender_row("pose: folds (faces that cross)", self.intersecting_faces, "move vertices apart"),
+            ("pose: usable", "yes" if self.usable else "no", f"the posed cage {self.problem}" if self.problem else ""),
+        ]
+
+
+@dataclasses.dataclass(frozen=True)
+class CageReport:
+    """What `Cage.check` found. `str(report)` is a table that says what to do about each problem.
+
+    Counts and measures of the cage, world units; the offenders themselves as tuples of indices; `enclosed` the share of
+    the mesh's vertices and of the field's visible voxels that lie inside (None where none was given), `leaking_faces`
+    (face, count) the faces nearest to what lies outside, the leakiest first; `hull_ratio` the cage's volume over that
+    of the convex hull of what it ought to enclose; `lattice_nodes` those of a lattice of 128 cells over it; `notes`
+    what a selection left out of the field; `pose` what a pose does.
+    """
+
+    vertex_count: int
+    face_count: int
+    part_count: int
+    genus: int | None
+    volume: float
+    size: float
+    convexity: float
+    open_edges: tuple
+    crowded_edges: tuple
+    pinched_vertices: tuple
+    clashing_edges: tuple
+    degenerate_faces: tuple
+    coincident_vertices: tuple
+    inward_parts: tuple
+    intersecting_faces: tuple
+    unused_vertices: tuple
+    mesh_enclosed: float | None
+    field_enclosed: float | None
+    leaking_faces: tuple
+    hull_ratio: float | None
+    lattice_nodes: int
+    notes: tuple
+    problem: str
+    pose: PoseReport | None = None
+
+    @property
+    def closed(self) -> bool:
+        """Whether no edge has a single face."""
+        return not self.open_edges
+
+    @property
+    def manifold(self) -> bool:
+        """Whether every edge has at most two faces and every vertex one fan of them."""
+        return not self.crowded_edges and not self.pinched_vertices
+
+    @property
+    def oriented(self) -> bool:
+        """Whether all faces look outward (those of a cavity into it)."""
+        return not self.clashing_edges and not self.inward_parts
+
+    @property
+    def usable(self) -> bool:
+        """Whether coordinates can be computed on the cage (`Cage.require_usable`), and on its pose if one is given."""
+        return not self.problem and (self.pose is None or self.pose.usable)
+
+    @property
+    def cost(self) -> dict:
+        """What a pose takes on a lattice of 128 cells: nodes, those inside, bytes of the map (position and distance a
+        node) and of stored weights, and face terms of a closed form (mean value, green) at the nodes inside."""
+        inside = round(max(self.volume, 0.0) * (COST_RESOLUTION / self.size) ** 3) if self.size else 0
+        return {
+            "resolution": COST_RESOLUTION, "nodes": self.lattice_nodes, "inside_nodes": inside,
+            "map_bytes": 16 * self.lattice_nodes, "weight_bytes": 4 * self.vertex_count * inside,
+            "face_terms": self.face_count * inside,
+        }  # fmt: skip
+
+    def as_dict(self) -> dict:
+        """All entries as plain numbers, strings and lists, as JSON takes them."""
+        plain = _plain_fields(self)
+        plain["pose"] = None if self.pose is None else _plain_fields(self.pose) | {"usable": self.pose.usable}
+        return plain | {name: getattr(self, name) for name in ("closed", "manifold", "oriented", "usable", "cost")}
+
+    def __str__(self) -> str:
+        genus = "not defined" if self.genus is None else self.genus
+        rows = [
+            ("vertices, faces", f"{self.vertex_count}, {self.face_count}", ""),
+            ("connected parts, handles", f"{self.part_count}, {genus}", ""),
+            ("size, volume", f"{self.size:.6g}, {self.volume:.6g}", ""),
+            ("volume of the convex hull filled", f"{100 * self.convexity:.1f} %", ""),
+            offender_row("open edges", self.open_edges, "fill the holes: every edge needs two faces"),
+            offender_row("edges of three or more faces", self.crowded_edges, "delete inner faces or split the edge"),
+            offender_row("pinched vertices", self.pinched_vertices, "duplicate the vertex, one for each fan of faces"),
+            offender_row("clashing edges", self.clashing_edges, "flip faces until all look outward"),
+            offender_row("inward parts", self.inward_parts, "flip all faces of the part"),
+            offender_row("degenerate faces", self.degenerate_faces, "remove the face or move its vertices apart"),
+            offender_row("vertices at the same place", self.coincident_vertices, "merge them or move them apart"),
+            offender_row("intersecting faces", self.intersecting_faces, "move vertices apart: the map folds there"),
+            offender_row("unused vertices", self.unused_vertices, "harmless: kept so that poses match one to one"),
+        ]
+        for what, share in (("mesh vertices", self.mesh_enclosed), ("visible voxels", self.field_enclosed)):
+            if share is not None:
+                advice = "" if share == 1.0 else "move the cage outward there: what is outside does not follow"
+                rows.append((f"{what} enclosed", f"{100 * share:.3f} %", advice))
+        if self.hull_ratio is not None:
+            rows.append(("volume over the object's convex hull", f"{self.hull_ratio:.2f}", ""))
+        rows += [("selection", "", note) for note in self.notes]
+        if self.leaking_faces:
+            shown = ", ".join(f"{face} ({count})" for face, count in self.leaking_faces[:5])
+            rows.append(("leaks nearest to faces", str(len(self.leaking_faces)), f"face (points outside): {shown}"))
+        cost = self.cost
+        rows.append(
+            (
+                f"cost of a pose at {COST_RESOLUTION} cells",
+                f"{cost['map_bytes'] / 1e6:.0f} MB",
+                f"{cost['nodes'] / 1e6:.2f} million nodes, {cost['face_terms'] / 1e6:.0f} million face "
+                f"terms, {cost['weight_bytes'] / 1e6:.0f} MB as weights",
+            )
+        )
+        rows += [] if self.pose is None else self.pose.rows()
+        problem = self.problem or ("" if self.pose is None else self.pose.problem)
+        rows.append(("usable", "yes" if self.usable else "no", f"the cage {problem}" if problem else ""))
+        widths = [max(len(row[k]) for row in rows) for k in range(2)]
+        return "\n".join(f"{a:<{widths[0]}}  {b:<{widths[1]}}  {c}".rstrip() for a, b, c in rows)
+
+
+def _plain_fields(report) -> dict:
+    return {entry.name: _plain(getattr(report, entry.name)) for entry in dataclasses.fields(report)}
+
+
+def _plain(value):
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return [_plain(each) for each in value] if isinstance(value, tuple) else value
+
+
+def offender_row(what: str, offenders: tuple, advice: str) -> tuple:
+    if not offenders:
+        return what, "none", ""
+    shown = ", ".join(str(each) for each in offenders[:3]) + (", ..." if len(offenders) > 3 else "")
+    return what, str(len(offenders)), f"{advice}: {shown}"

@@ -1,0 +1,1 @@
+"""Coordinates of points in a cage, and points moved by them."""

@@ -1,0 +1,1 @@
+"""What everything stands on: devices, threads, arrays, files, memory, checks and names."""

@@ -1,0 +1,1 @@
+"""Deformed fields: the Deformer, edits and baking."""

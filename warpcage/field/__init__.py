@@ -1,0 +1,1 @@
+"""Voxel radiance fields: what they hold, how they render, what lies behind them."""

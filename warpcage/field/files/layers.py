@@ -1,0 +1,77 @@
+"""Background layers inside field files: one RGBA byte picture per layer, of the nodes that pictures showed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.files import require_numbers
+from ...core.memory import free_host_bytes
+from ..background import surface_node_count
+
+#: Names in the archive begin with this.
+PREFIX = "layers_"
+MAX_SIDE, MAX_LAYERS = 8192, 1024
+
+
+def layer_arrays(layers: dict) -> dict:
+    """Arrays by name; layers: arguments of a LayeredBackground. Colours are kept to 1/255 of [0, 1], optical depths as
+    opacity to 1/255, below full opacity."""
+    values, rest = layers["values"], layers["unseen"]
+    seen = np.ones(values.shape[:2], bool) if rest is None else (np.abs(values - rest) > 1e-6).any(axis=-1)
+    rows = values[seen]
+    rgba = np.empty(rows.shape, np.uint8)
+    rgba[:, :3] = np.rint(255 * np.clip(rows[:, :3], 0, 1))
+    rgba[:, 3] = np.rint(255 * -np.expm1(-np.maximum(rows[:, 3], 0)))
+    contents = {
+        "center": layers["center"],
+        "half": np.array(layers["half"]),
+        "side": np.array(layers["side"]),
+        "count": np.array(len(values)),
+        "seen": np.packbits(seen.ravel()),
+        "rgba": rgba,
+    }
+    if rest is not None:
+        contents["unseen"] = rest
+    return {PREFIX + name: array for name, array in contents.items()}
+
+
+def read_layers(contents: dict, path) -> dict | None:
+    """Arguments of the LayeredBackground of a file's arrays, or None where it has none. Raises ValueError that names
+    the file and the array that does not fit."""
+    if PREFIX + "side" not in contents:
+        return None
+
+    def read(name: str, shape) -> np.ndarray:
+        return require_numbers(contents, PREFIX + name, shape, path)
+
+    side, count = int(read("side", ())), int(read("count", ()))
+    if not (2 <= side <= MAX_SIDE and 2 <= count <= MAX_LAYERS):
+        raise ValueError(
+            f"{path}: background layers must be 2 to {MAX_LAYERS} of 2 to {MAX_SIDE} cells along an edge, "
+            f"got {count} of {side}"
+        )
+    shape = (count, surface_node_count(side))
+    size = shape[0] * shape[1]
+    if 40 * size > free_host_bytes():
+        raise ValueError(f"{path}: {count} background layers of {side} cells need more memory than is free")
+    packed = read("seen", (-(-size // 8),))
+    if packed.dtype != np.uint8:
+        raise ValueError(f"{path}: {PREFIX}seen must be uint8, got {packed.dtype}")
+    seen = np.unpackbits(packed, count=size).astype(bool).reshape(shape)
+    rgba = read("rgba", (int(seen.sum()), 4))
+    if rgba.dtype != np.uint8:
+        raise ValueError(f"{path}: {PREFIX}rgba must be uint8, got {rgba.dtype}")
+    unseen = read("unseen", (4,)).astype(np.float32) if PREFIX + "unseen" in contents else None
+    if unseen is None and not seen.all():
+        raise ValueError(f"{path} lacks {PREFIX}unseen")
+    values = np.empty((*shape, 4), np.float32)
+    values[...] = 0.0 if unseen is None else unseen
+    values[seen, :3] = rgba[:, :3] / np.float32(255)
+    values[seen, 3] = -np.log1p(-np.minimum(rgba[:, 3], 254.5) / 255)
+    return {
+        "center": read("center", (3,)),
+        "half": float(read("half", ())),
+        "side": side,
+        "values": values,
+        "unseen": unseen,
+    }

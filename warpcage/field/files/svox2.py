@@ -1,0 +1,58 @@
+"""Plenoxels (svox2) field files."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.checks import warn_caller
+from ...core.files import require_numbers
+from ..sparse import BASIS_COUNT
+from .contents import FieldContents
+from .own import MAX_VOXELS, as_half
+
+SVOX2_KEYS = ("radius", "center", "links", "density_data", "sh_data", "basis_type")
+SVOX2_BASIS_SH = 1
+
+
+def svox2_arrays(field: FieldContents) -> dict:
+    """Arrays of a svox2 file, by name."""
+    if field.layers is not None:
+        warn_caller("a svox2 file holds the field without its background layers")
+    half = 0.5 * (field.bounds[1] - field.bounds[0])
+    sh = field.sh.transpose(0, 2, 1)  # (rows, rgb, basis), as svox2 has it
+    return {
+        "radius": half.astype(np.float32),
+        "center": field.center.astype(np.float32),
+        "links": field.links,
+        "density_data": field.density[:, None],
+        "sh_data": as_half(sh.reshape(len(sh), -1)),
+        "basis_type": np.array(SVOX2_BASIS_SH),
+    }
+
+
+def read_svox2(contents: dict, path) -> FieldContents:
+    """The field of the arrays of a svox2 file. Raises ValueError that names the file and what does not fit."""
+    basis = int(require_numbers(contents, "basis_type", (), path))
+    if basis != SVOX2_BASIS_SH:
+        raise ValueError(f"{path} has basis_type {basis}, only spherical harmonics (1) are read")
+    if "background_data" in contents:
+        warn_caller(f"the background layers of {path} are left out: only the field of a svox2 file is read")
+    radius, center = (
+        np.broadcast_to(require_numbers(contents, name, None, path).astype(np.float64).ravel(), (3,))
+        if contents[name].size in (1, 3)
+        else require_numbers(contents, name, (3,), path)
+        for name in ("radius", "center")
+    )
+    coefficients = require_numbers(contents, "sh_data", (None, None), path).astype(np.float32)
+    basis_count = coefficients.shape[-1] // 3
+    if coefficients.ndim != 2 or basis_count * 3 != coefficients.shape[-1] or basis_count not in (1, 4, 9):
+        raise ValueError(f"{path}: sh_data must hold 3, 12 or 27 values a row, got {coefficients.shape}")
+    sh = np.zeros((len(coefficients), BASIS_COUNT, 3), np.float32)
+    sh[:, :basis_count] = coefficients.reshape(-1, 3, basis_count).transpose(0, 2, 1)
+    links = require_numbers(contents, "links", (None, None, None), path)
+    if links.dtype.kind != "i" or links.size > MAX_VOXELS:
+        raise ValueError(f"{path}: links must be at most {MAX_VOXELS} whole numbers, got {links.dtype} {links.shape}")
+    # svox2 may keep distances as negative links
+    links = np.clip(links, -1, np.iinfo(np.int32).max).astype(np.int32)
+    density = require_numbers(contents, "density_data", None, path).astype(np.float32).reshape(-1)
+    return FieldContents(np.stack([center - radius, center + radius]), links, density, sh)

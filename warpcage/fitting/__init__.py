@@ -1,0 +1,1 @@
+"""From posed pictures to a voxel field."""

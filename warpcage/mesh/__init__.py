@@ -1,0 +1,1 @@
+"""Closed triangle meshes: topology, faces, matching, containment, intersections."""

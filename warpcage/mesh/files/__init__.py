@@ -1,0 +1,1 @@
+"""Mesh files: OBJ, PLY, OFF and glTF."""

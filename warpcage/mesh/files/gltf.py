@@ -1,0 +1,229 @@
+"""glTF 2.0 (.glb, .gltf): the triangles of every mesh in the scene, at their nodes' places.
+
+Exporters split a vertex wherever its normal, texture coordinate or material changes; vertices of one mesh at exactly
+the same place are joined again there, in the order of their first. A mesh of bare positions is taken as it is.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import pathlib
+import struct
+import urllib.parse
+
+import numpy as np
+
+_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_TRIANGLES = 4
+_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+
+
+def read_gltf(path: pathlib.Path):
+    """Vertices (v, 3) float64, y up as in the file, and (name, triangle) pairs; ValueError names the file."""
+    try:
+        document, chunk = _opened(path)
+        nodes = _mesh_nodes(document)
+        buffers = [_buffer(path, entry, chunk) for entry in document.get("buffers", [])]
+        vertices, polygons = [np.zeros((0, 3))], []
+        for mesh, matrix in nodes:
+            points, faces = _mesh(document, buffers, document["meshes"][mesh])
+            first = sum(map(len, vertices))
+            vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
+            if np.linalg.det(matrix[:3, :3]) < 0.0:
+                faces = faces[:, ::-1]  # a mirrored node: its faces look the same way
+            polygons += [(f"triangle {len(polygons) + k}", face) for k, face in enumerate((faces + first).tolist())]
+    except (
+        KeyError,
+        IndexError,
+        TypeError,
+        AttributeError,
+        struct.error,
+        UnicodeDecodeError,
+        RecursionError,
+        OverflowError,
+        json.JSONDecodeError,
+    ) as error:
+        raise ValueError(f"{path}: no glTF file that can be read: {type(error).__name__} {error}") from None
+    except ValueError as error:
+        raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+    vertices = np.concatenate(vertices)
+    if not np.isfinite(vertices).all():
+        raise ValueError(f"{path}: glTF vertex {np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0]} is not finite")
+    return vertices, polygons
+
+
+def _opened(path) -> tuple[dict, bytes | None]:
+    """The JSON document and the binary chunk of a .glb file."""
+    data = path.read_bytes()
+    if data[:4] != b"glTF":
+        return json.loads(data.decode("utf-8")), None
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2 or length > len(data):
+        raise ValueError(f"glTF version 2 of {length} bytes expected, got version {version} and {len(data)} bytes")
+    chunks, position = {}, 12
+    while position + 8 <= length:
+        size, kind = struct.unpack_from("<II", data, position)
+        chunks.setdefault(kind, data[position + 8 : position + 8 + size])
+        position += 8 + size
+    return json.loads(chunks[_JSON_CHUNK].decode("utf-8")), chunks.get(_BINARY_CHUNK)
+
+
+def _buffer(path, entry, chunk) -> bytes:
+    uri = entry.get("uri")
+    if uri is None:
+        data = chunk or b""
+    elif uri.startswith("data:"):
+        data = base64.b64decode(uri.split(",", 1)[1])
+    else:
+        name = urllib.parse.unquote(uri)
+        file = path.parent / name
+        if pathlib.PurePath(name).is_absolute() or ".." in pathlib.PurePath(name).parts:
+            raise ValueError(f"its buffer {uri!r} leads out of the folder of the file")
+        if not file.is_file():
+            raise ValueError(f"its buffer {uri!r} is not there")
+        data = file.read_bytes()
+    if len(data) < entry["byteLength"]:
+        raise ValueError(f"a buffer of {entry['byteLength']} bytes expected, got {len(data)}")
+    return data
+
+
+def _mesh_nodes(document) -> list[tuple[int, np.ndarray]]:
+    """(mesh, world matrix (4, 4)) of each node of the scene that has one, depth first."""
+    nodes = document.get("nodes", [])
+    scenes = document.get("scenes")
+    roots = scenes[document.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
+    found, seen, queue = [], set(), [(root, np.eye(4)) for root in roots]
+    while queue:
+        index, parent = queue.pop(0)
+        if index in seen:
+            raise ValueError(f"its node {index} has two parents, or is its own")
+        seen.add(index)
+        matrix = parent @ _local_matrix(nodes[index])
+        if "mesh" in nodes[index]:
+            found.append((nodes[index]["mesh"], matrix))
+        queue = [(child, matrix) for child in nodes[index].get("children", [])] + queue
+    return found
+
+
+def _local_matrix(node) -> np.ndarray:
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    ) * np.asarray(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64)
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix
+
+
+def _mesh(document, buffers, mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (v, 3) float64 and triangles (f, 3) of all primitives; primitives may share their vertices."""
+    positions, faces, starts, split = [], [], {}, len(mesh["primitives"]) > 1
+    for primitive in mesh["primitives"]:
+        if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
+            continue  # points and lines: loose vertices and edges of the exporting program
+        if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
+            raise ValueError("it is compressed (Draco): export it without compression")
+        accessor = primitive["attributes"]["POSITION"]
+        split |= len(primitive["attributes"]) > 1
+        if accessor not in starts:
+            starts[accessor] = sum(map(len, positions))
+            positions.append(_values(document, buffers, accessor).astype(np.float64).reshape(-1, 3))
+        count = document["accessors"][accessor]["count"]
+        indices = (
+            _values(document, buffers, primitive["indices"]).reshape(-1).astype(np.int64)
+            if "indices" in primitive
+            else np.arange(count)
+        )
+        if len(indices) % 3 or (len(indices) and indices.max() >= count):
+            raise ValueError(f"a mesh of {count} vertices has {len(indices)} indices up to {indices.max(initial=0)}")
+        faces.append(indices.reshape(-1, 3) + starts[accessor])
+    if not positions:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    positions, faces = np.concatenate(positions), np.concatenate(faces)
+    return _joined(positions, faces) if split else (positions, faces)
+
+
+def _joined(positions, faces) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices at exactly the same place made one, in the order of the first at each place."""
+    _, first, place = np.unique(positions + 0.0, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    return positions[first[order]], number[place.reshape(-1)][faces]
+
+
+def _values(document, buffers, index) -> np.ndarray:
+    accessor = document["accessors"][index]
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise ValueError("it has sparse accessors, which are not read: export plain ones")
+    view = document["bufferViews"][accessor["bufferView"]]
+    kind, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    stride, count = view.get("byteStride", kind.itemsize * width), accessor["count"]
+    data = buffers[view["buffer"]]
+    if stride < kind.itemsize * width or count < 0 or start < 0:
+        raise ValueError(f"accessor {index} has a stride of {stride} bytes, {count} values and begins at {start}")
+    if count and start + (count - 1) * stride + kind.itemsize * width > len(data):
+        raise ValueError(f"accessor {index} reads beyond its buffer of {len(data)} bytes")
+    return (
+        np.ndarray((count, width), kind, data, start, (stride, kind.itemsize)).copy()
+        if count
+        else np.zeros((0, width), kind)
+    )
+
+
+# -- Writing
+
+
+def write_glb(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """A .glb file of one mesh of bare positions; its node carries the middle, so that float32 keeps the digits."""
+    document, body = _document(vertices, faces)
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    size = 12 + 8 + len(text) + 8 + len(body)
+    return (
+        struct.pack("<4sII", b"glTF", 2, size)
+        + struct.pack("<II", len(text), _JSON_CHUNK)
+        + text
+        + struct.pack("<II", len(body), _BINARY_CHUNK)
+        + body
+    )
+
+
+def write_gltf(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """The same as text, its buffer within."""
+    document, body = _document(vertices, faces)
+    document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
+    return (json.dumps(document, indent=1) + "\n").encode()
+
+
+def _document(vertices, faces) -> tuple[dict, bytes]:
+    # a whole multiple of a coarse step: exact in float32 too, for programs that keep transforms in it
+    size = float(np.ptp(vertices, axis=0).max()) or 1.0
+    step = 2.0 ** np.ceil(np.log2(size))
+    middle = np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0 / step) * step
+    points = (vertices - middle).astype("<f4")
+    body = points.tobytes() + faces.astype("<u4").tobytes()
+    node = {"mesh": 0, "name": "cage"} | ({"translation": middle.tolist()} if middle.any() else {})
+    accessors = [
+        {"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": len(points),
+         "min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()},
+        {"bufferView": 1, "componentType": 5125, "type": "SCALAR", "count": int(faces.size)},
+    ]  # fmt: skip
+    document = {
+        "asset": {"version": "2.0", "generator": "warpcage"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [node],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": _TRIANGLES}]}],
+        "accessors": accessors,
+        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": points.nbytes, "target": 34962},
+                        {"buffer": 0, "byteOffset": points.nbytes, "byteLength": 4 * faces.size, "target": 34963}],
+        "buffers": [{"byteLength": len(body)}],
+    }  # fmt: skip
+    return document, body

@@ -1,0 +1,132 @@
+"""PLY: a text header that names elements and their properties, then text or binary rows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .text import floats, text_lines, whole
+
+_PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+              "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+              "double": "f8", "float64": "f8"}  # fmt: skip
+
+
+def read_ply(path):
+    data = path.read_bytes()
+    order, elements, body, body_line = _ply_header(path, data)
+    rows = _ply_text_rows if order == "ascii" else _ply_binary_rows
+    vertices, polygons = None, []
+    for name, properties, values in rows(path, data[body:], elements, order, body_line):
+        names = [each[0] for each in properties]
+        if name == "vertex":
+            if not {"x", "y", "z"} <= set(names):
+                raise ValueError(f"{path}: PLY vertices need properties x, y, z, got {', '.join(names) or 'none'}")
+            columns = [names.index(axis) for axis in "xyz"]
+            vertices = np.array([[row[column] for column in columns] for _, row in values], dtype=np.float64)
+            if not np.isfinite(vertices).all():
+                number = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+                raise ValueError(f"{path}: PLY vertex {number} is not finite")
+        elif name == "face":
+            column = next((k for k, each in enumerate(names) if each in ("vertex_indices", "vertex_index")), None)
+            if column is None or not isinstance(properties[column][1], tuple):
+                found = ", ".join(names) or "none"
+                raise ValueError(f"{path}: PLY faces need a list property vertex_indices, got {found}")
+            polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
+    if vertices is None:
+        raise ValueError(f"{path}: no vertices in it")
+    return vertices.reshape(-1, 3), polygons
+
+
+def _ply_header(path, data: bytes):
+    """'ascii', '<' or '>'; elements (name, count, properties); where the body begins, and on which line."""
+    order, elements, position = None, [], 0
+    for line in range(1, data.count(b"\n") + 2):
+        end = data.find(b"\n", position)
+        words = data[position : len(data) if end < 0 else end].decode("ascii", errors="replace").split()
+        position = len(data) if end < 0 else end + 1
+        if line == 1 and words != ["ply"]:
+            raise ValueError(f"{path}:1: a PLY file begins with 'ply'")
+        if words[:1] == ["format"]:
+            orders = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
+            if len(words) < 2 or words[1] not in orders:
+                raise ValueError(f"{path}:{line}: unknown PLY format {' '.join(words[1:])!r}")
+            order = orders[words[1]]
+        elif words[:1] == ["element"]:
+            if len(words) != 3 or not words[2].isdigit():
+                raise ValueError(f"{path}:{line}: an element needs a name and a count, got {' '.join(words)!r}")
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            listed = words[1:2] == ["list"]
+            kinds = [_PLY_TYPES.get(word) for word in (words[2:4] if listed else words[1:2])]
+            if len(words) != (5 if listed else 3) or None in kinds or not elements:
+                raise ValueError(f"{path}:{line}: cannot read PLY property {' '.join(words)!r}")
+            elements[-1][2].append((words[-1], tuple(kinds) if listed else kinds[0]))
+        elif words[:1] == ["end_header"]:
+            if order is None:
+                raise ValueError(f"{path}:{line}: the PLY header names no format")
+            return order, elements, position, line + 1
+    raise ValueError(f"{path}: the PLY header has no end_header")
+
+
+def _ply_text_rows(path, body, elements, order, first_line):
+    lines = text_lines(path, body, first_line)
+    for name, count, properties in elements:
+        rows = []
+        for _ in range(count):
+            line, words = next(lines, (None, None))
+            if words is None:
+                raise ValueError(f"{path}: {count} PLY elements {name!r} announced, {len(rows)} found")
+            row, position = [], 0
+            for _, kind in properties:
+                size = whole(words[position : position + 1], path, line) if isinstance(kind, tuple) else None
+                position += size is not None
+                taken = 1 if size is None else (size or [0])[0]
+                values = floats(words[position : position + taken], path, line)
+                if len(values) < taken or size == []:
+                    raise ValueError(f"{path}:{line}: too few numbers for a PLY {name}")
+                position += taken
+                row.append(values[0] if size is None else values)
+            rows.append((line, row))
+        yield name, properties, rows
+
+
+def _ply_binary_rows(path, body, elements, order, first_line):
+    position = 0
+    for name, count, properties in elements:
+        kinds = [kind for _, kind in properties]
+        if not any(isinstance(kind, tuple) for kind in kinds):
+            row_type = np.dtype([(f"p{k}", order + kind) for k, kind in enumerate(kinds)])
+            if position + count * row_type.itemsize > len(body):
+                raise ValueError(f"{path}: the PLY file ends within its {count} elements {name!r}")
+            table = np.frombuffer(body, row_type, count, position)
+            position += count * row_type.itemsize
+            yield name, properties, [(k, row) for k, row in enumerate(table.tolist())]
+            continue
+        rows = []
+        for number in range(count):
+            row = []
+            try:
+                for kind in kinds:
+                    taken = 1
+                    if isinstance(kind, tuple):
+                        taken = int(np.frombuffer(body, order + kind[0], 1, position)[0])
+                        position += np.dtype(kind[0]).itemsize
+                    value_type = np.dtype(order + (kind[1] if isinstance(kind, tuple) else kind))
+                    values = np.frombuffer(body, value_type, taken, position) if taken > 0 else np.zeros(0)
+                    position += taken * value_type.itemsize
+                    row.append(values.tolist() if isinstance(kind, tuple) else values[0])
+            except ValueError:
+                raise ValueError(f"{path}: the PLY file ends within element {number} of {count} {name!r}") from None
+            rows.append((f"face {number}", row))
+        yield name, properties, rows
+
+
+def write_ply(vertices, faces) -> bytes:
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment cage\n"
+        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.zeros(len(faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
+    rows["count"], rows["indices"] = 3, faces
+    return header.encode() + vertices.astype("<f8").tobytes() + rows.tobytes()

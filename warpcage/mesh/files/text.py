@@ -1,0 +1,114 @@
+"""OBJ and OFF meshes, line by line."""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+
+# -- OBJ: `v x y z`, `f a b c` with a, a/t, a//n or a/t/n, counted from 1, or from the end when negative
+
+
+def read_obj(path):
+    vertices, polygons = [], []
+    for line, words in text_lines(path):
+        if words[0] == "v":
+            vertices.append(point(words[1:], path, line))
+        elif words[0] == "f":
+            polygon = []
+            for index in whole([word.split("/", 1)[0] for word in words[1:]], path, line):
+                # a negative index counts back from the vertices read so far
+                polygon.append(index - 1 if index > 0 else len(vertices) + index if index < 0 else _zero(path, line))
+            polygons.append((line, polygon))
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
+
+
+def _zero(path, line):
+    raise ValueError(f"{path}:{line}: OBJ counts vertices from 1, got a face with vertex 0")
+
+
+def write_obj(vertices, faces) -> bytes:
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces.tolist()]
+    return ("\n".join(["# cage", *lines]) + "\n").encode()
+
+
+# -- OFF: `OFF`, counts, vertices, then `n i0 .. in-1` a face
+
+
+def read_off(path):
+    lines = text_lines(path)
+    line, words = next(lines, (1, []))
+    if not words or not words[0].upper().endswith("OFF") or words[0].upper() not in ("OFF", "COFF", "NOFF", "CNOFF"):
+        raise ValueError(f"{path}:{line}: an OFF file begins with 'OFF', got {' '.join(words[:3])!r}")
+    words = words[1:]
+    if not words:
+        line, words = next(lines, (line, []))
+    counts = whole(words[:2], path, line)
+    if len(counts) < 2 or min(counts) < 0:
+        raise ValueError(f"{path}:{line}: the numbers of vertices and faces expected, got {' '.join(words)!r}")
+
+    vertices, polygons = [], []
+    for line, words in lines:
+        if len(vertices) < counts[0]:
+            vertices.append(point(words, path, line))
+        elif len(polygons) < counts[1]:
+            size = whole(words[:1], path, line)[0]
+            if size < 0 or len(words) < size + 1:
+                raise ValueError(f"{path}:{line}: a face of {size} vertices expected, got {' '.join(words)!r}")
+            polygons.append((line, whole(words[1 : size + 1], path, line)))
+    if len(vertices) < counts[0] or len(polygons) < counts[1]:
+        raise ValueError(
+            f"{path}:{line}: {counts[0]} vertices and {counts[1]} faces announced, {len(vertices)} and "
+            f"{len(polygons)} found"
+        )
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
+
+
+def write_off(vertices, faces) -> bytes:
+    lines = ["OFF", f"{len(vertices)} {len(faces)} 0"]
+    lines += [f"{x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1):
+    """Number and words of each line that holds something, comments left out; a backslash continues a line; a byte
+    order mark, as some editors write it, is none of them."""
+    text = (path.read_bytes() if data is None else data).decode("utf-8-sig", errors="replace")
+    held = ""
+    for number, line in enumerate(text.splitlines(), start=first):
+        line = held + line.split("#", 1)[0].rstrip()
+        if line.endswith("\\"):
+            held = line[:-1] + " "
+            continue
+        held = ""
+        words = line.split()
+        if words:
+            yield number, words
+
+
+def floats(words, path, line) -> list[float]:
+    """Words as finite numbers."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        raise ValueError(f"{path}:{line}: numbers expected, got {' '.join(words)!r}") from None
+    if not np.isfinite(values).all():
+        raise ValueError(f"{path}:{line}: finite numbers expected, got {' '.join(words)!r}")
+    return values
+
+
+def whole(words, path, line) -> list[int]:
+    """Words as whole numbers."""
+    try:
+        return [int(word) for word in words]
+    except ValueError:
+        raise ValueError(f"{path}:{line}: whole numbers expected, got {' '.join(words)!r}") from None
+
+
+def point(words, path, line) -> list[float]:
+    """The first three words as numbers."""
+    if len(words) < 3:
+        raise ValueError(f"{path}:{line}: a vertex needs 3 numbers, got {len(words)}")
+    return floats(words[:3], path, line)

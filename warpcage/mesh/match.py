@@ -1,0 +1,300 @@
+"""Recover the vertex order of a posed cage whose file was written with vertices or faces in another order.
+
+A map between two connected, consistently wound triangle meshes that keeps faces is fixed by where it sends one
+half-edge. So one walk over the cage's faces is replayed from every half-edge of the pose that could be the first, all
+at once; what arrives without a contradiction is a match. Symmetric cages have several: the vertices that moved least
+decide, and a tie is an error.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from .closed_mesh import ClosedMesh
+from .topology import connected_parts
+
+
+def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:
+    """Raise a ValueError that says how they differ unless both cages have the same faces in the same order."""
+    if rest.faces is deformed.faces:
+        return
+    same_count = len(rest.vertices) == len(deformed.vertices)
+    if same_count and np.array_equal(rest.faces, deformed.faces):
+        return
+    try:
+        matched_vertices(rest, deformed)
+    except ValueError as error:
+        raise ValueError(str(error).replace("the pose", "the deformed cage", 1)) from None
+    if same_count and np.array_equal(
+        np.unique(np.sort(rest.faces, axis=1), axis=0), np.unique(np.sort(deformed.faces, axis=1), axis=0)
+    ):
+        first = int(np.flatnonzero((rest.faces != deformed.faces).any(axis=1))[0])
+        raise ValueError(
+            f"the deformed cage has the rest cage's faces in another order, from face {first} "
+            f"({deformed.faces[first].tolist()}, not {rest.faces[first].tolist()}): pass "
+            "rest.match(deformed)"
+        )
+    what = (
+        "vertices in another order"
+        if same_count
+        else f"faces on {len(deformed.vertices)} vertices, not on {len(rest.vertices)}"
+    )
+    raise ValueError(f"the deformed cage has the rest cage's {what}: pass rest.match(deformed)")
+
+
+#: Walks replayed at once: bounds the memory for large, regular cages.
+_WALKS = 256
+
+#: The best match must have moved the vertices less than this share of what the second best has.
+_CLEARLY_BETTER = 0.98
+
+
+def matched_vertices(rest, pose) -> np.ndarray:
+    """The vertices (v, 3) of `pose` in the order of `rest`; unused vertices of `rest` stay where they are.
+
+    rest, pose: ClosedMesh. Accepted, besides the same faces: faces in another order or begun at another corner, flat
+    patches (quads) cut along other diagonals, vertices in any order, and vertices repeated at one place, as exporters
+    do that store a normal a corner. Raises ValueError that begins with "the pose " and says how the two differ.
+    """
+    if len(rest.vertices) == len(pose.vertices) and same_patches(rest.faces, pose.faces):
+        return pose.vertices.copy()
+    vertices, faces = (
+        _welded(pose)
+        if _used_count(pose.faces) > _used_count(rest.faces)
+        else (pose.vertices, pose.faces.astype(np.int64))
+    )
+    complaint = _counts_differ(rest, pose, vertices, faces)
+    if complaint:
+        raise ValueError(f"the pose {complaint}")
+    if rest.topology.closed and rest.volume * pose.volume < 0.0:
+        raise ValueError("the pose has the cage's faces turned inside out: flip its normals (it was mirrored)")
+    order = _correspondence(_Mesh.of(rest.vertices, rest.faces), _Mesh.of(vertices, faces))
+    if order is None:
+        raise ValueError(f"the pose {_difference(rest, vertices, faces)}")
+    matched = rest.vertices.copy()
+    used = np.unique(rest.faces)
+    matched[used] = vertices[order[used]]
+    return matched
+
+
+def same_patches(one: np.ndarray, two: np.ndarray) -> bool:
+    """Whether faces (f, 3) of the same vertices cover the same polygons: equal but for order and for diagonals."""
+    if one.shape != two.shape:
+        return False
+    left, right = _cut(one, two), _cut(two, one)
+    outline = _outline(left)
+    if len(left) != len(right) or not np.array_equal(outline, _outline(right)):
+        return False
+    # a vertex within a patch could be another one's: only polygons, whose vertices are all on their outline
+    return np.isin(left, outline).all() and np.isin(right, outline).all()
+
+
+def _cut(faces, others) -> np.ndarray:
+    """The faces that are not among the others, whatever corner they begin at."""
+    count = int(max(faces.max(), others.max())) + 1
+    keys, other = (np.ravel_multi_index(tuple(_turned(each).T), (count,) * 3) for each in (faces, others))
+    return faces[~np.isin(keys, other)]
+
+
+def _outline(faces) -> np.ndarray:
+    """Directed edges (k, 2) of a patch that no face of it walks the other way, sorted."""
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
+    keys, back = (edges[:, k] * (1 << 31) + edges[:, 1 - k] for k in (0, 1))
+    edges = edges[~np.isin(keys, back)]
+    return edges[np.lexsort(edges.T)]
+
+
+def _turned(faces) -> np.ndarray:
+    """Faces with the lowest index first, direction kept."""
+    faces = np.asarray(faces, dtype=np.int64)
+    return np.take_along_axis(faces, (np.argmin(faces, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def _used_count(faces) -> int:
+    return len(np.unique(faces))
+
+
+def _part_count(faces) -> int:
+    label, _ = connected_parts(int(faces.max()) + 1, faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1))
+    return len(np.unique(label[faces[:, 0]]))
+
+
+def _welded(cage) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces with used vertices at exactly one place made one, each at the place of the first."""
+    _, first, place = np.unique(cage.vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+    faces = first[place.reshape(-1)][cage.faces]
+    return cage.vertices, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+
+
+def _counts_differ(rest, pose, vertices, faces) -> str:
+    if _used_count(faces) != _used_count(rest.faces):
+        merged = _used_count(pose.faces) - _used_count(faces)
+        hint = f" ({merged} more at the places of others)" if merged else ""
+        parts, own = (_part_count(each) for each in (faces, rest.faces))
+        advice = (
+            "pose the cage itself, without adding or removing vertices"
+            if parts <= own
+            else f"it has {parts} parts, the cage {own}: save the cage alone, without other objects"
+        )
+        return f"has {_used_count(faces)} vertices{hint}, the cage {_used_count(rest.faces)}: {advice}"
+    if len(faces) != len(rest.faces):
+        return f"has {len(faces)} faces, the cage {len(rest.faces)}: pose the cage itself, without editing faces"
+    return ""
+
+
+def _difference(rest, vertices, faces) -> str:
+    """Why meshes of as many vertices and faces do not match."""
+    ours, theirs = _edge_keys(rest.faces), _edge_keys(faces)
+    differing = np.setdiff1d(theirs, ours)
+    if len(rest.vertices) == len(vertices) and 0 < len(differing) < 0.5 * len(ours):
+        a, b = divmod(int(differing[0]), 1 << 32)
+        return (
+            f"has {len(differing)} of {len(ours)} edges that the cage has not, the first from vertex {a} to {b}: "
+            "save both with the same faces"
+        )
+    degrees = [np.sort(np.bincount(each.reshape(-1))[np.unique(each)]) for each in (rest.faces, faces)]
+    if not np.array_equal(*degrees):
+        return (
+            "is connected otherwise: as many vertices and faces, but other numbers of faces around the vertices; "
+            "it is another mesh"
+        )
+    return "is connected otherwise than the cage, in whatever order its vertices are taken: it is another mesh"
+
+
+def _edge_keys(faces) -> np.ndarray:
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
+    return np.unique((edges.min(axis=1) << 32) + edges.max(axis=1))
+
+
+# -- The walk
+
+
+@dataclasses.dataclass(frozen=True)
+class _Mesh:
+    """Half-edge 3 i + k starts at corner k of face i; twin (3 f + 1,) leads across the edge, to 3 f if it is open."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    twin: np.ndarray
+    colour: np.ndarray  # (v,) uint64, equal for vertices that look the same up to a few edges away
+    part: np.ndarray  # (f,)
+    part_count: int
+
+    @classmethod
+    def of(cls, vertices, faces) -> _Mesh:
+        faces = np.asarray(faces, dtype=np.int64)
+        start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+        keys, back = start * len(vertices) + end, end * len(vertices) + start
+        order = np.argsort(keys, kind="stable")
+        place = np.minimum(np.searchsorted(keys[order], back), len(keys) - 1)
+        twin = np.where(keys[order][place] == back, order[place], len(keys))
+        has = np.flatnonzero(twin < len(keys))
+        part, count = connected_parts(len(faces), has // 3, twin[has] // 3)
+        return cls(vertices, faces, np.append(twin, len(keys)), _colours(len(vertices), start, end), part, count)
+
+
+def _colours(count, start, end, rounds: int = 6) -> np.ndarray:
+    """(v,) uint64: colour refinement (Weisfeiler and Leman 1968) over neighbours, the same for any numbering."""
+    colour = np.bincount(start, minlength=count).astype(np.uint64)
+    for _ in range(rounds):
+        total = np.zeros(count, dtype=np.uint64)
+        np.add.at(total, start, _mixed(colour)[end])
+        np.add.at(total, end, _mixed(colour + np.uint64(7))[start])
+        colour = _mixed(colour ^ (total * np.uint64(0x9E3779B97F4A7C15)))
+    return colour
+
+
+def _mixed(value: np.ndarray) -> np.ndarray:
+    value = (value ^ (value >> np.uint64(31))) * np.uint64(0xBF58476D1CE4E5B9)
+    return (value ^ (value >> np.uint64(29))) * np.uint64(0x94D049BB133111EB)
+
+
+def _correspondence(rest: _Mesh, pose: _Mesh) -> np.ndarray | None:
+    """(v,) vertex of the pose for each used vertex of the rest mesh, or None."""
+    order = np.full(len(rest.vertices), -1, dtype=np.int64)
+    found = []
+    for part in range(rest.part_count):
+        walk = _walk(rest, np.flatnonzero(rest.part == part))
+        for other in range(pose.part_count):
+            if np.count_nonzero(pose.part == other) == len(walk[0]):
+                found += [(cost, part, other, images) for cost, images in _replayed(rest, pose, walk, other)]
+    # parts take their best partner, the surest first
+    found.sort(key=lambda each: each[0])
+    taken, partner = set(), {}
+    for cost, part, other, images in found:
+        if part in partner or other in taken:
+            continue
+        runner = [each[0] for each in found if each[1] == part and each[3] is not images and each[2] not in taken]
+        if runner and cost >= _CLEARLY_BETTER * min(runner):
+            raise ValueError(
+                "the pose fits the cage in several ways that move its vertices equally far: save it with "
+                "its vertices in the cage's order"
+            )
+        taken.add(other)
+        partner[part] = images
+    if len(partner) < rest.part_count:
+        return None
+    for vertices, images in partner.values():
+        order[vertices] = images
+    return order
+
+
+def _walk(mesh: _Mesh, faces: np.ndarray):
+    """An order of the part's faces, each entered over an edge of an earlier one.
+
+    Returns the half-edge (n,) by which each is entered and the place in this list and corner (n, 2) it came from. It
+    begins at the half-edge whose ends look the most unlike others.
+    """
+    corner = mesh.colour[mesh.faces[faces]].reshape(-1)
+    kind = _mixed(corner * np.uint64(3) + np.roll(mesh.colour[mesh.faces[faces]], -1, axis=1).reshape(-1))
+    _, which, count = np.unique(kind, return_inverse=True, return_counts=True)
+    first = int(np.argmin(count[which]))
+    entered, origin = [int(faces[first // 3]) * 3 + first % 3], [(0, 0)]
+    place = {entered[0] // 3}
+    for n in range(len(faces)):
+        for k in range(3):
+            half = int(mesh.twin[entered[n] // 3 * 3 + (entered[n] + k) % 3])
+            if half < 3 * len(mesh.faces) and half // 3 not in place:
+                place.add(half // 3)
+                entered.append(half)
+                origin.append((n, k))
+    return np.array(entered), np.array(origin)
+
+
+def _replayed(rest: _Mesh, pose: _Mesh, walk, part: int):
+    """(cost, (vertices, images)) of each way to lay the walk over a part of the pose; cost: squared displacement."""
+    entered, origin = walk
+    corners = _corners(entered)
+    trail = rest.faces.reshape(-1)[corners].reshape(-1)
+    vertices, first = np.unique(trail, return_index=True)
+    halves = np.flatnonzero(np.repeat(pose.part == part, 3))
+    begins = pose.faces.reshape(-1)[_corners(halves)[:, :2]]
+    halves = halves[(pose.colour[begins] == rest.colour[trail[:2]]).all(axis=1)]
+    found = []
+    for block in (halves[k : k + _WALKS] for k in range(0, len(halves), _WALKS)):
+        image = np.empty((len(block), len(entered)), dtype=np.int64)
+        image[:, 0] = block
+        for n in range(1, len(entered)):
+            back, k = origin[n]
+            half = image[:, back]
+            image[:, n] = pose.twin[np.where(half < 3 * len(pose.faces), half // 3 * 3 + (half + k) % 3, half)]
+        image = image[(image < 3 * len(pose.faces)).all(axis=1)]
+        if not len(image):
+            continue
+        ends = pose.faces.reshape(-1)[_corners(image)].reshape(len(image), -1)
+        images = ends[:, first]
+        # every corner must agree with the first visit to its vertex, and no two vertices may share an image
+        well = (images[:, np.searchsorted(vertices, trail)] == ends).all(axis=1)
+        well &= (np.diff(np.sort(images, axis=1), axis=1) > 0).all(axis=1)
+        for row in images[well]:
+            cost = float(((pose.vertices[row] - rest.vertices[vertices]) ** 2).sum())
+            found.append((cost, (vertices, row)))
+    return found
+
+
+def _corners(half) -> np.ndarray:
+    """(..., 3) half-edges of a face in its direction, beginning with the given one."""
+    half = np.asarray(half)[..., None]
+    return half // 3 * 3 + (half + np.arange(3)) % 3

@@ -1,0 +1,123 @@
+"""Whether coordinates can be computed on a closed mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .closed_mesh import ClosedMesh
+from .faces import column_cross, column_dot, face_edges
+
+#: A face lower than this share of the cage's size has no normal in float32.
+DEGENERATE_HEIGHT = 1e-7
+
+#: Odd numbers that turn three words into one which is all but surely another for another place.
+_PLACE_FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
+
+
+def degenerate_faces(mesh: ClosedMesh) -> np.ndarray:
+    """Indices of the faces whose height is below 1e-7 of the cage's size, or that name a vertex twice."""
+    a, b, c = mesh.corners
+    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.sqrt(np.maximum.reduce([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))]))
+    return np.flatnonzero(double_area <= DEGENERATE_HEIGHT * mesh.size * longest)
+
+
+def coincident_vertices(mesh: ClosedMesh) -> np.ndarray:
+    """(k, 2): used vertices that are the same in float32, each with the first of its place."""
+    used = mesh.topology.used_vertices
+    local = (mesh.vertices[used] - mesh.bounds.mean(axis=0)).astype(np.float32)
+    _, first, place = np.unique(local + 0.0, axis=0, return_index=True, return_inverse=True)
+    leader = first[place.reshape(-1)]
+    extra = np.flatnonzero(leader != np.arange(len(used)))
+    return np.stack([used[leader[extra]], used[extra]], axis=1)
+
+
+def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Winding number of a closed mesh about points (n, 3), float64 on the host: (n,). For a few points only.
+
+    Sum of signed solid angles over 4 pi (van Oosterom and Strackee 1983, "The solid angle of a plane triangle").
+    """
+    total = np.zeros(len(points))
+    for first in range(0, len(points), 4096):
+        a, b, c = (vertices[faces[:, k]][None] - points[first : first + 4096, None] for k in range(3))
+        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
+        triple = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
+        below = (
+            la * lb * lc
+            + np.einsum("nfi,nfi->nf", a, b) * lc
+            + np.einsum("nfi,nfi->nf", b, c) * la
+            + np.einsum("nfi,nfi->nf", c, a) * lb
+        )
+        total[first : first + 4096] = 2.0 * np.arctan2(triple, below).sum(axis=1) / (4.0 * np.pi)
+    return total
+
+
+def inward_parts(mesh: ClosedMesh) -> np.ndarray:
+    """Indices of connected parts that look inward without being a cavity inside another part (closed cages only)."""
+    volumes = mesh.part_volumes()
+    parts = mesh.topology.parts
+    wrong = []
+    for part in np.flatnonzero(volumes <= 0.0):
+        inside = mesh.vertices[mesh.faces[parts == part][:1, 0]]
+        others = mesh.faces[parts != part]
+        if volumes[part] == 0.0 or not len(others) or winding_numbers(inside, mesh.vertices, others)[0] < 0.5:
+            wrong.append(part)
+    return np.asarray(wrong, dtype=np.int64)
+
+
+def looks_usable(mesh: ClosedMesh) -> bool:
+    """Whether a cage of good topology passes at once: no vertices that may share a place, no low faces, all parts look
+    outward. A pose of a known cage is all but always done with this; False says that a closer look is needed."""
+    topology = mesh.topology
+    local = mesh.vertices - mesh.bounds.mean(axis=0)
+    keys = (local.astype(np.float32) + np.float32(0.0)).view(np.uint32).astype(np.uint64) @ _PLACE_FACTORS
+    keys = np.sort(keys if len(keys) == len(topology.used_vertices) else keys[topology.used_vertices])
+    if (keys[1:] == keys[:-1]).any():
+        return False
+    u, v = face_edges(mesh)
+    normal = column_cross(u, v)
+    longest = np.maximum.reduce([column_dot(u, u), column_dot(v, v), column_dot(u - v, u - v)])
+    if (column_dot(normal, normal) <= (DEGENERATE_HEIGHT * mesh.size) ** 2 * longest).any():
+        return False
+    cones = column_dot(local.T[:, mesh.faces[:, 0]], normal)
+    if topology.part_count == 1:
+        return cones.sum() > 0.0
+    return bool((np.bincount(topology.parts, weights=cones) > 0.0).all())
+
+
+def first_problem(mesh: ClosedMesh) -> str:
+    """What makes the cage unusable, in one line without its name; empty for a usable mesh."""
+    if mesh.topology.problem:
+        return mesh.topology.problem
+    return "" if looks_usable(mesh) else first_geometric_problem(mesh)
+
+
+def first_geometric_problem(mesh: ClosedMesh) -> str:
+    """The same of a cage whose topology is good."""
+    topology = mesh.topology
+    coincident = coincident_vertices(mesh)
+    if len(coincident):
+        a, b = coincident[0]
+        return (
+            f"has {len(coincident)} vertices at the place of another, the first {b} at that of {a}: merge or move them"
+        )
+    degenerate = degenerate_faces(mesh)
+    if len(degenerate):
+        return f"has degenerate faces: {len(degenerate)} without area, the first {degenerate[0]}: remove or widen them"
+    inward = inward_parts(mesh)
+    if len(inward):
+        face = int(np.flatnonzero(topology.parts == inward[0])[0])
+        return (
+            f"looks inward: the part with face {face} encloses volume {mesh.part_volumes()[inward[0]]:.4g}: flip "
+            "its faces to be anticlockwise seen from outside"
+        )
+    return ""
+
+
+def require_usable(mesh: ClosedMesh, name: str = "cage") -> None:
+    """Raise a ValueError of one line, beginning with `name`, unless coordinates can be computed on the mesh; see
+    `Cage.require_usable`. The answer is kept with the mesh."""
+    if mesh.problem is None:
+        mesh.problem = first_problem(mesh)
+    if mesh.problem:
+        raise ValueError(f"{name} {mesh.problem}")

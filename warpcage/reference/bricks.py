@@ -1,0 +1,161 @@
+"""A scene that the project makes itself: a brick-built excavator, ray cast to a NeRF-synthetic folder."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .solids import _box, _cylinder, _placed
+
+STUD = 0.17  # world units from one stud to the next
+STUD_RADIUS, STUD_HEIGHT = 0.3, 0.2  # of that pitch, as on the real toy
+SEAM = 0.015  # half the gap between two bricks, of that pitch
+YELLOW, RED, BLUE, WHITE = (0.98, 0.74, 0.06), (0.82, 0.10, 0.08), (0.10, 0.30, 0.78), (0.93, 0.93, 0.90)
+DARK, GREY, SILVER = (0.16, 0.17, 0.19), (0.42, 0.44, 0.46), (0.72, 0.74, 0.76)
+GREEN, GLASS, ORANGE = (0.12, 0.55, 0.25), (0.50, 0.76, 0.90), (0.98, 0.48, 0.06)
+
+
+def brick_model() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """An excavator built of bricks, about 2 units long, centred at the origin, z up, its arm towards +x.
+
+    Returns vertices (v, 3) float64, faces (f, 3) int32, counter-clockwise seen from outside, and colours (f, 3)
+    float32 in [0, 1]. Every part is a closed surface; parts touch and overlap.
+    """
+    parts = [*_tracks(), *_house(), *_cabin(), *_arm()]
+    counts = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
+    vertices = np.concatenate([vertices for vertices, _, _ in parts])
+    faces = np.concatenate([faces + first for (_, faces, _), first in zip(parts, counts[:-1], strict=True)])
+    colours = np.concatenate([np.broadcast_to(colour, faces.shape) for _, faces, colour in parts])
+    vertices = (vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2) * STUD
+    return vertices, faces.astype(np.int32), colours.astype(np.float32)
+
+
+# The model, in studs: +x ahead, +y to the left, z = 0 on the ground. A part is (vertices, faces, colour).
+
+
+def _tracks():
+    for side in (-1, 1):
+        inner, outer = 1.7 * side, 3.2 * side
+        for x in (-3.0, 3.0):
+            yield _cylinder((x, inner, 1.1), (x, outer, 1.1), 1.1, DARK, segments=24)
+        for x in (-3.0, -1.0, 1.0, 3.0):
+            radius = 0.75 if abs(x) == 3.0 else 0.6
+            yield _cylinder((x, outer, 1.1), (x, outer + 0.14 * side, 1.1), radius, SILVER, segments=20)
+            yield _cylinder((x, outer + 0.14 * side, 1.1), (x, outer + 0.26 * side, 1.1), 0.25, RED, segments=12)
+        low, high = min(inner, outer), max(inner, outer)
+        yield _box((-3.0, low, 0.0), (3.0, high, 2.2), DARK)
+        # a mudguard ties track and house together where cameras see it, so that the fitted surface is one piece too
+        yield _box((-2.4, low, 2.1), (2.4, high, 2.7), GREY)
+        for x in np.arange(-2.75, 3.0, 0.785):
+            yield _box((x - 0.16, low - 0.06, 2.2), (x + 0.16, high + 0.06, 2.36), GREY)
+            yield _box((x - 0.16, low - 0.06, -0.16), (x + 0.16, high + 0.06, 0.0), GREY)
+        for x, turns in ((3.0, (-60, -20, 20, 60)), (-3.0, (120, 160, 200, 240))):
+            for turn in turns:
+                cleat = _box((1.1, low - 0.06, -0.16), (1.26, high + 0.06, 0.16), GREY)
+                yield _placed(cleat, turn, (x, 0.0, 1.1))
+    yield _box((-2.6, -1.7, 0.7), (2.6, 1.7, 2.0), GREY)
+    yield _cylinder((0.0, 0.0, 2.0), (0.0, 0.0, 2.6), 1.9, DARK, segments=28)
+
+
+def _house():
+    z = 2.6
+    # two courses of bricks with staggered seams
+    for x, length in ((-4, 3), (-1, 4), (3, 1)):
+        for y in (-3, -1, 1):
+            yield from _brick((x, y, z), (length, 2, 1.0), YELLOW, studs=False)
+    z += 1.0
+    for x, length in ((-4, 2), (-2, 3), (1, 3)):
+        for y in (-3, 0):
+            yield from _brick((x, y, z), (length, 3, 0.5), DARK if x < 0 else YELLOW)
+    z += 0.5
+    # engine cover and counterweight
+    yield from _brick((-4, -3, z), (2, 2, 1.1), RED, studs=False)
+    yield from _brick((-4, -1, z), (2, 2, 1.1), RED, studs=False)
+    yield from _brick((-4, 1, z), (2, 2, 1.1), RED, studs=False)
+    yield from _brick((-4, -3, z + 1.1), (2, 3, 0.5), RED)
+    yield from _brick((-4, 0, z + 1.1), (2, 3, 0.5), WHITE)
+    yield from _brick((-2, -3, z), (2, 3, 0.9), GREEN)
+    for y in (-2.5, -1.75, -1.0, -0.25, 0.5, 1.25, 2.0):  # louvres at the back
+        yield _box((-4.1, y, z + 0.2), (-4.0, y + 0.4, z + 0.9), DARK)
+    yield _cylinder((-1.5, -2.5, z + 0.9), (-1.5, -2.5, z + 2.6), 0.28, SILVER, segments=14)
+    yield _cylinder((-1.5, -2.5, z + 2.6), (-1.5, -2.5, z + 2.75), 0.36, DARK, segments=14)
+    for y in (-2.4, 2.4):  # lamps
+        yield _cylinder((4.0, y, 3.1), (4.15, y, 3.1), 0.32, WHITE, segments=14)
+
+
+def _cabin():
+    z = 4.1
+    yield from _brick((-1, 0, z), (4, 3, 0.9), YELLOW, studs=False)
+    low, high = (-0.85, 0.15, z + 0.9), (2.85, 2.85, z + 3.0)
+    yield _box(low, high, GLASS)
+    for x in (-1.0, 0.8, 2.6):
+        for y in (0.0, 2.6):
+            yield _box((x, y, z + 0.9), (x + 0.4, y + 0.4, z + 3.0), YELLOW)
+    yield from _brick((-1, 0, z + 3.0), (4, 3, 0.45), BLUE)
+    yield _cylinder((-0.5, 0.5, z + 3.45), (-0.5, 0.5, z + 4.1), 0.3, ORANGE, segments=14)
+
+
+def _arm():
+    boom_foot, elbow, wrist = np.array([2.0, -1.5, 4.4]), np.array([5.0, -1.5, 8.9]), np.array([7.4, -1.5, 4.6])
+    # bracket between the house and the boom
+    for y in (-2.6, -0.75):
+        yield _box((1.0, y, 4.1), (3.0, y + 0.35, 5.2), GREY)
+    yield _cylinder(boom_foot + (0, -1.2, 0), boom_foot + (0, 1.2, 0), 0.4, SILVER, segments=16)
+
+    yield from _limb(boom_foot, elbow, 0.62, YELLOW)
+    yield _cylinder(elbow + (0, -1.05, 0), elbow + (0, 1.05, 0), 0.78, RED, segments=20)
+    yield _cylinder(elbow + (0, -1.2, 0), elbow + (0, 1.2, 0), 0.3, SILVER, segments=14)
+    yield from _limb(elbow, wrist, 0.5, YELLOW)
+    yield _cylinder(wrist + (0, -1.0, 0), wrist + (0, 1.0, 0), 0.5, RED, segments=18)
+
+    # pistons: house to boom, boom to stick
+    for start, middle, end in (
+        ((3.6, -1.5, 4.3), (3.95, -1.5, 5.3), (4.3, -1.5, 6.3)),
+        ((3.2, -1.5, 7.7), (4.2, -1.5, 9.2), (5.0, -1.5, 10.0)),
+    ):
+        yield _cylinder(start, middle, 0.34, DARK, segments=14)
+        yield _cylinder(middle, end, 0.2, SILVER, segments=12)
+    yield _cylinder((5.0, -1.5, 10.0), elbow, 0.25, GREY, segments=12)
+    yield from _bucket(wrist)
+
+
+def _limb(start, end, half, colour):
+    """A beam of bricks from start to end with studs along its upper side."""
+    along = end - start
+    length, angle = float(np.linalg.norm(along)), float(np.degrees(np.arctan2(along[2], along[0])))
+    flip = -1.0 if angle < -90 or angle > 90 else 1.0
+    whole = int(length)
+    edge = (length - whole) / 2
+    yield _placed(_box((0, -0.8, -half), (length, 0.8, half), colour), angle, start)
+    for i in range(whole):
+        foot = (edge + i + 0.5, 0.0, half * flip)
+        stud = _cylinder(foot, (foot[0], 0.0, foot[2] + flip * 1.2 * STUD_HEIGHT), STUD_RADIUS, colour, segments=12)
+        yield _placed(stud, angle, start)
+    for y in (-0.86, 0.8):  # a dark stripe on either side
+        yield _placed(_box((0.9, y, -0.22), (length - 0.9, y + 0.06, 0.22), DARK), angle, start)
+
+
+def _bucket(wrist):
+    turn = -155.0
+    plates = [
+        ((0.0, -1.7, -0.9), (0.3, 1.7, 0.9)),
+        ((0.0, -1.7, -0.9), (1.9, 1.7, -0.6)),
+        ((0.0, -1.7, -0.9), (1.7, -1.4, 0.9)),
+        ((0.0, 1.4, -0.9), (1.7, 1.7, 0.9)),
+    ]
+    foot = wrist + (-0.25, 0.0, -0.35)
+    for low, high in plates:
+        yield _placed(_box(low, high, GREY), turn, foot)
+    for y in (-1.6, -0.75, 0.15, 1.0):
+        yield _placed(_box((1.9, y, -0.85), (2.4, y + 0.5, -0.65), SILVER), turn, foot)
+
+
+def _brick(corner, size, colour, studs=True):
+    """A brick of size (studs, studs, height) with its studs."""
+    corner, size = np.asarray(corner, np.float64), np.asarray(size, np.float64)
+    gap = np.array([SEAM, SEAM, 0.0])
+    yield _box(corner + gap, corner + size - gap, colour)
+    if studs:
+        top = corner[2] + size[2]
+        for x in corner[0] + 0.5 + np.arange(int(size[0])):
+            for y in corner[1] + 0.5 + np.arange(int(size[1])):
+                yield _cylinder((x, y, top), (x, y, top + STUD_HEIGHT), STUD_RADIUS, colour, segments=12)

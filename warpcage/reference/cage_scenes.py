@@ -1,0 +1,67 @@
+"""Five small fields that are hard for cages, made from formulas: thin, concave, ring, two parts, tall."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..field.voxel_field import VoxelField
+
+#: Half the side of the cube that every scene lies in.
+HALF = 1.0
+
+
+def _thin(x):
+    """A leaf: a disc 1/100 as thick as wide, curled."""
+    radius = np.hypot(x[..., 0], x[..., 1])
+    height = x[..., 2] - 0.35 * (x[..., 0] ** 2 - x[..., 1])
+    return np.maximum(np.abs(height) - 0.02, radius - 0.75)
+
+
+def _concave(x):
+    """A bowl on its side with a thick wall."""
+    radius = np.linalg.norm(x, axis=-1)
+    return np.maximum(np.maximum(radius - 0.8, 0.6 - radius), x[..., 0] - 0.25)
+
+
+def _ring(x):
+    """A ring, tilted by 30 degrees."""
+    c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    y, z = c * x[..., 1] - s * x[..., 2], s * x[..., 1] + c * x[..., 2]
+    return np.hypot(np.hypot(x[..., 0], y) - 0.6, z) - 0.16
+
+
+def _two_parts(x):
+    """A ball and a block apart from it."""
+    ball = np.linalg.norm(x - [-0.5, 0.0, 0.2], axis=-1) - 0.3
+    block = (np.abs(x - [0.5, 0.1, -0.2]) - [0.2, 0.45, 0.3]).max(axis=-1)
+    return np.minimum(ball, block)
+
+
+def _tall(x):
+    """A tower that turns by 60 degrees and narrows on its way up."""
+    turn = np.pi / 3 * x[..., 2]
+    u = np.cos(turn) * x[..., 0] + np.sin(turn) * x[..., 1]
+    v = np.cos(turn) * x[..., 1] - np.sin(turn) * x[..., 0]
+    side = 0.14 - 0.06 * x[..., 2]
+    return np.maximum(np.maximum(np.abs(u), np.abs(v)) - side, np.abs(x[..., 2]) - 0.9)
+
+
+#: name: function of points (..., 3), negative inside the object.
+CAGE_SCENES = {"thin": _thin, "concave": _concave, "ring": _ring, "two parts": _two_parts, "tall": _tall}
+
+
+def scene_field(name: str, resolution: int = 48, device=None):
+    """A grey VoxelField of one of CAGE_SCENES on resolution^3 voxels over the cube [-1, 1]^3.
+
+    Raises ValueError for another name or fewer than 8 voxels a side.
+    """
+    if name not in CAGE_SCENES:
+        raise ValueError(f"scene must be one of {', '.join(CAGE_SCENES)}, got {name!r}")
+    if resolution < 8:
+        raise ValueError(f"resolution must be at least 8 voxels a side, got {resolution}")
+    axis = HALF * ((np.arange(resolution) + 0.5) * 2.0 / resolution - 1.0)
+    x = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    # opaque within a voxel of the surface, so that walls of any thickness show
+    density = 60.0 * np.clip(0.5 - CAGE_SCENES[name](x) * 0.5 * resolution, 0.0, 1.0)
+    sh = np.zeros((*density.shape, 9, 3), np.float32)
+    return VoxelField.from_dense(density, sh, [[-HALF] * 3, [HALF] * 3], device=device)

@@ -1,0 +1,1 @@
+"""Posed pictures, and how they are loaded."""

@@ -1,0 +1,1 @@
+"""Readers of scene formats, one format a file."""

@@ -1,0 +1,215 @@
+"""The files of a COLMAP model: cameras, images and points, in text or binary."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+import struct
+
+import numpy as np
+
+from ...core.files import require_file
+from .parsing import floats, one_line, read_text
+
+#: Names and parameter counts of the models, by the number that binary files use.
+MODELS = (
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+)
+
+
+@dataclasses.dataclass
+class ModelCamera:
+    model: str
+    size: tuple[int, int]
+    parameters: list[float]
+
+
+@dataclasses.dataclass
+class ModelImage:
+    """quaternion (w, x, y, z) and translation: world to camera. camera: its number."""
+
+    name: str
+    quaternion: tuple[float, ...]
+    translation: tuple[float, ...]
+    camera: int
+
+    def camera_to_world(self, where: str) -> np.ndarray:
+        """(4, 4). Raises ValueError for a quaternion of no length."""
+        q = np.array(self.quaternion)
+        length = np.linalg.norm(q)
+        if not (np.isfinite(length) and length > 1e-12 and np.isfinite(self.translation).all()):
+            raise ValueError(f"{where} has no rotation or place: quaternion {q.tolist()}, {list(self.translation)}")
+        w, x, y, z = q / length
+        to_camera = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        pose = np.eye(4)
+        pose[:3, :3] = to_camera.T
+        pose[:3, 3] = -to_camera.T @ self.translation
+        return pose
+
+
+@dataclasses.dataclass
+class Model:
+    """cameras by number, images in the order of the file, points (n, 3) or None where there is no such file."""
+
+    cameras: dict[int, ModelCamera]
+    images: list[ModelImage]
+    points: np.ndarray | None
+    cameras_path: pathlib.Path
+    images_path: pathlib.Path
+
+
+def read_model(folder: pathlib.Path) -> Model:
+    """Read a model, binary where cameras.bin is there. Raises FileNotFoundError or ValueError that names the file."""
+    binary = (folder / "cameras.bin").is_file()
+    ending = ".bin" if binary else ".txt"
+    cameras, images, points = (folder / f"{name}{ending}" for name in ("cameras", "images", "points3D"))
+    readers = (_cameras_bin, _images_bin, _points_bin) if binary else (_cameras_txt, _images_txt, _points_txt)
+    parts = [
+        reader(path) if path.is_file() or reader is not readers[2] else None
+        for reader, path in zip(readers, (cameras, images, points), strict=True)
+    ]
+    return Model(*parts, cameras, images)
+
+
+# Text
+
+
+def _lines(path: pathlib.Path):
+    """(line number, text) of all lines that are no comments; empty ones too."""
+    for line, text in enumerate(read_text(path, "COLMAP file").split("\n"), 1):
+        if not text.lstrip().startswith("#"):
+            yield line, text.strip()
+
+
+def _whole(word: str, where: str) -> int:
+    try:
+        return int(word)
+    except ValueError as error:
+        raise ValueError(f"{where}: {one_line(error)}") from error
+
+
+def _cameras_txt(path: pathlib.Path) -> dict[int, ModelCamera]:
+    cameras = {}
+    for line, text in _lines(path):
+        where, words = f"{path}:{line}", text.split()
+        if not words:
+            continue
+        if len(words) < 5:
+            raise ValueError(f"{where}: CAMERA_ID MODEL WIDTH HEIGHT PARAMS expected, got {text[:60]!r}")
+        number, width, height = (_whole(words[index], where) for index in (0, 2, 3))
+        cameras[number] = ModelCamera(words[1], (width, height), floats(" ".join(words[4:]), where))
+    return cameras
+
+
+def _images_txt(path: pathlib.Path) -> list[ModelImage]:
+    images, lines = [], _lines(path)
+    for line, text in lines:
+        if not text:
+            continue
+        where, words = f"{path}:{line}", text.split(maxsplit=9)
+        if len(words) < 10:
+            raise ValueError(f"{where}: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME expected, got {text[:60]!r}")
+        values = floats(" ".join(words[1:8]), where)
+        images.append(ModelImage(words[9], tuple(values[:4]), tuple(values[4:]), _whole(words[8], where)))
+        next(lines, None)  # the line of its keypoints, empty where it has none
+    return images
+
+
+def _points_txt(path: pathlib.Path) -> np.ndarray:
+    points = []
+    for line, text in _lines(path):
+        words = text.split(maxsplit=4)
+        if not words:
+            continue
+        if len(words) < 4:
+            raise ValueError(f"{path}:{line}: POINT3D_ID X Y Z expected, got {text[:60]!r}")
+        points.append(floats(" ".join(words[1:4]), f"{path}:{line}"))
+    return np.array(points, np.float64).reshape(-1, 3)
+
+
+# Binary: little endian, a count and then records
+
+
+class _Bytes:
+    """A file's bytes from front to back; what lies beyond the end is refused."""
+
+    def __init__(self, path: pathlib.Path):
+        self.path, self.data, self.position = path, require_file(path, "COLMAP file").read_bytes(), 0
+
+    def take(self, layout: str) -> tuple:
+        size = struct.calcsize(layout)
+        self.skip(size)
+        return struct.unpack_from(layout, self.data, self.position - size)
+
+    def skip(self, size: int) -> None:
+        if size > len(self.data) - self.position:
+            raise ValueError(f"{self.path} ends after {len(self.data)} bytes, {self.position + size} are announced")
+        self.position += size
+
+    def name(self) -> str:
+        end = self.data.find(b"\0", self.position)
+        if end < 0:
+            raise ValueError(f"{self.path} ends within a name")
+        text = self.data[self.position : end].decode("utf-8", errors="replace")
+        self.position = end + 1
+        return text
+
+    def count(self, smallest: int) -> int:
+        """The number of records to come, of at least `smallest` bytes each."""
+        (count,) = self.take("<Q")
+        if count * smallest > len(self.data) - self.position:
+            raise ValueError(f"{self.path} announces {count} records, more than {len(self.data)} bytes hold")
+        return count
+
+
+def _cameras_bin(path: pathlib.Path) -> dict[int, ModelCamera]:
+    file, cameras = _Bytes(path), {}
+    for _ in range(file.count(48)):
+        number, model, width, height = file.take("<iiQQ")
+        if not 0 <= model < len(MODELS):
+            raise ValueError(f"{path}: camera {number} has the unknown model {model}")
+        name, count = MODELS[model]
+        parameters = file.take(f"<{count}d")
+        if not np.isfinite(parameters).all():
+            raise ValueError(f"{path}: camera {number} has parameters that are not finite")
+        cameras[number] = ModelCamera(name, (width, height), list(parameters))
+    return cameras
+
+
+def _images_bin(path: pathlib.Path) -> list[ModelImage]:
+    file, images = _Bytes(path), []
+    for _ in range(file.count(73)):
+        _, *values, camera = file.take("<i7di")
+        images.append(ModelImage(file.name(), tuple(values[:4]), tuple(values[4:]), camera))
+        file.skip(24 * file.take("<Q")[0])
+    return images
+
+
+def _points_bin(path: pathlib.Path) -> np.ndarray:
+    file, points = _Bytes(path), []
+    for _ in range(file.count(51)):
+        _, x, y, z = file.take("<Q3d")
+        points.append((x, y, z))
+        file.skip(11)  # colour and error
+        file.skip(8 * file.take("<Q")[0])
+    points = np.array(points, np.float64).reshape(-1, 3)
+    if not np.isfinite(points).all():
+        raise ValueError(f"{path} holds points that are not finite")
+    return points

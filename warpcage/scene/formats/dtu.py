@@ -1,0 +1,88 @@
+"""DTU folders in the IDR layout: image/, mask/, cameras.npz or cameras_sphere.npz (Yariv et al. 2020).
+
+world_mat_i @ scale_mat_i projects points of the space in which the object lies in the unit sphere: that is the world of
+the scene. Pixel centres are integers in these files, hence +0.5 on the principal point.
+"""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+
+from ...core.files import read_npz
+from ..scene import Scene
+from .parsing import held_out, pictures_in
+from .views import View, make_scene
+
+MARK = "image/ and cameras_sphere.npz or cameras.npz"
+FILES = ("cameras_sphere.npz", "cameras.npz")
+
+#: Largest skew that is taken for rounding, of the focal length.
+SKEW_TOLERANCE = 1e-3
+
+
+def is_scene(folder: pathlib.Path) -> bool:
+    return (folder / "image").is_dir() and any((folder / name).is_file() for name in FILES)
+
+
+def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
+    """Read a split: every eighth view is `test`, the others are `train`. Masks become alphas."""
+    path = next((folder / name for name in FILES if (folder / name).is_file()), folder / FILES[0])
+    cameras = read_npz(path, "camera file")
+    pictures = pictures_in(folder / "image")
+    shapes = pictures_in(folder / "mask") if masks and (folder / "mask").is_dir() else [None] * len(pictures)
+    if len(shapes) != len(pictures):
+        raise ValueError(f"{str(folder)!r} holds {len(pictures)} images and {len(shapes)} masks: one a picture needed")
+    views, scales = [], []
+    for index in held_out(len(pictures), split, folder):
+        where = f"{path}: world_mat_{index} @ scale_mat_{index}"
+        world, scale = (_matrix(cameras, f"{name}_{index}", path) for name in ("world_mat", "scale_mat"))
+        intrinsics, pose = decompose((world @ scale)[:3], where)
+        views.append(View(pictures[index], pose, where, intrinsics, mask=shapes[index]))
+        scales.append(scale)
+    same = all(np.array_equal(scale, scales[0]) for scale in scales)
+    return make_scene(
+        views,
+        downscale=downscale,
+        background=background,
+        masks=masks,
+        bounds=[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]],
+        to_source=scales[0] if same else None,
+    )
+
+
+def decompose(projection: np.ndarray, where: str) -> tuple[tuple[float, float, float, float], np.ndarray]:
+    """(fx, fy, cx, cy) and the (4, 4) camera-to-world pose of a (3, 4) projection whose pixel centres are integers.
+
+    Hartley and Zisserman 2004, section 6.2.4: K R is the left 3x3 block, split by an RQ decomposition; the centre is
+    its null vector. Raises ValueError for a singular projection, or one with skew.
+    """
+    block = projection[:, :3]
+    scale = np.abs(block).max()
+    if not (np.isfinite(projection).all() and scale > 0 and np.linalg.cond(block) < 1e12):
+        raise ValueError(f"{where} is singular or not finite: no camera")
+    projection = projection / (scale * np.sign(np.linalg.det(block / scale)))  # scale and sign mean nothing
+    block = projection[:, :3]
+    # RQ by QR: block^-1 = R^-1 K^-1, an orthonormal factor times an upper triangular one
+    rotation, inverse = np.linalg.qr(np.linalg.inv(block))
+    signs = np.sign(np.diag(inverse))
+    rotation, k = rotation * signs, np.linalg.inv(inverse * signs[:, None])
+    k = k / k[2, 2]
+    if abs(k[0, 1]) > SKEW_TOLERANCE * k[0, 0]:
+        raise ValueError(f"{where} has skew {k[0, 1]:.3g} pixels: cameras here have none")
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = -np.linalg.solve(block, projection[:, 3])
+    return (k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5), pose
+
+
+def _matrix(cameras: dict, name: str, path: pathlib.Path) -> np.ndarray:
+    if name not in cameras:
+        raise ValueError(f"{path} lacks {name}: it must hold one matrix an image")
+    matrix = cameras[name]
+    if matrix.shape == (3, 4) and matrix.dtype.kind in "fiu":
+        matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
+    if matrix.shape != (4, 4) or matrix.dtype.kind not in "fiu" or not np.isfinite(matrix).all():
+        raise ValueError(f"{path}: {name} must be a finite 4x4 matrix, got {matrix.dtype} {matrix.shape}")
+    return matrix.astype(np.float64)

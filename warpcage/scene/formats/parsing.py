@@ -1,0 +1,145 @@
+"""Read what scene folders say in text: numbers, matrices, JSON, and names of files that must stay in their folder.
+
+Every function takes `where`, the file and field that a message names, and raises ValueError (FileNotFoundError for
+files that are not there) in one line.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pathlib
+
+import numpy as np
+
+from ...core.files import require_file
+
+#: Endings of pictures, and what is tried where a name has none.
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+GUESSED_ENDINGS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".webp")
+
+#: Where a format has no splits of its own, every eighth picture is held out.
+HOLD_OUT = 8
+
+
+def read_json(path: pathlib.Path) -> dict:
+    """The JSON object that a file holds."""
+    try:
+        content = json.loads(require_file(path, "file").read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:  # wrong bytes, wrong syntax, brackets without end
+        raise ValueError(f"{path} is no JSON file: {one_line(error)}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} must hold a JSON object")
+    return content
+
+
+def read_text(path: pathlib.Path, what: str) -> str:
+    try:
+        return require_file(path, what).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no text file: {one_line(error)}") from error
+
+
+def floats(text: str, where: str) -> list[float]:
+    """The numbers in a text, all finite."""
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError as error:
+        raise ValueError(f"{where}: {one_line(error)}") from error
+    if not all(map(math.isfinite, values)):
+        raise ValueError(f"{where} holds numbers that are not finite")
+    return values
+
+
+def number(value, where: str) -> float:
+    """A finite number out of JSON; text, truth values and null are none."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        try:
+            value = float(value)
+        except OverflowError:
+            value = math.inf
+        if math.isfinite(value):
+            return value
+    raise ValueError(f"{where} must be a finite number, got {shown(value)}")
+
+
+def matrix(value, shape: tuple[int, int], where: str) -> np.ndarray:
+    """A matrix of finite numbers out of JSON lists, float64."""
+    rows, columns = shape
+    if not (
+        isinstance(value, list)
+        and len(value) == rows
+        and all(isinstance(row, list) and len(row) == columns for row in value)
+    ):
+        raise ValueError(f"{where} must be a {rows}x{columns} matrix, got {shown(value)}")
+    return np.array(
+        [[number(entry, f"{where}[{i}][{j}]") for j, entry in enumerate(row)] for i, row in enumerate(value)]
+    )
+
+
+def inside(folder: pathlib.Path, name, where: str) -> pathlib.Path:
+    """The path of `name` in `folder`; refused where it leads out of it."""
+    if not isinstance(name, str) or not name.strip() or "\0" in name or len(name) > 4000:
+        raise ValueError(f"{where} must be the name of a file, got {shown(name)}")
+    path = folder / name.replace("\\", "/")
+    root = pathlib.Path(os.path.abspath(folder))
+    if not pathlib.Path(os.path.abspath(path)).is_relative_to(root):
+        raise ValueError(f"{where}: {shown(name)} leads out of the data folder {str(folder)!r}")
+    return path
+
+
+def find_picture(folder: pathlib.Path, name, where: str) -> pathlib.Path:
+    """The picture that `name` means in `folder`, with an ending where it has none; it may not be there."""
+    path = inside(folder, name, where)
+    if path.suffix.lower() in PICTURE_ENDINGS or is_file(path):
+        return path
+    candidates = [path.with_name(path.name + ending) for ending in GUESSED_ENDINGS if path.name]
+    return next((candidate for candidate in candidates if is_file(candidate)), candidates[0] if candidates else path)
+
+
+def pictures_in(folder: pathlib.Path) -> list[pathlib.Path]:
+    """The pictures of a folder by name; FileNotFoundError where there is none."""
+    files = sorted(file for file in folder.glob("*") if file.suffix.lower() in PICTURE_ENDINGS)
+    if not files:
+        raise FileNotFoundError(f"folder {str(folder)!r} holds no pictures ({', '.join(PICTURE_ENDINGS)})")
+    return files
+
+
+def is_file(path: pathlib.Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long for the file system
+        return False
+
+
+def held_out(count: int, split: str, folder) -> list[int]:
+    """Indices of a split where the format has none: every eighth is `test`, the rest `train`; `all` is both."""
+    splits = {
+        "train": [i for i in range(count) if i % HOLD_OUT],
+        "test": list(range(0, count, HOLD_OUT)),
+        "all": list(range(count)),
+    }
+    if split not in splits:
+        raise missing_split(split, folder, splits)
+    if not splits[split]:
+        raise ValueError(
+            f"split {split!r} of {str(folder)!r} is empty: every {HOLD_OUT}th picture is held out as "
+            f"'test', and there is {count}"
+        )
+    return splits[split]
+
+
+def missing_split(split, folder, splits) -> FileNotFoundError:
+    there = ", ".join(splits) or "none"
+    return FileNotFoundError(f"split {split!r} of {str(folder)!r} is not there; splits: {there}")
+
+
+def shown(value) -> str:
+    """A value in a message, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:60]}..."
+
+
+def one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:300] or type(error).__name__

@@ -1,0 +1,157 @@
+"""transforms.json of nerfstudio (Tancik et al. 2023) and instant-ngp (Mueller et al. 2022).
+
+Intrinsics stand at the top or in a frame, which wins; camera axes are OpenGL's (+y up, -z forward); the centre of the
+first pixel is (0.5, 0.5). Poses are taken as they stand, as both programs do; `applied_transform`, which nerfstudio put
+on them, is undone by Scene.to_source.
+"""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+
+from ...core.files import require_file
+from ...mesh.files.ply import read_ply
+from ..scene import Scene
+from .blender import TO_OPENCV, frames_of, split_file
+from .distortion import COEFFICIENTS
+from .parsing import find_picture, held_out, inside, matrix, missing_split, number, read_json, shown
+from .views import View, make_scene
+
+MARK = "transforms.json, or transforms_train.json with fl_x"
+
+#: camera_model values that mean a pinhole with or without the distortion that is undone here.
+MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
+
+
+def is_scene(folder: pathlib.Path) -> bool:
+    if (folder / "transforms.json").is_file():
+        return True
+    files = sorted(folder.glob("transforms_*.json"))
+    return bool(files) and "fl_x" in read_json(files[0])
+
+
+def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
+    """Read a split: a file of its own, or a list of file names in transforms.json, or else every eighth frame, by
+    file name, is `test` and the others are `train`. mask_path becomes the alpha, ply_file_path the bounds."""
+    single = folder / "transforms.json"
+    path = single if single.is_file() else split_file(folder, split)
+    transforms = read_json(path)
+    views = [_view(folder, transforms, where, frame) for where, frame in frames_of(transforms, path)]
+    if path == single:
+        views.sort(key=lambda view: str(view.file))
+        views = _of_split(views, transforms, split, folder, path)
+    return make_scene(
+        views,
+        downscale=downscale,
+        background=background,
+        masks=masks,
+        points=_points(folder, transforms, path),
+        to_source=_to_source(transforms, path),
+    )
+
+
+def _view(folder: pathlib.Path, transforms: dict, where: str, frame: dict) -> View:
+    given = {**{name: transforms[name] for name in transforms if name != "frames"}, **frame}
+    model = given.get("camera_model", "OPENCV")
+    if model not in MODELS or given.get("is_fisheye"):
+        found = "is_fisheye" if model in MODELS else f"camera_model {shown(model)}"
+        raise ValueError(f"{where}: {found} is not read, only {', '.join(MODELS)}")
+    if _optional(given, "k4", where):  # nerfstudio's k4 is a power of r, not OpenCV's
+        raise ValueError(f"{where}: distortion k4 is not read, only k1, k2, k3, p1, p2")
+    distortion = [_optional(given, name, where) or 0.0 for name in COEFFICIENTS[:5]]
+    size = None
+    if "w" in given or "h" in given:
+        size = tuple(int(_positive(given, name, where)) for name in ("w", "h"))
+    pose = matrix(_with_last_row(frame.get("transform_matrix")), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
+    mask = frame.get("mask_path")
+    return View(
+        find_picture(folder, frame.get("file_path"), f"{where}: file_path"),
+        pose,
+        where,
+        lambda actual: _intrinsics(given, actual, where),
+        size,
+        tuple(distortion),
+        None if mask is None else inside(folder, mask, f"{where}: mask_path"),
+    )
+
+
+def _with_last_row(rows):
+    """Three rows of a pose get the fourth."""
+    return [*rows, [0.0, 0.0, 0.0, 1.0]] if isinstance(rows, list) and len(rows) == 3 else rows
+
+
+def _intrinsics(given: dict, size: tuple[int, int], where: str) -> tuple[float, float, float, float]:
+    """fl_x, fl_y, cx, cy, or what stands for them: angles of view, the middle of the picture."""
+    fx, fy = (_focal(given, axis, side, where) for axis, side in zip("xy", size, strict=True))
+    if fx is None and fy is None:
+        raise ValueError(f"{where} has no fl_x and no camera_angle_x, nor has the file")
+    cx, cy = (_optional(given, name, where) for name in ("cx", "cy"))
+    return (
+        fy if fx is None else fx,
+        fx if fy is None else fy,
+        size[0] / 2 if cx is None else cx,
+        size[1] / 2 if cy is None else cy,
+    )
+
+
+def _focal(given: dict, axis: str, side: int, where: str) -> float | None:
+    if f"fl_{axis}" in given:
+        return _positive(given, f"fl_{axis}", where)
+    angle = _optional(given, f"camera_angle_{axis}", where)
+    if angle is None:
+        return None
+    if not 0 < angle < np.pi:
+        raise ValueError(f"{where}: camera_angle_{axis} must lie between 0 and pi, got {angle}")
+    return 0.5 * side / np.tan(0.5 * angle)
+
+
+def _optional(given: dict, name: str, where: str) -> float | None:
+    return None if given.get(name) is None else number(given[name], f"{where}: {name}")
+
+
+def _positive(given: dict, name: str, where: str) -> float:
+    value = number(given.get(name), f"{where}: {name}")
+    if value <= 0:
+        raise ValueError(f"{where}: {name} must be positive, got {value:g}")
+    return value
+
+
+def _of_split(views: list[View], transforms: dict, split: str, folder: pathlib.Path, path) -> list[View]:
+    lists = {
+        name: transforms[f"{name}_filenames"] for name in ("train", "val", "test") if f"{name}_filenames" in transforms
+    }
+    if not lists:
+        return [views[index] for index in held_out(len(views), split, folder)]
+    if split not in lists:
+        raise missing_split(split, folder, lists)
+    where = f"{path}: {split}_filenames"
+    if not isinstance(lists[split], list) or not lists[split]:
+        raise ValueError(f"{where} must list the pictures of the split, got {shown(lists[split])}")
+    by_file = {view.file: view for view in views}
+    chosen = [find_picture(folder, name, where) for name in lists[split]]
+    unknown = [file.name for file in chosen if file not in by_file]
+    if unknown:
+        raise ValueError(f"{where} names {unknown[0]!r}, which no frame has")
+    return [by_file[file] for file in chosen]
+
+
+def _points(folder: pathlib.Path, transforms: dict, path: pathlib.Path) -> np.ndarray | None:
+    """The points that ply_file_path names, in the coordinates of the poses."""
+    if transforms.get("ply_file_path") is None:
+        return None
+    where = f"{path}: ply_file_path"
+    return read_ply(require_file(inside(folder, transforms["ply_file_path"], where), where))[0]
+
+
+def _to_source(transforms: dict, path: pathlib.Path) -> np.ndarray | None:
+    """The inverse of applied_transform (3x4 or 4x4)."""
+    applied = transforms.get("applied_transform")
+    if applied is None:
+        return None
+    where = f"{path}: applied_transform"
+    applied = matrix(_with_last_row(applied), (4, 4), where)
+    if not np.linalg.cond(applied) < 1e12:
+        raise ValueError(f"{where} is singular")
+    return np.linalg.inv(applied)

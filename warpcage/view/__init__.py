@@ -1,0 +1,1 @@
+"""Cameras, frames, pictures, films and overlays."""
