@@ -1,8 +1,8 @@
 """Cages of many shapes come about whatever the last digits, the order of vertices, the turn and the machine.
 
 With WARPCAGE_ALL_CASES=1 each pair of a shape and a count is tried under each small change of its mesh; otherwise the
-least count of each shape, and a larger one of every sixth, under one of them in turn, which takes half a minute.
-Distances are measured on voxels four times as large as otherwise: that is quick, and harder for thin shapes.
+least count of each shape is tried under one of them in turn, which takes half a minute. Distances are measured on
+voxels four times as large as otherwise: that is quick, and harder for thin shapes.
 """
 
 import os
@@ -84,7 +84,7 @@ def shapes():
         "thick plate": make.box([1, 0.8, 0.1]),
         "cube": make.box(),
         "brick": make.box([1, 0.6, 0.3]),
-        "rod": make.cylinder(0.01, 1.0),
+        "rod": make.cylinder(0.01, 1.0, sections=8),
         "beam": make.box([1, 0.05, 0.05]),
         "L": boxes([[0, 0, 0], [1, 0.3, 0.3]], [[0, 0, 0], [0.3, 0.3, 1]]),
         "T": boxes([[-1, -0.2, 0.8], [1, 0.2, 1.1]], [[-0.2, -0.2, -1], [0.2, 0.2, 0.8]]),
@@ -96,11 +96,11 @@ def shapes():
         "thin torus": make.torus(1.0, 0.05),
         "sphere": make.icosphere(subdivisions=3),
         "egg": make.icosphere(subdivisions=3).apply_scale([1.0, 0.6, 0.4]),
-        "cylinder": make.cylinder(0.5, 1.0),
-        "disc": make.cylinder(1.0, 0.02),
+        "cylinder": make.cylinder(0.5, 1.0, sections=16),
+        "disc": make.cylinder(1.0, 0.02, sections=16),
         "pipe": make.annulus(0.8, 1.0, 1.5),
-        "cone": make.cone(0.5, 1.0),
-        "needle": make.cone(0.05, 1.0),
+        "cone": make.cone(0.5, 1.0, sections=16),
+        "needle": make.cone(0.05, 1.0, sections=8),
         "capsule": make.capsule(1.0, 0.3),
         "flat sheet": sheet(lambda x, y: 0.0 * x),
         "wave": sheet(lambda x, y: 0.3 * np.sin(3.0 * x) * np.cos(2.0 * y)),
@@ -125,7 +125,7 @@ PAIRS = [(shape, count) for k, shape in enumerate(SHAPES) for count in (12, 30, 
 EVERY = os.environ.get("WARPCAGE_ALL_CASES") == "1"
 CASES = [
     (*pair, jitter) for k, pair in enumerate(PAIRS) for j, jitter in enumerate(JITTERS)
-    if EVERY or (k // 3 % 3 == j and (k % 3 == 0 or k % 18 == 1))
+    if EVERY or (k // 3 % 3 == j and k % 3 == 0)
 ]  # fmt: skip
 
 
@@ -185,7 +185,7 @@ class Perturbed:
             x = np.asarray(x)
             if x.dtype != np.float64:
                 return x
-            return np.nextafter(x, x + self._random.integers(-1, 2, x.shape) * (np.abs(x) + 1e-300))
+            return np.nextafter(x, x + self._random.integers(-1, 2, x.shape) * np.abs(x))  # a zero stays
 
         def perturbed(*args, **kwargs):
             result = product(*args, **kwargs)
@@ -197,7 +197,7 @@ class Perturbed:
 @pytest.mark.parametrize("seed", range(10 if EVERY else 1))
 @pytest.mark.parametrize(
     ("shape", "count", "method"),
-    [("plate", 60, "shell"), ("plate", 60, "voxel"), ("cube", 12, "auto"), ("star of 3", 20, "shell")],
+    [("plate", 60, "shell"), ("plate", 60, "voxel"), ("cube", 12, "voxel"), ("star of 3", 20, "shell")],
 )
 def test_last_digits_of_products_cost_no_cage(shape, count, method, seed, monkeypatch):
     coarsen(monkeypatch)
