@@ -216,7 +216,7 @@ def test_equal_spreads_take_the_axes_of_the_world():
     for scale in ([1, 1, 1], [1, 1, 0.01], [0.1, 1, 1], [1, 0.2, 1]):
         frame = voxel.principal_frame(grid * scale + 1e-9 * random.normal(size=grid.shape))
         assert np.allclose(frame, np.eye(3), atol=1e-6)
-    turn = trimesh.transformations.random_rotation_matrix([0.1, 0.5, 0.8])[:3, :3]
+    turn = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.5, 0.8]))[:3, :3]
     frame = voxel.principal_frame(grid * [1.0, 0.6, 0.3] @ turn.T)
     assert np.allclose(np.sort(np.abs(frame.T @ turn), axis=1), [0, 0, 1], atol=1e-9)
     assert np.linalg.det(frame) == pytest.approx(1.0)
@@ -235,7 +235,7 @@ def test_the_last_resort_is_a_box_of_the_count(count):
 def test_where_all_attempts_fail_the_box_is_drawn_close(monkeypatch):
     coarsen(monkeypatch)
     monkeypatch.setattr(offset, "nested", lambda vertices, faces, count: (vertices, faces))
-    monkeypatch.setattr(offset, "_CLOSINGS", (0.45, 5.0))
+    monkeypatch.setattr(offset, "_CLOSINGS", (5.0,))
     assert_holds(Cage.from_mesh(SHAPES["U"], 16, method="shell"), SHAPES["U"], 16)
 
 

@@ -25,15 +25,14 @@ _START = 0.4
 #: the distance to a sheet, a line and a point to 0.8, 1.3 and 1.6 at the object itself.
 _LEAST_LEVEL = 1.8
 
-#: Shares of the way from evenly spread to drawn close, tried in this order.
-_DRAWN = (1.0, 0.75, 0.5, 0.25, 0.0)
+#: Shares of the way from the surface given to the evenly spread one, and for each the shares of the way from there to
+#: drawn close, tried in this order. A surface that is neither even nor drawn is a last resort: wider closings are better.
+_SHARES = ((1.0, (1.0, 0.75, 0.5, 0.25, 0.0)), (0.5, (1.0, 0.75, 0.5, 0.25)))
+_LAST_SHARES = ((0.5, (0.0,)), (0.0, (1.0, 0.75, 0.5, 0.25, 0.0)))
 
-#: Vertices of the surface that nested decimation begins with, for each that it leaves: the others where that fails.
-_FINE = (6, 9, 4)
-
-#: Shares of the way from the surface given to the evenly spread one that all closings are tried with, one after the
-#: other: at 0 it is the surface that holds the object by construction, far off it.
-EVENNESS = (1.0, 0.5, 0.0)
+#: Vertices of the surface that nested decimation begins with, for each that it leaves, and whether the last resort may
+#: be taken: all closings are tried with the first, then, where none of them holds, with the next.
+_ATTEMPTS = ((6, False), (9, False), (4, False), (6, True))
 
 
 def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> ClosedMesh:
@@ -43,21 +42,19 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     shell = ObjectShell(points, spacing, need + max(0.06 * size, 2.0 * spacing), need)
     edge = edge_length(shell, max(need, _LEAST_LEVEL * spacing), vertex_count)
     reasons = []
-    for evenness, closing in itertools.product(EVENNESS, _CLOSINGS):
+    for (fine, last), closing in itertools.product(_ATTEMPTS, _CLOSINGS):
         # wide closings need no fine voxels
         coarse = max(spacing, closing * edge / 16.0)
         room = max(closing * edge, 2.0 * coarse, (_LEAST_LEVEL * coarse - need) / _START)
         shell = ObjectShell(points, coarse, need + room, need)
         step = 2 if edge > 8.0 * coarse else 1
-        surface = shell.surface(need + _START * (shell.reach - need), step)
-        for fine in _FINE if evenness == 1.0 else _FINE[:1]:
-            vertices, faces = nested(*decimated(*surface, fine * vertex_count), vertex_count)
-            cage, reason = sound(shell, vertices, faces, need, vertex_count, evenness)
-            if not reason:
-                return cage
-            reasons.append(reason)
+        start = decimated(*shell.surface(need + _START * (shell.reach - need), step), fine * vertex_count)
+        cage, reason = sound(shell, *nested(*start, vertex_count), need, vertex_count, last=last)
+        if not reason:
+            return cage
+        reasons.append(reason)
     # no closing is wider than a box, which holds as it is
-    cage, reason = sound(shell, *split_box(points, 1.5 * shell.reach, vertex_count), need, vertex_count, evenness=0.0)
+    cage, reason = sound(shell, *split_box(points, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True)
     if reason:
         raise ValueError(f"{reason}; before: {', '.join(dict.fromkeys(reasons))}")
     return cage
@@ -83,30 +80,32 @@ def split_box(points, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
     return np.array(vertices), np.array(faces)
 
 
-def sound(shell, vertices, faces, need, vertex_count, evenness=1.0, mirror=None) -> tuple[ClosedMesh | None, str]:
+def sound(shell, vertices, faces, need, vertex_count, mirror=None, last=False) -> tuple[ClosedMesh | None, str]:
     """The cage of these faces that is drawn as close as holds; or None and what is wrong.
 
-    evenness: share of the way to evenly spread vertices that drawing begins from. mirror: function of the vertices that
-    makes them symmetric, or None.
+    mirror: function of the vertices that makes them symmetric, or None. last: take vertices as they are if need be.
     """
     if abs(len(vertices) - vertex_count) > 0.1 * vertex_count:
         return None, f"decimation left {len(vertices)} vertices"
-    even = vertices if mirror is None else mirror(vertices)
-    if evenness > 0.0:
-        even = even + evenness * (spread(shell, vertices, faces, need, mirror) - even)
-    reason = tangle(shell, even, faces)
-    if reason:
-        return None, reason
-    close = drawn_close(shell, even, faces, need, mirror)
-    for share in _DRAWN:
-        vertices = even + share * (close - even)
-        reason = tangle(shell, vertices, faces)
-        if not reason:
-            vertices = cleared(shell, vertices, faces, need, mirror)
-            reason = flaw(shell, vertices, faces, need)
-        if not reason:
-            return ClosedMesh(vertices, faces), ""
-    return None, reason
+    start = vertices if mirror is None else mirror(vertices)
+    settled, reasons = spread(shell, vertices, faces, need, mirror), []
+    for evenness, shares in _LAST_SHARES if last else _SHARES:
+        even = start + evenness * (settled - start)
+        reason = tangle(shell, even, faces)
+        if reason:
+            reasons.append(reason)
+            continue
+        close = drawn_close(shell, even, faces, need, mirror)
+        for share in shares:
+            vertices = even + share * (close - even)
+            reason = tangle(shell, vertices, faces)
+            if not reason:
+                vertices = cleared(shell, vertices, faces, need, mirror)
+                reason = flaw(shell, vertices, faces, need)
+            if not reason:
+                return ClosedMesh(vertices, faces), ""
+        reasons.append(reason)
+    return None, reasons[0]
 
 
 def flaw(shell, vertices, faces, need) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...mesh.closed_mesh import ClosedMesh
 from .nested import nested
-from .offset import EVENNESS, sound
+from .offset import sound
 from .shell import ObjectShell
 
 #: Sizes of voxels tried, as shares of the longest side; and closing radii, in voxels.
@@ -43,7 +43,7 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     frame = np.eye(3) if axis is not None else principal_frame(points)
     need = slack + margin
     side, reasons = None, []
-    for evenness, closing in itertools.product(EVENNESS, _CLOSINGS):
+    for last, closing in itertools.product((False, True), _CLOSINGS):
         reach = need + max(2.0 * spacing, 0.0 if side is None else closing * side)
         shell = ObjectShell(points, spacing, min(reach, need + 40.0 * spacing), need)
         solid = np.argwhere(shell.closed <= need + 0.5 * spacing) * spacing + shell.lower
@@ -56,7 +56,7 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
         vertices = _smoothed_improved(vertices, ClosedMesh(vertices, faces).edges)
         # a mirrored count is even in its pairs and has no decimation to help it
         count = len(vertices) if axis is not None else vertex_count
-        cage, reason = sound(shell, vertices, faces, need, count, evenness, mirror)
+        cage, reason = sound(shell, vertices, faces, need, count, mirror, last)
         if not reason:
             return cage
         reasons.append(reason)
