@@ -15,8 +15,8 @@ _LEAST_PIECES, _MOST_PIECES, _MOST_DRAWN_PIECES = 8, 40, 24
 #: Pieces of a face's sides where vertices are pulled, and the barycentric weight from which a sample is near a corner.
 _PULL_PIECES, _NEAR_CORNER = 6, 0.3
 
-#: Rounds of each step: spreading and drawing end settled, clearing ends before where nothing is short.
-_SPREAD_ROUNDS, _DRAWN_ROUNDS, _CLEAR_ROUNDS = 25, 100, 40
+#: Rounds of drawing, which end settled, and of clearing, which end before where nothing is short.
+_DRAWN_ROUNDS, _CLEAR_ROUNDS = 100, 40
 
 #: Times that exact distances are asked for while clearing; each raises the faces found short.
 _CLEAR_CHECKS = 6
@@ -60,7 +60,7 @@ def _same(vertices):
     return vertices
 
 
-def spread(shell, vertices, faces, need, mirror=None, rounds: int = _SPREAD_ROUNDS) -> np.ndarray:
+def spread(shell, vertices, faces, need, mirror, rounds: int) -> np.ndarray:
     """Vertices smoothed along the surface, pulled towards the object as far as the faces around them allow, and pushed
     off it, in turns."""
     level, edges = need + _LEVEL * shell.spacing, ClosedMesh(vertices, faces).edges

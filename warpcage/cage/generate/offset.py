@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 from ...mesh.closed_mesh import ClosedMesh
@@ -25,13 +23,15 @@ _START = 0.4
 #: the distance to a sheet, a line and a point to 0.8, 1.3 and 1.6 at the object itself.
 _LEAST_LEVEL = 1.8
 
-#: Shares of the way from the surface given to the evenly spread one, and for each the shares of the way from there to
-#: drawn close, tried in this order. A surface that is neither even nor drawn is a last resort: wider closings are better.
-_SHARES = ((1.0, (1.0, 0.75, 0.5, 0.25, 0.0)), (0.5, (1.0, 0.75, 0.5, 0.25)))
-_LAST_SHARES = ((0.5, (0.0,)), (0.0, (1.0, 0.75, 0.5, 0.25, 0.0)))
+#: Rounds of spreading, tried in this order, as many may tangle a thin surface; shares of the way from there to drawn
+#: close; and the rounds tried where nothing else holds: the surface given holds the object by construction.
+_ROUNDS, _DRAWN, _LAST_ROUNDS = (25, 10, 4), (1.0, 0.75, 0.5, 0.25, 0.0), (0,)
 
-#: Vertices of the surface that nested decimation begins with, for each that it leaves, and whether the last resort may
-#: be taken: all closings are tried with the first, then, where none of them holds, with the next.
+#: What is wrong with a cage that is neither spread evenly nor drawn: it holds, but a wider closing may be tighter.
+_LOOSE = "it could not be drawn close"
+
+#: Vertices of the surface that nested decimation begins with, for each that it leaves, and whether the last rounds are
+#: tried: all closings are tried with the first, then, where none of them holds, with the next.
 _ATTEMPTS = ((6, False), (9, False), (4, False), (6, True))
 
 
@@ -42,20 +42,25 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     shell = ObjectShell(points, spacing, need + max(0.06 * size, 2.0 * spacing), need)
     edge = edge_length(shell, max(need, _LEAST_LEVEL * spacing), vertex_count)
     reasons = []
-    for (fine, last), closing in itertools.product(_ATTEMPTS, _CLOSINGS):
-        # wide closings need no fine voxels
-        coarse = max(spacing, closing * edge / 16.0)
-        room = max(closing * edge, 2.0 * coarse, (_LEAST_LEVEL * coarse - need) / _START)
-        shell = ObjectShell(points, coarse, need + room, need)
-        step = 2 if edge > 8.0 * coarse else 1
-        start = decimated(*shell.surface(need + _START * (shell.reach - need), step), fine * vertex_count)
-        cage, reason = sound(shell, *nested(*start, vertex_count), need, vertex_count, last=last)
-        if not reason:
-            return cage
-        reasons.append(reason)
+    for fine, last in _ATTEMPTS:
+        found = []
+        for closing in _CLOSINGS:
+            # wide closings need no fine voxels
+            coarse = max(spacing, closing * edge / 16.0)
+            room = max(closing * edge, 2.0 * coarse, (_LEAST_LEVEL * coarse - need) / _START)
+            shell = ObjectShell(points, coarse, need + room, need)
+            step = 2 if edge > 8.0 * coarse else 1
+            start = decimated(*shell.surface(need + _START * (shell.reach - need), step), fine * vertex_count)
+            cage, reason = sound(shell, *nested(*start, vertex_count), need, vertex_count, last=last)
+            found += [cage] if cage else []
+            if not reason:
+                break
+            reasons.append(reason)
+        if found:
+            return min(found, key=lambda cage: cage.volume)
     # no closing is wider than a box, which holds as it is
     cage, reason = sound(shell, *split_box(points, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True)
-    if reason:
+    if cage is None:
         raise ValueError(f"{reason}; before: {', '.join(dict.fromkeys(reasons))}")
     return cage
 
@@ -81,29 +86,28 @@ def split_box(points, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sound(shell, vertices, faces, need, vertex_count, mirror=None, last=False) -> tuple[ClosedMesh | None, str]:
-    """The cage of these faces that is drawn as close as holds; or None and what is wrong.
+    """The cage of these faces that is drawn as close as holds and what is wrong with it; or None and why there is none.
 
     mirror: function of the vertices that makes them symmetric, or None. last: take vertices as they are if need be.
     """
     if abs(len(vertices) - vertex_count) > 0.1 * vertex_count:
         return None, f"decimation left {len(vertices)} vertices"
-    start = vertices if mirror is None else mirror(vertices)
-    settled, reasons = spread(shell, vertices, faces, need, mirror), []
-    for evenness, shares in _LAST_SHARES if last else _SHARES:
-        even = start + evenness * (settled - start)
+    start, reasons = vertices, []
+    for rounds in _LAST_ROUNDS if last else _ROUNDS:
+        even = spread(shell, start, faces, need, mirror, rounds)
         reason = tangle(shell, even, faces)
         if reason:
             reasons.append(reason)
             continue
         close = drawn_close(shell, even, faces, need, mirror)
-        for share in shares:
+        for share in _DRAWN:
             vertices = even + share * (close - even)
             reason = tangle(shell, vertices, faces)
             if not reason:
                 vertices = cleared(shell, vertices, faces, need, mirror)
                 reason = flaw(shell, vertices, faces, need)
             if not reason:
-                return ClosedMesh(vertices, faces), ""
+                return ClosedMesh(vertices, faces), _LOOSE if rounds < _ROUNDS[0] and share == 0.0 else ""
         reasons.append(reason)
     return None, reasons[0]
 

@@ -43,23 +43,28 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     frame = np.eye(3) if axis is not None else principal_frame(points)
     need = slack + margin
     side, reasons = None, []
-    for last, closing in itertools.product((False, True), _CLOSINGS):
-        reach = need + max(2.0 * spacing, 0.0 if side is None else closing * side)
-        shell = ObjectShell(points, spacing, min(reach, need + 40.0 * spacing), need)
-        solid = np.argwhere(shell.closed <= need + 0.5 * spacing) * spacing + shell.lower
-        side, marks, lower = _searched(np.matmul(solid, frame), vertex_count, axis, spacing)
-        nodes, faces = outer_surface(marks, axis)
-        vertices = np.matmul(lower + nodes * side, frame.T)
-        if len(vertices) > 1.1 * vertex_count and axis is None:
-            vertices, faces = nested(vertices, faces, vertex_count)
-        mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
-        vertices = _smoothed_improved(vertices, ClosedMesh(vertices, faces).edges)
-        # a mirrored count is even in its pairs and has no decimation to help it
-        count = len(vertices) if axis is not None else vertex_count
-        cage, reason = sound(shell, vertices, faces, need, count, mirror, last)
-        if not reason:
-            return cage
-        reasons.append(reason)
+    for last in (False, True):
+        found = []
+        for closing in _CLOSINGS:
+            reach = need + max(2.0 * spacing, 0.0 if side is None else closing * side)
+            shell = ObjectShell(points, spacing, min(reach, need + 40.0 * spacing), need)
+            solid = np.argwhere(shell.closed <= need + 0.5 * spacing) * spacing + shell.lower
+            side, marks, lower = _searched(np.matmul(solid, frame), vertex_count, axis, spacing)
+            nodes, faces = outer_surface(marks, axis)
+            vertices = np.matmul(lower + nodes * side, frame.T)
+            if len(vertices) > 1.1 * vertex_count and axis is None:
+                vertices, faces = nested(vertices, faces, vertex_count)
+            mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
+            vertices = _smoothed_improved(vertices, ClosedMesh(vertices, faces).edges)
+            # a mirrored count is even in its pairs and has no decimation to help it
+            count = len(vertices) if axis is not None else vertex_count
+            cage, reason = sound(shell, vertices, faces, need, count, mirror, last)
+            found += [cage] if cage else []
+            if not reason:
+                break
+            reasons.append(reason)
+        if found:
+            return min(found, key=lambda cage: cage.volume)
     raise ValueError(reasons[-1])
 
 
