@@ -9,26 +9,69 @@ import numpy as np
 
 from ...mesh.closed_mesh import ClosedMesh
 
-#: Most pieces that the sides of faces are cut in for samples.
-_MOST_PIECES = 40
+#: Pieces that the sides of faces are cut in for samples, least and most; drawing needs fewer: a face is short in many.
+_LEAST_PIECES, _MOST_PIECES, _MOST_DRAWN_PIECES = 8, 40, 24
+
+#: Pieces of a face's sides where vertices are pulled, and the barycentric weight from which a sample is near a corner.
+_PULL_PIECES, _NEAR_CORNER = 6, 0.3
+
+#: Rounds of drawing, which end settled, and of clearing, which end before where nothing is short.
+_DRAWN_ROUNDS, _CLEAR_ROUNDS = 100, 40
+
+#: Times that exact distances are asked for while clearing; each raises the faces found short.
+_CLEAR_CHECKS = 6
+
+#: Voxels beyond `need` that spreading and drawing keep faces at: interpolated distances err by about that on average.
+_LEVEL = 0.1
+
+#: Share of the way to the mean of its neighbours that a vertex goes in the first round; it sinks to 0 with the rounds.
+_SPREAD_SMOOTHING, _DRAWN_SMOOTHING = 0.3, 0.1
+
+#: Share of its least room that a vertex is pulled by: its neighbours, pulled as well, take up the rest.
+_PULL = 0.5
+
+#: Voxels of shortfall that carry a face against the pressure: less is stiffer, and then the steps do not settle.
+_SOFTNESS = 0.02
+
+#: Longest first step of drawing: share of the mean edge, and of `need` or a voxel, that no face may pass.
+_STEP_OF_EDGE, _STEP_OF_NEED = 0.08, 0.5
+
+#: Least share of the longest step that is left at the end, and what keeps the steps of vertices at rest finite (slopes
+#: are of the size of 1).
+_LAST_STEP, _STEADY = 0.02, 0.05
+
+#: Decay a round of Adam's means of the slope and of its square: shorter than usual, as there are 100 rounds only.
+_MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9
+
+#: Voxels that clearing aims beyond what must hold, and the shortfall, in voxels, that ends its rounds.
+_CLEAR_AIM, _CLEAR_END = 0.02, 0.01
+
+#: Rounds of clearing that may pass without the worst shortfall sinking to this share of what it was before.
+_PATIENCE, _PROGRESS = 8, 0.9
+
+#: Voxels more than what exact distances find short that a face is raised by, so that it is clear at the next check.
+_LIFT = 0.03
+
+#: Share of `need` below which the distance's slope is no guide to where out is: the object all but touches the face.
+_BLIND = 0.5
 
 
 def _same(vertices):
     return vertices
 
 
-def spread(shell, vertices, faces, need, mirror=None, rounds: int = 25) -> np.ndarray:
+def spread(shell, vertices, faces, need, mirror, rounds: int) -> np.ndarray:
     """Vertices smoothed along the surface, pulled towards the object as far as the faces around them allow, and pushed
     off it, in turns."""
-    level, edges = need + 0.1 * shell.spacing, ClosedMesh(vertices, faces).edges
+    level, edges = need + _LEVEL * shell.spacing, ClosedMesh(vertices, faces).edges
     for turn in range(rounds):
-        vertices = smoothed(vertices, faces, edges, 0.3 * (1.0 - turn / rounds))
+        vertices = smoothed(vertices, faces, edges, _SPREAD_SMOOTHING * (1.0 - turn / rounds))
         vertices = pulled(shell, vertices, faces, level)
-        vertices = pushed(shell, vertices, faces, level, 8)
+        vertices = pushed(shell, vertices, faces, level, need, _LEAST_PIECES)
     return (mirror or _same)(vertices)
 
 
-def drawn_close(shell, vertices, faces, need, mirror=None, rounds: int = 100) -> np.ndarray:
+def drawn_close(shell, vertices, faces, need, mirror=None, rounds: int = _DRAWN_ROUNDS) -> np.ndarray:
     """Vertices of the least volume: the faces sink under an even pressure until the object's distance carries them.
 
     Descends on volume + sum over faces of area * mean (shortfall^2) / (2 softness), the mean over the samples that are
@@ -37,25 +80,27 @@ def drawn_close(shell, vertices, faces, need, mirror=None, rounds: int = 100) ->
     the surface.
     """
     mirror, edges = mirror or _same, ClosedMesh(vertices, faces).edges
-    level, softness = need + 0.1 * shell.spacing, 0.02 * shell.spacing
+    level, softness = need + _LEVEL * shell.spacing, _SOFTNESS * shell.spacing
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    pieces = int(np.clip(np.ceil(lengths.max() / max(need, shell.spacing)), 8, 24))
-    longest = min(0.08 * lengths.mean(), 0.5 * max(need, shell.spacing))
+    pieces = int(np.clip(np.ceil(lengths.max() / max(need, shell.spacing)), _LEAST_PIECES, _MOST_DRAWN_PIECES))
+    longest = min(_STEP_OF_EDGE * lengths.mean(), _STEP_OF_NEED * max(need, shell.spacing))
     mean, square = np.zeros_like(vertices), np.zeros((len(vertices), 1))
     for turn in range(rounds):
         left = 1.0 - turn / rounds
         samples, weights = face_samples(vertices, faces, pieces)
         short = level - shell.closed_distance(samples)
         f, s = np.nonzero(short > 0.0)
-        weights, short, away = weights[s], short[f, s], shell.outward(samples[f, s])
+        weights, short = weights[s], short[f, s]
+        away = ways_out(shell, samples[f, s], level - short, need, vertices, faces[f])
         slope = _slope(vertices, faces, f, weights, short / softness, away)
-        mean = 0.8 * mean + 0.2 * slope
-        square = 0.9 * square + 0.1 * (slope * slope).sum(axis=1, keepdims=True)
-        ahead, scale = mean / (1.0 - 0.8 ** (turn + 1)), np.sqrt(square / (1.0 - 0.9 ** (turn + 1)))
+        mean = _MEAN_DECAY * mean + (1.0 - _MEAN_DECAY) * slope
+        square = _SQUARE_DECAY * square + (1.0 - _SQUARE_DECAY) * (slope * slope).sum(axis=1, keepdims=True)
+        ahead = mean / (1.0 - _MEAN_DECAY ** (turn + 1))
+        scale = np.sqrt(square / (1.0 - _SQUARE_DECAY ** (turn + 1)))
         vertices = _shared_push(vertices, faces[f], weights, short, away)
-        vertices = vertices - longest * (left * left + 0.02) * ahead / (scale + 0.05)
-        vertices = smoothed(mirror(vertices), faces, edges, 0.1 * left)
-    return mirror(pushed(shell, vertices, faces, level, pieces))
+        vertices = vertices - longest * (left * left + _LAST_STEP) * ahead / (scale + _STEADY)
+        vertices = smoothed(mirror(vertices), faces, edges, _DRAWN_SMOOTHING * left)
+    return mirror(pushed(shell, vertices, faces, level, need, pieces))
 
 
 def _slope(vertices, faces, f, weights, load, away) -> np.ndarray:
@@ -75,7 +120,9 @@ def _slope(vertices, faces, f, weights, load, away) -> np.ndarray:
     return slope * (len(vertices) / area.sum())
 
 
-def cleared(shell, vertices, faces, need, mirror=None, rounds: int = 40, checks: int = 6) -> np.ndarray:
+def cleared(
+    shell, vertices, faces, need, mirror=None, rounds: int = _CLEAR_ROUNDS, checks: int = _CLEAR_CHECKS
+) -> np.ndarray:
     """Vertices pushed outward until every face keeps its distance from the object's points; where that does not come
     about, `shortfall` tells.
 
@@ -91,18 +138,19 @@ def cleared(shell, vertices, faces, need, mirror=None, rounds: int = 40, checks:
         worst = [np.inf]
         for _ in range(rounds):
             samples = np.einsum("nk,nki->ni", weights[s], vertices[faces[f]])
-            short = level + lift[f] + 0.02 * unit - shell.closed_distance(samples)
+            distance = shell.closed_distance(samples)
+            short = level + lift[f] + _CLEAR_AIM * unit - distance
             worst.append(short.max(initial=-np.inf))
-            if worst[-1] <= 0.01 * unit or worst[-1] > 0.9 * min(worst[:-8], default=np.inf):
+            if worst[-1] <= _CLEAR_END * unit or worst[-1] > _PROGRESS * min(worst[:-_PATIENCE], default=np.inf):
                 break
             low = np.flatnonzero(short > 0.0)
-            away = shell.outward(samples[low])
+            away = ways_out(shell, samples[low], distance[low], need, vertices, faces[f[low]])
             vertices = mirror(_shared_push(vertices, faces[f[low]], weights[s[low]], short[low], away))
         vertices = mirror(vertices)
         short = shortfall(shell, vertices, faces, edges, need)
         if short.max() <= 0.0:
             break
-        lift = lift + np.where(short > 0.0, short + 0.03 * unit, 0.0)
+        lift = lift + np.where(short > 0.0, short + _LIFT * unit, 0.0)
     return vertices
 
 
@@ -130,21 +178,42 @@ def smoothed(vertices, faces, edges, share) -> np.ndarray:
 
 def pulled(shell, vertices, faces, level) -> np.ndarray:
     """Each vertex towards the object by half of the least room that the samples near it have."""
-    samples, weights = face_samples(vertices, faces, 6)
+    samples, weights = face_samples(vertices, faces, _PULL_PIECES)
     room = shell.closed_distance(samples) - level
     least = np.full(len(vertices), np.inf)
     for k in range(3):
-        near = weights[:, k] > 0.3
+        near = weights[:, k] > _NEAR_CORNER
         np.minimum.at(least, faces[:, k], room[:, near].min(axis=1))
-    return vertices - 0.5 * np.maximum(least, 0.0)[:, None] * shell.outward(vertices)
+    return vertices - _PULL * np.maximum(least, 0.0)[:, None] * shell.outward(vertices)
 
 
-def pushed(shell, vertices, faces, level, pieces) -> np.ndarray:
+def pushed(shell, vertices, faces, level, need, pieces) -> np.ndarray:
     """Vertices moved outward so that the samples of their faces come to `level`."""
     samples, weights = face_samples(vertices, faces, pieces)
     short = level - shell.closed_distance(samples)
     f, s = np.nonzero(short > 0.0)
-    return _shared_push(vertices, faces[f], weights[s], short[f, s], shell.outward(samples[f, s]))
+    short = short[f, s]
+    away = ways_out(shell, samples[f, s], level - short, need, vertices, faces[f])
+    return _shared_push(vertices, faces[f], weights[s], short, away)
+
+
+def ways_out(shell, samples, distance, need, vertices, corners) -> np.ndarray:
+    """Unit directions (n, 3) in which samples leave the object: where its distance grows, or their face looks.
+
+    distance (n,): the object's at the samples; corners (n, 3): vertices of each sample's face. A face that the object
+    passes through has either side of a thin wall nearest to it, and the slope there would push it to the wrong one: the
+    nearer the object, the more its own normal counts.
+    """
+    away = shell.outward(samples)
+    blind = np.flatnonzero(distance < _BLIND * need)
+    if len(blind):
+        a, b, c = (vertices[corners[blind, k]] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        share = np.clip(distance[blind] / (_BLIND * need), 0.0, 1.0)[:, None]
+        mixed = share * away[blind] + (1.0 - share) * normals
+        away[blind] = mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-30)
+    return away
 
 
 def _shared_push(vertices, corners, weights, short, away) -> np.ndarray:
@@ -168,7 +237,7 @@ def sampling(vertices, edges, spacing, need) -> tuple[int, float]:
     """Pieces to cut the sides of faces in, so that samples lie about half a voxel apart, and how far the samples must
     be off a point so that the faces between them, at most side / sqrt(3) of a piece away, are `need` off it."""
     longest = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).max()
-    count = int(np.clip(np.ceil(2.0 * longest / spacing), 8, _MOST_PIECES))
+    count = int(np.clip(np.ceil(2.0 * longest / spacing), _LEAST_PIECES, _MOST_PIECES))
     return count, float(np.hypot(need, longest / count / np.sqrt(3.0)))
 
 

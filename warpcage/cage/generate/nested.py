@@ -14,6 +14,12 @@ _ROUND = 0.08
 #: How much room, in cubes of the sides of faces to come, the shape of a collapse may cost.
 _SIDE_COST, _SHAPE_COST = 0.05, 0.02
 
+#: Sides of faces to come by which a place may lie behind a plane: last digits decide no less.
+_ON_PLANE = 1e-9
+
+#: Digits of a cost, in cubes of the sides, that order collapses: those of equal cost go by their number.
+_COST_DIGITS = 9
+
 #: New faces must not turn farther than by this cosine, nor be flatter than this evenness (1 for equilateral).
 _LEAST_TURN, _LEAST_EVEN = 0.2, 0.15
 
@@ -56,7 +62,7 @@ def _collapses(vertices, faces, side):
     there = around >= 0
     corners = vertices[faces[around]]
     cross = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]) * there[..., None]
-    double_area = np.linalg.norm(cross, axis=2)
+    double_area = np.sqrt(np.einsum("eri,eri->er", cross, cross))
     normals = cross / np.maximum(double_area, 1e-300)[..., None]
     offsets = np.einsum("eri,eri->er", normals, corners[:, :, 0])
     mean = cross.sum(axis=1)
@@ -65,12 +71,15 @@ def _collapses(vertices, faces, side):
     best = np.full(len(edges), np.inf)
     places = np.zeros((len(edges), 3))
     for base in _bases(vertices[u], vertices[v], normals, offsets, double_area):
-        place, reached = _lifted(base, mean, normals, offsets, there)
+        place, reached = _lifted(base, mean, normals, offsets, there, _ON_PLANE * side)
         room = (double_area * (np.einsum("eri,ei->er", normals, place) - offsets)).sum(axis=1) / 6.0
-        shape = _shape_cost(place, vertices, faces, around, there, normals, u, v, side)
-        cost = np.where(reached, room + side**3 * shape, np.inf)
-        better = cost < best
-        best[better], places[better] = cost[better], place[better]
+        # a shape only adds to the cost: it is asked for where the room alone is cheaper
+        rows = np.flatnonzero(reached & (room < side**3 * best))
+        near = (each[rows] for each in (place, around, there, normals, u, v))
+        shape = _shape_cost(vertices, faces, side, *near)
+        cost = np.round(room[rows] / side**3 + shape, _COST_DIGITS)
+        better = cost < best[rows]
+        best[rows[better]], places[rows[better]] = cost[better], place[rows[better]]
     fine = np.isfinite(best)
     return edges[fine], places[fine], best[fine]
 
@@ -87,29 +96,32 @@ def _bases(one, two, normals, offsets, double_area):
     return middle, one, two, meeting
 
 
-def _lifted(base, mean, normals, offsets, there):
-    """base (e, 3) moved along `mean` to the outer side of every plane, and whether that can be done (e,)."""
+def _lifted(base, mean, normals, offsets, there, least):
+    """base (e, 3) moved along `mean` to the outer side of every plane, and whether that can be done (e,).
+
+    least: a length; what is not so far behind a plane lies on it.
+    """
     climb = np.einsum("eri,ei->er", normals, mean)
     below = np.where(there, offsets - np.einsum("eri,ei->er", normals, base), 0.0)
-    short = below > 0.0
+    short = below > least
     steps = np.where(short, below / np.maximum(climb, 0.05), 0.0)
     return base + steps.max(axis=1)[:, None] * mean, ~(short & (climb < 0.05)).any(axis=1)
 
 
-def _shape_cost(place, vertices, faces, around, there, normals, u, v, side) -> np.ndarray:
+def _shape_cost(vertices, faces, side, place, around, there, normals, u, v) -> np.ndarray:
     """(e,) what long edges and uneven faces cost; inf where a face would fold or lose its shape."""
     triangles = faces[around]
     moved = (triangles == u[:, None, None]) | (triangles == v[:, None, None])
     kept = there & (moved.sum(axis=2) == 1)  # those of the edge itself vanish
     corners = np.where(moved[..., None], place[:, None, None, :], vertices[triangles])
-    sides = corners - np.roll(corners, 1, axis=2)
-    cross = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-    double_area = np.linalg.norm(cross, axis=2)
-    squares = (sides**2).sum(axis=3)
-    even = 2.0 * np.sqrt(3.0) * double_area / np.maximum(squares.sum(axis=2), 1e-300)
+    sides = corners[:, :, [1, 2, 0]] - corners
+    cross = np.cross(sides[:, :, 0], sides[:, :, 1])
+    double_area = np.sqrt(np.einsum("eri,eri->er", cross, cross))
+    squares = np.einsum("erki,erki->ker", sides, sides)
+    even = 2.0 * np.sqrt(3.0) * double_area / np.maximum(squares.sum(axis=0), 1e-300)
     turn = np.einsum("eri,eri->er", cross, normals) / np.maximum(double_area, 1e-300)
     bad = kept & ~((turn > _LEAST_TURN) & (even > _LEAST_EVEN))
-    longest = np.sqrt(np.where(kept, squares.max(axis=2), 0.0).max(axis=1)) / side
+    longest = np.sqrt(np.where(kept, squares.max(axis=0), 0.0).max(axis=1)) / side
     uneven = np.where(kept, 1.0 / np.maximum(even, 1e-3) - 1.0, 0.0).sum(axis=1)
     cost = _SIDE_COST * longest**3 + _SHAPE_COST * uneven
     return np.where(bad.any(axis=1), np.inf, cost)

@@ -8,6 +8,7 @@ from ...mesh.closed_mesh import ClosedMesh
 from ...mesh.containment import inside_mesh
 from ...mesh.intersections import intersecting_faces
 from ...mesh.usable import require_usable, winding_numbers
+from ..shapes import box
 from .fitting import cleared, drawn_close, shortfall, spread
 from .nested import nested
 from .shell import ObjectShell
@@ -15,11 +16,23 @@ from .shell import ObjectShell
 #: Closing radii tried, in lengths of the cage's edges: the first gives the tightest cage.
 _CLOSINGS = (0.45, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0)
 
-#: Shares of the way from evenly spread to drawn close, tried in this order.
-_DRAWN = (1.0, 0.75, 0.5, 0.25, 0.0)
+#: Share of the way from `need` to the closing radius at which the surface to decimate lies.
+_START = 0.4
 
-#: Vertices of the surface that nested decimation begins with, for each that it leaves.
-_FINE = 6
+#: Voxels off the object where the smoothed distance has a surface, whatever the object: smoothing over one voxel lifts
+#: the distance to a sheet, a line and a point to 0.8, 1.3 and 1.6 at the object itself.
+_LEAST_LEVEL = 1.8
+
+#: Rounds of spreading, tried in this order, as many may tangle a thin surface; shares of the way from there to drawn
+#: close; and the rounds tried where nothing else holds: the surface given holds the object by construction.
+_ROUNDS, _DRAWN, _LAST_ROUNDS = (25, 10, 4), (1.0, 0.75, 0.5, 0.25, 0.0), (0,)
+
+#: What is wrong with a cage that is neither spread evenly nor drawn: it holds, but a wider closing may be tighter.
+_LOOSE = "it could not be drawn close"
+
+#: Vertices of the surface that nested decimation begins with, for each that it leaves, and whether the last rounds are
+#: tried: all closings are tried with the first, then, where none of them holds, with the next.
+_ATTEMPTS = ((6, False), (9, False), (4, False), (6, True))
 
 
 def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> ClosedMesh:
@@ -27,43 +40,76 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     size = np.ptp(points, axis=0).max()
     need = slack + margin
     shell = ObjectShell(points, spacing, need + max(0.06 * size, 2.0 * spacing), need)
-    edge = edge_length(shell, need, vertex_count)
+    edge = edge_length(shell, max(need, _LEAST_LEVEL * spacing), vertex_count)
     reasons = []
-    for closing in _CLOSINGS:
-        # wide closings need no fine voxels
-        coarse = max(spacing, closing * edge / 16.0)
-        shell = ObjectShell(points, coarse, need + max(closing * edge, 2.0 * coarse), need)
-        step = 2 if edge > 8.0 * coarse else 1
-        start = decimated(*shell.surface(need + 0.4 * (shell.reach - need), step), _FINE * vertex_count)
-        vertices, faces = nested(*start, vertex_count)
-        cage, reason = sound(shell, vertices, faces, need, vertex_count)
-        if not reason:
-            return cage
-        reasons.append(reason)
-    raise ValueError(reasons[-1])
+    for fine, last in _ATTEMPTS:
+        found = []
+        for closing in _CLOSINGS:
+            # wide closings need no fine voxels
+            coarse = max(spacing, closing * edge / 16.0)
+            room = max(closing * edge, 2.0 * coarse, (_LEAST_LEVEL * coarse - need) / _START)
+            shell = ObjectShell(points, coarse, need + room, need)
+            step = 2 if edge > 8.0 * coarse else 1
+            start = decimated(*shell.surface(need + _START * (shell.reach - need), step), fine * vertex_count)
+            cage, reason = sound(shell, *nested(*start, vertex_count), need, vertex_count, last=last)
+            found += [cage] if cage else []
+            if not reason:
+                break
+            reasons.append(reason)
+        if found:
+            return min(found, key=lambda cage: cage.volume)
+    # no closing is wider than a box, which holds as it is
+    cage, reason = sound(shell, *split_box(points, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True)
+    if cage is None:
+        raise ValueError(f"{reason}; before: {', '.join(dict.fromkeys(reasons))}")
+    return cage
 
 
-def sound(shell, vertices, faces, need, vertex_count, mirror=None) -> tuple[ClosedMesh | None, str]:
-    """The cage of these faces that is drawn as close as holds; or None and what is wrong.
+def split_box(points, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
+    """The box `room` off points (p, 3), its longest edges split in the middle up to `vertex_count` vertices."""
+    corners, triangles = box(points.min(axis=0) - room, points.max(axis=0) + room)
+    vertices, faces = list(corners), [tuple(face) for face in triangles.tolist()]
+    while len(vertices) < vertex_count:
+        edges = np.array([(face[k], face[(k + 1) % 3]) for face in faces for k in range(3)])
+        lengths = np.linalg.norm(np.subtract(*np.moveaxis(np.array(vertices)[edges], 1, 0)), axis=1)
+        # equal edges are taken by their order, not by the last digits of their lengths
+        a, b = edges[np.argmax(np.round(lengths / lengths.max(), 9))].tolist()
+        vertices.append(0.5 * (vertices[a] + vertices[b]))
+        halves = []
+        for face in faces:
+            if a in face and b in face:
+                halves += [tuple(len(vertices) - 1 if corner == end else corner for corner in face) for end in (a, b)]
+            else:
+                halves.append(face)
+        faces = halves
+    return np.array(vertices), np.array(faces)
 
-    mirror: function of the vertices that makes them symmetric, or None.
+
+def sound(shell, vertices, faces, need, vertex_count, mirror=None, last=False) -> tuple[ClosedMesh | None, str]:
+    """The cage of these faces that is drawn as close as holds and what is wrong with it; or None and why there is none.
+
+    mirror: function of the vertices that makes them symmetric, or None. last: take vertices as they are if need be.
     """
     if abs(len(vertices) - vertex_count) > 0.1 * vertex_count:
         return None, f"decimation left {len(vertices)} vertices"
-    even = spread(shell, vertices, faces, need, mirror)
-    reason = tangle(shell, even, faces)
-    if reason:
-        return None, reason
-    close = drawn_close(shell, even, faces, need, mirror)
-    for share in _DRAWN:
-        vertices = even + share * (close - even)
-        reason = tangle(shell, vertices, faces)
-        if not reason:
-            vertices = cleared(shell, vertices, faces, need, mirror)
-            reason = flaw(shell, vertices, faces, need)
-        if not reason:
-            return ClosedMesh(vertices, faces), ""
-    return None, reason
+    start, reasons = vertices, []
+    for rounds in _LAST_ROUNDS if last else _ROUNDS:
+        even = spread(shell, start, faces, need, mirror, rounds)
+        reason = tangle(shell, even, faces)
+        if reason:
+            reasons.append(reason)
+            continue
+        close = drawn_close(shell, even, faces, need, mirror)
+        for share in _DRAWN:
+            vertices = even + share * (close - even)
+            reason = tangle(shell, vertices, faces)
+            if not reason:
+                vertices = cleared(shell, vertices, faces, need, mirror)
+                reason = flaw(shell, vertices, faces, need)
+            if not reason:
+                return ClosedMesh(vertices, faces), _LOOSE if rounds < _ROUNDS[0] and share == 0.0 else ""
+        reasons.append(reason)
+    return None, reasons[0]
 
 
 def flaw(shell, vertices, faces, need) -> str:

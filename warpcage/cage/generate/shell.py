@@ -26,7 +26,9 @@ class ObjectShell:
 
         self.spacing, self.reach = float(spacing), float(reach)
         radius = int(np.ceil(reach / spacing)) + 3
-        self.lower = points.min(axis=0) - (radius + 0.5) * spacing  # centre of voxel 0
+        # centre of voxel 0; the object's bounds, and points a voxel apart from there on, lie in the middle of voxels,
+        # where last digits do not decide which voxel is theirs
+        self.lower = points.min(axis=0) - radius * spacing
         cell = np.floor((points - self.lower) / spacing + 0.5).astype(np.int64)
         self.solid = np.zeros(cell.max(axis=0) + radius + 2, dtype=bool)
         self.solid[tuple(cell.T)] = True
@@ -90,13 +92,21 @@ class ObjectShell:
         return np.where(length > 1e-6, slope / np.maximum(length, 1e-6), 0.0)
 
     def one_voxel_a_part(self) -> np.ndarray:
-        """Centre (k, 3) of one voxel of each connected part of the object."""
+        """Centre (k, 3) of one voxel of each connected part of the object: the one nearest to the part's middle.
+
+        At a corner of a part it would be half outside, and the first to be left out by what can still be moved.
+        """
         import skimage.measure
 
         parts = skimage.measure.label(self.solid, connectivity=3)
-        _, first = np.unique(parts.reshape(-1), return_index=True)
-        first = first[parts.reshape(-1)[first] > 0]
-        return self.lower + np.stack(np.unravel_index(first, parts.shape), axis=1) * self.spacing
+        cells = np.argwhere(self.solid)
+        part = parts[tuple(cells.T)] - 1
+        count = np.bincount(part)
+        middle = np.stack([np.bincount(part, weights=cells[:, k]) for k in range(3)], axis=1) / count[:, None]
+        # in whole numbers of 1e-6: cells as near as each other are told apart by their order, not by last digits
+        off = np.round(((cells - middle[part]) ** 2).sum(axis=1), 6)
+        order = np.lexsort((off, part))
+        return self.lower + cells[order[np.cumsum(count) - count]] * self.spacing
 
     def _sample(self, x, volumes):
         import scipy.ndimage

@@ -21,6 +21,12 @@ _SIZES = np.geomspace(0.9, 0.012, 140)
 _SHIFTS = tuple(itertools.product((0, 1), repeat=3))[1:]
 _CLOSINGS = (0.3, 0.6, 1.0, 1.6, 2.5)
 
+#: Variances of the points along two axes that differ by less, as a share of the largest, are equal.
+_EQUAL_SPREAD = 1e-3
+
+#: Voxels by which the grid is aside of the points' bounds: places on a round share of them lie on no voxel's face.
+_ASIDE = 1e-6
+
 
 def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> ClosedMesh:
     """A cage of about `vertex_count` vertices around points (p, 3), its faces `margin` off them.
@@ -37,33 +43,50 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     frame = np.eye(3) if axis is not None else principal_frame(points)
     need = slack + margin
     side, reasons = None, []
-    for closing in _CLOSINGS:
-        reach = need + max(2.0 * spacing, 0.0 if side is None else closing * side)
-        shell = ObjectShell(points, spacing, min(reach, need + 40.0 * spacing), need)
-        solid = np.argwhere(shell.closed <= need + 0.5 * spacing) * spacing + shell.lower
-        side, marks, lower = _searched(solid @ frame, vertex_count, axis, spacing)
-        nodes, faces = outer_surface(marks, axis)
-        vertices = (lower + nodes * side) @ frame.T
-        if len(vertices) > 1.1 * vertex_count and axis is None:
-            vertices, faces = nested(vertices, faces, vertex_count)
-        mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
-        vertices = _smoothed_improved(vertices, ClosedMesh(vertices, faces).edges)
-        # a mirrored count is even in its pairs and has no decimation to help it
-        count = len(vertices) if axis is not None else vertex_count
-        cage, reason = sound(shell, vertices, faces, need, count, mirror)
-        if not reason:
-            return cage
-        reasons.append(reason)
+    for last in (False, True):
+        found = []
+        for closing in _CLOSINGS:
+            reach = need + max(2.0 * spacing, 0.0 if side is None else closing * side)
+            shell = ObjectShell(points, spacing, min(reach, need + 40.0 * spacing), need)
+            solid = np.argwhere(shell.closed <= need + 0.5 * spacing) * spacing + shell.lower
+            side, marks, lower = _searched(np.matmul(solid, frame), vertex_count, axis, spacing)
+            nodes, faces = outer_surface(marks, axis)
+            vertices = np.matmul(lower + nodes * side, frame.T)
+            if len(vertices) > 1.1 * vertex_count and axis is None:
+                vertices, faces = nested(vertices, faces, vertex_count)
+            mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
+            vertices = _smoothed_improved(vertices, ClosedMesh(vertices, faces).edges)
+            # a mirrored count is even in its pairs and has no decimation to help it
+            count = len(vertices) if axis is not None else vertex_count
+            cage, reason = sound(shell, vertices, faces, need, count, mirror, last)
+            found += [cage] if cage else []
+            if not reason:
+                break
+            reasons.append(reason)
+        if found:
+            return min(found, key=lambda cage: cage.volume)
     raise ValueError(reasons[-1])
 
 
 def principal_frame(points: np.ndarray) -> np.ndarray:
-    """(3, 3) right-handed, columns the axes of the points' covariance, each as near as may be to a world axis."""
+    """(3, 3) right-handed, columns the axes of the points' covariance, each as near as may be to a world axis.
+
+    Equal spreads leave their axes open, as those of a ball or a square plate do: they are turned towards the world's.
+    """
     centred = points - points.mean(axis=0)
-    _, axes = np.linalg.eigh(centred.T @ centred)
-    best = max(itertools.permutations(range(3)), key=lambda order: sum(abs(axes[k, order[k]]) for k in range(3)))
-    frame = axes[:, best]
-    frame = frame * np.where(np.diagonal(frame) < 0.0, -1.0, 1.0)
+    spreads, axes = np.linalg.eigh(np.matmul(centred.T, centred))
+    group = np.cumsum(np.diff(spreads, prepend=spreads[0]) > _EQUAL_SPREAD * spreads[-1])
+    choices = []
+    for order in itertools.permutations(range(3)):
+        frame = np.zeros((3, 3))
+        for k in np.unique(group):
+            span, columns = axes[:, group == k], [j for j in range(3) if group[order[j]] == k]
+            u, _, v = np.linalg.svd(span.T[:, columns])  # u v is the turn of the span nearest to those world axes
+            frame[:, columns] = np.matmul(span, np.matmul(u, v))
+        choices.append(frame)
+    # rounded: of orders as near as each other the first is taken, not one by last digits
+    frame = choices[int(np.argmax([round(float(np.abs(np.diagonal(choice)).sum()), 6) for choice in choices]))]
+    frame = frame * np.where(np.diagonal(frame) < -1e-6, -1.0, 1.0)
     return frame if np.linalg.det(frame) > 0.0 else frame * [1.0, 1.0, -1.0]
 
 
@@ -105,7 +128,7 @@ def _marked(solid, side, low, high, axis, shift=(0, 0, 0)):
     if axis is not None:
         count[axis] += count[axis] % 2  # the mirror plane lies between voxels
     lower = 0.5 * (low + high) - 0.5 * count * side
-    cell = np.clip(np.floor((solid - lower) / side).astype(int), 0, count - 1)
+    cell = np.clip(np.floor((solid - lower) / side + _ASIDE).astype(int), 0, count - 1)
     marks = np.zeros(count + 2, dtype=bool)
     marks[tuple((cell + 1).T)] = True
     if axis is not None:
