@@ -128,7 +128,7 @@ def flaw(shell, vertices, faces, need) -> str:
 
 def tangle(shell, vertices, faces) -> str:
     """What moving it a little will not mend; empty where nothing is."""
-    if (winding_numbers(shell.one_voxel_a_part(), vertices, faces) < 0.5).any():
+    if (winding_numbers(shell.inside_parts, vertices, faces) < 0.5).any():
         return "it leaves a part of the object out"
     if len(intersecting_faces(vertices, faces)):
         return "it passes through itself"
@@ -149,8 +149,8 @@ def decimated(vertices, faces, vertex_count) -> tuple[np.ndarray, np.ndarray]:
 
     # V - E + F = V - F / 2 does not change in a collapse that keeps the topology
     target = 2 * vertex_count - (2 * len(vertices) - len(faces))
-    meshes = pymeshlab.MeshSet(verbose=False)
-    meshes.add_mesh(pymeshlab.Mesh(vertices, faces))
+    meshes = pymeshlab.MeshSet(verbose=False)  # pyright: ignore[reportAttributeAccessIssue]
+    meshes.add_mesh(pymeshlab.Mesh(vertices, faces))  # pyright: ignore[reportAttributeAccessIssue]
     meshes.meshing_decimation_quadric_edge_collapse(
         targetfacenum=int(target), qualitythr=1.0, preservenormal=True, preservetopology=True, planarquadric=True,
         planarweight=0.01,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 
@@ -33,7 +35,7 @@ class ObjectShell:
         self.solid = np.zeros(cell.max(axis=0) + radius + 2, dtype=bool)
         self.solid[tuple(cell.T)] = True
 
-        deep = scipy.ndimage.binary_erosion(self.solid, np.ones((3, 3, 3), dtype=bool), iterations=2)
+        deep = np.asarray(scipy.ndimage.binary_erosion(self.solid, np.ones((3, 3, 3), dtype=bool), iterations=2))
         # what lies two voxels below the skin is nearest to nothing outside
         near = np.flatnonzero(~deep[tuple(cell.T)])
         _, one = np.unique(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape), return_index=True)
@@ -41,10 +43,11 @@ class ObjectShell:
         # from far off a search among all points is slow and more than is needed: voxels stand for those they hold
         self._coarse = np.sqrt(0.75) * spacing if need > 6.0 * spacing else 0.0
         found = self.lower + cell[near[one]] * spacing if self._coarse else points[near]
-        self._nearest = scipy.spatial.KDTree(found)
+        # large leaves and no balancing: built in half the time and searched in less, for the same distances
+        self._nearest = scipy.spatial.KDTree(found, leafsize=32, balanced_tree=False)
         self.distance = self._distances(radius, need, deep)
         beyond = self.distance > reach
-        parts = skimage.measure.label(beyond, connectivity=1)
+        parts = np.asarray(skimage.measure.label(beyond, connectivity=1))
         outside = parts == parts[0, 0, 0]  # the corner is free, so cavities of the dilated object are not part of it
         # by the triangle inequality reach - inward never exceeds the distance to the object; the voxel nearest to the
         # true rim of what is outside may lie half a diagonal behind it, which would keep cages so much farther off
@@ -91,14 +94,15 @@ class ObjectShell:
         length = np.linalg.norm(slope, axis=-1, keepdims=True)
         return np.where(length > 1e-6, slope / np.maximum(length, 1e-6), 0.0)
 
-    def one_voxel_a_part(self) -> np.ndarray:
-        """Centre (k, 3) of one voxel of each connected part of the object: the one nearest to the part's middle.
+    @functools.cached_property
+    def inside_parts(self) -> np.ndarray:
+        """(k, 3) centre of one voxel of each connected part of the object: the one nearest to the part's middle.
 
         At a corner of a part it would be half outside, and the first to be left out by what can still be moved.
         """
         import skimage.measure
 
-        parts = skimage.measure.label(self.solid, connectivity=3)
+        parts = np.asarray(skimage.measure.label(self.solid, connectivity=3))
         cells = np.argwhere(self.solid)
         part = parts[tuple(cells.T)] - 1
         count = np.bincount(part)

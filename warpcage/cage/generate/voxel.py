@@ -35,7 +35,7 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     symmetry: normal "x", "y" or "z" of a mirror plane through the middle of the points; the frame is then the world's.
     Raises ValueError, saying why, where none could be made.
     """
-    axis = None if symmetry is None else "xyz".index(symmetry)
+    axis, middle = None if symmetry is None else "xyz".index(symmetry), 0.0
     if axis is not None:
         middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
         points = np.concatenate([points, points])
@@ -108,6 +108,7 @@ def _searched(solid, vertex_count, axis, least):
             close.append(side)
         if count > 2 * vertex_count:
             break
+    assert near is not None  # the coarsest size is many times the least
     # the same sizes with the grid half a voxel aside give other counts
     for side, shift in itertools.product(close, _SHIFTS):
         if near[0] <= 0.1 * vertex_count:
@@ -141,7 +142,7 @@ def _manifold(marks) -> np.ndarray:
     import skimage.measure
 
     while True:
-        outside = skimage.measure.label(~marks, connectivity=1)
+        outside = np.asarray(skimage.measure.label(~marks, connectivity=1))
         marks = outside != outside[0, 0, 0]
         wrong = np.argwhere(_TANGLED[_corner_codes(marks)])
         if not len(wrong):
