@@ -13,10 +13,10 @@ import keyword
 import os
 import pathlib
 
-from .. import kernels
+from ..kernels import __path__ as kernel_folders
 from .files import atomic_path
 
-FOLDER = pathlib.Path(kernels.__path__[0])
+FOLDER = pathlib.Path(kernel_folders[0])
 ROOT_DOCSTRING = '"""Kernels of warpcage (Apache License 2.0), copied with `warpcage kernels copy`."""\n'
 
 

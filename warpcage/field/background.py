@@ -52,19 +52,20 @@ class LayeredBackground:
         device: wp.DeviceLike = None,
     ):
         self.device = resolve_device(values.device if device is None and isinstance(values, wp.array) else device)
-        self.center = checked_vector(center, "a background's center").copy()
-        half = checked_positive(half, "a background's half side")
         if int(side) != side or side < 2:
             raise ValueError(f"a background has 2 cells or more along an edge, got {side}")
+        node_count = surface_node_count(side)
+        self.center = checked_vector(center, "a background's center").copy()
+        half = checked_positive(half, "a background's half side")
         if not isinstance(values, wp.array):
             values = np.asarray(values, np.float32)
             if not np.isfinite(values).all():
                 raise ValueError("a background's values must be finite")
         shape = tuple(values.shape) + ((4,) if isinstance(values, wp.array) else ())
-        if len(shape) != 3 or shape[0] < 2 or shape[1:] != (surface_node_count(side), 4):
+        if len(shape) != 3 or shape[0] < 2 or shape[1:] != (node_count, 4):
             raise ValueError(
                 f"a background of {side} cells along an edge has values (2 layers or more, "
-                f"{surface_node_count(side)}, 4), got {shape}"
+                f"{node_count}, 4), got {shape}"
             )
         self.unseen = None if unseen is None else np.array(unseen, np.float32)
         if self.unseen is not None and (self.unseen.shape != (4,) or not np.isfinite(self.unseen).all()):
