@@ -18,17 +18,33 @@ wp.init()
 #: Most workers of a run on a CPU, and beside a GPU, where each of them has a context of its own.
 MOST_WORKERS, MOST_WORKERS_CUDA = 8, 4
 
+#: Fixtures of a module that take half a minute: one worker runs all tests that use them.
+DEAR = {"lego", "rooms", "maps"}
+
 #: Files whose tests take longest come first, so that no worker is left with one of them at the end.
-SLOWEST = ("test_examples.py", "test_cage_generation.py", "test_background.py", "test_optimize.py", "test_kernels.py")
+SLOWEST = (
+    "test_examples.py",
+    "test_background.py",
+    "test_deformed_lego.py",
+    "test_cage_generation.py",
+    "test_optimize.py",
+    "test_kernels.py",
+)
 
 
 def pytest_xdist_auto_num_workers(config):
     return min(os.cpu_count() or 1, MOST_WORKERS_CUDA if wp.is_cuda_available() else MOST_WORKERS)
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items):
     ranks = {name: rank for rank, name in enumerate(SLOWEST)}
     items.sort(key=lambda item: ranks.get(item.path.name, len(ranks)))
+    for item in items:
+        for fixture in DEAR.intersection(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.xdist_group(fixture))
+        if item.path.name == "test_coordinate_accuracy.py" and "bricks" in item.name:
+            item.add_marker(pytest.mark.xdist_group("cage of bricks"))
 
 
 @pytest.fixture(params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])

@@ -400,7 +400,7 @@ def test_the_way_on_the_command_line(tmp_path, capsys):
     folder, field = write_room(tmp_path / "dtu", 17, 24), tmp_path / "room.npz"
     words = ["--resolution", "24", "--epochs", "3", "--quiet"]
     assert main(["fit", str(folder), "-o", str(field), "--split-masks", *words]) == 0
-    assert "before 16 layers" in capsys.readouterr().out
+    assert "16 background layers" in capsys.readouterr().out
     assert main(["info", str(field)]) == 0
     assert "16 of 6x" in capsys.readouterr().out
     report = tmp_path / "r.json"

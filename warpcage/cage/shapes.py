@@ -42,7 +42,7 @@ def box(
         raise ValueError(f"a box needs its upper corner above the lower, got {corners.tolist()}")
     if np.shape(segments) not in ((), (3,)):
         raise ValueError(f"box segments must be one whole number or three, got {segments!r}")
-    pieces = [checked_whole(count, "box segments", 1) for count in np.broadcast_to(np.asarray(segments), 3)]
+    pieces = [checked_whole(count, "box segments", 1) for count in np.broadcast_to(np.asarray(segments), 3).tolist()]
 
     number: dict[tuple, int] = {}
     faces = []
