@@ -1,8 +1,8 @@
 """Cages of many shapes come about whatever the last digits, the order of vertices, the turn and the machine.
 
 With WARPCAGE_ALL_CASES=1 each pair of a shape and a count is tried under each small change of its mesh; otherwise the
-least count of two shapes in three is tried under one of them in turn, which takes half a minute. Distances are measured on
-voxels four times as large as otherwise: that is quick, and harder for thin shapes.
+least count of two shapes in three is tried under one of them in turn, which takes half a minute. Distances are
+measured on voxels four times as large as otherwise: that is quick, and harder for thin shapes.
 """
 
 import os
