@@ -12,14 +12,7 @@ pytest.importorskip("hypothesis")
 
 from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
-from scene_writers import (  # noqa: E402
-    brick_pictures,
-    write_blender,
-    write_colmap,
-    write_dtu,
-    write_nsvf,
-    write_transforms,
-)
+from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_nsvf, write_transforms  # noqa: E402
 
 from warpcage import VoxelField, load_scene  # noqa: E402
 from warpcage.cage.cage import Cage
