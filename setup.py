@@ -17,6 +17,8 @@ TEST = [
     "pycolmap>=3.13; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.15'",
 ]
 
+DEV = [*TEST, "ruff>=0.9", "codespell>=2.3", "import-linter>=2.0", "pyright[nodejs]>=1.1.380", "pre-commit>=3.7"]
+
 setup(
     name="warpcage",
     version=VERSION,
@@ -44,7 +46,7 @@ setup(
         "scipy>=1.11",
         "tqdm>=4.66",
     ],
-    extras_require={"test": TEST, "dev": [*TEST, "ruff>=0.6"]},
+    extras_require={"test": TEST, "dev": DEV},
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[
         "Programming Language :: Python :: 3",
