@@ -35,7 +35,7 @@ class ObjectShell:
         self.solid = np.zeros(cell.max(axis=0) + radius + 2, dtype=bool)
         self.solid[tuple(cell.T)] = True
 
-        deep = np.asarray(scipy.ndimage.binary_erosion(self.solid, np.ones((3, 3, 3), dtype=bool), iterations=2))
+        deep = np.asarray(scipy.ndimage.binary_erosion(self.solid, np.ones((3, 3, 3), dtype=bool), iterations=2), bool)
         # what lies two voxels below the skin is nearest to nothing outside
         near = np.flatnonzero(~deep[tuple(cell.T)])
         _, one = np.unique(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape), return_index=True)
