@@ -120,4 +120,16 @@ def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> 
         device: Warp device.
     """
     warp_modules = [wp.get_module(module.__name__) for module in modules]
+    _ask_cpu_target()
     wp.force_load(device, warp_modules, max_workers=min(len(warp_modules), cpu_threads()))
+
+
+def _ask_cpu_target() -> None:
+    """Ask Warp for the compiler's version, which it keeps, before threads do.
+
+    Its library writes the answer into one buffer at each call (Warp 1.19): two threads that load their first modules at
+    once may read it half written, and their objects get names that the next process does not find in the cache.
+    """
+    ask = getattr(wp._src.context, "_get_cpu_toolchain_version", None)
+    if ask is not None:
+        ask()
