@@ -46,7 +46,8 @@ def main(argv=None) -> dict:
     if args.field:
         field = warpcage.VoxelField.load(args.field, device=device)
     else:
-        field = warpcage.fit(train, device=device, quality=args.quality)
+        epochs = {} if args.epochs is None else {"epochs": args.epochs}
+        field = warpcage.fit(train, device=device, quality=args.quality, **epochs)
         field.save(out / "field.npz", format="compact")
     seconds = time.perf_counter() - start
     rows = warpcage.evaluate(field, test)
@@ -107,6 +108,7 @@ def parse_arguments(argv):
     parser.add_argument("--device", help='"cpu" or "cuda:0" (default: CUDA where there is one)')
     parser.add_argument("--downscale", type=int, default=1, help="(default: %(default)s)")
     parser.add_argument("--quality", default="standard", choices=("fast", "standard", "high"))
+    parser.add_argument("--epochs", type=float, help="passes over the pictures, for a fit shorter than --quality's")
     parser.add_argument("--whole", action="store_true", help="fit whole pictures; the masks only choose what to edit")
     parser.add_argument("--field", metavar="FILE", help="edit this field instead of fitting one")
     parser.add_argument("--cage", metavar="FILE", help="use this cage around the object instead of generating one")

@@ -49,7 +49,8 @@ def main(argv=None) -> dict:
         train = warpcage.load_scene(data, split="train", downscale=downscale)
         test = warpcage.load_scene(data, split="test", downscale=downscale)
     with stage("fit", seconds):
-        field = warpcage.fit(train, device=device, seed=args.seed)
+        options = {} if args.epochs is None else {"epochs": args.epochs}
+        field = warpcage.fit(train, device=device, seed=args.seed, **options)
         field.save(out / "field.npz")
     with stage("evaluate", seconds):
         test_psnr = mean_psnr(evaluate(field, test))
@@ -131,6 +132,7 @@ def parse_arguments(argv):
     small = parser.add_argument_group("sizes (default: by --quick and device)")
     small.add_argument("--size", type=int, default=100, help="pixels of a brick picture's side (default: %(default)s)")
     small.add_argument("--views", type=int, default=60, help="training views of the brick scene (default: %(default)s)")
+    small.add_argument("--epochs", type=float, help="passes over the pictures, for a fit shorter than the standard one")
     small.add_argument("--picture", type=int, help="pixels of one panel of deformed.png")
     small.add_argument("--frames", type=int, help="frames of the film")
     small.add_argument("--film", type=int, help="pixels of the film")

@@ -1,5 +1,6 @@
 """Fixtures: every device present, and the folder of real data where there is one; and how a run uses several cores."""
 
+import importlib
 import os
 import pathlib
 
@@ -34,6 +35,20 @@ SLOWEST = (
 
 def pytest_xdist_auto_num_workers(config):
     return min(os.cpu_count() or 1, MOST_WORKERS_CUDA if wp.is_cuda_available() else MOST_WORKERS)
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist starts its workers
+def pytest_sessionstart(session):
+    """Compile all kernels for the CPU before workers do, each of which would compile most of them for itself."""
+    config = session.config
+    of_workers = hasattr(config, "workerinput") or not config.getoption("numprocesses", None)
+    if of_workers or config.option.collectonly or config.args_source is not config.ArgsSource.TESTPATHS:
+        return
+    from warpcage.core.devices import load_modules
+    from warpcage.core.kernel_files import kernel_names, kernel_source
+
+    files = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
+    load_modules([importlib.import_module(f"warpcage.kernels.{name}") for name in files], "cpu")
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups

@@ -162,8 +162,10 @@ def test_loads(name, device):
 @pytest.mark.parametrize("arch", [75, 90])
 @pytest.mark.parametrize("name", WITH_KERNELS)
 def test_compiles_for_cuda_without_a_gpu(name, arch, tmp_path):
-    wp.compile_aot_module(module_of(name), arch=arch, module_dir=str(tmp_path))
-    binaries = [path for path in tmp_path.rglob("*") if path.suffix in (".cubin", ".ptx")]
+    """To PTX for the oldest architecture, as Warp makes it for those its toolkit does not know, else to a binary."""
+    wp.compile_aot_module(module_of(name), arch=arch, module_dir=str(tmp_path), use_ptx=arch == 75)
+    suffix = ".ptx" if arch == 75 else ".cubin"
+    binaries = [path for path in tmp_path.rglob("*") if path.suffix == suffix]
     assert binaries and all(path.stat().st_size > 1000 for path in binaries)
 
 

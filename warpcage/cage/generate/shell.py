@@ -124,13 +124,16 @@ def distance_to(mask: np.ndarray, radius: int) -> np.ndarray:
 
     Exact and separable: squared distances along one axis after the other (Saito and Toriwaki 1994), cut at `radius`.
     """
-    squared = np.where(mask, np.float32(0.0), np.float32(radius * radius))
+    # the smaller the numbers, the more of them pass at once; a sum of two is the largest
+    kind = np.uint16 if 2 * radius * radius < 2**16 else np.uint32
+    squared = np.where(mask, kind(0), kind(radius * radius))
+    farther = np.empty_like(squared)
     for axis in range(3):
         rows = np.moveaxis(squared, axis, 0)
-        nearest = rows.copy()
+        nearest, room = rows.copy(order="K"), np.moveaxis(farther, axis, 0)
         for step in range(1, min(radius, len(rows) - 1) + 1):
-            shifted = np.float32(step * step)
-            np.minimum(nearest[step:], rows[:-step] + shifted, out=nearest[step:])
-            np.minimum(nearest[:-step], rows[step:] + shifted, out=nearest[:-step])
+            np.add(rows, kind(step * step), out=room)
+            np.minimum(nearest[step:], room[:-step], out=nearest[step:])
+            np.minimum(nearest[:-step], room[step:], out=nearest[:-step])
         squared = np.moveaxis(nearest, 0, axis)
-    return np.sqrt(np.ascontiguousarray(squared))
+    return np.sqrt(np.ascontiguousarray(squared).astype(np.float32))
