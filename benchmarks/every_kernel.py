@@ -1,0 +1,194 @@
+"""Launch every kernel at small sizes through the public names, for tools that watch each access to memory.
+
+    python benchmarks/every_kernel.py --device cpu
+    compute-sanitizer --tool memcheck python benchmarks/every_kernel.py --device cuda:0 --no-pool
+    compute-sanitizer --tool racecheck python benchmarks/every_kernel.py --device cuda:0
+
+--no-pool takes each array from the driver by itself, so that reading behind its end is seen; captured graphs need the
+pool and run eagerly then. The exit status is 1 where a kernel of warpcage.kernels was never launched.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+
+import numpy as np
+import warp as wp
+from soak import ball_field
+
+import warpcage
+from warpcage.core.devices import launch
+from warpcage.core.kernel_files import kernel_names
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.kernels.coordinates.green import map_green
+from warpcage.kernels.reference.sample_count import count_samples
+from warpcage.lattice.position_map import PositionMap
+from warpcage.mesh.fans import prepared_fans
+from warpcage.reference.carried_mesh import CarriedMesh
+from warpcage.reference.fit_scenes import synthetic_scene
+from warpcage.reference.inverse_map import InverseMap
+from warpcage.view.camera import camera_array
+
+#: Kernels that only one kind of device launches.
+CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
+            "fitting.rmsprop.join_maximum"}  # fmt: skip
+CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps"}
+
+launched: set[str] = set()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--no-pool", action="store_true", help="take device memory without a pool")
+    args = parser.parse_args()
+    wp.init()
+    if args.no_pool:
+        wp.set_mempool_enabled(args.device, False)
+    watch_launches()
+    for part in (fields, fits, coordinates, frames, edits, references):
+        part(args.device)
+        wp.synchronize_device(args.device)
+        print(f"{part.__name__}: {len(launched)} kernels so far", flush=True)
+    unused = all_kernels() - (CUDA_ONLY if wp.get_device(args.device).is_cpu else CPU_ONLY) - launched
+    print(f"{len(launched)} kernels launched; never: {', '.join(sorted(unused)) or 'none'}")
+    return 1 if unused else 0
+
+
+def kernel_name(kernel) -> str:
+    return f"{kernel.module.name}.{kernel.key}".removeprefix("warpcage.kernels.")
+
+
+def watch_launches() -> None:
+    launch = wp.launch
+
+    def watched(kernel, *args, **options):
+        launched.add(kernel_name(kernel))
+        return launch(kernel, *args, **options)
+
+    wp.launch = watched
+
+
+def all_kernels() -> set[str]:
+    names = set()
+    for name in kernel_names():
+        module = importlib.import_module(f"warpcage.kernels.{name.replace('/', '.')}")
+        own = (value for value in vars(module).values() if isinstance(value, wp.Kernel))
+        names |= {kernel_name(kernel) for kernel in own if kernel.module.name == module.__name__}
+    return names
+
+
+def camera(size: int = 16) -> warpcage.Camera:
+    return warpcage.turntable((0, 0, 0), 4.0, 20, 1, width=size, height=size)[0]
+
+
+CAGE = warpcage.Cage.icosphere((0, 0, 0), 1.2)
+POSE = CAGE.twist(50)
+POINTS = np.random.default_rng(0).uniform(-0.6, 0.6, (64, 3))
+
+
+def fields(device) -> None:
+    """Renders, samples, selections and cages of a field."""
+    field = ball_field(device)
+    field.render(camera(), supersampling=2)
+    field.sample(POINTS, np.ones((64, 3)))
+    CAGE.contains(2.2 * POINTS, device=device)  # in it, at it and beside it
+    cameras = camera_array([camera()], field.center, field.device)
+    counts = [wp.empty(256, dtype=wp.int32, device=device) for _ in range(2)]
+    launch(count_samples, 256, [field.grid, cameras, 1, field.step, 1e-4], counts, device=device)
+    cage = warpcage.Cage.from_field(field, 40, method="voxel")
+    cage.check(field=field)
+
+
+def fits(device) -> None:
+    """With pictures of alphas, without, with layers, several rays per pixel, and a limit of memory."""
+    train, _ = synthetic_scene("bricks", train_views=8, test_views=2, size=20, samples=1, device=device)
+    whole = warpcage.Scene(train.images, None, train.cameras)
+    around = 0.5 * (1 - train.alphas[..., None]) * np.ones(3)
+    split = warpcage.Scene(train.images, train.alphas, train.cameras, surroundings=around)
+    for scene, options in (
+        (train, {}),
+        (train, {"supersampling": 2}),
+        (whole, {"background": "layers", "background_layers": 3, "background_side": 4}),
+        (split, {"background_layers": 3, "background_side": 4}),
+        (train, {"max_memory": "6MB"}),
+    ):
+        field = warpcage.fit(scene, device=device, progress=False, resolution=24, levels=2, least_steps=12, **options)
+        field.render(scene.cameras[0])
+        if field.background_model is not None:
+            field.background_model.sample(*(each.reshape(-1, 3) for each in scene.cameras[0].rays()))
+    optimizer = FieldOptimizer(train, device=device, resolution=24, levels=2, least_steps=4)
+    for _ in range(3):
+        optimizer.step()
+    optimizer.finish()
+
+
+def coordinates(device) -> None:
+    """Weights and moved points of each kind, on the device."""
+    points = wp.array(POINTS, dtype=wp.vec3, device=device)
+    vertices = wp.array(CAGE.vertices, dtype=wp.vec3, device=device)
+    faces = wp.array(CAGE.faces, dtype=wp.vec3i, device=device)
+    normals = wp.zeros(len(faces), dtype=wp.vec3, device=device)
+    inputs = [points, vertices, faces, prepared_fans(vertices, faces, 1.0), vertices, normals, 1.0]
+    launch(map_green, len(points), inputs, [wp.empty_like(points)], device=device)
+    warpcage.mean_value_coordinates(points, CAGE)
+    warpcage.green_coordinates(points, CAGE)
+    warpcage.harmonic_coordinates(POINTS, CAGE, resolution=12, device=device)
+    for kind in ("harmonic", "mean_value", "green"):
+        warpcage.deform_points(points, CAGE, POSE, coordinates=kind)
+        for resolution in (12, 96 if kind == "harmonic" else 24):  # the finer is solved on several levels
+            position_map = PositionMap(CAGE, coordinates=kind, resolution=resolution, device=device)
+            for pose in (POSE, CAGE.bend(80), POSE):  # the first captures graphs, the others replay them
+                position_map.pose(pose)
+        PositionMap(slotted(0.5), coordinates=kind, resolution=16, device=device).pose(slotted(0.03))
+
+
+def slotted(width: float) -> warpcage.Cage:
+    """A block with a slot, whose walls are `width` apart."""
+    import trimesh
+
+    outline = [(-1, -1), (1, -1), (1, 1), (width / 2, 1), (width / 2, 0), (-width / 2, 0), (-width / 2, 1), (-1, 1)]
+    triangles = [(0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4), (0, 5, 6), (0, 6, 7)]
+    mesh = trimesh.creation.extrude_triangulation(np.array(outline, float), np.array(triangles), height=1.0)
+    return warpcage.Cage(mesh.vertices, mesh.faces)
+
+
+def frames(device) -> None:
+    """Deformed frames of each kind and store, precise ones, several rays per pixel, and moved points."""
+    field = ball_field(device)
+    for kind in ("harmonic", "mean_value", "green"):
+        for options in ({"resolution": 12}, {"resolution": 12, "store": "weights"}, {"resolution": None}):
+            if kind == "harmonic" and options["resolution"] is None:
+                continue
+            deformer = warpcage.Deformer(field, CAGE, coordinates=kind, device=device, **options).pose(POSE)
+            deformer.render(camera())
+            deformer.to_canonical(POINTS, np.ones((64, 3)))
+    warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(), supersampling=2)
+
+
+def edits(device) -> None:
+    """Several cages in one scene, and a field baked from them."""
+    field = ball_field(device)
+    cages = [warpcage.CageEdit(CAGE, keep_source=True), warpcage.CageEdit(CAGE)]
+    deformer = warpcage.Deformer(field, cages, resolution=12, device=device).pose([CAGE.translate((0, 0, 3)), POSE])
+    deformer.render(camera())
+    deformer.to_canonical(POINTS, np.ones((64, 3)))
+    warpcage.bake(deformer, resolution=16)
+    precise = warpcage.Deformer(field, cages, coordinates="mean_value", resolution=None, device=device)
+    precise.pose([CAGE.translate((0, 0, 3)), POSE]).render(camera())
+
+
+def references(device) -> None:
+    """Ray casts and inverse maps that the benchmarks measure against."""
+    mesh = ball_field(device).extract_mesh()
+    CarriedMesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), 0.5), device=device).render([camera()])
+    for kind in ("mean_value", "green", "harmonic"):
+        inverse = InverseMap(CAGE, POSE, kind, cuts=1, device=device)
+        inverse(0.5 * POINTS)
+        inverse.invert(0.5 * POINTS)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
