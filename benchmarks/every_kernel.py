@@ -138,7 +138,7 @@ def coordinates(device) -> None:
     warpcage.harmonic_coordinates(POINTS, CAGE, resolution=12, device=device)
     for kind in ("harmonic", "mean_value", "green"):
         warpcage.deform_points(points, CAGE, POSE, coordinates=kind)
-        for resolution in (12, 96 if kind == "harmonic" else 24):  # the finer is solved on several levels
+        for resolution in (12, 160 if kind == "harmonic" else 24):  # the finer is solved on several levels
             position_map = PositionMap(CAGE, coordinates=kind, resolution=resolution, device=device)
             for pose in (POSE, CAGE.bend(80), POSE):  # the first captures graphs, the others replay them
                 position_map.pose(pose)

@@ -1,8 +1,12 @@
 """Fixtures: every device present, and the folder of real data where there is one; and how a run uses several cores."""
 
+import ast
+import functools
 import importlib
+import json
 import os
 import pathlib
+import shutil
 
 # Workers of pytest-xdist share the cores: each takes its part of them for kernels on the CPU, and so do the processes
 # that its tests start. Set before warpcage is imported. Tests of threads ask for them by the fixture `two_threads`.
@@ -19,8 +23,13 @@ wp.init()
 #: Most workers of a run on a CPU, and beside a GPU, where each of them has a context of its own.
 MOST_WORKERS, MOST_WORKERS_CUDA = 8, 4
 
-#: Fixtures of a module that take half a minute: one worker runs all tests that use them.
+#: Fixtures of a module that take long, and cases that share what they make: one worker runs all tests of each.
 DEAR = {"lego", "rooms", "maps"}
+DEAR_CASES = {
+    "test_mean_value_weights[bricks]": "cage of bricks",
+    "test_green_weights[bricks]": "cage of bricks",
+    "test_the_closed_form_of_green_weights_is_that_of_the_paper": "cage of bricks",
+}
 
 #: Files whose tests take longest come first, so that no worker is left with one of them at the end.
 SLOWEST = (
@@ -51,15 +60,31 @@ def pytest_sessionstart(session):
     load_modules([importlib.import_module(f"warpcage.kernels.{name}") for name in files], "cpu")
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items):
     ranks = {name: rank for rank, name in enumerate(SLOWEST)}
     items.sort(key=lambda item: ranks.get(item.path.name, len(ranks)))
-    for item in items:
-        for fixture in DEAR.intersection(getattr(item, "fixturenames", ())):
-            item.add_marker(pytest.mark.xdist_group(fixture))
-        if item.path.name == "test_coordinate_accuracy.py" and "bricks" in item.name:
-            item.add_marker(pytest.mark.xdist_group("cage of bricks"))
+
+
+def pytest_xdist_make_scheduler(config, log):
+    """Tests go out one by one, those that share a dear fixture or object together."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            path, _, test = nodeid.partition("::")
+            name, _, case = test.rstrip("]").partition("[")
+            shared = DEAR & fixtures_of(config.rootpath / path).get(name, set())
+            case = case.rpartition("-")[2]  # without the device
+            return min(shared) if shared else DEAR_CASES.get(f"{name}[{case}]" if case else name, nodeid)
+
+    return Scheduling(config, log)
+
+
+@functools.cache
+def fixtures_of(path):
+    """What each test of a file takes, by its source: the process that hands tests out imports none of them."""
+    functions = (node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.FunctionDef))
+    return {function.name: {argument.arg for argument in function.args.args} for function in functions}
 
 
 @pytest.fixture(params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])
@@ -83,4 +108,21 @@ def real_data():
     folder = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data"))
     if not (folder / "lego_800" / "transforms_train.json").is_file():
         pytest.skip(f"no data in {folder} (set WARPCAGE_DATA)")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def thin_lego(tmp_path_factory):
+    """NeRF-synthetic Lego with every third of its training pictures: reading all takes longer than a small fit."""
+    source = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data")) / "lego_800"
+    if not (source / "transforms_train.json").is_file():
+        pytest.skip(f"no data in {source} (set WARPCAGE_DATA)")
+    folder = tmp_path_factory.mktemp("lego")
+    content = json.loads((source / "transforms_train.json").read_text(encoding="utf-8"))
+    content["frames"] = content["frames"][::3]
+    (folder / "transforms_train.json").write_text(json.dumps(content), encoding="utf-8")
+    for frame in content["frames"]:
+        picture = folder / f"{frame['file_path']}.png"
+        picture.parent.mkdir(exist_ok=True)
+        shutil.copy(source / f"{frame['file_path']}.png", picture)
     return folder

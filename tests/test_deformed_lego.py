@@ -1,8 +1,5 @@
 """Lattice, closed forms and baked field agree on a field of real pictures."""
 
-import os
-import pathlib
-
 import pytest
 from deformed_scenes import psnr
 
@@ -10,12 +7,9 @@ import warpcage
 
 
 @pytest.fixture(scope="module")
-def lego():
+def lego(thin_lego):
     """A small fit of the NeRF-synthetic Lego."""
-    folder = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data")) / "lego_800"
-    if not (folder / "transforms_train.json").is_file():
-        pytest.skip(f"no data in {folder} (set WARPCAGE_DATA)")
-    scene = warpcage.load_scene(folder, downscale=8)
+    scene = warpcage.load_scene(thin_lego, downscale=8)
     return warpcage.fit(scene, resolution=64, epochs=2, progress=False)
 
 

@@ -324,7 +324,7 @@ def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=
     return warpcage.Scene(np.stack([frame.rgb for frame in frames]), alphas, cameras)
 
 
-SMALL = {"resolution": 40, "levels": 2, "epochs": 25, "batch_rays": 1024}
+SMALL = {"resolution": 40, "levels": 2, "epochs": 12, "batch_rays": 1024}
 
 
 @pytest.mark.parametrize(
