@@ -10,7 +10,8 @@ import pytest
 import warp as wp
 from cli_runs import DEFORMED, run, succeed, write_files
 
-from warpcage.cli import COMMANDS, main
+from warpcage.cli import main
+from warpcage.cli.parser import COMMANDS
 from warpcage.core.checks import warn_caller
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.pictures import read_image

@@ -1,4 +1,7 @@
-"""Arguments that several commands share, and the values that they take."""
+"""Arguments that several commands share, and the values that they take.
+
+`--help` needs this file: it imports nothing that takes long to load.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,13 @@ import argparse
 import fractions
 import pathlib
 
-from ..core.names import COORDINATES, DENSITIES
-from ..fitting.memory import memory_size
-from ..view.backgrounds import BACKGROUNDS
+from ..core.names import BACKGROUNDS, COORDINATES, DENSITIES
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
+MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
+
+#: What a film may show of its frames.
+PICTURE_KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
 
 #: Colours behind pictures, for help texts.
 COLOUR_NAMES = ", ".join(BACKGROUNDS)
@@ -219,14 +224,6 @@ def positive_ratio(text: str) -> float:
     if value <= 0:
         raise argparse.ArgumentTypeError(f"must be positive, a number or a ratio such as 2/3, got {text!r}")
     return value
-
-
-def memory(text: str) -> int:
-    """Bytes, from words such as 4GB."""
-    try:
-        return memory_size(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def finite_float(text: str) -> float:
