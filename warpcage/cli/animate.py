@@ -16,10 +16,10 @@ from ..core.files import atomic_path
 from ..deform.deformer import Deformer
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
-from ..view.film import write_gif, write_video
+from ..view.film import checked_rate, write_gif, write_video
 from ..view.frame import Frame
 from ..view.motion import axis_rotation, cameras_along, frame_places
-from ..view.pictures import write_png
+from ..view.pictures import read_image, write_png
 from . import inputs, options, outputs, view
 from .keyframes import Keyframes, is_preset, pose_file
 
@@ -28,6 +28,8 @@ SETTINGS_NAME = "animation.json"
 
 def run(args: argparse.Namespace) -> None:
     output = _checked_output(args.output)
+    if output.suffix:
+        checked_rate(args.fps, output.suffix.lower())
     if args.overlay:
         inputs.require_deformation(args, "--overlay")
     if args.show == "masks":
@@ -219,8 +221,16 @@ def _write_folder(folder: pathlib.Path, shot: _Shot, frames: Iterable[int], sett
     kept = 0
     for index in frames:
         path = folder / f"frame_{index:04d}.png"
-        if path.is_file():
+        if _holds_picture(path, shot.cameras[index]):
             kept += 1
         else:
             write_png(path, shot.picture(index))
     return kept
+
+
+def _holds_picture(path: pathlib.Path, camera: Camera) -> bool:
+    """Whether a file is a whole picture from a camera. What was cut, on a full disk or by hand, is rendered again."""
+    try:
+        return read_image(path).shape[:2] == (camera.height, camera.width)
+    except (OSError, ValueError):
+        return False

@@ -215,15 +215,24 @@ def positive_float(text: str) -> float:
     return value
 
 
-def positive_ratio(text: str) -> float:
-    """A number above 0, or a ratio of two such as 2/3."""
+def positive_fraction(text: str) -> fractions.Fraction:
+    """A number above 0, or a ratio of two such as 2/3, exactly."""
     try:
-        value = float(fractions.Fraction(text))
-    except (ValueError, ZeroDivisionError, OverflowError):
-        value = 0.0
+        # the digits of 1e999999999 would take all memory: a float is bounded, and its text has few digits
+        value = fractions.Fraction(text if "/" in text else repr(float(text)))
+    except (ValueError, ZeroDivisionError):
+        value = fractions.Fraction(0)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"must be positive, a number or a ratio such as 2/3, got {text!r}")
     return value
+
+
+def positive_ratio(text: str) -> float:
+    """The same as a float."""
+    try:
+        return float(positive_fraction(text))
+    except OverflowError:
+        raise argparse.ArgumentTypeError(f"must be a number that a float can hold, got {text!r}") from None
 
 
 def finite_float(text: str) -> float:

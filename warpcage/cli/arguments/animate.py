@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from fractions import Fraction
 
 from .. import options
 
@@ -30,7 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"
     )
     parser.add_argument(
-        "--fps", type=options.positive_float, default=24.0, help="frames per second (default: %(default)s)"
+        "--fps",
+        type=options.positive_fraction,
+        default=Fraction(24),
+        metavar="RATE",
+        help="frames per second, such as 24, 12.5 or 30000/1001 (default: %(default)s)",
     )
     parser.add_argument(
         "--motion",
