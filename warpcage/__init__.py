@@ -10,7 +10,6 @@ tells type checkers what the names are.
 from __future__ import annotations
 
 import importlib
-from typing import Any
 
 from .core.checkout import find_kernels, require_dependencies
 
@@ -66,7 +65,7 @@ _ROOMS = (
 __all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]  (checkers read the stub)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _HOMES:
         found = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
     elif name in _ROOMS:
