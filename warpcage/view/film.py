@@ -67,8 +67,8 @@ def write_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float
     """
     path = path_with_ending(path, ".mp4")
     rate = checked_rate(fps, ".mp4")
-    with atomic_path(path) as temporary:
-        with iio.imopen(temporary, "w", plugin="pyav", extension=".mp4") as video:
+    with atomic_path(path) as temporary, open(temporary, "w+b") as file:  # by name, some names are taken for addresses
+        with iio.imopen(file, "w", plugin="pyav", extension=".mp4") as video:
             started = False
             for frame in _even_frames(frames):
                 if not started:
