@@ -10,6 +10,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -138,6 +139,13 @@ def test_a_signal_that_ends_the_program_leaves_no_half_written_file(tmp_path, co
     finally:
         signal.signal(number, before)
     assert capsys.readouterr().err == "warpcage: terminated\n" and list(tmp_path.iterdir()) == []
+
+
+def test_a_command_runs_in_any_thread(command):
+    """Python handles signals in the main thread alone."""
+    command(lambda: 1)
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(main, ["info"]).result() == 1
 
 
 # Errors
