@@ -34,13 +34,13 @@ setup(
         *(f"warpcage.kernels.{room}" for room in find_packages("kernels")),
     ],
     package_dir={"warpcage": "warpcage", "warpcage.kernels": "kernels"},
-    package_data={"warpcage": ["py.typed"]},
+    package_data={"warpcage": ["py.typed", "__init__.pyi"]},
     install_requires=[
         "warp-lang>=1.19",
         "numpy>=1.26",
         "trimesh>=4.4",
         "pymeshlab>=2023.12",
-        "imageio>=2.34",
+        "imageio>=2.36.1",  # from there on MP4 takes rates that are not whole numbers
         "av>=12.0",  # imageio's pyav plugin: MP4 without an ffmpeg executable
         "scikit-image>=0.22",
         "scipy>=1.11",

@@ -223,10 +223,10 @@ def test_a_killed_process_leaves_the_previous_file(tmp_path, how, ended):
 
 
 def test_a_folder_that_takes_no_files_is_named_with_the_file(tmp_path, monkeypatch):
-    def refuse(**names):
-        raise PermissionError(13, "Permission denied", str(tmp_path / ".field-abc.npz"))
+    def refuse(path, *_):
+        raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr("tempfile.mkstemp", refuse)
+    monkeypatch.setattr("os.open", refuse)
     with pytest.raises(PermissionError) as error:
         small_field().save(tmp_path / "field.npz")
     assert error.value.filename == str(tmp_path / "field.npz")

@@ -10,7 +10,8 @@ import pytest
 import warp as wp
 from cli_runs import DEFORMED, run, succeed, write_files
 
-from warpcage.cli import COMMANDS, main
+from warpcage.cli import main
+from warpcage.cli.parser import COMMANDS
 from warpcage.core.checks import warn_caller
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.pictures import read_image
@@ -113,6 +114,12 @@ BAD = {
     "render: squeezed": (["render", "@ball.npz", "-o", "@new.png", "--camera", "@scene:0", "--size", "40", "20"],
                          "squeeze"),
     "animate: ending": (["animate", "@ball.npz", "-o", "@new.avi"], ".mp4 or .gif"),
+    "animate: rate": (["animate", "@ball.npz", "-o", "@new.mp4", "--fps", "1e30"], "must be from 0.01 to 1000"),
+    "animate: slow rate": (["animate", "@ball.npz", "-o", "@new.mp4", "--fps", "0.001"], "must be from 0.01 to 1000"),
+    "animate: rate of a GIF": (["animate", "@ball.npz", "-o", "@new.gif", "--fps", "60"], "must be from 0.01 to 50"),
+    "animate: rate beyond floats": (["animate", "@ball.npz", "-o", "@new.gif", "--fps", "1e999999999"], "--fps"),
+    "animate: no rate": (["animate", "@ball.npz", "-o", "@new.mp4", "--fps", "1/0"], "--fps"),
+    "animate: scale": (["animate", "@ball.npz", "-o", "@new.mp4", "--scene-scale", "1e999999999"], "--scene-scale"),
     "animate: frames": (["animate", "@ball.npz", "-o", "@new.mp4", "--frames", "0"], "at least 1"),
     "animate: a preset that is none": (["animate", "@ball.npz", "-o", "@new.mp4", "--cage", "@cage.obj", "--posed",
                                         "bend:wide"], "not a preset"),

@@ -1,5 +1,7 @@
 """Pictures, films and baked fields of deformed scenes from the command line."""
 
+from fractions import Fraction
+
 import imageio.v3 as iio
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.field.voxel_field import VoxelField
-from warpcage.view.pictures import read_image
+from warpcage.view.pictures import read_image, write_png
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +112,35 @@ def test_animate_goes_through_keyframes_and_cameras(files, tmp_path):
         "--overlay",
     )
     assert np.abs(first - read_image(tmp_path / "one.png")).mean() < 0.01
+
+
+def test_animate_keeps_rates_that_are_not_whole(files, tmp_path):
+    import av
+
+    for fps, rate in (("12.5", Fraction(25, 2)), ("30000/1001", Fraction(30000, 1001))):
+        path = tmp_path / "film.mp4"
+        succeed(files, "animate", "@ball.npz", "-o", path, "--size", 16, "--frames", 3, "--fps", fps, "--quiet")
+        with av.open(str(path)) as container:
+            assert container.streams.video[0].average_rate == rate
+
+
+def test_animate_renders_frames_that_are_cut_again(files, tmp_path, capsys):
+    folder = tmp_path / "frames"
+    words = ["animate", "@ball.npz", "-o", folder, "--size", 40, "--frames", 6, "--quiet"]
+    succeed(files, *words)
+    paths = sorted(folder.glob("*.png"))
+    whole = [path.read_bytes() for path in paths]
+    stamps = [path.stat().st_mtime_ns for path in paths]
+    paths[0].write_bytes(b"")
+    paths[1].write_bytes(whole[1][:50])
+    paths[2].write_bytes(whole[2][:-20])  # nearly whole
+    paths[3].write_bytes(bytes(len(whole[3])))
+    write_png(paths[4], np.zeros((20, 20, 3)))  # a picture of another size
+    capsys.readouterr()
+    succeed(files, *words)
+    assert capsys.readouterr().out.endswith("5 frames, 1 were there already\n")
+    assert [path.read_bytes() for path in paths] == whole
+    assert paths[5].stat().st_mtime_ns == stamps[5]
 
 
 @pytest.mark.parametrize("kind", ["alpha", "depth", "disparity", "masks"])

@@ -2,10 +2,12 @@
 
 import struct
 import zlib
+from fractions import Fraction
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from PIL import Image
 
 from warpcage.view.film import write_gif, write_video
 from warpcage.view.pictures import (
@@ -197,6 +199,55 @@ def test_video_is_h264_that_browsers_play(tmp_path):
     assert back.shape == (6, 32, 48, 3)
     for ours, theirs in zip(film(), back, strict=True):
         assert np.abs(ours - theirs).mean() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("fps", "rate"),
+    [
+        (0.3, Fraction(3, 10)),
+        (12.5, Fraction(25, 2)),
+        (1.5, Fraction(3, 2)),
+        (29.97002997, Fraction(30000, 1001)),
+        (Fraction(24000, 1001), Fraction(24000, 1001)),
+        (0.01, Fraction(1, 100)),
+        (1000, Fraction(1000)),
+    ],
+)
+def test_rates_stay_fractions(tmp_path, fps, rate):
+    import av
+
+    write_video(tmp_path / "film.mp4", film(3), fps=fps)
+    with av.open(str(tmp_path / "film.mp4")) as container:
+        stream = container.streams.video[0]
+        starts = [frame.pts * stream.time_base for frame in container.decode(stream)]
+        assert stream.average_rate == rate and starts == [0, 1 / rate, 2 / rate]
+    if rate > 50:
+        return  # no GIF
+    write_gif(tmp_path / "film.gif", film(6), fps=fps)
+    with Image.open(tmp_path / "film.gif") as picture:
+        ends = np.cumsum([picture.seek(index) or picture.info["duration"] for index in range(picture.n_frames)])
+    np.testing.assert_allclose(
+        ends, [float(1000 * index / rate) for index in range(1, 7)], atol=5
+    )  # to half a hundredth
+
+
+@pytest.mark.parametrize("fps", [0, -1, 0.001, 1e30, float("nan"), float("inf"), Fraction(1, 101), "fast"])
+@pytest.mark.parametrize("write, ending", [(write_video, ".mp4"), (write_gif, ".gif")])
+def test_rates_that_no_film_has_are_refused(tmp_path, write, ending, fps):
+    with pytest.raises(ValueError, match="^fps .*must be .*got [^\n]*$"):
+        write(tmp_path / f"film{ending}", film(), fps=fps)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_gif_that_would_lose_time_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"\(.gif\) must be from 0.01 to 50, got 60"):  # viewers would slow it down
+        write_gif(tmp_path / "film.gif", film(), fps=60)
+    still = [np.zeros((4, 4, 3))] * 8
+    with pytest.raises(ValueError, match="frame 6 and those before it, which are equal, take 700 s"):
+        write_gif(tmp_path / "film.gif", still, fps=0.01)
+    write_gif(tmp_path / "film.gif", still, fps=0.0125)
+    with Image.open(tmp_path / "film.gif") as picture:
+        assert picture.info["duration"] == 640000
 
 
 def test_video_cuts_odd_sizes(tmp_path):

@@ -100,7 +100,7 @@ def test_a_wheel_imports_elsewhere(wheel, tmp_path):
 def test_a_wheel_holds_every_file_once(wheel):
     linked = ROOT / "warpcage" / "kernels"
     package = [path for path in (ROOT / "warpcage").rglob("*.py") if linked not in path.parents]
-    expected = [path.relative_to(ROOT).as_posix() for path in package] + ["warpcage/py.typed"]
+    expected = [path.relative_to(ROOT).as_posix() for path in package] + ["warpcage/py.typed", "warpcage/__init__.pyi"]
     expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "kernels").rglob("*.py")]
     assert sorted(wheel.files) == sorted(expected)
     assert wheel.name.startswith(f"warpcage-{warpcage.__version__}-")

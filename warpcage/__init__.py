@@ -2,59 +2,79 @@
 
 images + cameras -> Scene -> VoxelField -> surface mesh -> Cage -> coordinates on a lattice -> deformed frames,
 after Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022).
+
+Each name is loaded when it is first used (PEP 562, SPEC 1), so that `import warpcage` takes no time. `__init__.pyi`
+tells type checkers what the names are.
 """
 
-# ruff: noqa: E402  (what is missing is named before anything is imported)
+from __future__ import annotations
+
+import importlib
 
 from .core.checkout import find_kernels, require_dependencies
 
 require_dependencies()
 find_kernels(__name__)
 
-from .cage.cage import Cage
-from .cage.pose_file import PoseFile
-from .cage.report import CageReport
-from .coordinates.deform import deform_points
-from .coordinates.weights import green_coordinates, harmonic_coordinates, mean_value_coordinates
-from .deform.bake import bake
-from .deform.deformer import Deformer
-from .deform.edits import CageEdit
-from .field.selection import NodeSelection, select_nodes
-from .field.voxel_field import VoxelField
-from .fitting.evaluation import evaluate, mean_psnr, psnr
-from .fitting.optimizer import FieldOptimizer, fit
-from .fitting.options import FitOptions
-from .lattice.position_map import PositionMap
-from .scene.load import load_scene
-from .scene.scene import Scene
-from .view.camera import Camera, turntable
-from .view.frame import Frame
-
 __version__ = "0.1.0"
-__all__ = [
-    "Cage",
-    "CageEdit",
-    "CageReport",
-    "Camera",
-    "Deformer",
-    "FieldOptimizer",
-    "FitOptions",
-    "Frame",
-    "NodeSelection",
-    "PoseFile",
-    "PositionMap",
-    "Scene",
-    "VoxelField",
-    "bake",
-    "deform_points",
-    "evaluate",
-    "fit",
-    "green_coordinates",
-    "harmonic_coordinates",
-    "load_scene",
-    "mean_psnr",
-    "mean_value_coordinates",
-    "psnr",
-    "select_nodes",
-    "turntable",
-]
+
+#: Public names, and the modules that they come from.
+_HOMES = {
+    "Cage": "cage.cage",
+    "CageEdit": "deform.edits",
+    "CageReport": "cage.report",
+    "Camera": "view.camera",
+    "Deformer": "deform.deformer",
+    "FieldOptimizer": "fitting.optimizer",
+    "FitOptions": "fitting.options",
+    "Frame": "view.frame",
+    "NodeSelection": "field.selection",
+    "PoseFile": "cage.pose_file",
+    "PositionMap": "lattice.position_map",
+    "Scene": "scene.scene",
+    "VoxelField": "field.voxel_field",
+    "bake": "deform.bake",
+    "deform_points": "coordinates.deform",
+    "evaluate": "fitting.evaluation",
+    "fit": "fitting.optimizer",
+    "green_coordinates": "coordinates.weights",
+    "harmonic_coordinates": "coordinates.weights",
+    "load_scene": "scene.load",
+    "mean_psnr": "fitting.evaluation",
+    "mean_value_coordinates": "coordinates.weights",
+    "psnr": "fitting.evaluation",
+    "select_nodes": "field.selection",
+    "turntable": "view.camera",
+}
+
+_ROOMS = (
+    "cage",
+    "cli",
+    "coordinates",
+    "core",
+    "deform",
+    "field",
+    "fitting",
+    "kernels",
+    "lattice",
+    "mesh",
+    "reference",
+    "scene",
+    "view",
+)
+__all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]  (checkers read the stub)
+
+
+def __getattr__(name: str) -> object:
+    if name in _HOMES:
+        found = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
+    elif name in _ROOMS:
+        found = importlib.import_module(f".{name}", __name__)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name)
+    globals()[name] = found  # the next time Python finds it by itself
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES, *_ROOMS})

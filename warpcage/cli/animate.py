@@ -16,84 +16,20 @@ from ..core.files import atomic_path
 from ..deform.deformer import Deformer
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
-from ..view.film import write_gif, write_video
+from ..view.film import checked_rate, write_gif, write_video
 from ..view.frame import Frame
 from ..view.motion import axis_rotation, cameras_along, frame_places
-from ..view.pictures import write_png
+from ..view.pictures import read_image, write_png
 from . import inputs, options, outputs, view
 from .keyframes import Keyframes, is_preset, pose_file
 
-NAME = "animate"
-HELP = "render a film from rest through the poses and back, with the camera turning around the object"
-EXAMPLE = """\
-  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
-  warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
-  warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
-  warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4
-  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
-
-An output without an ending is a folder of PNG files. If the command is interrupted, run it again: it renders only what
-is missing. The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from
-pose to pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
-"""
 SETTINGS_NAME = "animation.json"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    options.add_field(parser)
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="FILM", help="film (.mp4, .gif) or folder of PNG files"
-    )
-    parser.add_argument(
-        "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--fps", type=options.positive_float, default=24.0, help="frames per second (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--motion",
-        choices=("swing", "once", "hold"),
-        default="swing",
-        help="swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--interpolation",
-        choices=("smooth", "linear"),
-        default="smooth",
-        help="linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at "
-        "both ends (default: %(default)s)",
-    )
-    path = parser.add_argument_group("camera path")
-    path.add_argument(
-        "--turn",
-        type=options.finite_float,
-        default=None,
-        metavar="DEGREES",
-        help="how far the camera turns around the target; 0 keeps it still (default: 360)",
-    )
-    path.add_argument(
-        "--cameras",
-        metavar="SCENE[:SPLIT]",
-        help="move through the cameras of a scene's pictures instead, e.g. data/lego:test (default split: train)",
-    )
-    parser.add_argument(
-        "--show",
-        choices=outputs.KINDS,
-        default="rgb",
-        help="rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: where the map "
-        "folds, what it uncovers and what it loses, with a warning of how much (default: %(default)s)",
-    )
-    parser.add_argument("--overlay", action="store_true", help="draw the cage into the pictures")
-    options.add_background(parser, "the field's own")
-    options.add_deformation(parser, keyframes=True)
-    options.add_view(parser)
-    options.add_scene_scale(parser)
-    options.add_device(parser)
-    options.add_quiet(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     output = _checked_output(args.output)
+    if output.suffix:
+        checked_rate(args.fps, output.suffix.lower())
     if args.overlay:
         inputs.require_deformation(args, "--overlay")
     if args.show == "masks":
@@ -285,8 +221,16 @@ def _write_folder(folder: pathlib.Path, shot: _Shot, frames: Iterable[int], sett
     kept = 0
     for index in frames:
         path = folder / f"frame_{index:04d}.png"
-        if path.is_file():
+        if _holds_picture(path, shot.cameras[index]):
             kept += 1
         else:
             write_png(path, shot.picture(index))
     return kept
+
+
+def _holds_picture(path: pathlib.Path, camera: Camera) -> bool:
+    """Whether a file is a whole picture from a camera. What was cut, on a full disk or by hand, is rendered again."""
+    try:
+        return read_image(path).shape[:2] == (camera.height, camera.width)
+    except (OSError, ValueError):
+        return False

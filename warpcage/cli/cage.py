@@ -14,98 +14,13 @@ from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
 from ..scene.load import load_scene
 from . import inputs, options
-from .mesh import MESH_ENDINGS, TO_Y_UP
+from .mesh import TO_Y_UP
 
 if TYPE_CHECKING:
     import trimesh
 
-NAME = "cage"
-HELP = "put a cage around a field or a mesh"
-EXAMPLE = """\
-  warpcage cage lego.npz -o cage.obj --vertices 100
-  warpcage cage room.npz -o chair.glb --seed 0.2 0 -0.5 --floaters 0.01
-  warpcage cage dtu.npz -o object.obj --masks data/dtu_scan24 --method voxel
-  warpcage cage lego.obj -o box.obj --box --segments 2 2 3
-  warpcage cage lego.obj -o tube.obj --cylinder --axis z --sides 12 --rings 4
-"""
-
 #: Distance of a box or a cylinder from the object by default, as a share of the object's size.
 MARGIN = 0.03
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("field", metavar="object", help=f"field (.npz) or mesh ({' '.join(MESH_ENDINGS)})")
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="CAGE", help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})"
-    )
-    options.add_cage_up(parser)
-    parser.add_argument(
-        "--vertices",
-        type=options.positive_int,
-        metavar="N",
-        help="approximate number of vertices of a cage wrapped around the object, 30 to 200 (default: 100)",
-    )
-    parser.add_argument(
-        "--margin",
-        type=options.positive_float,
-        metavar="LENGTH",
-        help="distance between object and cage, world units (default: 0.03 of the object's size for a box or a "
-        "cylinder, otherwise chosen from the object)",
-    )
-    parser.add_argument(
-        "--method",
-        choices=("auto", "shell", "voxel"),
-        help="shell: an offset surface, decimated and pulled close; voxel: more even faces, like the paper's; "
-        "auto: the tighter of the two (default: auto)",
-    )
-    parser.add_argument("--symmetry", choices="xyz", help="mirror the cage across the middle of this axis (voxel only)")
-    _add_selection(parser)
-    shape = parser.add_mutually_exclusive_group()
-    shape.add_argument("--box", action="store_true", help="a box along the axes")
-    shape.add_argument("--cylinder", action="store_true", help="a cylinder along --axis")
-    parser.add_argument(
-        "--segments",
-        type=options.positive_int,
-        nargs="+",
-        metavar="N",
-        help="segments along each axis of the box: one number, or one per axis (default: 1)",
-    )
-    parser.add_argument("--axis", choices="xyz", help="axis of the cylinder (default: z)")
-    parser.add_argument("--sides", type=options.positive_int, metavar="N", help="sides of the cylinder (default: 12)")
-    parser.add_argument(
-        "--rings", type=options.positive_int, metavar="N", help="segments of the cylinder along its axis (default: 4)"
-    )
-    parser.add_argument("--quiet", action="store_true", help="do not print what is tried")
-    options.add_scene_scale(parser)
-    options.add_device(parser)
-
-
-def _add_selection(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group(
-        "part of a larger field (if several are given, each selects from what the ones before leave)"
-    )
-    group.add_argument(
-        "--in-box",
-        type=options.finite_float,
-        nargs=6,
-        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        help="what lies between two opposite corners, world units",
-    )
-    group.add_argument("--masks", metavar="SCENE", help="what is opaque in every training picture of a scene")
-    group.add_argument(
-        "--seed",
-        type=options.finite_float,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="what is connected to this point, world units",
-    )
-    group.add_argument("--parts", type=options.positive_int, metavar="N", help="the N largest connected parts")
-    group.add_argument(
-        "--floaters",
-        type=options.positive_float,
-        metavar="SHARE",
-        help="leave out connected parts with fewer voxels than this share of the largest, e.g. 0.01",
-    )
 
 
 def run(args: argparse.Namespace) -> None:
@@ -195,8 +110,10 @@ def read_mesh(name: str) -> trimesh.Trimesh:
     import trimesh
 
     path = require_file(name, "mesh file")
-    if path.suffix.lower() not in MESH_ENDINGS:
-        raise ValueError(f"mesh file {str(path)!r} must end in {' or '.join(MESH_ENDINGS)}, or in .npz for a field")
+    if path.suffix.lower() not in options.MESH_ENDINGS:
+        raise ValueError(
+            f"mesh file {str(path)!r} must end in {' or '.join(options.MESH_ENDINGS)}, or in .npz for a field"
+        )
     try:
         mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
     except Exception as error:

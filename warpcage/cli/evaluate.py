@@ -11,26 +11,6 @@ from ..scene.load import load_scene
 from ..view.pictures import side_by_side, write_png
 from . import inputs, options
 
-NAME = "evaluate"
-HELP = "compare renders of a field with a scene's pictures (PSNR, SSIM)"
-EXAMPLE = """\
-  warpcage evaluate lego.npz data/lego
-  warpcage evaluate lego.npz data/lego --split test --downscale 2 --json psnr.json --worst worst.png
-"""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    options.add_field(parser)
-    options.add_scene(parser, split="test")
-    options.add_background(parser, "the field's own")
-    parser.add_argument("--json", metavar="FILE", help="also write the figures to this file (.json)")
-    parser.add_argument(
-        "--worst", metavar="FILE", help="write the worst view (.png): picture, render, and their difference"
-    )
-    options.add_scene_scale(parser)
-    options.add_device(parser)
-    options.add_quiet(parser)
-
 
 def run(args: argparse.Namespace) -> None:
     report = None if args.json is None else options.check_output(args.json, (".json",), "report")

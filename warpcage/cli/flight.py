@@ -13,34 +13,13 @@ from ..view.film import write_gif, write_video
 from ..view.motion import cameras_along
 from ..view.pictures import write_png
 from . import inputs, options, outputs, view
+from .arguments.render import STEPS
 
-KINDS = ("interpolate", "given")
-
-#: Pictures from each camera to the next where --frames is not given, and frames per second of films.
-STEPS, VIDEO_RATE, GIF_RATE = 8, 24.0, 15.0
+#: Frames per second of films.
+VIDEO_RATE, GIF_RATE = 24, 15
 
 #: Options that are for a single picture.
 SINGLE = ("disparity", "depth", "alpha", "masks", "camera", "eye", "target")
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `warpcage render` for many pictures."""
-    group = parser.add_argument_group("many pictures")
-    group.add_argument(
-        "--cameras",
-        choices=KINDS,
-        help="given: one picture from each camera of --scene; interpolate: pictures along a smooth path through "
-        "them. The output is then a folder, .mp4 or .gif",
-    )
-    group.add_argument(
-        "--scene", metavar="SCENE[:SPLIT]", help="scene of the cameras, e.g. data/lego:test (default split: train)"
-    )
-    group.add_argument(
-        "--frames",
-        type=options.positive_int,
-        metavar="N",
-        help=f"pictures of --cameras interpolate (default: {STEPS} from each camera to the next)",
-    )
 
 
 def run(args: argparse.Namespace) -> None:

@@ -17,39 +17,10 @@ from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
 from ..view.pictures import contact_sheet, shrink, write_png
 from . import inputs, options
-
-NAME = "info"
-HELP = "describe a field, a cage, poses or a scene; without a file: versions and devices"
-EXAMPLE = """\
-  warpcage info
-  warpcage info lego.npz
-  warpcage info cage.obj
-  warpcage info data/lego --split test --sheet lego.png
-"""
+from .arguments.info import SHEET_PICTURES, SHEET_SIDE
 
 #: Names and values, one per printed line.
 Rows = list[tuple[str, object]]
-
-#: Most pictures on a contact sheet, and their longest side there.
-SHEET_PICTURES, SHEET_SIDE = 100, 160
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "field",
-        metavar="file",
-        nargs="?",
-        help=f"field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), poses (.json) or scene folder",
-    )
-    parser.add_argument("--split", default="train", help="split of a scene (default: %(default)s)")
-    options.add_scene_format(parser)
-    parser.add_argument(
-        "--sheet",
-        metavar="PICTURE",
-        help=f"write a contact sheet of a scene's pictures, at most {SHEET_PICTURES} of them (.png)",
-    )
-    options.add_scene_scale(parser)
-    options.add_device(parser)
 
 
 def run(args: argparse.Namespace) -> None:

@@ -7,45 +7,12 @@ import argparse
 from ..core.files import atomic_path
 from . import inputs, options
 
-NAME = "mesh"
-HELP = "extract the surface of a field as a triangle mesh"
-EXAMPLE = """\
-  warpcage mesh lego.npz -o lego.obj
-  warpcage mesh lego.npz -o lego.ply --threshold 20 --components all
-"""
-MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
-
 #: Takes (x, y, z) to (x, z, -y): glTF has y up, while the other formats take coordinates as they are.
 TO_Y_UP = ((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1))
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    options.add_field(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="MESH",
-        help=f"mesh to write ({' '.join(MESH_ENDINGS)}; glTF with y up)",
-    )
-    parser.add_argument(
-        "--threshold",
-        type=options.positive_float,
-        metavar="SIGMA",
-        help="density at the surface, per world unit (default: chosen from the field)",
-    )
-    parser.add_argument(
-        "--components",
-        choices=("largest", "all"),
-        default="largest",
-        help="which connected parts to keep (default: %(default)s)",
-    )
-    options.add_scene_scale(parser)
-    options.add_device(parser)
-
-
 def run(args: argparse.Namespace) -> None:
-    output = options.check_output(args.output, MESH_ENDINGS, "mesh file")
+    output = options.check_output(args.output, options.MESH_ENDINGS, "mesh file")
     field = inputs.read_field(args)
 
     mesh = field.extract_mesh(threshold=args.threshold, components=args.components)

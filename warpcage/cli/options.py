@@ -1,4 +1,7 @@
-"""Arguments that several commands share, and the values that they take."""
+"""Arguments that several commands share, and the values that they take.
+
+`--help` needs this file: it imports nothing that takes long to load.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,13 @@ import argparse
 import fractions
 import pathlib
 
-from ..core.names import COORDINATES, DENSITIES
-from ..fitting.memory import memory_size
-from ..view.backgrounds import BACKGROUNDS
+from ..core.names import BACKGROUNDS, COORDINATES, DENSITIES
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
+MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
+
+#: What a film may show of its frames.
+PICTURE_KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
 
 #: Colours behind pictures, for help texts.
 COLOUR_NAMES = ", ".join(BACKGROUNDS)
@@ -210,23 +215,24 @@ def positive_float(text: str) -> float:
     return value
 
 
-def positive_ratio(text: str) -> float:
-    """A number above 0, or a ratio of two such as 2/3."""
+def positive_fraction(text: str) -> fractions.Fraction:
+    """A number above 0, or a ratio of two such as 2/3, exactly."""
     try:
-        value = float(fractions.Fraction(text))
-    except (ValueError, ZeroDivisionError, OverflowError):
-        value = 0.0
+        # the digits of 1e999999999 would take all memory: a float is bounded, and its text has few digits
+        value = fractions.Fraction(text if "/" in text else repr(float(text)))
+    except (ValueError, ZeroDivisionError):
+        value = fractions.Fraction(0)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"must be positive, a number or a ratio such as 2/3, got {text!r}")
     return value
 
 
-def memory(text: str) -> int:
-    """Bytes, from words such as 4GB."""
+def positive_ratio(text: str) -> float:
+    """The same as a float."""
     try:
-        return memory_size(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+        return float(positive_fraction(text))
+    except OverflowError:
+        raise argparse.ArgumentTypeError(f"must be a number that a float can hold, got {text!r}") from None
 
 
 def finite_float(text: str) -> float:

@@ -13,8 +13,6 @@ from ..view.frame import Frame
 from ..view.overlay import draw_cage
 from ..view.pictures import colour_disparity, disparity_range
 
-KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
-
 #: Mask -> its colour in the picture, and what a warning says of the share that it marks.
 MASKS = {
     "fold": ((0.9, 0.1, 0.1), "folds over (the map turns inside out; red)"),
@@ -37,7 +35,7 @@ def picture(
 
     Args:
         frame: The frame.
-        kind: One of `KINDS`.
+        kind: One of `options.PICTURE_KINDS`.
         camera: The camera of the frame, needed with a cage.
         cage: Its edges are drawn over the picture. None draws none.
         scale: Low and high disparity of depth and disparity pictures. None is the range of this frame.

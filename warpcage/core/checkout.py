@@ -1,21 +1,21 @@
 """Import this package from whatever is there: a wheel, an editable install, or the root of a checkout.
 
 `warpcage/__init__.py` calls both functions before it imports anything else, so this file needs the standard library
-alone.
+alone, and little of it: until it is done an interrupt ends in a traceback.
 """
 
 from __future__ import annotations
 
 import importlib.util
-import pathlib
-import shlex
+import os.path
 import sys
 
-#: Modules that are imported with the package, and the names under which they are installed. The other dependencies are
-#: imported where they are used.
+#: Modules that the package's own modules import at once, and the names under which they are installed. The other
+#: dependencies are imported where they are used.
 NEEDED = {"numpy": "numpy", "warp": "warp-lang", "imageio": "imageio"}
 
-_PACKAGE = pathlib.Path(__file__).parents[1]
+_PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_ROOT = os.path.dirname(_PACKAGE)
 
 
 def require_dependencies() -> None:
@@ -26,9 +26,11 @@ def require_dependencies() -> None:
     """
     missing = [name for module, name in NEEDED.items() if importlib.util.find_spec(module) is None]
     if missing:
+        import shlex
+
         names = " ".join(missing)
         # a checkout installs all its dependencies, those that are imported later too
-        what = f"-e {shlex.quote(str(_PACKAGE.parent))}" if (_PACKAGE.parent / "setup.py").is_file() else names
+        what = f"-e {shlex.quote(_ROOT)}" if os.path.isfile(os.path.join(_ROOT, "setup.py")) else names
         raise ImportError(f"warpcage needs {names}: pip install {what}")
 
 
@@ -48,11 +50,10 @@ def find_kernels(package: str) -> None:
     found = importlib.util.find_spec(name)
     if found is not None and found.origin is not None:
         return
-    folder = _PACKAGE.parent / "kernels"
-    spec = importlib.util.spec_from_file_location(
-        name, folder / "__init__.py", submodule_search_locations=[str(folder)]
-    )
-    if not (folder / "__init__.py").is_file() or spec is None or spec.loader is None:
+    folder = os.path.join(_ROOT, "kernels")
+    path = os.path.join(folder, "__init__.py")
+    spec = importlib.util.spec_from_file_location(name, path, submodule_search_locations=[folder])
+    if not os.path.isfile(path) or spec is None or spec.loader is None:
         raise ImportError(f"{name} is missing: {_PACKAGE} is not whole, install warpcage again")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module

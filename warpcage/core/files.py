@@ -6,7 +6,7 @@ import contextlib
 import math
 import os
 import pathlib
-import tempfile
+import stat
 import zipfile
 from collections.abc import Iterator
 
@@ -22,6 +22,9 @@ MAX_RATIO = 1032
 
 #: Bytes that are unpacked at once.
 CHUNK = 1 << 24
+
+#: Bytes that a file's name may have on common file systems.
+MAX_NAME = 255
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
@@ -121,32 +124,53 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 def atomic_path(path: PathLike) -> Iterator[pathlib.Path]:
     """A temporary file that takes the place of `path` when the block ends without an error.
 
-    The parent folder is made. After an error the temporary file is removed and `path` is as it was.
+    The parent folder is made. After an error the temporary file is removed and `path` is as it was. A file that is
+    replaced passes on its permissions; a new one gets what an ordinary `open` gives it. Where `path` is a symbolic
+    link, it stays one, and the file that it leads to is replaced.
 
     Args:
         path: The file to be written.
 
     Yields:
-        The path of the temporary file, in the same folder and with the same ending.
+        The path of the temporary file, in the folder of the file that is replaced, and with the same ending.
     """
     path = pathlib.Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    target = pathlib.Path(os.path.realpath(path)) if path.is_symlink() else path
+    temporary = target.with_name(_temporary_name(target.stem, path.suffix))
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        error.filename = str(path)  # which the caller knows, instead of the temporary one
-        raise
-    os.close(handle)
-    temporary = pathlib.Path(name)
-    try:
+        try:
+            mode = _permissions(target)
+            # no more readers than the file itself has, from the beginning. The kernel applies the umask: whoever reads
+            # the umask sets it for a moment, also for the files of other threads
+            permissions = 0o666 if mode is None else mode | stat.S_IRUSR | stat.S_IWUSR
+            os.close(os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, permissions))
+        except OSError as error:
+            error.filename = str(path)  # which the caller knows, instead of the temporary one
+            raise
         yield temporary
-        # mkstemp makes files private; give the result what an ordinary open() would have
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        os.replace(temporary, path)
+        if mode is not None and mode != _permissions(temporary):
+            temporary.chmod(mode)
+        os.replace(temporary, target)
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # it is gone, or it never was
+            temporary.unlink()
+
+
+def _permissions(path: pathlib.Path) -> int | None:
+    """Who may read, write and execute a file; None where there is none yet."""
+    try:
+        return stat.S_IMODE(path.stat().st_mode) & 0o777
+    except FileNotFoundError:
+        return None
+
+
+def _temporary_name(stem: str, suffix: str) -> str:
+    """A hidden name that no other file has. Of a long stem it keeps the beginning."""
+    ending = f"-{os.urandom(8).hex()}{suffix}"
+    while stem and len(os.fsencode(f".{stem}{ending}")) > MAX_NAME:
+        stem = stem[:-1]
+    return f".{stem}{ending}"
 
 
 def require_file(path: PathLike, what: str) -> pathlib.Path:

@@ -13,6 +13,16 @@ DENSITIES = ("opacity", "paper")
 #: What a map on a lattice keeps, as `store=` takes them.
 STORES = ("map", "weights")
 
+#: Qualities of a fit, as `quality=` takes them; `fitting.options` says what each sets.
+QUALITIES = ("fast", "standard", "high")
+
+#: Colours behind a picture, by name.
+BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
+
+#: What may stand behind a field while it is fitted: a new random colour for every ray, background layers that are
+#: fitted too, the scene's one colour, or whichever of these the pictures suggest.
+FIT_BACKGROUNDS = ("auto", "layers", "random", "constant")
+
 
 def require_name(value: object, names: Sequence[str], what: str) -> str:
     """One of the names that an option takes.

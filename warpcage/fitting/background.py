@@ -12,11 +12,11 @@ import warp as wp
 from ..core.arrays import array_view
 from ..core.devices import launch
 from ..core.files import require_numbers
+from ..core.names import FIT_BACKGROUNDS
 from ..field.background import LayeredBackground, surface_node_count
 from ..kernels.field.background import BackgroundLayers, refine_layers
 from ..kernels.fitting import background_loss
 from ..scene.scene import Scene
-from ..view.backgrounds import FIT_BACKGROUNDS
 from .options import FitOptions
 from .shards import ShardedWork, launch_shards, sum_shards
 

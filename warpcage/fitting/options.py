@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.names import QUALITIES
 from ..field.files.layers import MAX_LAYERS, MAX_SIDE
 from .memory import memory_size
 
@@ -189,11 +190,9 @@ def _arguments() -> str:
 FitOptions.__doc__ = f"{(FitOptions.__doc__ or '').rstrip()}\n\n{textwrap.indent(_arguments(), ' ' * 4)}\n"
 
 #: What each quality sets in place of the defaults.
-QUALITIES: dict[str, dict[str, Any]] = {
-    "fast": {"epochs": 4.0},
-    "standard": {},
-    "high": {"epochs": 16.0, "max_resolution": 720, "supersampling": 2},
-}
+_SET_BY_QUALITY: dict[str, dict[str, Any]] = dict(
+    zip(QUALITIES, ({"epochs": 4.0}, {}, {"epochs": 16.0, "max_resolution": 720, "supersampling": 2}), strict=True)
+)
 
 
 def checked_seed(seed: object) -> int:
@@ -227,7 +226,7 @@ def checked_options(options: dict) -> FitOptions:
         options.setdefault("least_steps", 0)
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
-    checked = FitOptions(**{**QUALITIES[quality], **options})
+    checked = FitOptions(**{**_SET_BY_QUALITY[quality], **options})
     for field in dataclasses.fields(FitOptions):
         value, values = getattr(checked, field.name), field.metadata["range"]
         if values is None or (value is None and field.default is None):

@@ -1,16 +1,11 @@
-"""What may stand behind a picture, by name: colours, and the kinds that a fit takes."""
+"""The colour behind a picture."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-#: Colours behind a picture, by name.
-BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
-
-#: What may stand behind a field while it is fitted: a new random colour for every ray, background layers that are
-#: fitted too, the scene's one colour, or whichever of these the pictures suggest.
-FIT_BACKGROUNDS = ("auto", "layers", "random", "constant")
+from ..core.names import BACKGROUNDS
 
 
 def parse_background(background: str | ArrayLike) -> np.ndarray:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
 from typing import Any
 
 import imageio.v3 as iio
@@ -14,6 +15,16 @@ from ..core.checks import checked_positive, checked_whole
 from ..core.files import atomic_path
 from .pictures import as_rgb, path_with_ending, to_uint8
 
+#: Frames per second, least and most: of a video, and of a GIF, which counts hundredths of a second. Viewers slow down
+#: where a frame has fewer than two of them.
+VIDEO_RATES, GIF_RATES = (Fraction(1, 100), Fraction(1000)), (Fraction(1, 100), Fraction(50))
+
+#: Milliseconds that a GIF can show one picture. Equal frames that follow one another are one picture.
+MAX_STILL = 655350
+
+#: Largest denominator of a rate, that of the television rates such as 30000/1001.
+MAX_DENOMINATOR = 1001
+
 #: Colours of a GIF's palette.
 MIN_COLOURS, MAX_COLOURS = 2, 256
 
@@ -21,39 +32,67 @@ MIN_COLOURS, MAX_COLOURS = 2, 256
 PALETTE_FRAMES = 12
 
 
-def write_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float = 24.0) -> None:
+def checked_rate(fps: float | Fraction, ending: str) -> Fraction:
+    """A film's frames per second as a fraction.
+
+    Args:
+        fps: Frames per second; 29.97003 becomes 30000/1001.
+        ending: ".mp4" or ".gif".
+
+    Returns:
+        The nearest fraction whose denominator is at most 1001.
+
+    Raises:
+        ValueError: For a rate that such a film cannot have, and for what is not a number.
+    """
+    low, high = GIF_RATES if ending == ".gif" else VIDEO_RATES
+    exact = fps if isinstance(fps, Fraction) else Fraction(checked_positive(fps, "fps"))
+    rate = exact.limit_denominator(MAX_DENOMINATOR)
+    if not low <= rate <= high:
+        raise ValueError(f"fps of a film ({ending}) must be from {float(low):g} to {float(high):g}, got {fps}")
+    return rate
+
+
+def write_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
     """Write an H.264 video that browsers play (yuv420p), whole or not at all.
 
     Args:
         path: The file; it must end in .mp4.
         frames: Images (h, w, 3) of one size, values in [0, 1] or uint8. They are taken one by one, so a generator that
             renders will do. Odd sizes lose their last row or column.
-        fps: Frames per second.
+        fps: Frames per second, 0.01 to 1000; any fraction, such as 12.5 or Fraction(30000, 1001).
 
     Raises:
-        ValueError: For no frames, sizes that differ, a rate that is not positive, or another ending.
+        ValueError: For no frames, sizes that differ, a rate out of range, or another ending.
     """
     path = path_with_ending(path, ".mp4")
-    fps = checked_positive(fps, "fps")
-    with atomic_path(path) as temporary:
-        with iio.imopen(temporary, "w", plugin="pyav", extension=".mp4") as video:
+    rate = checked_rate(fps, ".mp4")
+    with atomic_path(path) as temporary, open(temporary, "w+b") as file:  # by name, some names are taken for addresses
+        with iio.imopen(file, "w", plugin="pyav", extension=".mp4") as video:
             started = False
             for frame in _even_frames(frames):
                 if not started:
-                    video.init_video_stream("libx264", fps=round(fps), pixel_format="yuv420p")
+                    # imageio takes floats alone, and finds the fraction again
+                    video.init_video_stream("libx264", fps=float(rate), pixel_format="yuv420p")
                     started = True
                 video.write_frame(frame)
 
 
 def write_gif(
-    path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float = 15.0, *, colours: int = 128, loop: bool = True
+    path: str | os.PathLike,
+    frames: Iterable[ArrayLike],
+    fps: float | Fraction = 15.0,
+    *,
+    colours: int = 128,
+    loop: bool = True,
 ) -> None:
     """Write an animated GIF with one palette, kept small, whole or not at all.
 
     Args:
         path: The file; it must end in .gif.
         frames: Images (h, w, 3) of one size, values in [0, 1] or uint8.
-        fps: Frames per second.
+        fps: Frames per second, 0.01 to 50. A GIF counts hundredths of a second: at other rates frames differ in
+            length by one of them, and the film as a whole keeps its time.
         colours: Size of the palette, 2 to 256.
         loop: Whether the film starts again at its end.
 
@@ -63,7 +102,7 @@ def write_gif(
     from PIL import Image
 
     path = path_with_ending(path, ".gif")
-    fps = checked_positive(fps, "fps")
+    rate = checked_rate(fps, ".gif")
     colours = checked_whole(colours, "colours", MIN_COLOURS, MAX_COLOURS)
     images = list(_same_size(frames))
     # one palette for all frames, from a thinned strip of them, so that still regions stay still
@@ -77,17 +116,28 @@ def write_gif(
         indices[(frame == background).all(axis=-1)] = len(entries) // 3
         flat.append(Image.fromarray(indices))
         flat[-1].putpalette([*entries, *background.tolist()])
+    durations = _gif_durations(flat, rate)
     with atomic_path(path) as temporary:
         options: dict[str, Any] = {"loop": 0} if loop else {}
         flat[0].save(
-            temporary,
-            format="GIF",
-            save_all=True,
-            append_images=flat[1:],
-            duration=round(1000 / fps),
-            optimize=True,
-            **options,
+            temporary, format="GIF", save_all=True, append_images=flat[1:], duration=durations, optimize=True, **options
         )
+
+
+def _gif_durations(images: Sequence[Any], rate: Fraction) -> list[int]:
+    """Milliseconds of each PIL image, in whole hundredths of a second: each begins as near to its time as can be."""
+    starts = [round(100 * index / rate) for index in range(len(images) + 1)]
+    durations = [10 * (end - begin) for begin, end in zip(starts[:-1], starts[1:], strict=True)]
+    still = 0
+    for index, duration in enumerate(durations):
+        same = index > 0 and images[index].tobytes() == images[index - 1].tobytes()
+        still = duration + (still if same else 0)
+        if still > MAX_STILL:
+            raise ValueError(
+                f"a GIF shows a picture for at most {MAX_STILL / 1000} s, but frame {index} and those before it, which "
+                f"are equal, take {still / 1000:g} s: give a higher fps, or write .mp4"
+            )
+    return durations
 
 
 def _most_frequent_colour(pixels: np.ndarray) -> np.ndarray:

@@ -1,0 +1,234 @@
+"""How the program behaves among others: it starts at once, and ends in one line whatever happens around it."""
+
+import ast
+import io
+import os
+import pathlib
+import pickle
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+import warpcage
+from warpcage.cli import main
+from warpcage.core.files import atomic_path
+
+#: Put before the code of a child: a command that does what a test says, and nothing of Warp.
+FAKE = """\
+import os, sys, types
+import warpcage.cli
+fake = sys.modules["warpcage.cli.info"] = types.ModuleType("warpcage.cli.info")
+"""
+
+
+def child(code, *words, **options):
+    """Python with some code. None of these load Warp: they take a tenth of a second."""
+    command = [sys.executable, "-c", textwrap.dedent(code), *map(str, words)]
+    return subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=120, **options)
+
+
+@pytest.fixture
+def command(monkeypatch):
+    """Makes `warpcage info` do something else."""
+    return lambda action: monkeypatch.setattr("warpcage.cli.info.run", lambda arguments: action())
+
+
+def fails(error):
+    def action():
+        raise error
+
+    return action
+
+
+# The names of the package
+
+
+def test_names_and_help_load_neither_numpy_nor_warp():
+    done = child(
+        """
+        import contextlib, io, sys
+        import warpcage, warpcage.cli
+        from warpcage.cli.parser import COMMANDS
+        assert set(warpcage.__all__) < set(dir(warpcage)) and warpcage.__version__
+        for words in [[], *([module.NAME] for module in COMMANDS)]:
+            with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit):
+                warpcage.cli.main([*words, "--help"])
+            assert "usage: warpcage" in text.getvalue()
+        heavy = {"warp", "numpy", "imageio", "av", "PIL", "trimesh", "scipy", "tqdm"} & set(sys.modules)
+        assert not heavy, heavy
+        assert not [name for name in sys.modules if name.startswith("warpcage.kernels")]
+        """
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_stub_tells_type_checkers_the_same_names():
+    stub = ast.parse(pathlib.Path(warpcage.__file__).with_suffix(".pyi").read_text("utf-8"))
+    homes, exported = {}, None
+    for node in stub.body:
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 1 and all(each.name == each.asname for each in node.names)
+            homes |= {each.name: node.module for each in node.names}
+        elif isinstance(node, ast.Assign):
+            exported = ast.literal_eval(node.value)
+    assert homes == warpcage._HOMES
+    assert exported == warpcage.__all__ == sorted(warpcage.__all__, key=lambda name: (name[0].islower(), name))
+
+
+def test_names_behave_as_if_they_were_imported():
+    everything = {}
+    exec("from warpcage import *", everything)
+    assert set(warpcage.__all__) == set(everything) - {"__builtins__"}
+    for name in warpcage.__all__:
+        thing = getattr(warpcage, name)
+        assert thing is everything[name] is pickle.loads(pickle.dumps(thing)) is vars(warpcage)[name]
+    rooms = [path.parent.name for path in pathlib.Path(warpcage.__file__).parent.glob("*/__init__.py")]
+    assert sorted(rooms) == sorted(warpcage._ROOMS)
+    assert all(getattr(warpcage, room).__name__ == f"warpcage.{room}" for room in rooms)
+    with pytest.raises(AttributeError, match="^module 'warpcage' has no attribute 'Deformr'$"):
+        warpcage.Deformr  # noqa: B018
+
+
+# Interrupts and signals
+
+
+@pytest.mark.parametrize("module", ["warpcage.cli.parser", "warpcage.cli.arguments.fit", "numpy", "warp"])
+def test_an_interrupt_while_the_program_starts_leaves_no_traceback(module):
+    done = child(
+        """
+        import os, signal, sys
+
+        def interrupt(event, arguments):
+            if event == "import" and arguments[0] == sys.argv[1]:
+                os.kill(os.getpid(), signal.SIGINT)
+
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs ignore it
+        sys.addaudithook(interrupt)
+        from warpcage.cli import main
+        sys.exit(main(["info"]))
+        """,
+        module,
+    )
+    assert (done.returncode, done.stderr) == (130, "warpcage: interrupted\n")
+
+
+@pytest.mark.parametrize("name, status", [("SIGTERM", 143), ("SIGHUP", 129)])
+def test_a_signal_that_ends_the_program_leaves_no_half_written_file(tmp_path, command, capsys, name, status):
+    number = getattr(signal, name)
+
+    def half_a_film():
+        with atomic_path(tmp_path / "out.mp4") as temporary:
+            temporary.write_bytes(b"half")
+            os.kill(os.getpid(), number)
+            time.sleep(60)
+
+    command(half_a_film)
+    before = signal.signal(number, lambda *_: pytest.fail("the command left the signal to others"))
+    try:
+        guard = signal.getsignal(number)
+        assert main(["info"]) == status
+        assert signal.getsignal(number) is guard
+        signal.signal(number, signal.SIG_IGN)  # as nohup does: then it means nothing
+        command(lambda: os.kill(os.getpid(), number))
+        assert main(["info"]) == 0
+    finally:
+        signal.signal(number, before)
+    assert capsys.readouterr().err == "warpcage: terminated\n" and list(tmp_path.iterdir()) == []
+
+
+def test_a_command_runs_in_any_thread(command):
+    """Python handles signals in the main thread alone."""
+    command(lambda: 1)
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(main, ["info"]).result() == 1
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "not enough memory"),
+        (MemoryError("Unable to allocate 9 TiB"), "not enough memory: Unable to allocate 9 TiB"),
+        (OverflowError("int too big to convert"), "a number is too large: int too big to convert"),
+        (ModuleNotFoundError("No module named 'av'"), "No module named 'av': install warpcage again"),
+        (RuntimeError("Failed to allocate 8 bytes\n on device 'cpu'"), "Failed to allocate 8 bytes on device 'cpu'"),
+        (Exception("Failed to load CPU module 'm'\n  (cut)"), "Failed to load CPU module 'm' (cut)"),
+    ],
+)
+def test_what_goes_wrong_takes_one_line(command, capsys, error, said):
+    command(fails(error))
+    assert main(["info"]) == 2
+    text = capsys.readouterr().err
+    assert text.startswith(f"warpcage: error: {said}") and text.count("\n") == 1
+
+
+def test_mistakes_of_the_program_keep_their_traceback(command):
+    command(fails(KeyError("forgotten")))
+    with pytest.raises(KeyError):
+        main(["info"])
+
+
+# Standard output
+
+
+def test_names_that_the_output_cannot_spell_are_escaped(command, monkeypatch):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr("sys.stdout", stream)
+    command(lambda: print("wrote für.png"))
+    assert main(["info"]) == 0
+    assert stream.buffer.getvalue() == b"wrote f\\xfcr.png\n" and sys.stdout is stream
+
+
+def test_a_reader_that_leaves_does_not_end_the_work(command, monkeypatch):
+    done = []
+
+    def work():
+        for _ in range(3):
+            print("line", flush=True)
+            print("more", file=sys.stderr, flush=True)
+        done.append(True)
+
+    command(work)
+    for name in ("stdout", "stderr"):
+        reading, writing = os.pipe()
+        os.close(reading)
+        monkeypatch.setattr(f"sys.{name}", os.fdopen(writing, "w"))
+    with sys.stdout, sys.stderr:
+        assert main(["info"]) == 0
+    assert done == [True]
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device that is always full")
+def test_an_output_that_is_lost_on_a_full_disk_is_an_error(command, monkeypatch, capsys):
+    command(lambda: print("the report"))
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        assert main(["info"]) == 2
+    assert capsys.readouterr().err == "warpcage: error: no space left on device\n"
+
+
+def test_closed_descriptors_lose_messages_and_nothing_else(tmp_path):
+    """The next file that is opened would get the number of the closed one, and what Warp prints would end in it."""
+    code = FAKE + textwrap.dedent(
+        """
+        def run(arguments):
+            with open(sys.argv[1], "w") as file:
+                print("a message")
+                print("a warning", file=sys.stderr)
+                os.write(1, b"from a library")
+                file.write("results")
+
+        fake.run = run
+        sys.exit(warpcage.cli.main(["info"]))
+        """
+    )
+    out = tmp_path / "out.txt"
+    done = child(code, out, preexec_fn=lambda: [os.close(number) for number in range(3)])
+    assert done.returncode == 0 and out.read_text() == "results"

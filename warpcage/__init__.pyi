@@ -1,0 +1,56 @@
+"""The public names, for type checkers and editors: `__init__.py` loads each when it is first used."""
+
+from .cage.cage import Cage as Cage
+from .cage.pose_file import PoseFile as PoseFile
+from .cage.report import CageReport as CageReport
+from .coordinates.deform import deform_points as deform_points
+from .coordinates.weights import green_coordinates as green_coordinates
+from .coordinates.weights import harmonic_coordinates as harmonic_coordinates
+from .coordinates.weights import mean_value_coordinates as mean_value_coordinates
+from .deform.bake import bake as bake
+from .deform.deformer import Deformer as Deformer
+from .deform.edits import CageEdit as CageEdit
+from .field.selection import NodeSelection as NodeSelection
+from .field.selection import select_nodes as select_nodes
+from .field.voxel_field import VoxelField as VoxelField
+from .fitting.evaluation import evaluate as evaluate
+from .fitting.evaluation import mean_psnr as mean_psnr
+from .fitting.evaluation import psnr as psnr
+from .fitting.optimizer import FieldOptimizer as FieldOptimizer
+from .fitting.optimizer import fit as fit
+from .fitting.options import FitOptions as FitOptions
+from .lattice.position_map import PositionMap as PositionMap
+from .scene.load import load_scene as load_scene
+from .scene.scene import Scene as Scene
+from .view.camera import Camera as Camera
+from .view.camera import turntable as turntable
+from .view.frame import Frame as Frame
+
+__version__: str
+__all__ = [
+    "Cage",
+    "CageEdit",
+    "CageReport",
+    "Camera",
+    "Deformer",
+    "FieldOptimizer",
+    "FitOptions",
+    "Frame",
+    "NodeSelection",
+    "PoseFile",
+    "PositionMap",
+    "Scene",
+    "VoxelField",
+    "bake",
+    "deform_points",
+    "evaluate",
+    "fit",
+    "green_coordinates",
+    "harmonic_coordinates",
+    "load_scene",
+    "mean_psnr",
+    "mean_value_coordinates",
+    "psnr",
+    "select_nodes",
+    "turntable",
+]

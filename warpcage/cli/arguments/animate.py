@@ -1,0 +1,79 @@
+"""Arguments of `warpcage animate`."""
+
+from __future__ import annotations
+
+import argparse
+from fractions import Fraction
+
+from .. import options
+
+NAME = "animate"
+HELP = "render a film from rest through the poses and back, with the camera turning around the object"
+EXAMPLE = """\
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
+  warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
+  warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
+  warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
+
+An output without an ending is a folder of PNG files. If the command is interrupted, run it again: it renders only what
+is missing. The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from
+pose to pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FILM", help="film (.mp4, .gif) or folder of PNG files"
+    )
+    parser.add_argument(
+        "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--fps",
+        type=options.positive_fraction,
+        default=Fraction(24),
+        metavar="RATE",
+        help="frames per second, such as 24, 12.5 or 30000/1001 (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--motion",
+        choices=("swing", "once", "hold"),
+        default="swing",
+        help="swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--interpolation",
+        choices=("smooth", "linear"),
+        default="smooth",
+        help="linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at "
+        "both ends (default: %(default)s)",
+    )
+    path = parser.add_argument_group("camera path")
+    path.add_argument(
+        "--turn",
+        type=options.finite_float,
+        default=None,
+        metavar="DEGREES",
+        help="how far the camera turns around the target; 0 keeps it still (default: 360)",
+    )
+    path.add_argument(
+        "--cameras",
+        metavar="SCENE[:SPLIT]",
+        help="move through the cameras of a scene's pictures instead, e.g. data/lego:test (default split: train)",
+    )
+    parser.add_argument(
+        "--show",
+        choices=options.PICTURE_KINDS,
+        default="rgb",
+        help="rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: where the map "
+        "folds, what it uncovers and what it loses, with a warning of how much (default: %(default)s)",
+    )
+    parser.add_argument("--overlay", action="store_true", help="draw the cage into the pictures")
+    options.add_background(parser, "the field's own")
+    options.add_deformation(parser, keyframes=True)
+    options.add_view(parser)
+    options.add_scene_scale(parser)
+    options.add_device(parser)
+    options.add_quiet(parser)

@@ -1,0 +1,61 @@
+"""Arguments of `warpcage render`."""
+
+from __future__ import annotations
+
+import argparse
+
+from .. import options
+
+NAME = "render"
+HELP = "render one view of a field, as it is or deformed by a cage"
+EXAMPLE = """\
+  warpcage render lego.npz -o lego.png
+  warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --size 800
+  warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --overlay \\
+      --disparity bent_disparity.png --masks bent_masks.png --camera data/lego:test:3
+  warpcage render lego.npz --cage cage.obj --posed twist:60 -o twisted.png
+  warpcage render lego.npz -o views/ --cameras interpolate --scene data/lego:test --frames 60
+"""
+
+#: Pictures of --cameras interpolate from each camera to the next where --frames is not given.
+STEPS = 8
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
+    parser.add_argument("-o", "--output", required=True, metavar="PICTURE", help="picture to write (.png)")
+    _add_many(parser)
+    parser.add_argument("--disparity", metavar="PICTURE", help="also write the disparity in colour (.png)")
+    parser.add_argument("--depth", metavar="PICTURE", help="also write the depth in grey, near is white (.png)")
+    parser.add_argument("--alpha", metavar="PICTURE", help="also write the opacity (.png)")
+    parser.add_argument(
+        "--masks",
+        metavar="PICTURE",
+        help="also write where the map folds over (red), what it uncovers (blue) and what it sends out of the "
+        "rest cage (yellow) (.png), and warn of how much there is of each",
+    )
+    parser.add_argument("--overlay", action="store_true", help="draw the cage into the picture")
+    options.add_background(parser, "the field's own")
+    options.add_deformation(parser)
+    options.add_view(parser)
+    options.add_scene_scale(parser)
+    options.add_device(parser)
+
+
+def _add_many(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("many pictures")
+    group.add_argument(
+        "--cameras",
+        choices=("interpolate", "given"),
+        help="given: one picture from each camera of --scene; interpolate: pictures along a smooth path through "
+        "them. The output is then a folder, .mp4 or .gif",
+    )
+    group.add_argument(
+        "--scene", metavar="SCENE[:SPLIT]", help="scene of the cameras, e.g. data/lego:test (default split: train)"
+    )
+    group.add_argument(
+        "--frames",
+        type=options.positive_int,
+        metavar="N",
+        help=f"pictures of --cameras interpolate (default: {STEPS} from each camera to the next)",
+    )

@@ -1,0 +1,69 @@
+"""What happens around a command: its arguments are read, and whatever ends it becomes one line and an exit status."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import warnings
+
+from .parser import build_parser
+from .signals import Ended, ended_by_signals
+from .streams import steady_streams
+
+#: What may go wrong with input, memory, numbers, modules that are not installed, and Warp. Anything else is a mistake
+#: in warpcage, whose traceback is needed.
+EXPECTED = (ValueError, OSError, MemoryError, OverflowError, ImportError, RuntimeError)
+
+
+def run(argv: list[str] | None) -> int:
+    """Run one command; see `warpcage.cli.main`."""
+    with steady_streams(), ended_by_signals():
+        try:
+            status = _run_command(argv)
+            sys.stdout.flush()
+            return status
+        except Ended as end:
+            return _said("terminated", end.status)
+        except KeyboardInterrupt:
+            return _said("interrupted", 130)
+        except Exception as error:
+            # Warp raises plain Exceptions where a kernel cannot be built or loaded
+            if not isinstance(error, EXPECTED) and type(error) is not Exception:
+                raise
+            return _said(f"error: {one_line(error)}", 2)
+
+
+def one_line(error: Exception | str) -> str:
+    """An error or a warning in one line."""
+    if isinstance(error, OSError) and error.strerror:
+        name = f" {str(error.filename)!r}" if error.filename else ""
+        return f"{error.strerror[0].lower()}{error.strerror[1:]}{name}"
+    text = " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return f"not enough memory{': ' if text else ''}{text}"
+    if isinstance(error, OverflowError):
+        return f"a number is too large{': ' if text else ''}{text}"
+    if isinstance(error, ImportError):
+        return f"{text}: install warpcage again with all that it needs (pip install warpcage)"
+    return text or type(error).__name__
+
+
+def _run_command(argv: list[str] | None) -> int:
+    parser = build_parser()
+    arguments = parser.parse_args(argv)
+    if arguments.command is None:
+        parser.print_help()
+        return 2
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        return importlib.import_module(f".{arguments.command}", __package__).run(arguments) or 0
+
+
+def _said(what: str, status: int) -> int:
+    print(f"warpcage: {what}", file=sys.stderr)
+    return status
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None):
+    """Print a warning as one line, without the place in the source."""
+    print(f"warpcage: warning: {one_line(message)}", file=sys.stderr)
