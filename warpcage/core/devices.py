@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import types
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -130,6 +131,6 @@ def _ask_cpu_target() -> None:
     Its library writes the answer into one buffer at each call (Warp 1.19): two threads that load their first modules at
     once may read it half written, and their objects get names that the next process does not find in the cache.
     """
-    ask = getattr(wp._src.context, "_get_cpu_toolchain_version", None)
+    ask = getattr(sys.modules.get("warp._src.context"), "_get_cpu_toolchain_version", None)
     if ask is not None:
         ask()
