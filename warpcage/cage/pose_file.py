@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,12 @@ class PoseFile:
 
     def __len__(self) -> int:
         return len(self._poses)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._poses)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._poses
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -142,12 +148,21 @@ class PoseFile:
             document = json.loads(path.read_text(encoding="utf-8"))
             if document["format"] != _FORMAT:
                 raise ValueError(f"its format is {document['format']!r}, not {_FORMAT!r}")
-            if document["version"] > _VERSION:
-                raise ValueError(f"its version is {document['version']}, this warpcage reads up to {_VERSION}: upgrade")
+            version, keyframes = document["version"], document["keyframes"]
+            if type(version) is not int or version < 1:
+                raise ValueError(f"its version must be a whole number from 1, got {version!r}")
+            if version > _VERSION:
+                raise ValueError(f"its version is {version}, this warpcage reads up to {_VERSION}: upgrade")
+            if not isinstance(keyframes, list):
+                raise ValueError(f"its keyframes must be a list, got {type(keyframes).__name__}")
             own = Cage(document["cage"]["vertices"], document["cage"]["faces"])
             if cage_hash(own) != document["cage"]["sha256"]:
                 raise ValueError("its cage does not have the hash it names: the file was changed")
-            poses = {frame["name"]: own.with_vertices(frame["vertices"]) for frame in document["keyframes"]}
+            poses = {frame["name"]: own.with_vertices(frame["vertices"]) for frame in keyframes}
+            if len(poses) < len(keyframes):
+                names = [frame["name"] for frame in keyframes]
+                twice = next(name for name in names if names.count(name) > 1)
+                raise ValueError(f"two of its keyframes are named {twice!r}")
             return cls(own if rest is None else rest, poses)
         except (KeyError, TypeError, OverflowError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
             raise ValueError(f"{path}: not a pose file: {type(error).__name__} {error}") from None
