@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import empty_array
-from ..core.devices import launch, load_modules
+from ..core.devices import launch
+from ..core.modules import load_modules
 from ..kernels.deform import cells as cell_tables
 from ..kernels.deform import points, render, render_single
 from ..kernels.deform.edits import LatticeEdit

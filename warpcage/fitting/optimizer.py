@@ -14,7 +14,8 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, require_type
-from ..core.devices import load_modules, resolve_device
+from ..core.devices import resolve_device
+from ..core.modules import load_modules
 from ..field.sparse import mask_count
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine, skip

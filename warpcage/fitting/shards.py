@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import warp as wp
 
-from ..core.devices import Kernel, launch, module_block_dim
+from ..core.devices import launch, module_block_dim
+from ..core.modules import Kernel, require_loaded
 from ..core.threads import cpu_threads, run_parallel
 from ..kernels.fitting.rmsprop import add_gradients
 
@@ -51,8 +52,7 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
         device: Warp device of all arrays.
     """
     for work in works:  # before the threads, so that each module is compiled once
-        assert isinstance(work.kernel, wp.Kernel)
-        wp.load_module(work.kernel.module, device=device)
+        require_loaded(work.kernel, device, module_block_dim(work.kernel))
 
     def run(shard: int) -> None:
         for work in works:

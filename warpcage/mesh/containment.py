@@ -8,7 +8,8 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import PointsLike, as_host_points, as_points, is_device_array
-from ..core.devices import Kernel, launch, resolve_device
+from ..core.devices import launch, resolve_device
+from ..core.modules import Kernel
 from ..kernels.mesh.containment import measure_distance, measure_winding_number
 from .closed_mesh import ClosedMesh
 from .usable import require_usable
