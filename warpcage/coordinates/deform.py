@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from ..core.arrays import PointsLike, empty_array
+from ..core.arrays import PointsLike, empty_array, points_in_turn
 from ..core.devices import launch
 from ..core.names import require_coordinates
 from ..kernels.coordinates import green, mean_value
@@ -20,6 +20,7 @@ from .harmonic import HARMONIC_RESOLUTION
 from .points import _cage_arrays, _Local, _localise, _require_finite, _require_inside, _require_near, _restore
 
 
+@points_in_turn
 def deform_points(
     points: PointsLike,
     rest: ClosedMesh,
@@ -69,9 +70,13 @@ def deform_points(
     if coordinates == "green":
         normals = stretched_normals(rest, deformed)[fans.order].astype(np.float32)
         inputs += [wp.array(normals, dtype=wp.vec3, device=local.device), 1.0]
-        launch(green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device)
+        launch(
+            green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device, work=len(rest.faces)
+        )
     else:
-        launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device)
+        launch(
+            mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device, work=len(rest.faces)
+        )
     world = _restore(moved, local, centre, rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)

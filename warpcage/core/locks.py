@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import threading
-from typing import TypeAlias
+from collections.abc import Callable
+from typing import Any, TypeAlias, TypeVar
 
 import warp as wp
 
 #: What `threading.RLock()` makes: a lock that the thread that holds it may take again.
 Lock: TypeAlias = "contextlib.AbstractContextManager[bool]"
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
 
 _NO_LOCK: contextlib.AbstractContextManager[None] = contextlib.nullcontext()
 
@@ -45,6 +49,24 @@ def owner_lock(device: wp.Device) -> Lock:
         CUDA (see `device_turn`): with two locks, two threads could wait for each other for ever.
     """
     return threading.RLock() if device.is_cpu else _device_lock(device)
+
+
+def in_turn(method: _Method) -> _Method:
+    """Let a method hold `device_turn` of its object's device.
+
+    Args:
+        method: Of an object with a `device`.
+
+    Returns:
+        The method.
+    """
+
+    @functools.wraps(method)
+    def turn(self: Any, *args: Any, **options: Any) -> Any:
+        with device_turn(self.device):
+            return method(self, *args, **options)
+
+    return turn  # pyright: ignore[reportReturnType]
 
 
 def _device_lock(device: wp.Device) -> Lock:

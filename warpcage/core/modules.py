@@ -94,7 +94,7 @@ def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
 
 def _cache_folder(module: wp.Module, block_dim: int) -> pathlib.Path:
     """The folder of a module in the kernel cache."""
-    return pathlib.Path(wp.config.kernel_cache_dir, module.get_module_identifier(block_dim))
+    return pathlib.Path(str(wp.config.kernel_cache_dir), module.get_module_identifier(block_dim))
 
 
 def _removed(folder: pathlib.Path) -> bool:
@@ -114,7 +114,7 @@ def _ask_cpu_target() -> None:
     Its library writes the answer into one buffer at each call (Warp 1.19): two threads that load their first modules at
     once may read it half written, and their objects get names that the next process does not find in the cache.
     """
-    ask = getattr(wp._src.context, "_get_cpu_toolchain_version", None)
+    ask = getattr(wp._src.context, "_get_cpu_toolchain_version", None)  # pyright: ignore[reportAttributeAccessIssue]
     if ask is not None:
         ask()
 

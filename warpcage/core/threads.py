@@ -197,7 +197,7 @@ def _forget_pool() -> None:
 
 
 def _begin_child() -> None:
-    """A forked process has the pool without its threads: tasks would wait in it forever. The lock may be held by one."""
+    """A forked process has the pool without its threads: tasks would wait in it for ever, and the lock may be held."""
     global _pool, _pool_lock
     _pool, _pool_lock = None, threading.Lock()
 

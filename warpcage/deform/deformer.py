@@ -32,8 +32,8 @@ from .precise_edits import ClosedFormEdits
 class Deformer:
     """A radiance field as cages deform it.
 
-    Before the first `pose` the cages are at rest: the deformed scene is the field itself. Any thread may use it. Threads
-    that share one, and each want a pose of their own, take `posed` (docs/threads.md).
+    Before the first `pose` the cages are at rest: the deformed scene is the field itself. Any thread may use it;
+    threads that share one and each want a pose of their own take `posed` (docs/threads.md).
 
     References: Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3-5, section 4.1.
     Limitations: what a map sends out of its rest cage is left empty (`Frame.outside` counts it), and what a moved cage
@@ -216,15 +216,15 @@ class Deformer:
             camera: The camera.
             background: Colour behind the scene, a name or (3,) in [0, 1]. None is the field's own; its background model
                 stays where it is however the cages move, and shows where they clear.
-            step: March step, world units. None is the field's.
+            step: March step, world units, at least 1e-5 of the field's diagonal. None is the field's.
             supersampling: Rays along each side of a pixel. None is the field's.
 
         Returns:
             The frame, its arrays on the device.
 
         Raises:
-            ValueError: For a background that is not known, a step that is not positive and finite, or supersampling
-                out of range.
+            ValueError: For a background that is not known, a step that is not positive and finite or is too short,
+                a camera so far away that float32 cannot tell steps there, or supersampling out of range.
         """
         with self.lock:
             return self._render(self.posed_edits, camera, background, step, supersampling)
@@ -251,6 +251,7 @@ class Deformer:
             [edits.array, wp.vec3(*kernel_origin), x, d, step],
             outputs,
             device=self.device,
+            work=edits.sample_work,
         )
         if not return_outside:
             outputs = outputs[:3]
@@ -274,7 +275,7 @@ class Deformer:
         """`render` of a pose, which is worked out once the rest is checked."""
         grid = self.field.grid
         options = MarchOptions()
-        options.step = checked_step(step, self.field.step)
+        options.step, work = self.field.march_step(step, camera)
         options.stop = STOP_TRANSMITTANCE
         options.arc_opacity = int(self.density == "opacity")
 
@@ -285,7 +286,7 @@ class Deformer:
             for name, array in arrays.items():
                 setattr(picture, name, array)
             inputs = [grid, edits.scene, pinhole, colour, options, picture]
-            launch(edits.render_kernel, threads, inputs, device=self.device)
+            launch(edits.render_kernel, threads, inputs, device=self.device, work=work * edits.sample_work)
 
         return self.field.render_by(march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
 

@@ -202,9 +202,10 @@ class PositionMap:
     @property
     def data(self) -> WarpStruct:
         """The map for kernels: positions and distances relative to `origin`. The next pose overwrites its arrays."""
-        self._posed()
-        assert self._data is not None
-        return self._data
+        with self.lock:
+            self._posed()
+            assert self._data is not None
+            return self._data
 
     @property
     def weights(self) -> LatticeWeights:

@@ -93,6 +93,10 @@ class Camera:
         """
         place, goal, upward = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
         forward = goal - place
+        if not np.isfinite(forward).all():
+            raise ValueError(f"look_at needs places a finite distance apart, got {place} and {goal}")
+        if not 1e-100 < np.linalg.norm(forward) < 1e100 and forward.any():
+            forward = forward / np.abs(forward).max()  # its square is beyond float64
         if np.linalg.norm(forward) == 0:
             raise ValueError(f"look_at needs a target that is not the eye, both are {place}")
         forward = forward / np.linalg.norm(forward)
