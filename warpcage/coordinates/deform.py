@@ -66,17 +66,14 @@ def deform_points(
     vertices, _ = _cage_arrays(rest, local)
     fans = rest.topology.fans
     faces = wp.array(fans.faces, dtype=wp.vec3i, device=local.device)
+    work = len(rest.faces)
     inputs = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0), targets]
     if coordinates == "green":
         normals = stretched_normals(rest, deformed)[fans.order].astype(np.float32)
         inputs += [wp.array(normals, dtype=wp.vec3, device=local.device), 1.0]
-        launch(
-            green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device, work=len(rest.faces)
-        )
+        launch(green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device, work=work)
     else:
-        launch(
-            mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device, work=len(rest.faces)
-        )
+        launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device, work=work)
     world = _restore(moved, local, centre, rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)

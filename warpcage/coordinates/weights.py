@@ -58,14 +58,8 @@ def mean_value_coordinates(points: PointsLike, cage: ClosedMesh, device: wp.Devi
     _require_room(local, len(cage.vertices))
     weights = empty_array((local.count, len(cage.vertices)), wp.float32, local.device)
     vertices, faces = _cage_arrays(cage, local)
-    launch(
-        mean_value.weigh_mean_value,
-        local.count,
-        [local.points, vertices, faces, 1.0],
-        [weights],
-        device=local.device,
-        work=len(cage.faces),
-    )
+    inputs = [local.points, vertices, faces, 1.0]
+    launch(mean_value.weigh_mean_value, local.count, inputs, [weights], device=local.device, work=len(cage.faces))
     return local.given_back(weights)
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-#: Most samples of a march along the diagonal of a field: with more of them a picture takes minutes, and no pixel differs.
+#: Most samples that a caller may ask for along the diagonal of a field: with more a picture takes minutes, and no pixel
+#: differs.
 MOST_SAMPLES = 100_000
 
 #: Smallest and largest longest side of what float32 kernels compute in world units, whose squares and ratios to voxels
@@ -105,11 +106,11 @@ def checked_march(step: float | None, default: float, diagonal: float, distance:
         The step.
 
     Raises:
-        ValueError: For a step that is not one positive, finite number, one so short that the march would have more than
-            MOST_SAMPLES samples, or one that float32 cannot tell at the camera's distance.
+        ValueError: For a step that is not one positive, finite number, one that asks for more than MOST_SAMPLES
+            samples, or one that float32 cannot tell at the camera's distance.
     """
     number, shortest = checked_step(step, default), diagonal / MOST_SAMPLES
-    if number < shortest:
+    if step is not None and number < shortest:
         raise ValueError(f"the march step must be at least {shortest:.3g} ({MOST_SAMPLES} in the field), got {step!r}")
     if not float32_spacing(distance + diagonal) <= 0.5 * number:
         farthest = 2.0**21 * number - diagonal

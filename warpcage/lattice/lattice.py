@@ -300,14 +300,16 @@ class CageLattice:
         self.crossings.places = self._crossing_places.take(places)
         self.crossings.faces = self._crossing_faces.take(places)
         inputs = [self.vertices, self.faces, self.crossings, self.flags.lines]
-        launch(cross_lines, lane_count(self.device) * sizes.runs, inputs, device=self.device)
+        launch(cross_lines, lane_count(self.device) * sizes.runs, inputs, device=self.device, work=self.faces.size)
 
     def _launch_block_faces(self, sizes: PoseSizes) -> None:
         counts, near = self._near_counts.take(sizes.blocks), self._near_faces.take((sizes.blocks, BLOCK_FACES))
         self.block_faces = counts, near
         self.clear_octants = self._clear_octants.take(sizes.blocks)
         inputs = [self.constants.shapes.array, self.vertices, self.faces, counts, near, self.clear_octants]
-        launch(list_block_faces, lane_count(self.device) * sizes.blocks, inputs, device=self.device)
+        launch(
+            list_block_faces, lane_count(self.device) * sizes.blocks, inputs, device=self.device, work=self.faces.size
+        )
 
 
 def lattice_frame(
@@ -325,8 +327,8 @@ def lattice_frame(
         numbers, so that kernels see exactly the same lattice.
 
     Raises:
-        ValueError: For a cage so far from the origin that float32 numbers are about half a cell apart there, or one whose
-            longest side is not 1e-9 to 1e9 units.
+        ValueError: For a cage so far from the origin that float32 numbers are about half a cell apart there, or one
+            whose longest side is not 1e-9 to 1e9 units.
     """
     require_ordinary_side(cage.size, "the cage of a lattice")
     (low, high), place = cage.bounds.tolist(), np.asarray(origin).tolist()
