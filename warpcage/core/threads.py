@@ -16,6 +16,9 @@ THREADS_VARIABLE = "WARPCAGE_THREADS"
 #: A part of a long launch aims at this many seconds: an interrupt waits for the parts that run.
 PART_SECONDS = 0.2
 
+#: A part of items that turn out to be quick has at most this many times those of the first part.
+MOST_GROWTH = 8
+
 #: Parts of a launch for each thread, so that none is left with the last long one.
 PARTS_PER_THREAD = 8
 
@@ -118,7 +121,8 @@ class _Parts:
     def __init__(self, count: int, threads: int, first: int):
         self._lock = threading.Lock()
         self._next, self._count = 0, count
-        self._largest = -(-count // (PARTS_PER_THREAD * threads)) if threads > 1 else count
+        # items differ: where the first ones are quick, the next may be as slow as was foreseen
+        self._largest = min(MOST_GROWTH * first, -(-count // (PARTS_PER_THREAD * threads)) if threads > 1 else count)
         self._size = max(1, min(first, self._largest))
 
     def take(self) -> tuple[int, int] | None:
@@ -129,10 +133,10 @@ class _Parts:
             return (begin, self._next) if self._next > begin else None
 
     def note(self, items: int, seconds: float) -> None:
-        """How long a part took. Parts may get short at once, and long by and by."""
+        """How long a part took, for the next ones."""
         aimed = items * PART_SECONDS / max(seconds, 1e-9)
         with self._lock:
-            self._size = int(max(1, min(self._largest, aimed, 64 * self._size)))
+            self._size = int(max(1, min(self._largest, aimed)))
 
     def stop(self) -> None:
         """Hand out no more."""
