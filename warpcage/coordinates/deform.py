@@ -15,7 +15,7 @@ from ..mesh import faces as face_geometry
 from ..mesh.closed_mesh import ClosedMesh, require_mesh
 from ..mesh.fans import prepared_fans
 from ..mesh.match import require_same_faces
-from ..mesh.usable import require_usable
+from ..mesh.usable import require_usable, size_problem
 from .harmonic import HARMONIC_RESOLUTION
 from .points import _cage_arrays, _Local, _localise, _require_finite, _require_inside, _require_near, _restore
 
@@ -54,6 +54,8 @@ def deform_points(
         require_mesh(cage, f"the {name} cage must be")
     require_usable(rest, "rest cage")
     require_same_faces(rest, deformed)
+    if deformed.size > rest.size and (problem := size_problem(deformed)):
+        raise ValueError(f"deformed cage {problem}")
     local = _localise(points, rest.bounds.mean(axis=0), rest.size, device, check=coordinates == "harmonic")
     if coordinates == "harmonic":
         _require_inside(local, rest, coordinates)

@@ -112,11 +112,13 @@ def checked_march(step: float | None, default: float, diagonal: float, distance:
     number, shortest = checked_step(step, default), diagonal / MOST_SAMPLES
     if step is not None and number < shortest:
         raise ValueError(f"the march step must be at least {shortest:.3g} ({MOST_SAMPLES} in the field), got {step!r}")
-    if not float32_spacing(distance + diagonal) <= 0.5 * number:
+    told = 2.0 * float32_spacing(distance + diagonal)
+    if not told <= number:
         farthest = 2.0**21 * number - diagonal
+        remedy = f", or move it to within {farthest:.3g}" if farthest > 0 else ""
         raise ValueError(
             f"a camera {distance:.3g} from the middle of the field is too far for march steps of {number:.3g}, which "
-            f"float32 cannot tell there: move it to within {farthest:.3g}"
+            f"float32 cannot tell there: take a step of at least {told:.3g}{remedy}"
         )
     return number
 

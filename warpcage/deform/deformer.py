@@ -154,8 +154,10 @@ class Deformer:
         return PosedDeformer(self, cages)
 
     def posed_edits(self) -> PosedEdits:
-        """What kernels take of the last pose; the cages are posed at rest where there was none. Hold `lock` over this
-        and what reads it where several threads use this Deformer."""
+        """What kernels take of the last pose; the cages are posed at rest where there was none.
+
+        Hold `lock` over this and what reads it, where several threads use this Deformer.
+        """
         with self.lock:
             if self.deformed is None:
                 self.pose([None if edit.remove else edit.cage for edit in self.edits])

@@ -141,12 +141,26 @@ def first_problem(mesh: ClosedMesh) -> str:
     """
     if mesh.topology.problem:
         return mesh.topology.problem
-    if mesh.size and not SMALLEST_SIZE <= mesh.size <= LARGEST_SIZE:
-        return (
-            f"has a size of {mesh.size:.3g} units: {SMALLEST_SIZE:g} to {LARGEST_SIZE:g} can be worked with, scale it "
-            "to another unit"
-        )
-    return "" if looks_usable(mesh) else first_geometric_problem(mesh)
+    return size_problem(mesh) or ("" if looks_usable(mesh) else first_geometric_problem(mesh))
+
+
+def size_problem(mesh: ClosedMesh) -> str:
+    """What is wrong with the size of a mesh.
+
+    Args:
+        mesh: The mesh.
+
+    Returns:
+        As `first_problem`; empty for a mesh without any size, which has other problems.
+    """
+    with np.errstate(over="ignore"):  # corners farther apart than the largest number
+        size = mesh.size
+    if size == 0.0 or SMALLEST_SIZE <= size <= LARGEST_SIZE:
+        return ""
+    return (
+        f"has a size of {size:.3g} units: {SMALLEST_SIZE:g} to {LARGEST_SIZE:g} can be worked with, scale it to "
+        "another unit"
+    )
 
 
 def first_geometric_problem(mesh: ClosedMesh) -> str:
