@@ -43,9 +43,8 @@ def test_fine_steps_and_a_fields_own_are_taken(device):
     field = shiny_field(device)
     fine, usual = (field.render(view(size=8), step=step).alpha for step in (1e-4, None))
     assert np.abs(fine - usual).max() < 0.05
-    flat = VoxelField.from_dense(
-        np.ones((2, 2, 3)), np.zeros((2, 2, 3, 9, 3)), [[-1, -1, -1e-6], [1, 1, 1e-6]], device=device
-    )
+    bounds = [[-1, -1, -1e-5], [1, 1, 1e-5]]  # its own steps are shorter than those that callers may ask for
+    flat = VoxelField.from_dense(np.ones((2, 2, 3)), np.zeros((2, 2, 3, 9, 3)), bounds, device=device)
     assert np.isfinite(flat.render(view((0, 0.1, 3), size=2)).alpha).all()
 
 
@@ -61,9 +60,7 @@ def test_cameras_far_away_see_what_near_ones_do_or_are_refused(kind, device):
             far = scene.render(from_afar(distance)).alpha
             assert np.isfinite(far).all() and np.abs(far - near).mean() < 0.02
         for distance in (1e6, 1e9, 1e30, 1e200):
-            with pytest.raises(
-                ValueError, match=r"a camera \S+ from the middle of the field is too far for march steps"
-            ):
+            with pytest.raises(ValueError, match=r"a camera \S+ from the middle of the field is too far for march"):
                 scene.render(from_afar(distance))
     with pytest.raises(ValueError, match=r"look_at needs places a finite distance apart"):
         Camera.look_at((1.7e308, 0, 0), (-1.7e308, 0, 0))
@@ -81,9 +78,7 @@ def test_a_field_of_any_ordinary_unit_looks_the_same_to_the_bit(device):
     for found in frames[1:]:
         assert all(np.array_equal(one, two) for one, two in zip(found, frames[0], strict=True))
     for scale in (1e30, 1e10, 1e-10, 1e-30):
-        with pytest.raises(
-            ValueError, match=r"a field has a longest side of 2e[+-]\d+ units: kernels can work with 1e-09 to"
-        ):
+        with pytest.raises(ValueError, match=r"a field has a longest side of 2e[+-]\d+ units: kernels can work with"):
             VoxelField.from_dense(ellipsoid(x), sh, scale * bounds, device=device)
         with pytest.raises(ValueError, match=r"the cage of a lattice has a longest side of"):
             PositionMap(scaled(BOX, scale), resolution=8, device=device).pose(scaled(TURNED, scale))
