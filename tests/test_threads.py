@@ -18,6 +18,7 @@ from warpcage.core import modules
 from warpcage.core.devices import launch
 from warpcage.core.locks import device_turn, owner_lock
 from warpcage.core.threads import PART_SECONDS, limit_threads, run_parallel, run_parts
+from warpcage.deform import lattice_edits
 from warpcage.deform.bake import bake
 from warpcage.kernels.fitting.rmsprop import add_gradients
 
@@ -297,6 +298,31 @@ def test_an_interrupt_ends_a_long_render(scene, threads):
         running.kill()
         running.wait()
         running.stdout.close()
+
+
+@pytest.mark.parametrize("launches", range(5))
+def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(launches, device, monkeypatch):
+    deformer = Deformer(shiny_field(device), BOX, resolution=12, device=device).pose(POSES[1])
+    usual, long = None, 8 * deformer.field.step
+    expected = {step: parts(deformer.pose(POSES[1]).render(CAMERA, step=step)) for step in (usual, long)}
+    deformer.pose(POSES[1]).render(CAMERA)
+    left = [launches]
+
+    def interrupted(kernel, count, inputs, outputs, *, device):
+        if not left[0]:
+            for output in outputs:
+                output.fill_(77)
+            raise KeyboardInterrupt
+        left[0] -= 1
+        launch(kernel, count, inputs, outputs, device=device)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(lattice_edits, "launch", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            deformer.render(CAMERA, step=long)
+    for step in (usual, long):
+        found = parts(deformer.render(CAMERA, step=step))
+        assert all(same(*pair, device) for pair in zip(found, expected[step], strict=True))
 
 
 CACHED = """\
