@@ -6,7 +6,8 @@ import pytest
 from deformed_scenes import make_field, plain, shiny_field, view
 
 from warpcage import Cage, Deformer, PositionMap
-from warpcage.core.devices import load_modules, module_block_dim
+from warpcage.core.devices import module_block_dim
+from warpcage.core.modules import load_modules
 from warpcage.kernels.deform import cells as edit_cells
 from warpcage.kernels.deform import render_single as deformed_single
 from warpcage.kernels.field import render as volume_render

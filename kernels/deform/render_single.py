@@ -219,7 +219,7 @@ def march_edit(edit: SingleEdit, grid: VoxelGrid, origin: wp.vec3, direction: wp
             last_stage = stage
             slope = direction
             known = not held_mapped
-            if held_mapped and mapped:
+            if held_mapped and mapped and at != held_t:  # a part of a step may be nothing far from the camera
                 slope = (position - held_position) / (at - held_t)
                 known = stage != AHEAD or wp.length_sq(slope) <= LONG_STEP * LONG_STEP
             stretch = wp.length(slope)

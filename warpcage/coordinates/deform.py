@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from ..core.arrays import PointsLike, empty_array
+from ..core.arrays import PointsLike, empty_array, points_in_turn
 from ..core.devices import launch
 from ..core.names import require_coordinates
 from ..kernels.coordinates import green, mean_value
@@ -15,11 +15,12 @@ from ..mesh import faces as face_geometry
 from ..mesh.closed_mesh import ClosedMesh, require_mesh
 from ..mesh.fans import prepared_fans
 from ..mesh.match import require_same_faces
-from ..mesh.usable import require_usable
+from ..mesh.usable import require_usable, size_problem
 from .harmonic import HARMONIC_RESOLUTION
 from .points import _cage_arrays, _Local, _localise, _require_finite, _require_inside, _require_near, _restore
 
 
+@points_in_turn
 def deform_points(
     points: PointsLike,
     rest: ClosedMesh,
@@ -53,6 +54,8 @@ def deform_points(
         require_mesh(cage, f"the {name} cage must be")
     require_usable(rest, "rest cage")
     require_same_faces(rest, deformed)
+    if deformed.size > rest.size and (problem := size_problem(deformed)):
+        raise ValueError(f"deformed cage {problem}")
     local = _localise(points, rest.bounds.mean(axis=0), rest.size, device, check=coordinates == "harmonic")
     if coordinates == "harmonic":
         _require_inside(local, rest, coordinates)
@@ -65,13 +68,14 @@ def deform_points(
     vertices, _ = _cage_arrays(rest, local)
     fans = rest.topology.fans
     faces = wp.array(fans.faces, dtype=wp.vec3i, device=local.device)
+    work = len(rest.faces)
     inputs = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0), targets]
     if coordinates == "green":
         normals = stretched_normals(rest, deformed)[fans.order].astype(np.float32)
         inputs += [wp.array(normals, dtype=wp.vec3, device=local.device), 1.0]
-        launch(green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device)
+        launch(green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device, work=work)
     else:
-        launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device)
+        launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device, work=work)
     world = _restore(moved, local, centre, rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from ..core.arrays import PointsLike, WarpStruct, as_host_points, as_points, empty_array, is_device_array
+from ..core.arrays import (
+    PointsLike,
+    WarpStruct,
+    as_host_points,
+    as_points,
+    empty_array,
+    is_device_array,
+    points_in_turn,
+)
 from ..core.checks import warn_caller
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
@@ -26,6 +34,7 @@ HARMONIC_RESOLUTION = 128
 REPORTED_WEIGHT_JUMP = 0.25
 
 
+@points_in_turn
 def harmonic_weights(
     points: PointsLike,
     cage: ClosedMesh,

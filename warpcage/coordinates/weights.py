@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from ..core.arrays import PointsLike, empty_array
+from ..core.arrays import PointsLike, empty_array, points_in_turn
 from ..core.devices import launch
 from ..kernels.coordinates import green, local_points, mean_value
 from ..mesh.closed_mesh import ClosedMesh, require_mesh
@@ -28,6 +28,7 @@ from .points import (
 )
 
 
+@points_in_turn
 def mean_value_coordinates(points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike = None) -> np.ndarray | wp.array:
     """Mean value coordinates of points in a cage.
 
@@ -57,12 +58,12 @@ def mean_value_coordinates(points: PointsLike, cage: ClosedMesh, device: wp.Devi
     _require_room(local, len(cage.vertices))
     weights = empty_array((local.count, len(cage.vertices)), wp.float32, local.device)
     vertices, faces = _cage_arrays(cage, local)
-    launch(
-        mean_value.weigh_mean_value, local.count, [local.points, vertices, faces, 1.0], [weights], device=local.device
-    )
+    inputs = [local.points, vertices, faces, 1.0]
+    launch(mean_value.weigh_mean_value, local.count, inputs, [weights], device=local.device, work=len(cage.faces))
     return local.given_back(weights)
 
 
+@points_in_turn
 def green_coordinates(
     points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike = None, *, outside: str = "raise"
 ) -> tuple[np.ndarray | wp.array, np.ndarray | wp.array]:
@@ -104,6 +105,7 @@ def green_coordinates(
         [local.points, vertices, faces, 1.0],
         [vertex_weights, face_weights],
         device=local.device,
+        work=len(cage.faces),
     )
     launch(local_points.scale_rows, local.count, [cage.size], [face_weights], device=local.device)
     if len(lost):
@@ -113,6 +115,7 @@ def green_coordinates(
     return local.given_back(vertex_weights), local.given_back(face_weights)
 
 
+@points_in_turn
 def harmonic_coordinates(
     points: PointsLike, cage: ClosedMesh, resolution: int = HARMONIC_RESOLUTION, device: wp.DeviceLike = None
 ) -> np.ndarray | wp.array:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeAlias
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
 from .devices import resolve_device
+from .locks import device_turn
+
+#: What DLPack calls main memory.
+DLPACK_CPU = 1
 
 
 class DLPackArray(Protocol):
@@ -91,6 +98,39 @@ def as_points(
         return wp.array(host, dtype=wp.vec3, device=target), True
     host = as_host_points(points, name=name)
     return wp.array(host.astype(np.float32), dtype=wp.vec3, device=resolve_device(device)), False
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def points_in_turn(function: _Function) -> _Function:
+    """Let a function of points hold `device_turn` of the device that it works on.
+
+    Args:
+        function: Takes points first, and a `device`.
+
+    Returns:
+        The function.
+    """
+    place = list(inspect.signature(function).parameters).index("device") - 1
+
+    @functools.wraps(function)
+    def turn(points: Any, *args: Any, **options: Any) -> Any:
+        device = args[place] if len(args) > place else options.get("device")
+        with device_turn(_points_device(points, device)):
+            return function(points, *args, **options)
+
+    return turn  # pyright: ignore[reportReturnType]
+
+
+def _points_device(points: Any, device: wp.DeviceLike) -> wp.Device:
+    """Where a function of points works: on the device that was asked for, else on that of the points."""
+    if device is None and isinstance(points, wp.array):
+        device = points.device
+    elif device is None and is_device_array(points) and hasattr(points, "__dlpack_device__"):
+        kind, index = points.__dlpack_device__()
+        device = "cpu" if int(kind) == DLPACK_CPU else f"cuda:{int(index)}"
+    return resolve_device(device)
 
 
 def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:

@@ -12,6 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+#: Most samples that a caller may ask for along the diagonal of a field: with more a picture takes minutes, and no pixel
+#: differs.
+MOST_SAMPLES = 100_000
+
+#: Smallest and largest longest side of what float32 kernels compute in world units, whose squares and ratios to voxels
+#: they hold.
+SMALLEST_SIDE, LARGEST_SIDE = 1e-9, 1e9
+
 #: Names of the axes, in their order.
 AXES = "xyz"
 
@@ -83,6 +91,67 @@ def checked_step(step: float | None, default: float) -> float:
         ValueError: For a step that is not one positive, finite number.
     """
     return default if step is None else checked_positive(step, "the march step")
+
+
+def checked_march(step: float | None, default: float, diagonal: float, distance: float) -> float:
+    """The step of a march from a camera through a field, world units.
+
+    Args:
+        step: What the caller asked for, world units. None takes `default`.
+        default: The field's own step, world units.
+        diagonal: Of the field's box, world units.
+        distance: From the camera to the middle of that box, world units.
+
+    Returns:
+        The step.
+
+    Raises:
+        ValueError: For a step that is not one positive, finite number, one that asks for more than MOST_SAMPLES
+            samples, or one that float32 cannot tell at the camera's distance.
+    """
+    number, shortest = checked_step(step, default), diagonal / MOST_SAMPLES
+    if step is not None and number < shortest:
+        raise ValueError(f"the march step must be at least {shortest:.3g} ({MOST_SAMPLES} in the field), got {step!r}")
+    told = 2.0 * float32_spacing(distance + diagonal)
+    if not told <= number:
+        farthest = 2.0**21 * number - diagonal
+        remedy = f", or move it to within {farthest:.3g}" if farthest > 0 else ""
+        raise ValueError(
+            f"a camera {distance:.3g} from the middle of the field is too far for march steps of {number:.3g}, which "
+            f"float32 cannot tell there: take a step of at least {told:.3g}{remedy}"
+        )
+    return number
+
+
+def float32_spacing(value: float) -> float:
+    """How far apart float32 numbers are.
+
+    Args:
+        value: A number, finite or not.
+
+    Returns:
+        The distance from its absolute value to the next number; infinite beyond float32.
+    """
+    if not abs(value) < float(np.finfo(np.float32).max):
+        return math.inf
+    return float(np.spacing(np.float32(abs(value))))
+
+
+def require_ordinary_side(side: float, what: str) -> None:
+    """Refuse what float32 kernels cannot compute in world units.
+
+    Args:
+        side: Longest side, world units.
+        what: How the message begins.
+
+    Raises:
+        ValueError: Outside SMALLEST_SIDE .. LARGEST_SIDE.
+    """
+    if not SMALLEST_SIDE <= side <= LARGEST_SIDE:
+        raise ValueError(
+            f"{what} has a longest side of {side:.3g} units: kernels can work with {SMALLEST_SIDE:g} to "
+            f"{LARGEST_SIDE:g}, scale it (and its cameras) to another unit"
+        )
 
 
 def checked_margin(margin: float) -> float:

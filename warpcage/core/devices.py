@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import sys
-import types
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import warp as wp
 
-from .threads import cpu_threads, run_parallel
+from .locks import device_turn
+from .modules import Kernel, require_loaded, start_warp
+from .threads import cpu_threads, run_parts
 
-#: What `wp.kernel` makes of a function: a wp.Kernel, which type checkers take for the function itself.
-Kernel = wp.Kernel | Callable[..., Any]
+#: Work of the first part of a launch on the CPU, in steps of `launch`: some hundredths of a second where it is known.
+FIRST_WORK = 1 << 20
+
+#: Steps that an item is taken for where nobody knows.
+USUAL_WORK = 16
 
 
 def resolve_device(device: wp.DeviceLike = None) -> wp.Device:
@@ -29,7 +32,7 @@ def resolve_device(device: wp.DeviceLike = None) -> wp.Device:
     """
     if isinstance(device, wp.Device):
         return device
-    wp.init()
+    start_warp()
     if device is None:
         return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
     try:
@@ -50,11 +53,13 @@ def launch(
     device: wp.DeviceLike,
     threads: int | None = None,
     block_dim: int | None = None,
+    work: float = USUAL_WORK,
 ) -> None:
     """Launch a one-dimensional kernel whose first parameter is `first`, the index of this launch's first item.
 
-    On CUDA it is one launch with `first` = 0. On the CPU the items are cut into chunks that run on several threads, so
-    outputs of different items must be disjoint: no atomics across items there.
+    On CUDA it is one launch with `first` = 0. On the CPU the items are cut into parts that run on several threads, so
+    outputs of different items must be disjoint: no atomics across items there. Parts last a fraction of a second, so
+    that an interrupt acts soon. Any thread may launch.
 
     Args:
         kernel: The kernel.
@@ -65,25 +70,34 @@ def launch(
         threads: Threads on the CPU. None is `cpu_threads()`.
         block_dim: Threads per block on CUDA. None is what the kernel's module names, as a module is compiled once more
             for each other number.
+        work: Steps that an item may take, such as samples along a ray, where it may be many. Each should last about
+            0.1 us or less.
     """
     assert isinstance(kernel, wp.Kernel)
     device = wp.get_device(device)
     if count <= 0:
         return
-    threads = cpu_threads() if threads is None else threads
     block_dim = module_block_dim(kernel) if block_dim is None else block_dim
-    if not device.is_cpu or threads <= 1 or count < 2 * threads:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device, block_dim=block_dim)
-        return
+    require_loaded(kernel, device, block_dim)
 
-    wp.load_module(kernel.module, device=device)  # before the threads, so that it is compiled once
-    chunk_count = min(8 * threads, count)
-    edges = [count * i // chunk_count for i in range(chunk_count + 1)]
+    outputs = list(outputs)
 
     def run(begin: int, end: int) -> None:
-        wp.launch(kernel, dim=end - begin, inputs=[begin, *inputs], outputs=list(outputs), device=device)
+        arguments = [begin, *inputs]
+        wp.launch(kernel, dim=end - begin, inputs=arguments, outputs=outputs, device=device, block_dim=block_dim)
 
-    run_parallel([lambda b=b, e=e: run(b, e) for b, e in zip(edges, edges[1:], strict=False)], threads)
+    if not device.is_cpu:
+        with device_turn(device):
+            run(0, count)
+        return
+    threads = cpu_threads() if threads is None else threads
+    first = max(1, int(FIRST_WORK / max(work, 1.0)))
+    if count < 2 * threads:
+        threads = 1
+    if threads <= 1 and count <= first:
+        run(0, count)
+    else:
+        run_parts(run, count, threads, first)
 
 
 def lane_count(device: wp.DeviceLike) -> int:
@@ -109,28 +123,3 @@ def module_block_dim(kernel: Kernel) -> int:
     """
     assert isinstance(kernel, wp.Kernel)
     return kernel.module.options["block_dim"]
-
-
-def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> None:
-    """Compile and load modules of kernels side by side, each for the block size that it names.
-
-    Launched one by one they would wait for each other. Costs nothing where they are loaded.
-
-    Args:
-        modules: Python modules that hold kernels.
-        device: Warp device.
-    """
-    warp_modules = [wp.get_module(module.__name__) for module in modules]
-    _ask_cpu_target()
-    wp.force_load(device, warp_modules, max_workers=min(len(warp_modules), cpu_threads()))
-
-
-def _ask_cpu_target() -> None:
-    """Ask Warp for the compiler's version, which it keeps, before threads do.
-
-    Its library writes the answer into one buffer at each call (Warp 1.19): two threads that load their first modules at
-    once may read it half written, and their objects get names that the next process does not find in the cache.
-    """
-    ask = getattr(sys.modules.get("warp._src.context"), "_get_cpu_toolchain_version", None)
-    if ask is not None:
-        ask()

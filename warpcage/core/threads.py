@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -12,7 +13,17 @@ from typing import Any
 #: Environment variable with the number of CPU threads to use, where all cores would be too many.
 THREADS_VARIABLE = "WARPCAGE_THREADS"
 
+#: A part of a long launch aims at this many seconds: an interrupt waits for the parts that run.
+PART_SECONDS = 0.2
+
+#: A part of items that turn out to be quick has at most this many times those of the first part.
+MOST_GROWTH = 8
+
+#: Parts of a launch for each thread, so that none is left with the last long one.
+PARTS_PER_THREAD = 8
+
 _pool: ThreadPoolExecutor | None = None
+_pool_lock = threading.Lock()
 _limit: int | None = None  # of `limit_threads`
 
 
@@ -37,7 +48,7 @@ def cpu_threads() -> int:
 
 @contextlib.contextmanager
 def limit_threads(count: int) -> Iterator[None]:
-    """Use another number of CPU threads for a while, in this process.
+    """Use another number of CPU threads for a while, in this process: in all its threads.
 
     Args:
         count: Threads, at least 1.
@@ -52,29 +63,95 @@ def limit_threads(count: int) -> Iterator[None]:
         _forget_pool()
 
 
-def run_parallel(tasks: Sequence[Callable[[], Any]], threads: int | None = None) -> list[Any]:
-    """Run tasks on the shared pool of CPU threads.
+def run_parallel(
+    tasks: Sequence[Callable[[], Any]], threads: int | None = None, stop: Callable[[], None] | None = None
+) -> list[Any]:
+    """Run tasks on the shared pool of CPU threads. Several threads may do so at once.
 
     After an error or an interrupt no task is left running: its arrays may be freed as soon as this returns.
 
     Args:
         tasks: Callables without arguments.
         threads: 1 runs them here, one after the other. None is `cpu_threads()`.
+        stop: Called after an error or an interrupt, so that long tasks can end early.
 
     Returns:
         Their results in order. The first error is raised.
     """
-    global _pool
     if (cpu_threads() if threads is None else threads) <= 1 or len(tasks) == 1:
         return [task() for task in tasks]
-    if _pool is None:
-        _pool = _started_pool()
+    pool = _shared_pool()
     batch = _Batch()
     try:
-        return list(_pool.map(batch.run, tasks))
+        return list(pool.map(batch.run, tasks))
     except BaseException:
+        if stop is not None:
+            stop()
         batch.stop()
         raise
+
+
+def run_parts(run: Callable[[int, int], None], count: int, threads: int, first: int) -> None:
+    """Run items in parts on the shared pool: short enough that an interrupt acts soon, long enough to cost nothing.
+
+    Args:
+        run: Runs the items from one index to another (exclusive).
+        count: Number of items.
+        threads: 1 runs the parts here, one after the other.
+        first: Items that a part has at most, until it is known how long they take.
+    """
+    parts = _Parts(count, threads, first)
+
+    def work() -> None:
+        while (part := parts.take()) is not None:
+            begun = time.perf_counter()
+            try:
+                run(*part)
+            except BaseException:
+                parts.stop()
+                raise
+            parts.note(part[1] - part[0], time.perf_counter() - begun)
+
+    run_parallel([work] * threads, threads, parts.stop)
+
+
+class _Parts:
+    """Hands out the items of a launch in parts, each by how long the ones before it took."""
+
+    def __init__(self, count: int, threads: int, first: int):
+        self._lock = threading.Lock()
+        self._next, self._count = 0, count
+        # items differ: where the first ones are quick, the next may be as slow as was foreseen
+        self._largest = min(MOST_GROWTH * first, -(-count // (PARTS_PER_THREAD * threads)) if threads > 1 else count)
+        self._size = max(1, min(first, self._largest))
+
+    def take(self) -> tuple[int, int] | None:
+        """First and last item (exclusive) of the next part; None where there is none."""
+        with self._lock:
+            begin = self._next
+            self._next = min(begin + self._size, self._count)
+            return (begin, self._next) if self._next > begin else None
+
+    def note(self, items: int, seconds: float) -> None:
+        """How long a part took, for the next ones."""
+        aimed = items * PART_SECONDS / max(seconds, 1e-9)
+        with self._lock:
+            self._size = int(max(1, min(self._largest, aimed)))
+
+    def stop(self) -> None:
+        """Hand out no more."""
+        with self._lock:
+            self._next = self._count
+
+
+def _shared_pool() -> ThreadPoolExecutor:
+    """The pool, started by whoever needs it first."""
+    global _pool
+    with _pool_lock:
+        pool = _pool
+        if pool is None:
+            pool = _pool = _started_pool()
+        return pool
 
 
 def _started_pool() -> ThreadPoolExecutor:
@@ -117,10 +194,17 @@ class _Batch:
 
 
 def _forget_pool() -> None:
-    """A forked process has the pool without its threads: tasks would wait in it forever."""
+    """Start another pool with the next tasks; those that are under way end in the old one."""
     global _pool
-    _pool = None
+    with _pool_lock:
+        _pool = None
+
+
+def _begin_child() -> None:
+    """A forked process has the pool without its threads: tasks would wait in it for ever, and the lock may be held."""
+    global _pool, _pool_lock
+    _pool, _pool_lock = None, threading.Lock()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
-    os.register_at_fork(after_in_child=_forget_pool)
+    os.register_at_fork(after_in_child=_begin_child)

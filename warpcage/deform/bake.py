@@ -53,6 +53,12 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | 
         ValueError: For bounds or a resolution out of range, where nothing is found, or for too little memory.
     """
     require_type(deformer, Deformer, "bake needs")
+    with deformer.lock:
+        return _baked(deformer, resolution, bounds)
+
+
+def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None) -> VoxelField:
+    """`bake`, while the pose stays."""
     edits, field, device = lattice_edits(deformer), deformer.field, deformer.device
     cages = [cage for cage in deformer.deformed or [] if cage is not None]
     reached = np.stack([field.bounds, *(cage.bounds for cage in cages)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..cage.cage import Cage
 from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
 from ..core.checks import checked_step, require_type
 from ..core.devices import launch, resolve_device
+from ..core.locks import owner_lock
 from ..core.names import COORDINATES, DENSITIES, STORES
 from ..field.rendering import STOP_TRANSMITTANCE
 from ..field.voxel_field import VoxelField
@@ -31,7 +32,8 @@ from .precise_edits import ClosedFormEdits
 class Deformer:
     """A radiance field as cages deform it.
 
-    Before the first `pose` the cages are at rest: the deformed scene is the field itself.
+    Before the first `pose` the cages are at rest: the deformed scene is the field itself. Any thread may use it;
+    threads that share one and each want a pose of their own take `posed` (docs/threads.md).
 
     References: Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3-5, section 4.1.
     Limitations: what a map sends out of its rest cage is left empty (`Frame.outside` counts it), and what a moved cage
@@ -67,6 +69,8 @@ class Deformer:
         density: "opacity" or "paper".
         store: "map" or "weights".
         deformed: The posed cages, one per edit, None for an edit that removes; None before the first pose.
+        lock: Held while buffers are in use. Hold it around several calls that must see the same pose, and around what
+            reads `posed_edits()`.
     """
 
     def __init__(
@@ -96,11 +100,14 @@ class Deformer:
         self.field = field.to(self.device)
         self.coordinates, self.resolution, self.density, self.store = coordinates, resolution, density, store
         self.deformed: list[Cage | None] | None = None
+        self.lock = owner_lock(self.device)
+        self._held: list[Cage | None] | None = None  # the pose that is in the buffers
         self._edits: PosedEdits
-        if resolution is None:
-            self._edits = ClosedFormEdits(self.edits, coordinates, self.field.center, self.device)
-        else:
-            self._edits = LatticeEdits(self.edits, coordinates, resolution, self.field.center, self.device, store)
+        with self.lock:
+            if resolution is None:
+                self._edits = ClosedFormEdits(self.edits, coordinates, self.field.center, self.device)
+            else:
+                self._edits = LatticeEdits(self.edits, coordinates, resolution, self.field.center, self.device, store)
 
     def __reduce__(self):
         raise TypeError("a Deformer is held on a device and not copied between processes: make one in each of them")
@@ -119,21 +126,59 @@ class Deformer:
                 (inverted, open, without volume); the pose before stays then. Also for too little memory, or a cage so
                 far from the field that float32 cannot tell the cells of its lattice apart; the cages are at rest then.
         """
+        cages = self._checked(deformed)
+        with self.lock:
+            self.deformed = None  # should this fail half-way, the next use starts from rest
+            self._hold(cages)
+            self.deformed = cages
+        return self
+
+    def posed(self, deformed: Cage | Sequence[Cage | None]) -> PosedDeformer:
+        """A pose of its own, for callers that share this Deformer; this Deformer's own pose stays what it is.
+
+        All poses share the buffers. Where another pose came between, the next use computes this one again: threads that
+        take turns at every frame are quicker with a Deformer each.
+
+        Args:
+            deformed: As for `pose`.
+
+        Returns:
+            The pose: it renders as this Deformer does, and always its own cages.
+
+        Raises:
+            ValueError: As `pose`.
+        """
+        cages = self._checked(deformed)
+        with self.lock:
+            self._hold(cages)
+        return PosedDeformer(self, cages)
+
+    def posed_edits(self) -> PosedEdits:
+        """What kernels take of the last pose; the cages are posed at rest where there was none.
+
+        Hold `lock` over this and what reads it, where several threads use this Deformer.
+        """
+        with self.lock:
+            if self.deformed is None:
+                self.pose([None if edit.remove else edit.cage for edit in self.edits])
+            assert self.deformed is not None
+            return self._hold(self.deformed)
+
+    def _checked(self, deformed: Cage | Sequence[Cage | None]) -> list[Cage | None]:
+        """The cages of a pose, one per edit."""
         cages = list(deformed) if isinstance(deformed, list | tuple) else [deformed]
         if len(cages) != len(self.edits):
             raise ValueError(f"a pose needs one cage per edit, {len(self.edits)}, got {len(cages)}")
-        cages = [
+        return [
             checked_pose(edit, cage, index) for index, (edit, cage) in enumerate(zip(self.edits, cages, strict=True))
         ]
-        self.deformed = None  # should this fail half-way, the next use starts from rest
-        self._edits.pose(cages)
-        self.deformed = cages
-        return self
 
-    def posed_edits(self) -> PosedEdits:
-        """What kernels take of the last pose; the cages are posed at rest where there was none."""
-        if self.deformed is None:
-            self.pose([None if edit.remove else edit.cage for edit in self.edits])
+    def _hold(self, cages: list[Cage | None]) -> PosedEdits:
+        """The edits with this pose in their buffers, computed where another one is there. Needs the lock."""
+        if self._held is not cages:
+            self._held = None
+            self._edits.pose(cages)
+            self._held = cages
         return self._edits
 
     def to_canonical(
@@ -156,8 +201,41 @@ class Deformer:
         Raises:
             ValueError: For shapes that differ or are not (n, 3), or a step that is not positive and finite.
         """
+        with self.lock:
+            return self._to_canonical(self.posed_edits(), points, directions, step, return_outside)
+
+    def render(
+        self,
+        camera: Camera,
+        *,
+        background: str | ArrayLike | None = None,
+        step: float | None = None,
+        supersampling: int | None = None,
+    ) -> Frame:
+        """The view of a camera of the deformed scene, with the masks reveal, fold and outside.
+
+        Args:
+            camera: The camera.
+            background: Colour behind the scene, a name or (3,) in [0, 1]. None is the field's own; its background model
+                stays where it is however the cages move, and shows where they clear.
+            step: March step, world units, at least 1e-5 of the field's diagonal. None is the field's.
+            supersampling: Rays along each side of a pixel. None is the field's.
+
+        Returns:
+            The frame, its arrays on the device.
+
+        Raises:
+            ValueError: For a background that is not known, a step that is not positive and finite or is too short,
+                a camera so far away that float32 cannot tell steps there, or supersampling out of range.
+        """
+        with self.lock:
+            return self._render(self.posed_edits, camera, background, step, supersampling)
+
+    def _to_canonical(
+        self, edits: PosedEdits, points: Any, directions: Any, step: float | None, return_outside: bool
+    ) -> tuple[Any, ...]:
+        """`to_canonical` of the pose that the buffers hold."""
         step = checked_step(step, self.field.step)
-        edits = self.posed_edits()
         origin, kernel_origin = np.zeros(3), self.field.center
         dtype = np.float64 if getattr(points, "dtype", None) == np.float64 else np.float32
         if is_device_array(points):
@@ -175,6 +253,7 @@ class Deformer:
             [edits.array, wp.vec3(*kernel_origin), x, d, step],
             outputs,
             device=self.device,
+            work=edits.sample_work,
         )
         if not return_outside:
             outputs = outputs[:3]
@@ -187,6 +266,69 @@ class Deformer:
         canonical[still] = np.asarray(points, dtype).reshape(-1, 3)[still]
         return (canonical, *others)
 
+    def _render(
+        self,
+        posed_edits: Callable[[], PosedEdits],
+        camera: Camera,
+        background: str | ArrayLike | None,
+        step: float | None,
+        supersampling: int | None,
+    ) -> Frame:
+        """`render` of a pose, which is worked out once the rest is checked."""
+        grid = self.field.grid
+        options = MarchOptions()
+        options.step, work = self.field.march_step(step, camera)
+        options.stop = STOP_TRANSMITTANCE
+        options.arc_opacity = int(self.density == "opacity")
+
+        def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
+            edits = posed_edits()
+            edits.prepare(grid, options.step)
+            picture = Picture()
+            for name, array in arrays.items():
+                setattr(picture, name, array)
+            inputs = [grid, edits.scene, pinhole, colour, options, picture]
+            launch(edits.render_kernel, threads, inputs, device=self.device, work=work * edits.sample_work)
+
+        return self.field.render_by(march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
+
+
+class PosedDeformer:
+    """One pose of a Deformer that several callers share; see `Deformer.posed`.
+
+    Args:
+        deformer: The Deformer.
+        cages: The posed cages, one per edit, None for an edit that removes.
+
+    Attributes:
+        deformer: As given.
+        deformed: The posed cages.
+    """
+
+    def __init__(self, deformer: Deformer, cages: list[Cage | None]):
+        self.deformer, self.deformed = deformer, cages
+
+    def to_canonical(
+        self, points: Any, directions: Any, *, step: float | None = None, return_outside: bool = False
+    ) -> tuple[Any, ...]:
+        """Where points of the deformed scene are in the canonical one; see `Deformer.to_canonical`.
+
+        Args:
+            points: (n, 3) float, world units.
+            directions: (n, 3) float, from the camera into the scene.
+            step: The dt of the finite difference, world units. None is the field's march step.
+            return_outside: Return a fourth array, which marks the points whose map leaves the rest cage.
+
+        Returns:
+            As `Deformer.to_canonical`.
+
+        Raises:
+            ValueError: As `Deformer.to_canonical`.
+        """
+        shared = self.deformer
+        with shared.lock:
+            return shared._to_canonical(shared._hold(self.deformed), points, directions, step, return_outside)
+
     def render(
         self,
         camera: Camera,
@@ -195,12 +337,11 @@ class Deformer:
         step: float | None = None,
         supersampling: int | None = None,
     ) -> Frame:
-        """The view of a camera of the deformed scene, with the masks reveal, fold and outside.
+        """The view of a camera of the scene in this pose; see `Deformer.render`.
 
         Args:
             camera: The camera.
-            background: Colour behind the scene, a name or (3,) in [0, 1]. None is the field's own; its background model
-                stays where it is however the cages move, and shows where they clear.
+            background: Colour behind the scene, a name or (3,) in [0, 1]. None is the field's own.
             step: March step, world units. None is the field's.
             supersampling: Rays along each side of a pixel. None is the field's.
 
@@ -208,25 +349,11 @@ class Deformer:
             The frame, its arrays on the device.
 
         Raises:
-            ValueError: For a background that is not known, a step that is not positive and finite, or supersampling
-                out of range.
+            ValueError: As `Deformer.render`.
         """
-        grid = self.field.grid
-        options = MarchOptions()
-        options.step = checked_step(step, self.field.step)
-        options.stop = STOP_TRANSMITTANCE
-        options.arc_opacity = int(self.density == "opacity")
-
-        def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
-            edits = self.posed_edits()
-            edits.prepare(grid, options.step)
-            picture = Picture()
-            for name, array in arrays.items():
-                setattr(picture, name, array)
-            inputs = [grid, edits.scene, pinhole, colour, options, picture]
-            launch(edits.render_kernel, threads, inputs, device=self.device)
-
-        return self.field.render_by(march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
+        shared = self.deformer
+        with shared.lock:
+            return shared._render(lambda: shared._hold(self.deformed), camera, background, step, supersampling)
 
 
 def checked_pose(edit: CageEdit, cage: Any, index: int) -> Cage | None:

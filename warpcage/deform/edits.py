@@ -72,12 +72,14 @@ class PosedEdits(abc.ABC):
         render_kernel: The kernel for views.
         array: (edits,) structs, once the edits are posed.
         scene: What the render kernel takes, once `prepare` has been called for the pose.
+        sample_work: Steps that one sample takes at most, as `core.devices.launch` has them.
     """
 
     def __init__(self, map_kernel: Any, render_kernel: Any):
         self.map_kernel, self.render_kernel = map_kernel, render_kernel
         self.array: wp.array | None = None
         self.scene: Any = None
+        self.sample_work = 1
 
     @abc.abstractmethod
     def pose(self, cages: Sequence[Cage | None]) -> None:

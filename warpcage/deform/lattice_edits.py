@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import empty_array
-from ..core.devices import launch, load_modules
+from ..core.devices import launch
+from ..core.modules import load_modules
 from ..kernels.deform import cells as cell_tables
 from ..kernels.deform import points, render, render_single
 from ..kernels.deform.edits import LatticeEdit
@@ -96,8 +97,10 @@ class LatticeEdits(PosedEdits):
         self.array, self.scene = self.lattices.array, None
 
     def prepare(self, grid: Any, step: float) -> None:
-        if self.lattices.mark_empty(grid, step) or self.scene is None:
-            self.scene = self.single_edit() if self._is_single else self.array
+        scene, self.scene = self.scene, None  # an interrupt leaves none
+        if self.lattices.mark_empty(grid, step) or scene is None:
+            scene = self.single_edit() if self._is_single else self.array
+        self.scene = scene
 
     def single_edit(self) -> Any:
         """The one edit of a scene as its own kernel takes it: a SingleEdit of kernels/deform/render_single.py."""
@@ -224,6 +227,7 @@ class EditLattices:
         """
         if step <= self._marked_step:
             return False
+        self._marked_step = 0.0  # an interrupt leaves tables that are half written
         for index, skip in enumerate(self.skips):  # in order: each looks at the ones before it
             marks = wp.empty_like(skip)
             inputs = [grid, self.array, index, step]

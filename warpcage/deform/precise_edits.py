@@ -47,6 +47,7 @@ class ClosedFormEdits(PosedEdits):
     def __init__(self, edits: list[CageEdit], coordinates: str, origin: np.ndarray, device: wp.Device):
         super().__init__(points_precise.map_points_precisely, render_precise.render_precisely)
         self._edits, self._origin, self._device = edits, origin, device
+        self.sample_work = sum(len(edit.cage.faces) for edit in edits)  # each face is looked at
         self._is_green = coordinates == "green"
         load_pose_modules(coordinates, [render_precise, settled_cells], device)
         self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device)

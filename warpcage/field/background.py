@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import as_host_points, empty_array
 from ..core.checks import checked_positive, checked_vector
 from ..core.devices import launch, resolve_device
+from ..core.locks import device_turn, in_turn
 from ..kernels.field.background import BackgroundLayers, add_background, sample_background
 from ..view.camera import Camera, camera_struct, tile_threads
 from .files.contents import LayerContents, surface_node_count
@@ -75,7 +76,8 @@ class LayeredBackground:
         if isinstance(values, wp.array):
             layers.values = values if values.device == self.device else values.to(self.device)
         else:
-            layers.values = wp.array(values, dtype=wp.vec4, device=self.device)
+            with device_turn(self.device):
+                layers.values = wp.array(values, dtype=wp.vec4, device=self.device)
         self.layers = layers
 
     @property
@@ -94,6 +96,7 @@ class LayeredBackground:
         return self.layers.values.shape[0]
 
     @property
+    @in_turn
     def values(self) -> np.ndarray:
         """(layers, nodes, 4) float32 red, green, blue and optical depth."""
         return self.layers.values.numpy()
@@ -123,6 +126,7 @@ class LayeredBackground:
     def __repr__(self) -> str:
         return f"LayeredBackground({self.layer_count} layers of 6x{self.side}x{self.side}, {self.device})"
 
+    @in_turn
     def sample(self, origins: ArrayLike, directions: ArrayLike) -> np.ndarray:
         """What rays see of the layers.
 

@@ -10,8 +10,9 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
-from ..core.checks import checked_bounds, checked_step, checked_vector, require_type
+from ..core.checks import checked_bounds, checked_march, checked_vector, require_ordinary_side, require_type
 from ..core.devices import launch, resolve_device
+from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..kernels.field.harmonics import vec9
 from ..kernels.field.render import render_image
@@ -53,7 +54,8 @@ class VoxelField:
         device: Warp device. None is the device of `links` if that is a Warp array, else CUDA where there is one.
 
     Raises:
-        ValueError: For shapes that do not fit together, or values that are not finite.
+        ValueError: For shapes that do not fit together, values that are not finite, or bounds whose longest side is not
+            1e-9 to 1e9 units.
 
     Attributes:
         device: Warp device of the arrays.
@@ -84,6 +86,7 @@ class VoxelField:
     ):
         self.device = resolve_device(device if device is not None or not isinstance(links, wp.array) else links.device)
         self.bounds = checked_bounds(bounds)
+        require_ordinary_side(float((self.bounds[1] - self.bounds[0]).max()), "a field")
         self.background = parse_background(background)
         self.background_model = None if background_model is None else background_model.to(self.device)
         self.up = _checked_up(up)
@@ -93,6 +96,11 @@ class VoxelField:
         self.resolution: tuple[int, ...] = tuple(int(n) for n in links.shape)
         self.voxel_size = (self.bounds[1] - self.bounds[0]) / self.resolution
 
+        with device_turn(self.device):
+            self.grid = self._filled_grid(links, density, sh, weights)
+
+    def _filled_grid(self, links: Any, density: Any, sh: Any, weights: Any) -> Any:
+        """The VoxelGrid of the arrays that the constructor was given; their weights go to `weights`."""
         grid = VoxelGrid()
         grid.links = _on_device(links, wp.int32, self.device)
         grid.density = _on_device(density, wp.float32, self.device)
@@ -110,7 +118,7 @@ class VoxelField:
         grid.voxel_size = wp.vec3(*self.voxel_size)
         grid.inverse_voxel_size = wp.vec3(*(1.0 / self.voxel_size))
         grid.skip = measure_skip(grid.links)
-        self.grid = grid
+        return grid
 
     @classmethod
     def from_dense(
@@ -182,6 +190,7 @@ class VoxelField:
             "in each of them"
         )
 
+    @in_turn
     def sample(self, points: Any, directions: Any) -> tuple[Any, Any]:
         """Colour and density at points.
 
@@ -223,24 +232,45 @@ class VoxelField:
             camera: The camera.
             background: Colour behind the field, a name or (3,) in [0, 1]. None is the field's own, its background model
                 where it has one. Opacity, depth and disparity are those of the field itself whatever is behind it.
-            step: March step, world units. None is `.step`.
+            step: March step, world units, at least 1e-5 of the diagonal of `bounds`. None is `.step`.
             supersampling: Rays along each side of a pixel. None is the field's.
 
         Returns:
             The frame, its arrays on the field's device.
 
         Raises:
-            ValueError: For a background that is not known, a step that is not positive and finite, or supersampling
-                out of range.
+            ValueError: For a background that is not known, a step that is not positive and finite or is too short,
+                a camera so far away that float32 cannot tell steps there, or supersampling out of range.
         """
-        step = checked_step(step, self.step)
+        step, work = self.march_step(step, camera)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
             inputs = [self.grid, pinhole, colour, step, STOP_TRANSMITTANCE]
-            launch(render_image, threads, inputs, [arrays[name] for name in PART_NAMES], device=self.device)
+            launch(render_image, threads, inputs, [arrays[name] for name in PART_NAMES], device=self.device, work=work)
 
         return self.render_by(march, camera, background=background, supersampling=supersampling)
 
+    def march_step(self, step: float | None, camera: Camera) -> tuple[float, float]:
+        """The step of a march from a camera.
+
+        Args:
+            step: What the caller asked for, world units. None is `.step`.
+            camera: The camera.
+
+        Returns:
+            The step, world units, and how many of them there are along the diagonal of the box.
+
+        Raises:
+            ValueError: As `render`.
+        """
+        require_type(camera, Camera, "render needs")
+        diagonal = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+        away = camera.centre - self.center
+        largest = float(np.abs(away).max()) or 1.0  # squares of the largest numbers are beyond float64
+        step = checked_march(step, self.step, diagonal, largest * float(np.linalg.norm(away / largest)))
+        return step, diagonal / step
+
+    @in_turn
     def render_by(
         self,
         march: March,
@@ -322,6 +352,7 @@ class VoxelField:
         """(nx, ny, nz) float32, the largest rendering weight of each voxel, or None where none was recorded."""
         return None if self.weights is None else self._dense(self.weights)
 
+    @in_turn
     def _dense(self, rows: wp.array) -> np.ndarray:
         """(nx, ny, nz) float32 values of the voxels, zero where there is no row."""
         links = self.grid.links.numpy()
@@ -367,6 +398,7 @@ class VoxelField:
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
+    @in_turn
     def _contents(self) -> FieldContents:
         """The field's parts on the host, for a file."""
         return FieldContents(

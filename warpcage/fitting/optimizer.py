@@ -14,7 +14,9 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, require_type
-from ..core.devices import load_modules, resolve_device
+from ..core.devices import resolve_device
+from ..core.locks import device_turn, in_turn
+from ..core.modules import load_modules
 from ..field.sparse import mask_count
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine, skip
@@ -271,6 +273,7 @@ class FieldOptimizer:
         level.keep(mask)
         self._activate_tiles()
 
+    @in_turn
     def restore(self, mask: wp.array, bits: int) -> None:
         """Rows for a mask and fresh state: what a checkpoint fills.
 
@@ -284,6 +287,7 @@ class FieldOptimizer:
 
     # Steps
 
+    @in_turn
     def step(self) -> None:
         """One batch: gradients and a step of RMSProp. Refines first when a level is done.
 
@@ -324,11 +328,13 @@ class FieldOptimizer:
             self.background.apply(rates.background)
         self.current.apply(rates, self.options.beta)
 
+    @in_turn
     def measure_psnr(self) -> float:
         """PSNR in dB of the last batch over all pixels of the images. Pixels that see no voxel count as right."""
         self.psnr = self.batches.psnr()
         return self.psnr
 
+    @in_turn
     def finish(self) -> VoxelField:
         """Prune what no view shows, record rendering weights, and return the field.
 
@@ -378,9 +384,11 @@ def fit(
     from tqdm import tqdm
 
     held = None if checkpoint is None else require_writable(checkpoint)
-    optimizer = FieldOptimizer(scene, device=device, seed=seed, bounds=bounds, quality=quality, **options)
-    if held is not None and held.exists():
-        load_progress(optimizer, held)
+    turn = device_turn(resolve_device(device))
+    with turn:
+        optimizer = FieldOptimizer(scene, device=device, seed=seed, bounds=bounds, quality=quality, **options)
+        if held is not None and held.exists():
+            load_progress(optimizer, held)
     with tqdm(total=optimizer.total_steps, initial=optimizer.step_count, desc="fit", disable=not progress) as bar:
         shown = saved = time.monotonic()
         while optimizer.step_count < optimizer.total_steps:
@@ -391,7 +399,8 @@ def fit(
                 size = "x".join(str(n) for n in optimizer.field.resolution)
                 bar.set_postfix_str(f"{optimizer.measure_psnr():.2f} dB at {size}")
             if held is not None and time.monotonic() - saved > checkpoint_seconds:
-                save_progress(optimizer, held)
+                with turn:
+                    save_progress(optimizer, held)
                 saved = time.monotonic()
     optimizer.measure_psnr()
     field = optimizer.finish()

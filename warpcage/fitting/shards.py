@@ -6,16 +6,22 @@ CPU atomics are plain reads and writes, so threads must not share an output. A G
 from __future__ import annotations
 
 import dataclasses
+import threading
 from collections.abc import Sequence
 
 import warp as wp
 
-from ..core.devices import Kernel, launch, module_block_dim
+from ..core.devices import launch, module_block_dim
+from ..core.locks import device_turn
+from ..core.modules import Kernel, require_loaded
 from ..core.threads import cpu_threads, run_parallel
 from ..kernels.fitting.rmsprop import add_gradients
 
 #: Outputs of their own are worth their memory for up to this many CPU threads.
 MAX_SHARDS = 8
+
+#: Parts of a shard's work that one launch takes: an interrupt waits for it.
+MOST_PARTS = 8192
 
 
 def shard_count(device: wp.Device) -> int:
@@ -51,13 +57,18 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
         device: Warp device of all arrays.
     """
     for work in works:  # before the threads, so that each module is compiled once
-        assert isinstance(work.kernel, wp.Kernel)
-        wp.load_module(work.kernel.module, device=device)
+        require_loaded(work.kernel, device, module_block_dim(work.kernel))
+
+    stopped = threading.Event()
 
     def run(shard: int) -> None:
         for work in works:
-            begin, end = (work.items * (work.count * edge // shards) for edge in (shard, shard + 1))
-            if end > begin:
+            first, last = (work.count * edge // shards for edge in (shard, shard + 1))
+            most = MOST_PARTS if device.is_cpu else max(1, last - first)
+            for part in range(first, last, most):
+                if stopped.is_set():
+                    return
+                begin, end = (work.items * edge for edge in (part, min(part + most, last)))
                 wp.launch(
                     work.kernel,
                     dim=end - begin,
@@ -67,7 +78,8 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
                     block_dim=module_block_dim(work.kernel),
                 )
 
-    run_parallel([lambda shard=shard: run(shard) for shard in range(shards)], shards)
+    with device_turn(device):
+        run_parallel([lambda shard=shard: run(shard) for shard in range(shards)], shards, stopped.set)
 
 
 def sum_shards(gradients: Sequence[wp.array]) -> wp.array:

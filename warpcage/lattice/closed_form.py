@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
-from ..core.devices import launch
+from ..core.devices import USUAL_WORK, launch
 from ..kernels.coordinates.green import weigh_green
 from ..kernels.coordinates.mean_value import weigh_mean_value
 from ..kernels.lattice.closed_form import (
@@ -80,8 +80,10 @@ class ClosedFormSolver(MapSolver):
     def _continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
         """Launch what continues the map to the rings."""
 
-    def _launch(self, kernel, count: int, inputs: list, outputs: list) -> None:
-        launch(kernel, count, inputs, outputs, device=self.device)
+    def _launch(self, kernel, count: int, inputs: list, outputs: list, *, all_faces: bool = False) -> None:
+        """all_faces: whether each item looks at all faces."""
+        work = self._faces.size if all_faces else USUAL_WORK
+        launch(kernel, count, inputs, outputs, device=self.device, work=work)
 
     def _inside_places(self) -> wp.array:
         """Places (m,) of all inside nodes of the last pose, node units."""
@@ -125,14 +127,14 @@ class MeanValueSolver(ClosedFormSolver):
         points, corners = self._inside_places(), self.lattice.vertices.size
         weights = self._empty_weights(points.size, corners)
         inputs = [points, self._vertices, self.lattice.faces, self._size]
-        self._launch(weigh_mean_value, points.size, inputs, [weights])
+        self._launch(weigh_mean_value, points.size, inputs, [weights], all_faces=True)
         return [(0, weights, None)]
 
     def _launch_map(self, sections: NodeSections, target: MapTarget, values: wp.array) -> None:
         with self.lattice.side.fork():
             self._describe(sections)
         cage = [self._vertices, self._faces, self._fans, target.vertex_values, self._size]
-        self._launch(map_nodes_mean_value, sections.evaluated, [self.nodes.levels, *cage], [values])
+        self._launch(map_nodes_mean_value, sections.evaluated, [self.nodes.levels, *cage], [values], all_faces=True)
         self.lattice.side.join()
 
     def _describe(self, sections: NodeSections) -> None:
@@ -191,7 +193,7 @@ class GreenSolver(ClosedFormSolver):
         values = self.weighted_values(target)
         rows = table.describe(self.lattice, self.nodes.levels, sizes.lists)
         inputs = [self.nodes.levels, rows, self._vertices, self._faces, self._fans, *values, self._size]
-        self._launch(map_crossings_green, boundary.size, inputs, [boundary])
+        self._launch(map_crossings_green, boundary.size, inputs, [boundary], all_faces=True)
         return rows
 
     def weigh(self) -> list[WeightBlock]:
@@ -200,12 +202,12 @@ class GreenSolver(ClosedFormSolver):
         vertex_weights = self._empty_weights(points.size, corners)
         face_weights = self._empty_weights(points.size, self._faces.size)
         inputs = [points, self._vertices, self._faces, self._size]
-        self._launch(weigh_green, points.size, inputs, [vertex_weights, face_weights])
+        self._launch(weigh_green, points.size, inputs, [vertex_weights, face_weights], all_faces=True)
         return [(0, vertex_weights, face_weights)]
 
     def _launch_map(self, sections: NodeSections, target: MapTarget, values: wp.array) -> None:
         cage = [self._vertices, self._faces, self._fans, *self.weighted_values(target), self._size]
-        self._launch(map_nodes_green, sections.evaluated, [self.nodes.levels, *cage], [values])
+        self._launch(map_nodes_green, sections.evaluated, [self.nodes.levels, *cage], [values], all_faces=True)
 
     def _continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
         for ring in range(RINGS):

@@ -10,7 +10,8 @@ import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
 from ..core.checks import warn_caller
-from ..core.devices import lane_count, launch, load_modules
+from ..core.devices import lane_count, launch
+from ..core.modules import load_modules, require_loaded
 from ..kernels.lattice import harmonic as harmonic_kernels
 from ..kernels.lattice import harmonic_coarse
 from ..kernels.lattice.cut_rows import set_sources
@@ -241,6 +242,7 @@ class HarmonicSolver(MapSolver):
         """Launch the levels from `level` on as one block of threads."""
         threads = 1 if self.device.is_cpu else BLOCK_THREADS
         inputs = [0, level, SWEEPS, COARSEST_SWEEPS, threads, self._system]
+        require_loaded(cycle_coarse_levels, self.device, BLOCK_THREADS)
         wp.launch(cycle_coarse_levels, dim=threads, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
 
     def _relax(self, level: int, colour: int, half_sweeps: int, inside: np.ndarray) -> None:

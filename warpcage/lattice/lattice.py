@@ -10,7 +10,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ..core.checks import require_ordinary_side
 from ..core.devices import lane_count, launch, resolve_device
+from ..core.locks import in_turn
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
 from ..kernels.lattice.distance import BLOCK, list_block_faces, measure_band
 from ..kernels.lattice.nodes import RINGS
@@ -219,6 +221,7 @@ class CageLattice:
         constants.vertices.host[:] = scaled
         constants.centred.host[:] = scaled - (np.array(shape) - 1) // 2
 
+    @in_turn
     def measure(self) -> CageLattice:
         """Cross the lines and measure distances for the pose that the lattice lies over, whatever there was before.
 
@@ -297,14 +300,16 @@ class CageLattice:
         self.crossings.places = self._crossing_places.take(places)
         self.crossings.faces = self._crossing_faces.take(places)
         inputs = [self.vertices, self.faces, self.crossings, self.flags.lines]
-        launch(cross_lines, lane_count(self.device) * sizes.runs, inputs, device=self.device)
+        launch(cross_lines, lane_count(self.device) * sizes.runs, inputs, device=self.device, work=self.faces.size)
 
     def _launch_block_faces(self, sizes: PoseSizes) -> None:
         counts, near = self._near_counts.take(sizes.blocks), self._near_faces.take((sizes.blocks, BLOCK_FACES))
         self.block_faces = counts, near
         self.clear_octants = self._clear_octants.take(sizes.blocks)
         inputs = [self.constants.shapes.array, self.vertices, self.faces, counts, near, self.clear_octants]
-        launch(list_block_faces, lane_count(self.device) * sizes.blocks, inputs, device=self.device)
+        launch(
+            list_block_faces, lane_count(self.device) * sizes.blocks, inputs, device=self.device, work=self.faces.size
+        )
 
 
 def lattice_frame(
@@ -322,8 +327,10 @@ def lattice_frame(
         numbers, so that kernels see exactly the same lattice.
 
     Raises:
-        ValueError: For a cage so far from the origin that float32 numbers are about half a cell apart there.
+        ValueError: For a cage so far from the origin that float32 numbers are about half a cell apart there, or one
+            whose longest side is not 1e-9 to 1e9 units.
     """
+    require_ordinary_side(cage.size, "the cage of a lattice")
     (low, high), place = cage.bounds.tolist(), np.asarray(origin).tolist()
     spacing = float(np.float32(max(b - a for a, b in zip(low, high, strict=True)) / resolution))
     far = max(max(abs(a - o), abs(b - o)) for a, b, o in zip(low, high, place, strict=True))

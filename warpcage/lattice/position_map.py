@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import WarpStruct
 from ..core.checks import warn_caller
 from ..core.devices import resolve_device
+from ..core.locks import owner_lock
 from ..core.memory import require_memory
 from ..core.names import require_coordinates, require_store
 from ..kernels.lattice.cage_map import CageMap
@@ -62,6 +63,7 @@ class PositionMap:
         origin: (3,) float64.
         lattice: The lattice, None before the first pose.
         gap_jump: By how much the pose opens gaps narrower than a cell, as a share of the rest cage's size.
+        lock: Held while buffers are in use. Threads that share a map hold it over `pose` and what then reads `data`.
 
     Raises:
         ValueError: For an unusable cage, unknown names, or a resolution or tolerance out of range.
@@ -86,6 +88,7 @@ class PositionMap:
         self.tolerance = require_tolerance(tolerance)
         self.device = resolve_device(device)
         self.origin = np.array(rest.bounds.mean(axis=0) if origin is None else origin, dtype=np.float64).reshape(3)
+        self.lock = owner_lock(self.device)
         self.lattice: CageLattice | None = None
         self.gap_jump = 0.0
         self._launches: PoseLaunches | None = None
@@ -112,9 +115,10 @@ class PositionMap:
         require_same_faces(self.rest, deformed)
         if deformed.size == 0.0:  # no lattice at all
             require_usable(deformed, "deformed cage")
-        if self._graph is None or self._data is None or not self._replay(self._graph, deformed):
-            require_usable(deformed, "deformed cage")
-            self._pose_step_by_step(deformed)
+        with self.lock:
+            if self._graph is None or self._data is None or not self._replay(self._graph, deformed):
+                require_usable(deformed, "deformed cage")
+                self._pose_step_by_step(deformed)
         return self
 
     def _pose_step_by_step(self, deformed: ClosedMesh) -> None:
@@ -186,20 +190,22 @@ class PositionMap:
         if self.store != "weights":
             raise ValueError('rebind needs the weights: make the PositionMap with store="weights"')
         require_usable(rest, "rest cage")
-        launches, lattice = self._posed()
-        require_same_faces(rest, lattice.cage)
-        self.rest = rest
-        launches.target = MapTarget(rest, launches.target.affine, launches.target.vertex_values)
-        self._data = None  # what is in the buffers goes
-        self._map_positions(launches)
+        with self.lock:
+            launches, lattice = self._posed()
+            require_same_faces(rest, lattice.cage)
+            self.rest = rest
+            launches.target = MapTarget(rest, launches.target.affine, launches.target.vertex_values)
+            self._data = None  # what is in the buffers goes
+            self._map_positions(launches)
         return self
 
     @property
     def data(self) -> WarpStruct:
         """The map for kernels: positions and distances relative to `origin`. The next pose overwrites its arrays."""
-        self._posed()
-        assert self._data is not None
-        return self._data
+        with self.lock:
+            self._posed()
+            assert self._data is not None
+            return self._data
 
     @property
     def weights(self) -> LatticeWeights:
@@ -221,8 +227,9 @@ class PositionMap:
     @property
     def thin_nodes(self) -> int:
         """Nodes at gaps of the deformed cage that are narrower than about two cells and that the pose opens."""
-        launches, _ = self._posed()
-        return launches.solver.gaps.total() if self._has_gaps else 0
+        with self.lock:
+            launches, _ = self._posed()
+            return launches.solver.gaps.total() if self._has_gaps else 0
 
     def memory_bytes(self, deformed: ClosedMesh | None = None, *, gaps: bool = False) -> int:
         """Bytes on the device that a pose takes, worked out from shapes before allocation.

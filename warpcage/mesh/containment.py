@@ -7,8 +7,9 @@ from typing import overload
 import numpy as np
 import warp as wp
 
-from ..core.arrays import PointsLike, as_host_points, as_points, is_device_array
-from ..core.devices import Kernel, launch, resolve_device
+from ..core.arrays import PointsLike, as_host_points, as_points, is_device_array, points_in_turn
+from ..core.devices import launch, resolve_device
+from ..core.modules import Kernel
 from ..kernels.mesh.containment import measure_distance, measure_winding_number
 from .closed_mesh import ClosedMesh
 from .usable import require_usable
@@ -18,6 +19,7 @@ SURFACE_TOLERANCE = 1e-5
 
 
 @overload
+@points_in_turn
 def inside_mesh(
     points: wp.array, mesh: ClosedMesh, *, tolerance: float = ..., device: wp.DeviceLike = ...
 ) -> wp.array: ...
@@ -67,7 +69,7 @@ def _inside(points: np.ndarray, mesh: ClosedMesh, tolerance: float, device: wp.D
     def measure(kernel: Kernel, rows: np.ndarray) -> np.ndarray:
         local = wp.array(((points[rows] - centre) / size).astype(np.float32), dtype=wp.vec3, device=device)
         values = wp.empty(len(rows), dtype=wp.float32, device=device)  # pyright: ignore[reportArgumentType]
-        launch(kernel, len(rows), [local, vertices, faces], [values], device=device)
+        launch(kernel, len(rows), [local, vertices, faces], [values], device=device, work=len(mesh.faces))
         return values.numpy()
 
     if len(near):

@@ -12,6 +12,9 @@ from .faces import column_cross, column_dot, face_edges
 #: A face lower than this share of the mesh's size has no normal in float32.
 DEGENERATE_HEIGHT = 1e-7
 
+#: Smallest and largest size whose powers and vertices numbers hold.
+SMALLEST_SIZE, LARGEST_SIZE = 1e-32, 1e32
+
 #: Odd factors of a hash over three words: two places almost never share one.
 _PLACE_FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
@@ -138,7 +141,26 @@ def first_problem(mesh: ClosedMesh) -> str:
     """
     if mesh.topology.problem:
         return mesh.topology.problem
-    return "" if looks_usable(mesh) else first_geometric_problem(mesh)
+    return size_problem(mesh) or ("" if looks_usable(mesh) else first_geometric_problem(mesh))
+
+
+def size_problem(mesh: ClosedMesh) -> str:
+    """What is wrong with the size of a mesh.
+
+    Args:
+        mesh: The mesh.
+
+    Returns:
+        As `first_problem`; empty for a mesh without any size, which has other problems.
+    """
+    with np.errstate(over="ignore"):  # corners farther apart than the largest number
+        size = mesh.size
+    if size == 0.0 or SMALLEST_SIZE <= size <= LARGEST_SIZE:
+        return ""
+    return (
+        f"has a size of {size:.3g} units: {SMALLEST_SIZE:g} to {LARGEST_SIZE:g} can be worked with, scale it to "
+        "another unit"
+    )
 
 
 def first_geometric_problem(mesh: ClosedMesh) -> str:

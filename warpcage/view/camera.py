@@ -92,7 +92,13 @@ class Camera:
             ValueError: If `target` is `eye`.
         """
         place, goal, upward = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
-        forward = goal - place
+        with np.errstate(over="ignore"):
+            forward = goal - place
+        if not np.isfinite(forward).all():
+            raise ValueError(f"look_at needs places a finite distance apart, got {place} and {goal}")
+        longest = np.abs(forward).max()
+        if longest > 0 and not 1e-100 < longest < 1e100:
+            forward = forward / longest  # its square is beyond float64
         if np.linalg.norm(forward) == 0:
             raise ValueError(f"look_at needs a target that is not the eye, both are {place}")
         forward = forward / np.linalg.norm(forward)

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..core.devices import launch
+from ..core.locks import device_turn
 from ..kernels.view import downsample
 from .camera import Camera
 
@@ -121,7 +122,11 @@ class Frame:
     def _on_host(self, name: str, *channels: int) -> np.ndarray:
         if name not in self._host:
             array = self.arrays[name]
-            host = array.numpy() if isinstance(array, wp.array) else np.asarray(array)
+            if isinstance(array, wp.array) and array.device is not None:
+                with device_turn(array.device):
+                    host = array.numpy()
+            else:
+                host = np.asarray(array)
             self._host[name] = np.ascontiguousarray(host, np.float32).reshape(self.height, self.width, *channels)
         return self._host[name]
 

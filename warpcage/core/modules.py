@@ -1,0 +1,130 @@
+"""Load modules of kernels: one thread at a time, and anew where the files of the kernel cache are damaged."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import shutil
+import sys
+import threading
+import types
+from collections.abc import Callable, Iterable
+from typing import Any, TypeAlias
+
+import warp as wp
+
+from .locks import device_turn
+from .threads import cpu_threads
+
+#: What `wp.kernel` makes of a function: a wp.Kernel, which type checkers take for the function itself.
+Kernel: TypeAlias = wp.Kernel | Callable[..., Any]
+
+#: Held while modules are loaded: Warp gives modules that two threads load at once the same name.
+_loading = threading.RLock()
+
+#: Modules that are loaded, with their device and threads per block.
+_loaded: set[tuple[wp.Module, str, int | None]] = set()
+
+
+def start_warp() -> None:
+    """Start Warp, in one thread; costs nothing where it has started."""
+    with _loading:
+        wp.init()
+
+
+def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> None:
+    """Compile and load modules of kernels side by side, each for the block size that it names.
+
+    Launched one by one they would wait for each other. Costs nothing where they are loaded.
+
+    Args:
+        modules: Python modules that hold kernels.
+        device: Warp device.
+
+    Raises:
+        RuntimeError: For files of the kernel cache that are damaged and cannot be replaced.
+    """
+    device = wp.get_device(device)
+    warp_modules = [wp.get_module(module.__name__) for module in modules]
+    with device_turn(device), _loading:
+        _ask_cpu_target()
+        try:
+            wp.force_load(device, warp_modules, max_workers=min(len(warp_modules), cpu_threads()))
+        except Exception:
+            for module in warp_modules:  # the damaged ones anew
+                _load(module, device, None if device.is_cpu else module.options["block_dim"])
+
+
+def require_loaded(kernel: Kernel, device: wp.Device, block_dim: int) -> None:
+    """Compile and load the module of a kernel, where that was not done.
+
+    Args:
+        kernel: The kernel.
+        device: Warp device.
+        block_dim: Threads per block on CUDA.
+
+    Raises:
+        RuntimeError: For files of the kernel cache that are damaged and cannot be replaced.
+    """
+    assert isinstance(kernel, wp.Kernel)
+    place = (kernel.module, device.alias, None if device.is_cpu else block_dim)
+    if place in _loaded:
+        return
+    with device_turn(device), _loading:
+        _ask_cpu_target()
+        _load(kernel.module, device, place[2])
+        _loaded.add(place)
+
+
+def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
+    """Load a module; where its files in the cache are damaged, remove them and compile it again."""
+    try:
+        wp.load_module(module, device=device, block_dim=block_dim)
+    except Exception as error:
+        if module.failed_builds:  # it did not compile: the files are not to blame
+            raise
+        folder = _cache_folder(module, 1 if block_dim is None else block_dim)
+        if _removed(folder):
+            wp.load_module(module, device=device, block_dim=block_dim)
+            return
+        raise RuntimeError(
+            f"the compiled kernels in {folder} are damaged, and the folder cannot be removed: remove it, or set "
+            "WARP_CACHE_PATH to another one"
+        ) from error
+
+
+def _cache_folder(module: wp.Module, block_dim: int) -> pathlib.Path:
+    """The folder of a module in the kernel cache."""
+    return pathlib.Path(str(wp.config.kernel_cache_dir), module.get_module_identifier(block_dim))
+
+
+def _removed(folder: pathlib.Path) -> bool:
+    """Take a folder away in one step, as other processes may look at it. Whether it is gone."""
+    gone = folder.with_name(f"{folder.name}_damaged_p{os.getpid()}")
+    try:
+        os.replace(folder, gone)
+    except OSError:
+        return not folder.exists()  # another process was faster
+    shutil.rmtree(gone, ignore_errors=True)
+    return True
+
+
+def _ask_cpu_target() -> None:
+    """Ask Warp for the compiler's version, which it keeps, before threads do.
+
+    Its library writes the answer into one buffer at each call (Warp 1.19): two threads that load their first modules at
+    once may read it half written, and their objects get names that the next process does not find in the cache.
+    """
+    ask = getattr(sys.modules.get("warp._src.context"), "_get_cpu_toolchain_version", None)
+    if ask is not None:
+        ask()
+
+
+def _forget_lock() -> None:
+    """A forked process may have a lock that a thread holds which it does not have."""
+    global _loading
+    _loading = threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
+    os.register_at_fork(after_in_child=_forget_lock)
