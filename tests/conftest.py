@@ -53,8 +53,8 @@ def pytest_sessionstart(session):
     of_workers = hasattr(config, "workerinput") or not config.getoption("numprocesses", None)
     if of_workers or config.option.collectonly or config.args_source is not config.ArgsSource.TESTPATHS:
         return
-    from warpcage.core.modules import load_modules
     from warpcage.core.kernel_files import kernel_names, kernel_source
+    from warpcage.core.modules import load_modules
 
     files = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
     load_modules([importlib.import_module(f"warpcage.kernels.{name}") for name in files], "cpu")
