@@ -7,6 +7,7 @@ import os
 import pathlib
 import sys
 import warnings
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from numpy.typing import ArrayLike
 
 #: Names of the axes, in their order.
 AXES = "xyz"
+
+#: Letters of a name that a list in a message shows.
+LONGEST_NAME = 60
 
 
 def require_type(value: object, kind: type, what: str) -> None:
@@ -182,6 +186,22 @@ def axis_index(axis: str) -> int:
     if not isinstance(axis, str) or len(axis) != 1 or axis not in AXES:
         raise ValueError(f"axis must be 'x', 'y' or 'z', got {axis!r}")
     return AXES.index(axis)
+
+
+def listed(names: Iterable[Any], most: int = 8, *, none: str = "none") -> str:
+    """Names in a message: the first of them, and how many more there are.
+
+    Args:
+        names: The names, in the order in which they are shown. Long ones are cut.
+        most: Number of names that are shown.
+        none: What is said where there are none.
+
+    Returns:
+        "a, b, c and 5 more".
+    """
+    texts = [str(name) for name in names]
+    shown = ", ".join(text if len(text) <= LONGEST_NAME else f"{text[:LONGEST_NAME]}..." for text in texts[:most])
+    return (shown or none) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 
 def _number(value: Any) -> float:

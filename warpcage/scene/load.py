@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.checks import listed
 from ..view.backgrounds import parse_background
 from .formats import blender, colmap, dtu, nsvf, transforms
 from .scene import Scene
@@ -105,6 +106,5 @@ def detect_format(path: str | os.PathLike) -> str:
         if reader.is_scene(folder):
             return name
     looked = "; ".join(f"{name}: {reader.MARK}" for name, reader in READERS.items())
-    seen = sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir())
-    there = ", ".join(seen[:8]) + (f" and {len(seen) - 8} more" if len(seen) > 8 else "")
-    raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked}); it holds {there or 'nothing'}")
+    there = listed(sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir()), none="nothing")
+    raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked}); it holds {there}")

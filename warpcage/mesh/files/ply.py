@@ -41,7 +41,7 @@ def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list
         names = [each[0] for each in properties]
         if name == "vertex":
             if not {"x", "y", "z"} <= set(names):
-                raise ValueError(f"{path}: PLY vertices need properties x, y, z, got {', '.join(names) or 'none'}")
+                raise ValueError(f"{path}: PLY vertices need properties x, y, z, got {listed(names)}")
             columns = [names.index(axis) for axis in "xyz"]
             vertices = np.array([[row[column] for column in columns] for _, row in values], dtype=np.float64)
             if not np.isfinite(vertices).all():
@@ -50,8 +50,7 @@ def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list
         elif name == "face":
             column = next((k for k, each in enumerate(names) if each in ("vertex_indices", "vertex_index")), None)
             if column is None or not isinstance(properties[column][1], tuple):
-                found = ", ".join(names) or "none"
-                raise ValueError(f"{path}: PLY faces need a list property vertex_indices, got {found}")
+                raise ValueError(f"{path}: PLY faces need a list property vertex_indices, got {listed(names)}")
             polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
     if vertices is None:
         raise ValueError(f"{path}: no vertices in it")

@@ -14,6 +14,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from ...core.checks import listed
 from ...core.files import require_file
 
 #: Endings of pictures, and what is tried where a name has none.
@@ -138,8 +139,7 @@ def held_out(count: int, split: str, folder: pathlib.Path) -> list[int]:
 
 def missing_split(split: str, folder: pathlib.Path, splits: Iterable[str]) -> FileNotFoundError:
     """An error that names the splits there are."""
-    there = ", ".join(splits) or "none"
-    return FileNotFoundError(f"split {split!r} of {str(folder)!r} is not there; splits: {there}")
+    return FileNotFoundError(f"split {split!r} of {str(folder)!r} is not there; splits: {listed(splits)}")
 
 
 def split_file(folder: pathlib.Path, split: str) -> pathlib.Path:
