@@ -175,7 +175,7 @@ def npy_bytes(header_text, version=(1, 0)):
 )
 def test_hostile_headers_are_refused_before_anything_is_allocated(tmp_path, descr, shape, words):
     path = tmp_path / "file.npz"
-    header = "{'descr': %s, 'fortran_order': False, 'shape': %s, }\n" % (descr, shape)
+    header = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("a.npy", npy_bytes(header) + bytes(8))
     peak, _ = peak_of(lambda: refused(lambda: read_npz(path, "file"), "file.npz is not an .npz file", words))

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 #: Names of the axes, in their order.
 AXES = "xyz"
 
-#: Letters of a name that a list in a message shows.
-LONGEST_NAME = 60
+#: Letters of a value or a name that a message shows.
+MOST_SHOWN = 60
 
 
 def require_type(value: object, kind: type, what: str) -> None:
@@ -200,8 +200,25 @@ def listed(names: Iterable[Any], most: int = 8, *, none: str = "none") -> str:
         "a, b, c and 5 more".
     """
     texts = [str(name) for name in names]
-    shown = ", ".join(text if len(text) <= LONGEST_NAME else f"{text[:LONGEST_NAME]}..." for text in texts[:most])
-    return (shown or none) + (f" and {len(texts) - most} more" if len(texts) > most else "")
+    return (", ".join(map(_cut, texts[:most])) or none) + (
+        f" and {len(texts) - most} more" if len(texts) > most else ""
+    )
+
+
+def shown(value: object) -> str:
+    """A value in a message, cut where it is long.
+
+    Args:
+        value: The value.
+
+    Returns:
+        What `repr` makes of it, or its beginning.
+    """
+    return _cut(repr(value))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
 def _number(value: Any) -> float:

@@ -22,6 +22,9 @@ PathLike = str | os.PathLike[str]
 #: Deflate cannot pack tighter than this: bytes out per byte in.
 MAX_RATIO = 1032
 
+#: Bytes of memory that a byte of JSON takes at most, "[]," being 72 in three; and one of text cut into words.
+JSON_ROOM = TEXT_ROOM = 32
+
 #: Bytes that are unpacked at once.
 CHUNK = 1 << 24
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 #: What is told where nothing is known: beyond any memory.
 UNKNOWN = 1 << 62
 
-#: Limit and use of a control group, and what its statistics call pages of files, which the kernel gives back when asked:
-#: version 2, then version 1.
+#: Limit and use of a control group, and what its statistics call pages of files, which the kernel gives back when it
+#: must: version 2, then version 1.
 _GROUP_FILES = (
     ("memory.max", "memory.current", ("inactive_file", "active_file")),
     ("memory.limit_in_bytes", "memory.usage_in_bytes", ("total_inactive_file", "total_active_file")),

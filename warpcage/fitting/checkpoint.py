@@ -126,8 +126,8 @@ def load_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
         raise ValueError(f"{path} is no fit checkpoint: remove it or name another file")
     if str(contents.get("version")) != str(VERSION):
         raise ValueError(
-            f"{path} is a fit checkpoint of another version ({str(contents.get('version'))[:20]}, this warpcage goes on "
-            f"with {VERSION}): fit with the warpcage that wrote it, remove it or name another file"
+            f"{path} is a fit checkpoint of another version ({str(contents.get('version'))[:20]}, this warpcage reads "
+            f"{VERSION}): fit with the warpcage that wrote it, remove it or name another file"
         )
     if str(contents.get("fingerprint")) != fingerprint(optimizer):
         raise ValueError(
@@ -210,8 +210,8 @@ def scene_digest(scene: Scene) -> bytes:
     """Hash of every number of a scene that a fit uses.
 
     BLAKE2b (RFC 7693) over each picture, in parallel, then over the pictures' hashes. Measured: 0.33 GB/s for each
-    thread (Xeon with AVX-512, CPython 3.11, in seconds of that thread), so that 87 views of 800x800 with alphas (0.9 GB)
-    take 2.7 s on one thread and 0.2 s on 16.
+    thread (a Xeon, CPython 3.11, by the time of that thread). So 87 views of 800x800 with alphas (0.9 GB) take 2.7 s on
+    one thread and 0.2 s on 16.
 
     Args:
         scene: The scene.

@@ -98,7 +98,9 @@ def _read(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
         return read_svox2(contents, path, SVOX2_LAYERS in npz_names(path, "field file"))
     if name == "warpcage fit":
         raise ValueError(f"{path} is the checkpoint of a fit, not yet a field: run the same fit with it to the end")
-    raise ValueError(f"{path} is neither a warpcage nor a Plenoxels field: it holds {listed(npz_names(path, 'field file'))}")
+    raise ValueError(
+        f"{path} is neither a warpcage nor a Plenoxels field: it holds {listed(npz_names(path, 'field file'))}"
+    )
 
 
 def _check(field: FieldContents, path: pathlib.Path) -> None:

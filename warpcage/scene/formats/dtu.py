@@ -70,6 +70,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         scales.append(scale)
     same = all(np.array_equal(scale, scales[0]) for scale in scales)
     return make_scene(
+        folder,
         views,
         downscale=downscale,
         background=background,
