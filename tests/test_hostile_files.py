@@ -1,9 +1,9 @@
 """Files made to be misread: what they would cost is known before it is paid, and nothing else is taken for them."""
 
+import base64
 import dataclasses
 import io
 import json
-import os
 import subprocess
 import sys
 import textwrap
@@ -21,6 +21,9 @@ from warpcage.field.files import files as field_files
 from warpcage.field.voxel_field import VoxelField
 from warpcage.fitting.checkpoint import load_progress, save_progress, scene_digest
 from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.mesh import polygons
+from warpcage.mesh.files import gltf
+from warpcage.mesh.files.files import read_mesh
 
 
 def refused(action, *words, error=ValueError):
@@ -285,3 +288,140 @@ def test_lists_in_messages_are_cut(tmp_path):
     assert len(listed(["x" * 10_000] * 10_000)) < 600
     np.savez(tmp_path / "many.npz", **{f"array_{k:04d}": np.zeros(1) for k in range(500)})
     refused(lambda: VoxelField.load(tmp_path / "many.npz"), "it holds array_0000, array_0001, ", " and 492 more")
+
+
+# Meshes
+
+
+def star(count, seed=0):
+    """A flat polygon around the origin with a corner at each of many radii, (n, 3)."""
+    rng = np.random.default_rng(seed)
+    angle = 2 * np.pi * np.arange(count) / count
+    radius = rng.uniform(0.2, 1.0, count)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(count)], axis=1)
+
+
+def write_polygon(path, points):
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
+    path.write_text("\n".join([*lines, "f " + " ".join(str(k + 1) for k in range(len(points)))]) + "\n")
+
+
+def doubled_areas(points, triangles):
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)[:, 2]
+
+
+def test_polygons_of_many_corners_take_a_few_looks_at_each(tmp_path, monkeypatch):
+    looks = []
+    measured = polygons._Ears._quality
+    monkeypatch.setattr(polygons._Ears, "_quality", lambda self, corner: looks.append(1) or measured(self, corner))
+    count = 800
+    points = star(count)
+    write_polygon(tmp_path / "star.obj", points)
+    _, _, triangles = read_mesh(tmp_path / "star.obj")
+    areas = doubled_areas(points, triangles)
+    x, y = points[:, :2].T
+    assert len(triangles) == count - 2 and (areas > 0).all()
+    assert areas.sum() == pytest.approx((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    assert count <= len(looks) < 6 * count  # cutting anew at each ear would take 320,000
+
+
+def test_blocked_ears_are_cut_when_nothing_is_in_their_way(tmp_path):
+    # a comb: every tooth is in the way of the ears around it until it is gone
+    teeth = 60
+    x = np.repeat(np.arange(teeth), 2).astype(float)
+    y = np.tile([0.0, 50.0], teeth)
+    y[0] = y[-1] = -1.0
+    points = np.stack([x, -y, np.zeros(2 * teeth)], axis=1)[::-1]
+    write_polygon(tmp_path / "comb.obj", points)
+    _, _, triangles = read_mesh(tmp_path / "comb.obj")
+    areas = doubled_areas(points, triangles)
+    u, v = points[:, :2].T
+    assert (areas * np.sign(areas.sum()) > -1e-9).all()
+    assert areas.sum() == pytest.approx((u * np.roll(v, -1) - v * np.roll(u, -1)).sum())
+
+
+def test_more_corners_than_are_cut_are_refused_and_convex_ones_are_not(tmp_path):
+    write_polygon(tmp_path / "star.obj", star(polygons.MAX_CORNERS + 1))
+    refused(lambda: read_mesh(tmp_path / "star.obj"), "star.obj:4098: a face of 4097 corners", "at most 4096")
+    angle = 2 * np.pi * np.arange(6000) / 6000
+    write_polygon(tmp_path / "disc.obj", np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1))
+    assert len(read_mesh(tmp_path / "disc.obj")[2]) == 5998
+
+
+def instances(folder, nodes, *, triangles=400, primitives=1):
+    """A .gltf whose nodes share one mesh of some triangles over a hundred vertices."""
+    rng = np.random.default_rng(0)
+    data = rng.random((100, 3)).astype("<f4").tobytes() + rng.integers(0, 100, (triangles, 3)).astype("<u4").tobytes()
+    document = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}] * nodes,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}] * primitives}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 100},
+            {"bufferView": 0, "byteOffset": 1200, "componentType": 5125, "type": "SCALAR", "count": 3 * triangles},
+        ],
+        "bufferViews": [{"buffer": 0, "byteLength": len(data)}],
+        "buffers": [{"byteLength": len(data), "uri": "data:x;base64," + base64.b64encode(data).decode()}],
+    }
+    path = folder / "many.gltf"
+    path.write_text(json.dumps(document))
+    return path
+
+
+@pytest.mark.parametrize("nodes, primitives", [(3000, 1), (1, 3000), (20, 150)])
+def test_instances_are_counted_before_they_are_made(tmp_path, nodes, primitives):
+    path = instances(tmp_path, nodes, triangles=4000, primitives=primitives)
+    peak, _ = peak_of(
+        lambda: refused(lambda: read_mesh(path), "many.gltf", "come to 12000000 triangles", "at most 10000000")
+    )
+    assert peak < 1 << 26 and path.stat().st_size < 2_000_000
+
+
+def test_instances_need_memory_that_is_there(tmp_path, monkeypatch):
+    path = instances(tmp_path, 1000)
+    peak, (_, vertices, triangles) = peak_of(lambda: read_mesh(path))
+    assert vertices.shape == (100_000, 3) and triangles.shape == (400_000, 3)
+    need = gltf.VERTEX_BYTES * len(vertices) + gltf.TRIANGLE_BYTES * len(triangles)
+    assert need / 8 < peak < need
+    monkeypatch.setattr("warpcage.core.memory.free_host_bytes", lambda: need - 1)
+    refused(lambda: read_mesh(path), "1000 nodes with meshes come to 400000 triangles", "0.07 GiB of memory")
+
+
+def test_a_buffer_that_many_entries_name_is_read_once(tmp_path):
+    path = instances(tmp_path, 1)
+    document = json.loads(path.read_text())
+    data = base64.b64decode(document["buffers"][0]["uri"].split(",")[1])
+    (tmp_path / "data.bin").write_bytes(data + bytes(1 << 20))
+    document["buffers"] = [{"byteLength": len(data), "uri": "data.bin"}] * 100
+    path.write_text(json.dumps(document))
+    peak, _ = peak_of(lambda: read_mesh(path))
+    assert peak < 10 << 20
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "data.bin").rename(tmp_path / "folder" / "data.bin")
+    path = path.rename(tmp_path / "folder" / "many.gltf")
+    (tmp_path / "outside.bin").write_bytes(data)
+    (tmp_path / "folder" / "data.bin").unlink()
+    (tmp_path / "folder" / "data.bin").symlink_to(tmp_path / "outside.bin")
+    refused(lambda: read_mesh(path), "its buffer 'data.bin' leads out of the folder")
+
+
+def test_lists_of_a_ply_are_counted_before_they_are_read(tmp_path, monkeypatch):
+    header = "ply\nformat binary_little_endian 1.0\nelement {}\nproperty list {} int vertex_indices\nend_header\n"
+    path = tmp_path / "c.ply"
+    path.write_bytes(header.format("face 1000000", "uchar").encode() + bytes(1_000_000))
+    monkeypatch.setattr("warpcage.core.memory.free_host_bytes", lambda: 1 << 28)
+    peak, _ = peak_of(lambda: refused(lambda: read_mesh(path), "c.ply: its 1000000 elements 'face' need 0."))
+    assert peak < 1 << 22
+    path.write_bytes(header.format("face 100000000000", "uchar").encode() + bytes(1000))
+    refused(lambda: read_mesh(path), "ends within its 100000000000 elements 'face'")
+    path.write_bytes(header.format("face 2", "char").encode() + b"\xff" * 100)
+    refused(lambda: read_mesh(path), "ends within element 0 of 2 'face'")
+
+
+def test_long_lines_are_cut_in_messages(tmp_path):
+    path = tmp_path / "c.obj"
+    path.write_text("v 0 0 " + "x" * 100_000 + "\n")
+    with pytest.raises(ValueError) as error:
+        read_mesh(path)
+    assert len(str(error.value)) < 400 and "c.obj:1" in str(error.value)

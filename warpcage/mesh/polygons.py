@@ -38,9 +38,12 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
     normal /= length
     if np.ptp(points @ normal) > _FLAT * np.ptp(points, axis=0).max():
         return fan  # far from flat: no cut is the right one, so take one that every pose shares
-    if (_heights(vertices, np.array(fan), normal) > 1e-9 * length).all():
+    heights = _heights(vertices, np.array(fan), normal)
+    if (heights > 1e-9 * length).all():
         return fan
     if len(polygon) > MAX_CORNERS:
+        if (heights > 0.0).all():  # a disc of so many corners has slivers
+            return fan
         raise ValueError(
             f"a face of {len(polygon)} corners is not convex, at most {MAX_CORNERS} are cut into triangles: cut it in "
             "the program that made it"
@@ -57,9 +60,9 @@ def _heights(vertices, triangles, normal) -> np.ndarray:
 class _Ears:
     """Cuts ears off a polygon, the best one each time.
 
-    After a cut only three kinds of ears can change: the two beside it, and those that it was in the way of. Each blocked
-    ear remembers one corner that is in its way, and is looked at again when that one goes. An ear is compared with the
-    corners beside it along the polygon's longest axis alone. So n corners take about n log n looks at a few corners each.
+    A cut changes the two ears beside it, and those that its corner was in the way of: each blocked ear remembers one
+    corner that is in its way, and is looked at again when that one goes. An ear is compared with the corners beside it
+    along one axis alone. So n corners take a few n looks, not n^2.
     """
 
     def __init__(self, points: np.ndarray, polygon: list[int], normal: np.ndarray):

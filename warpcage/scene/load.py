@@ -55,9 +55,9 @@ def load_scene(
 ) -> Scene:
     """Read one split of a scene from disk.
 
-    What is read must lie in the folder by its real path: names in its files must not lead out of it, and neither must
-    links. One kind of link may: that of a whole folder, directly in the scene's, as `images -> /captures/fox/images`. The
-    format's own files (transforms.json, cameras.npz, sparse/0/cameras.bin) are opened by these names, links or not.
+    What the scene's files name must lie in its folder, by real paths: neither names nor links lead out of it. One kind
+    of link may: that to a whole folder, directly in the scene's, as `images -> /captures/fox/images`. The format's own
+    files (transforms.json, cameras.npz, sparse/0/cameras.bin) are opened by these names, whether links or not.
 
     Args:
         path: Folder of the scene.

@@ -21,6 +21,9 @@ from ...core.memory import require_host_memory
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
+
+#: What moves a node.
+_PLACES = {"matrix", "rotation", "scale", "translation"}
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 #: Most triangles of all nodes together: a thousand times what a large cage has.
@@ -158,7 +161,7 @@ def _mesh_nodes(document: dict) -> list[tuple[int, np.ndarray]]:
         if index in seen:
             raise ValueError(f"its node {index} has two parents, or is its own")
         seen.add(index)
-        matrix = parent @ _local_matrix(nodes[index])
+        matrix = parent @ _local_matrix(nodes[index]) if _PLACES & nodes[index].keys() else parent
         if "mesh" in nodes[index]:
             found.append((nodes[index]["mesh"], matrix))
         stack += [(child, matrix) for child in reversed(nodes[index].get("children", []))]

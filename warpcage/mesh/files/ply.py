@@ -20,8 +20,8 @@ _PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short":
 #: An element of the header: name, count, and the name and type of each property; a list has two types.
 Element = tuple[str, int, list[tuple[str, Any]]]
 
-#: What the body holds of an element: name, properties, and (line or name, values) of each row; where rows are binary and
-#: alike, a table of fields, one for each property.
+#: What the body holds of an element: name, properties, and (line or name, values) of each row; a table with a field
+#: for each property where rows are binary and alike.
 Rows = tuple[str, list[tuple[str, Any]], Any]
 
 #: Bytes of memory that a property of a row takes where it has lists, and each byte in them.

@@ -116,8 +116,8 @@ class Bounds:
         real = pathlib.Path(os.path.realpath(path))
         if not any(real.is_relative_to(root) for root in self.roots):
             raise ValueError(
-                f"{where}: {path.name[:60]!r} is a link that leads out of the data folder {str(self.folder)!r}: put the "
-                "file there, or a link to its whole folder"
+                f"{where}: {path.name[:60]!r} is a link that leads out of the data folder {str(self.folder)!r}: put "
+                "the file there, or a link to its whole folder"
             )
         return path
 

@@ -88,8 +88,8 @@ def make_scene(
 
     Raises:
         FileNotFoundError: For pictures that are not there.
-        ValueError: For pictures listed twice, of several sizes, of another size than their camera's, broken, outside the
-            folder, or too many for the memory.
+        ValueError: For pictures listed twice, of several sizes, of another size than their camera's, broken, outside
+            the folder, or too many for the memory.
     """
     _refuse_doubles(views)
     allowed = Bounds(folder)
