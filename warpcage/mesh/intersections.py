@@ -105,7 +105,7 @@ def _meeting(
     high: np.ndarray,
     levels: np.ndarray,
 ) -> Iterator[np.ndarray]:
-    """Pairs (p, 2), i < j, of boxes: each that asks, and those it overlaps among the held ones from `begin` to `end`."""
+    """Pairs (p, 2), i < j, of boxes: each that asks, and what it overlaps of the held ones from `begin` to `end`."""
     total = np.cumsum(end - begin)
     start = 0
     while start < len(asking):
