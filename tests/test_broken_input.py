@@ -108,7 +108,8 @@ def test_no_such_split(folder):
 
 @EVERY
 def test_more_pictures_than_memory(folder, monkeypatch):
-    monkeypatch.setattr("warpcage.scene.formats.views.free_host_bytes", lambda: 20000)
+    monkeypatch.setattr("warpcage.scene.formats.views._flight_bytes", lambda *view: 1000)
+    monkeypatch.setattr("warpcage.scene.formats.views.free_host_bytes", lambda: 14000)
     refuse(folder, "pictures of 24x20 need | give downscale=2 or more")
     assert load_scene(folder, downscale=2).images.shape[1:] == (10, 12, 3)
 
@@ -238,7 +239,7 @@ def test_wrong_nsvf(folder, file, content, words):
         ({"scale_mat_1": np.zeros((4, 4))}, "is singular"),
         ({"scale_mat_1": np.array(["a"])}, "scale_mat_1 must be"),
         ({"scale_mat_1": np.eye(4) + np.eye(4, k=1) * [0, 0.5, 0, 0]}, "skew"),
-        ({"extra": np.array([{}], object)}, "array 'extra' holds pickled objects, which are never opened"),
+        ({"world_mat_9": np.array([{}], object)}, "array 'world_mat_9' holds pickled objects, which are never opened"),
     ],
 )
 def test_wrong_dtu(folder, changes, words):

@@ -3,10 +3,12 @@
 import numpy as np
 import oracles
 import pytest
+import trimesh
 from test_containment import reference_distance
 
 from warpcage.cage.cage import Cage
-from warpcage.lattice.lattice import LINE_CAPACITY, CageLattice
+from warpcage.lattice import lattice as lattices
+from warpcage.lattice.lattice import BLOCK_FACES, LINE_CAPACITY, CageLattice
 
 
 def nodes_of(lattice):
@@ -82,7 +84,7 @@ def test_overlapping_parts_count_once_and_cavities_are_outside(device):
     overlap = Cage(vertices, np.concatenate([big.faces, small.faces + 8]))
     cavity = Cage(vertices, np.concatenate([big.faces, small.faces[:, ::-1] + 8]))
     for cage, volume in ((overlap, 8.0), (cavity, 8.0 - 0.125)):
-        lattice = CageLattice(cage, 32, device=device).measure()
+        lattice = CageLattice(cage, 24, device=device).measure()
         inside = (lattice.distance.numpy() < 0).sum() * lattice.spacing**3
         assert inside == pytest.approx(volume, rel=0.01)
     counts = CageLattice(overlap, 32, device=device).measure().crossings.counts.numpy()
@@ -113,3 +115,17 @@ def test_filling_anew_gives_what_a_new_lattice_gives(device):
 def test_resolutions_out_of_range_are_refused(resolution, device):
     with pytest.raises(ValueError, match="resolution must be"):
         CageLattice(Cage(*oracles.cage("box")), resolution, device=device).measure()
+
+
+def test_blocks_list_the_faces_near_them_however_many_there_are(device, monkeypatch):
+    sphere = trimesh.creation.icosphere(subdivisions=3)
+    cage = Cage(sphere.vertices * [1.0, 1.3, 0.8], sphere.faces)
+    lattice = CageLattice(cage, 24, device=device).measure()
+    counts, near = lattice.block_faces
+    # a block near more faces than are listed looks at all of them for each of its nodes
+    assert BLOCK_FACES < counts.numpy().max() <= near.shape[1] < len(cage.faces) / 2
+    monkeypatch.setattr(lattices, "LIST_BYTES", 0)
+    short = CageLattice(cage, 24, device=device).measure()
+    assert short.block_faces[1].shape[1] == BLOCK_FACES
+    np.testing.assert_array_equal(lattice.distance.numpy(), short.distance.numpy())
+    assert lattices.listed_faces(Cage(*oracles.cage("icosphere")), (70, 70, 70), 0.03) == BLOCK_FACES

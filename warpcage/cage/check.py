@@ -104,7 +104,7 @@ def _lattice_nodes(cage: ClosedMesh) -> int:
 
 def _convexity(cage: ClosedMesh) -> float:
     """Volume over that of the convex hull; 0 for a flat cage."""
-    hull = _hull_volume(np.concatenate(cage.corners))
+    hull = _hull_volume(cage.vertices[cage.topology.used_vertices])
     return cage.volume / hull if hull > 0.0 else 0.0
 
 
@@ -119,11 +119,11 @@ def _hull_volume(points: np.ndarray) -> float:
     extent = np.ptp(points, axis=0)
     if len(points) < 4 or extent.min() <= 1e-12 * extent.max():
         return 0.0
-    import trimesh
+    from scipy.spatial import ConvexHull, QhullError
 
     try:
-        return float(trimesh.convex.convex_hull(points).volume)
-    except Exception:  # all in one plane, as its solver says in its own way
+        return float(ConvexHull(points).volume)
+    except QhullError:  # all in one plane
         return 0.0
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_number
-from ..core.files import PathLike, atomic_path, require_file
+from ..core.checks import checked_number, listed
+from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
 from ..mesh.closed_mesh import require_mesh
 from .cage import Cage
 
@@ -54,7 +54,7 @@ class PoseFile:
 
     def __getitem__(self, name: str) -> Cage:
         if name not in self._poses:
-            raise ValueError(f"there is no keyframe {name!r}, only {', '.join(self._poses) or 'the rest cage'}")
+            raise ValueError(f"there is no keyframe {name!r}, only {listed(self._poses, none='the rest cage')}")
         return self._poses[name]
 
     def __len__(self) -> int:
@@ -145,7 +145,7 @@ class PoseFile:
         """
         path = require_file(path, "pose file")
         try:
-            document = json.loads(path.read_text(encoding="utf-8"))
+            document = json.loads(read_limited(path, "pose file", JSON_ROOM).decode("utf-8"))
             if document["format"] != _FORMAT:
                 raise ValueError(f"its format is {document['format']!r}, not {_FORMAT!r}")
             version, keyframes = document["version"], document["keyframes"]

@@ -7,6 +7,7 @@ import os
 import pathlib
 import sys
 import warnings
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,9 @@ SMALLEST_SIDE, LARGEST_SIDE = 1e-9, 1e9
 
 #: Names of the axes, in their order.
 AXES = "xyz"
+
+#: Letters of a value or a name that a message shows.
+MOST_SHOWN = 60
 
 
 def require_type(value: object, kind: type, what: str) -> None:
@@ -251,6 +255,39 @@ def axis_index(axis: str) -> int:
     if not isinstance(axis, str) or len(axis) != 1 or axis not in AXES:
         raise ValueError(f"axis must be 'x', 'y' or 'z', got {axis!r}")
     return AXES.index(axis)
+
+
+def listed(names: Iterable[Any], most: int = 8, *, none: str = "none") -> str:
+    """Names in a message: the first of them, and how many more there are.
+
+    Args:
+        names: The names, in the order in which they are shown. Long ones are cut.
+        most: Number of names that are shown.
+        none: What is said where there are none.
+
+    Returns:
+        "a, b, c and 5 more".
+    """
+    texts = [str(name) for name in names]
+    return (", ".join(map(_cut, texts[:most])) or none) + (
+        f" and {len(texts) - most} more" if len(texts) > most else ""
+    )
+
+
+def shown(value: object) -> str:
+    """A value in a message, cut where it is long.
+
+    Args:
+        value: The value.
+
+    Returns:
+        What `repr` makes of it, or its beginning.
+    """
+    return _cut(repr(value))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
 def _number(value: Any) -> float:

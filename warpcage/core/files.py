@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import os
 import pathlib
 import stat
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import IO
 
 import numpy as np
 
-from .memory import free_host_bytes
+from .memory import free_host_bytes, require_host_memory
 
 #: A path as callers give it.
 PathLike = str | os.PathLike[str]
@@ -20,22 +22,35 @@ PathLike = str | os.PathLike[str]
 #: Deflate cannot pack tighter than this: bytes out per byte in.
 MAX_RATIO = 1032
 
+#: Bytes of memory that a byte of JSON takes at most, "[]," being 72 in three; and one of text cut into words.
+JSON_ROOM = TEXT_ROOM = 32
+
 #: Bytes that are unpacked at once.
 CHUNK = 1 << 24
 
 #: Bytes that a file's name may have on common file systems.
 MAX_NAME = 255
-_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+#: The longest header of an array: one of numbers or text has some hundred bytes.
+MAX_HEADER = 10_000
+
+#: What reads the header of each version, and the bytes that say how long it is.
+_HEADERS = {(1, 0): (np.lib.format.read_array_header_1_0, 2), (2, 0): (np.lib.format.read_array_header_2_0, 4)}
 
 
-def read_npz(path: PathLike, what: str) -> dict[str, np.ndarray]:
+def read_npz(
+    path: PathLike, what: str, wanted: Callable[[str], object] | None = None, *, room: int = 1
+) -> dict[str, np.ndarray]:
     """Read an .npz file without trusting it.
 
-    Sizes are compared with that of the file before anything is allocated. Pickled objects are refused and never opened.
+    Sizes are compared with that of the file and with the memory that is free before anything is allocated. Pickled
+    objects are refused and never opened. Arrays that nobody asked for are not read, however large they are.
 
     Args:
         path: The file.
         what: How messages call it.
+        wanted: Whether an array of that name is read. None reads all.
+        room: Bytes of memory that each byte of the arrays takes until the caller is done with them.
 
     Returns:
         The arrays by name.
@@ -44,16 +59,49 @@ def read_npz(path: PathLike, what: str) -> dict[str, np.ndarray]:
         FileNotFoundError: If there is no such file.
         ValueError: What is wrong in which array.
     """
+    with _opened_npz(path, what) as archive:
+        members = [info for info in _members(archive) if wanted is None or wanted(_array_name(info))]
+        _check_sizes(archive, members, room)
+        return {_array_name(info): _read_member(archive, info) for info in members}
+
+
+def npz_names(path: PathLike, what: str) -> list[str]:
+    """The names of the arrays in an .npz file. None of them is read.
+
+    Args:
+        path: The file.
+        what: How messages call it.
+
+    Returns:
+        The names in alphabetical order.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no .npz file.
+    """
+    with _opened_npz(path, what) as archive:
+        return sorted(map(_array_name, _members(archive)))
+
+
+def read_limited(path: PathLike, what: str, room: int = 1) -> bytes:
+    """The bytes of a file, if there is memory for what becomes of them.
+
+    Args:
+        path: The file.
+        what: How messages call it.
+        room: Bytes of memory that each byte of the file takes until the caller is done with it.
+
+    Returns:
+        The bytes.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If there is not enough memory.
+    """
     path = require_file(path, what)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = [info for info in archive.infolist() if info.filename.endswith(".npy")]
-            _check_sizes(archive, members)
-            return {info.filename.removesuffix(".npy"): _read_member(archive, info) for info in members}
-    except Exception as error:
-        raise ValueError(
-            f"{path} is not an .npz {what}: {' '.join(str(error).split()) or type(error).__name__}"
-        ) from error
+    size = path.stat().st_size
+    require_host_memory(room * size, f"{path}: its {size} bytes need")
+    return path.read_bytes()
 
 
 def require_numbers(
@@ -85,27 +133,48 @@ def require_numbers(
     return array
 
 
-def _check_sizes(archive: zipfile.ZipFile, members: list[zipfile.ZipInfo]) -> None:
-    names = [info.filename for info in members]
-    if len(set(names)) < len(names):
+@contextlib.contextmanager
+def _opened_npz(path: PathLike, what: str) -> Iterator[zipfile.ZipFile]:
+    """The archive of an .npz file; whatever goes wrong with it becomes one ValueError."""
+    path = require_file(path, what)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            yield archive
+    except Exception as error:
+        raise ValueError(
+            f"{path} is not an .npz {what}: {' '.join(str(error).split()) or type(error).__name__}"
+        ) from error
+
+
+def _members(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
+    return [info for info in archive.infolist() if info.filename.endswith(".npy")]
+
+
+def _array_name(info: zipfile.ZipInfo) -> str:
+    return info.filename.removesuffix(".npy")
+
+
+def _check_sizes(archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], room: int) -> None:
+    """Refuse arrays that cannot be in the file, or for which there is no memory."""
+    if len({info.filename for info in members}) < len(members):
         raise ValueError("it holds two arrays with the same name")
     for info in members:
         if info.file_size > MAX_RATIO * info.compress_size + 1024:
             raise ValueError(f"array {info.filename!r} claims {info.file_size} bytes out of {info.compress_size}")
+    assert archive.filename is not None
+    packed, there = sum(info.compress_size for info in members), os.path.getsize(archive.filename)
+    if packed > there:
+        raise ValueError(f"its arrays claim {packed} packed bytes, the file has {there}")
     total, free = sum(info.file_size for info in members), free_host_bytes()
-    if total > free:
-        raise ValueError(f"its arrays claim {total / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free")
+    if room * total > free:
+        need = f" and need {room * total / 2**30:.1f}" if room > 1 else ""
+        raise ValueError(f"its arrays claim {total / 2**30:.1f} GiB{need}, {free / 2**30:.1f} GiB are free")
 
 
 def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
-    name = info.filename.removesuffix(".npy")
+    name = _array_name(info)
     with archive.open(info) as file:
-        version = np.lib.format.read_magic(file)
-        if version not in _HEADERS:
-            raise ValueError(f"array {name!r} has the unknown .npy version {version}")
-        shape, fortran_order, dtype = _HEADERS[version](file)
-        if dtype.hasobject:
-            raise ValueError(f"array {name!r} holds pickled objects, which are never opened")
+        shape, fortran_order, dtype = _read_header(file, name)
         claimed, there = math.prod(shape) * dtype.itemsize, info.file_size - file.tell()
         if min(shape, default=0) < 0 or claimed != there:
             raise ValueError(f"array {name!r} claims {claimed} bytes {shape}, the file has {there}")
@@ -118,6 +187,24 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
                 raise ValueError(f"array {name!r} ends after {filled} of {claimed} bytes")
             filled += count
     return array.reshape(shape, order="F" if fortran_order else "C")
+
+
+def _read_header(file: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether columns come first, and data type of an array of numbers or text."""
+    version = np.lib.format.read_magic(file)
+    if version not in _HEADERS:
+        raise ValueError(f"array {name!r} has the unknown .npy version {version}")
+    read_header, length_bytes = _HEADERS[version]
+    prefix = file.read(length_bytes)
+    length = int.from_bytes(prefix, "little")
+    if length > MAX_HEADER:  # NumPy would read all of it first
+        raise ValueError(f"array {name!r} has a header of {length} bytes, at most {MAX_HEADER} are read")
+    shape, fortran_order, dtype = read_header(io.BytesIO(prefix + file.read(length)))
+    if dtype.hasobject:
+        raise ValueError(f"array {name!r} holds pickled objects, which are never opened")
+    if dtype.kind not in "biufcSU" or not dtype.itemsize:  # records, and items without bytes
+        raise ValueError(f"array {name!r} holds neither numbers nor text, but {dtype}")
+    return shape, fortran_order, dtype
 
 
 @contextlib.contextmanager

@@ -1,10 +1,25 @@
-"""Refuse work that needs more memory than a device has, before it begins."""
+"""The one budget of memory: what can still be allocated, and work that needs more refused before it begins."""
 
 from __future__ import annotations
 
+import functools
 import os
+import pathlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-import warp as wp
+if TYPE_CHECKING:
+    import warp as wp
+
+#: What is told where nothing is known: beyond any memory.
+UNKNOWN = 1 << 62
+
+#: Limit and use of a control group, and what its statistics call pages of files, which the kernel gives back when it
+#: must: version 2, then version 1.
+_GROUP_FILES = (
+    ("memory.max", "memory.current", ("inactive_file", "active_file")),
+    ("memory.limit_in_bytes", "memory.usage_in_bytes", ("total_inactive_file", "total_active_file")),
+)
 
 
 def free_bytes(device: wp.Device) -> int:
@@ -19,23 +34,19 @@ def free_bytes(device: wp.Device) -> int:
     return free_host_bytes() if device.is_cpu else device.free_memory
 
 
-def free_host_bytes() -> int:
-    """Main memory that can still be allocated.
+def free_host_bytes(root: str = "/") -> int:
+    """Main memory that this process can still allocate.
+
+    Args:
+        root: Folder that holds proc and sys, for tests.
 
     Returns:
-        Bytes: what is available, or else all there is, or a number beyond any memory where the system tells neither.
+        Bytes, the least of: what the system has free, what the control groups of the process (containers, jobs of a
+        cluster) have left, and what is left of the process's own limits (`ulimit -v` and `-d`). Limits that the system
+        does not tell count as none.
     """
-    try:
-        with open("/proc/meminfo") as lines:
-            for line in lines:
-                if line.startswith("MemAvailable:"):
-                    return 1024 * int(line.split()[1])
-    except OSError:
-        pass
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # not a POSIX system: nothing is known
-        return 1 << 62
+    base = pathlib.Path(root)
+    return max(0, min(_system_bytes(base), *_group_bytes(base), *_process_bytes(base)))
 
 
 def require_memory(size: int, device: wp.Device, message: str, *, held: int = 0) -> None:
@@ -54,3 +65,86 @@ def require_memory(size: int, device: wp.Device, message: str, *, held: int = 0)
     if size > free:
         figures = f"{size / 2**30:.2f} GiB, {device.alias} has {free / 2**30:.2f} GiB free"
         raise ValueError(message.format(size=figures))
+
+
+def require_host_memory(size: int, what: str) -> None:
+    """Refuse what needs more main memory than is free.
+
+    Args:
+        size: Bytes that are needed.
+        what: How the message begins: "`what` 4.00 GiB of memory, 1.00 GiB are free".
+
+    Raises:
+        ValueError: If fewer bytes are free.
+    """
+    free = free_host_bytes()
+    if size > free:
+        raise ValueError(f"{what} {size / 2**30:.2f} GiB of memory, {free / 2**30:.2f} GiB are free")
+
+
+def _system_bytes(base: pathlib.Path) -> int:
+    """What the whole machine can still give, or else all it has."""
+    for line in _lines(base / "proc/meminfo"):
+        if line.startswith("MemAvailable:"):
+            return 1024 * int(line.split()[1])
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not a POSIX system
+        return UNKNOWN
+
+
+def _group_bytes(base: pathlib.Path) -> Iterator[int]:
+    """What is left of each control group of this process that has a limit: its own, and all around it."""
+    yield UNKNOWN
+    for folder, limit_file, used_file, pages in _groups(base):
+        limit = _whole(folder / limit_file)
+        if limit < UNKNOWN:  # version 1 has a number for no limit
+            held = dict(line.split(maxsplit=1) for line in _lines(folder / "memory.stat") if " " in line)
+            yield limit - _whole(folder / used_file) + sum(int(held.get(name, 0)) for name in pages)
+
+
+@functools.lru_cache(maxsize=8)
+def _groups(base: pathlib.Path) -> list[tuple[pathlib.Path, str, str, tuple[str, str]]]:
+    """Folders of the control groups of this process, with what their files are called. Looked for once."""
+    found = []
+    for line in _lines(base / "proc/self/cgroup"):
+        _, controllers, group = line.strip().split(":", 2)
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        mount = base / "sys/fs/cgroup" / ("memory" if controllers else "")
+        inner = pathlib.PurePosixPath(group.lstrip("/"))
+        # in a container the groups around it are not there to see, and its own is the mount itself
+        folders = [mount / place for place in (inner, *inner.parents)]
+        found += [(folder, *names) for folder in folders for names in _GROUP_FILES if (folder / names[0]).is_file()]
+    return found
+
+
+def _process_bytes(base: pathlib.Path) -> Iterator[int]:
+    """What is left of this process's own limits."""
+    yield UNKNOWN
+    try:
+        import resource
+    except ImportError:  # not a POSIX system
+        return
+    pages = next(iter(_lines(base / "proc/self/statm")), "").split()
+    # of address space the process has the first number in use, of data the sixth, counted in pages
+    for limit, place in ((resource.RLIMIT_AS, 0), (resource.RLIMIT_DATA, 5)):
+        soft = resource.getrlimit(limit)[0]
+        if soft != resource.RLIM_INFINITY:
+            used = int(pages[place]) * resource.getpagesize() if len(pages) > place else 0
+            yield soft - used
+
+
+def _whole(path: pathlib.Path) -> int:
+    """The number in a file of the system, UNKNOWN where there is none."""
+    text = next(iter(_lines(path)), "").strip()
+    return int(text) if text.isdigit() else UNKNOWN
+
+
+def _lines(path: pathlib.Path) -> list[str]:
+    """The lines of a file of the system, none where it is not there."""
+    try:
+        with open(path) as lines:
+            return list(lines)
+    except OSError:
+        return []

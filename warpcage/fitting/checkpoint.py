@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import math
 import pathlib
+import weakref
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +15,7 @@ import warp as wp
 
 from ..core.arrays import array_view
 from ..core.files import atomic_path, read_npz, require_numbers
+from ..core.threads import run_parallel
 from ..kernels.field.harmonics import vec9
 from ..scene.scene import Scene
 from .background import BackgroundOptimizer
@@ -21,13 +24,22 @@ from .level import ROW_NUMBERS, Level
 from .pictures import PRECISIONS
 from .schedule import Schedule
 
-KIND, VERSION = "warpcage fit", 2
+#: Version 3: the fingerprint takes in the whole scene. Those of earlier versions cannot be compared with it.
+KIND, VERSION = "warpcage fit", 3
 
 #: Exponent bits of a bfloat16: all of them are set in numbers that are not finite.
 EXPONENT_BITS = 0x7F80
 
-#: The fingerprint takes every so many pixels, along both sides of an image.
-FINGERPRINT_STRIDE = 7
+#: The arrays of a checkpoint; others in the file are not read.
+NAMES = frozenset(
+    (
+        *("format", "version", "fingerprint", "state", "resolution", "occupancy", "density", "sh", "tiles", "moments"),
+        *("layers_met", "layers_values", "layers_moments"),
+    )
+)
+
+#: Bytes of memory that a byte of these arrays takes: each is checked, then handed to a device.
+ROOM = 3
 
 
 class Fit(Protocol):
@@ -44,6 +56,10 @@ class Fit(Protocol):
     background: BackgroundOptimizer | None
 
     def restore(self, mask: wp.array, bits: int) -> None: ...
+
+
+#: What `fingerprint` found. Fits are compared by identity.
+_fingerprints: weakref.WeakKeyDictionary[Fit, str] = weakref.WeakKeyDictionary()
 
 
 def require_writable(path: str | pathlib.Path) -> pathlib.Path:
@@ -105,9 +121,14 @@ def load_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
         ValueError: For a file that is not a checkpoint, or is one of another scene, seed or options.
         FileNotFoundError: Where there is no file.
     """
-    contents = read_npz(path, "checkpoint")
-    if str(contents.get("format", "")) != KIND or str(contents.get("version")) != str(VERSION):
-        raise ValueError(f"{path} is no fit checkpoint of this version: remove it or name another file")
+    contents = read_npz(path, "checkpoint", NAMES.__contains__, room=ROOM)
+    if str(contents.get("format", "")) != KIND:
+        raise ValueError(f"{path} is no fit checkpoint: remove it or name another file")
+    if str(contents.get("version")) != str(VERSION):
+        raise ValueError(
+            f"{path} is a fit checkpoint of another version ({str(contents.get('version'))[:20]}, this warpcage reads "
+            f"{VERSION}): fit with the warpcage that wrote it, remove it or name another file"
+        )
     if str(contents.get("fingerprint")) != fingerprint(optimizer):
         raise ValueError(
             f"{path} is the checkpoint of another fit (scene, seed or options differ): remove it or name another file"
@@ -169,16 +190,63 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
 
 
 def fingerprint(optimizer: Fit) -> str:
-    """Hash of what a fit depends on: pixels and cameras of the scene, seed, bounds and options."""
-    scene = optimizer.scene
-    thinned = scene.images[:, ::FINGERPRINT_STRIDE, ::FINGERPRINT_STRIDE]
-    digest = hashlib.sha256(json.dumps(optimizer.given, sort_keys=True).encode())
-    digest.update(np.ascontiguousarray(thinned).tobytes())
-    digest.update(str(scene.images.shape).encode())
-    for camera in scene.cameras:
-        digest.update(camera.camera_to_world.tobytes())
-        digest.update(np.array([camera.fx, camera.fy, camera.cx, camera.cy]).tobytes())
-    return digest.hexdigest()
+    """Hash of all that a fit depends on: seed and options, and the scene's pictures, alphas, background and cameras.
+
+    Taken once for each fit, as the scene's pictures are only read when it begins.
+
+    Args:
+        optimizer: The fit.
+
+    Returns:
+        Hexadecimal digits.
+    """
+    if optimizer not in _fingerprints:
+        given = json.dumps(optimizer.given, sort_keys=True).encode()
+        _fingerprints[optimizer] = hashlib.blake2b(given + scene_digest(optimizer.scene), digest_size=32).hexdigest()
+    return _fingerprints[optimizer]
+
+
+def scene_digest(scene: Scene) -> bytes:
+    """Hash of every number of a scene that a fit uses.
+
+    BLAKE2b (RFC 7693) over each picture, in parallel, then over the pictures' hashes. Measured: 0.33 GB/s for each
+    thread (a Xeon, CPython 3.11, by the time of that thread). So 87 views of 800x800 with alphas (0.9 GB) take 2.7 s on
+    one thread and 0.2 s on 16.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        32 bytes, the same for any number of threads.
+    """
+    cameras = [[camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height] for camera in scene.cameras]
+    arrays = {
+        "images": scene.images,
+        "alphas": scene.alphas,
+        "surroundings": scene.surroundings,
+        "background": scene.background,
+        "bounds": scene.bounds,
+        "poses": np.array([camera.camera_to_world for camera in scene.cameras]),
+        "cameras": np.array(cameras, np.float64),
+    }
+    there = {name: array for name, array in arrays.items() if array is not None}
+    heads = [f"{name} {array.dtype} {array.shape}" for name, array in there.items()]
+    pieces = [piece for array in there.values() for piece in _pieces(array)]
+    hashes = run_parallel([functools.partial(_piece_hash, piece) for piece in pieces])
+    whole = hashlib.blake2b(json.dumps([heads, bool(scene.captured)]).encode(), digest_size=32)
+    for each in hashes:
+        whole.update(each)
+    return whole.digest()
+
+
+def _pieces(array: np.ndarray) -> list[np.ndarray]:
+    """An array in pieces along its first axis: pictures one by one, and small arrays whole."""
+    return list(array) if array.ndim > 2 else [array]
+
+
+def _piece_hash(piece: np.ndarray) -> bytes:
+    """hashlib lets other threads run while it hashes."""
+    return hashlib.blake2b(np.ascontiguousarray(piece).view(np.uint8).data, digest_size=32).digest()
 
 
 def moment_bits(moments: wp.array) -> wp.array:

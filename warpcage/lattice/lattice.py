@@ -14,9 +14,10 @@ from ..core.checks import require_ordinary_side
 from ..core.devices import lane_count, launch, resolve_device
 from ..core.locks import in_turn
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
-from ..kernels.lattice.distance import BLOCK, list_block_faces, measure_band
+from ..kernels.lattice.distance import BAND, BLOCK, HALF_DIAGONAL, list_block_faces, measure_band
 from ..kernels.lattice.nodes import RINGS
 from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.faces import face_area
 from .capture import BufferPool, PoseConstants, SideStream
 from .sizes import PoseSizes
 
@@ -29,8 +30,15 @@ MARGIN = (1.0 + math.sqrt(2), 1.0 + math.sqrt(3), math.sqrt(5))
 #: Crossings kept for a line at first; lines that need more make all of them longer.
 LINE_CAPACITY = 8
 
-#: Faces listed for a block of nodes in the distance band; blocks near more look at all faces.
-BLOCK_FACES = 16
+#: Fewest faces that are listed for a block of nodes in the distance band, and the most memory that lists of more take,
+#: bytes. Blocks near more faces than are listed look at all faces.
+BLOCK_FACES, LIST_BYTES = 16, 1 << 26
+
+#: Cells from the middle of a block within which faces are listed for it.
+BAND_REACH = float(BAND) + float(HALF_DIAGONAL)
+
+#: Room in these lists over what an even cage needs.
+LIST_ROOM = 3.0
 
 #: Flags that a pose raises on the device; see PoseFlags.
 FLAGS = 4
@@ -191,6 +199,7 @@ class CageLattice:
         self.clear_octants = self._clear_octants.take(0)
         self.block_faces = self.clear_octants, self.clear_octants
         self._place(cage)
+        self._block_faces = listed_faces(cage, self.layout.shape, self.spacing)
 
     def lay(self, cage: ClosedMesh) -> CageLattice:
         """Lay the lattice over another pose, on the host; `constants` hold it then, still to be sent.
@@ -303,13 +312,50 @@ class CageLattice:
         launch(cross_lines, lane_count(self.device) * sizes.runs, inputs, device=self.device, work=self.faces.size)
 
     def _launch_block_faces(self, sizes: PoseSizes) -> None:
-        counts, near = self._near_counts.take(sizes.blocks), self._near_faces.take((sizes.blocks, BLOCK_FACES))
+        counts, near = self._near_counts.take(sizes.blocks), self._near_faces.take((sizes.blocks, self._block_faces))
         self.block_faces = counts, near
         self.clear_octants = self._clear_octants.take(sizes.blocks)
         inputs = [self.constants.shapes.array, self.vertices, self.faces, counts, near, self.clear_octants]
         launch(
             list_block_faces, lane_count(self.device) * sizes.blocks, inputs, device=self.device, work=self.faces.size
         )
+
+
+def listed_faces(cage: ClosedMesh, shape: tuple[int, int, int], spacing: float) -> int:
+    """How many faces are listed for a block of nodes: more than BLOCK_FACES where a cage has many small ones.
+
+    Args:
+        cage: The cage.
+        shape: Nodes along each axis of the lattice.
+        spacing: World units per cell.
+
+    Returns:
+        A multiple of BLOCK_FACES.
+    """
+    area = face_area(cage) / spacing**2
+    # faces whose middle lies within reach of a block, on a flat piece of the cage
+    reach = BAND_REACH + math.sqrt(area / len(cage.faces))
+    needed = LIST_ROOM * len(cage.faces) * math.pi * reach**2 / max(area, 1.0)
+    most = min(needed, LIST_BYTES / (4 * _block_count(shape)), len(cage.faces))
+    return BLOCK_FACES * max(1, math.ceil(most / BLOCK_FACES))
+
+
+def more_list_bytes(cage: ClosedMesh, shape: tuple[int, int, int], spacing: float) -> int:
+    """Memory on the device that lists of faces take beyond that of BLOCK_FACES a block.
+
+    Args:
+        cage: The cage.
+        shape: Nodes along each axis of the lattice.
+        spacing: World units per cell.
+
+    Returns:
+        Bytes.
+    """
+    return 4 * _block_count(shape) * (listed_faces(cage, shape, spacing) - BLOCK_FACES)
+
+
+def _block_count(shape: tuple[int, int, int]) -> int:
+    return math.prod(-(-side // BLOCK) for side in shape)
 
 
 def lattice_frame(

@@ -21,7 +21,7 @@ from .closed_form import GreenSolver, MeanValueSolver
 from .gaps import REPORTED_JUMP, MapTarget, lattice_side_bytes, side_bytes
 from .graph import PoseGraph
 from .harmonic import HarmonicSolver, require_tolerance
-from .lattice import CageLattice, lattice_frame, require_resolution
+from .lattice import CageLattice, lattice_frame, more_list_bytes, require_resolution
 from .launches import PoseLaunches
 from .solver import MapSolver
 from .weights import LatticeWeights
@@ -251,6 +251,7 @@ class PositionMap:
         inside = abs(deformed.volume) / spacing**3
         surface = face_area(deformed) / spacing**2
         total = FIXED_BYTES + NODE_BYTES * nodes + LINE_BYTES * lines + SURFACE_BYTES * surface + 5 * inside
+        total += more_list_bytes(deformed, shape, spacing)
         if self.coordinates == "harmonic":
             total += LEVELS_BYTES * nodes
         if gaps:

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 #: Overlaps and crossings below this share of the mesh's size are touching, not intersecting.
 TOUCHING = 1e-9
+
+#: Boxes smaller than 2 to this power of the mesh's size share a grid.
+FINEST_LEVEL = -19
+
+#: Pairs of boxes that are looked at together.
+CANDIDATES = 1 << 20
 
 
 def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
@@ -29,10 +37,22 @@ def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
     if size == 0.0:
         return np.zeros((0, 2), dtype=np.int64)
     corners = places[faces] / size
-    pairs = _overlapping_boxes(corners)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.where(lengths > 0.0, lengths, 1.0)
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for pairs in _overlapping_boxes(corners):
+        found.append(pairs[_crossing(pairs, faces, corners, normals, lengths[:, 0])])
+    pairs = np.concatenate(found)
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def _crossing(
+    pairs: np.ndarray, faces: np.ndarray, corners: np.ndarray, normals: np.ndarray, lengths: np.ndarray
+) -> np.ndarray:
+    """Which of the pairs (p, 2) of faces (f, 3) with corners (f, 3, 3) cross or overlap; normals and their lengths."""
     one, two = pairs.T
     shared = (faces[one][:, :, None] == faces[two][:, None, :]).any(axis=2).sum(axis=1)
-
     crossing = np.zeros(len(pairs), dtype=bool)
     for a, b in ((one, two), (two, one)):
         for k in range(3):
@@ -40,31 +60,71 @@ def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
             # an edge that begins or ends at a corner of the triangle touches it there and nowhere else
             apart = ~((faces[b] == start[:, None]) | (faces[b] == end[:, None])).any(axis=1)
             crossing[apart] |= _segments_cross(corners[a[apart], k], corners[a[apart], (k + 1) % 3], corners[b[apart]])
-
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals / np.where(lengths > 0.0, lengths, 1.0)
     heights = np.abs(np.einsum("pki,pi->pk", corners[two] - corners[one][:, :1], normals[one])).max(axis=1)
-    flat = np.flatnonzero((heights < 1e-7) & (shared < 3) & (lengths[one, 0] > 0.0) & (lengths[two, 0] > 0.0))
+    flat = np.flatnonzero((heights < 1e-7) & (shared < 3) & (lengths[one] > 0.0) & (lengths[two] > 0.0))
     crossing[flat] |= _overlap_in_plane(corners[one[flat]], corners[two[flat]], normals[one[flat]])
-    crossing |= shared == 3
-    return pairs[crossing]
+    return crossing | (shared == 3)
 
 
-def _overlapping_boxes(corners: np.ndarray) -> np.ndarray:
-    """Pairs (p, 2), i < j, of triangles (f, 3, 3) whose bounding boxes overlap."""
+def _overlapping_boxes(corners: np.ndarray) -> Iterator[np.ndarray]:
+    """Pairs (p, 2), i < j, of triangles (f, 3, 3) of a mesh of size 1 whose bounding boxes overlap, some at a time.
+
+    Boxes are sorted by size into levels with grids of their own, each with cells that no box of the level exceeds, and
+    are kept in the cell of their lower corner. A box of the same level or a smaller one meets those in the cells that
+    it touches and in the ones before them: at most 3 x 3 x 3, of which three follow each other in the order of cells.
+    """
     low, high = corners.min(axis=1), corners.max(axis=1)
-    pairs = []
-    for first in range(0, len(corners), 256):
-        rows = slice(first, min(first + 256, len(corners)))
-        meet = np.ones((rows.stop - first, len(corners)), dtype=bool)
+    origin = low.min(axis=0)
+    extents = (high - low).max(axis=1)
+    levels = np.maximum(np.ceil(np.log2(np.maximum(extents, 2.0**FINEST_LEVEL))), FINEST_LEVEL).astype(np.int64)
+    for level in np.unique(levels):
+        held = np.flatnonzero(levels == level)
+        asking = np.flatnonzero(levels <= level)
+        side = 2.0**level
+        first, last = (np.floor((ends[asking] - origin) / side).astype(np.int64) for ends in (low, high))
+        step = int(last[:, 1:].max(initial=0)) + 4  # room for the cells before the first and after the last
+        cells = np.floor((low[held] - origin) / side).astype(np.int64) + 1
+        keys = (cells[:, 0] * step + cells[:, 1]) * step + cells[:, 2]
+        order = np.argsort(keys, kind="stable")
+        keys, held = keys[order], held[order]
+        for x in range(3):
+            for y in range(3):
+                touched = np.flatnonzero((first[:, 0] + x <= last[:, 0] + 1) & (first[:, 1] + y <= last[:, 1] + 1))
+                row = ((first[touched, 0] + x) * step + first[touched, 1] + y) * step
+                begin = np.searchsorted(keys, row + first[touched, 2])
+                end = np.searchsorted(keys, row + last[touched, 2] + 1, side="right")
+                yield from _meeting(asking[touched], held, begin, end, low, high, levels)
+
+
+def _meeting(
+    asking: np.ndarray,
+    held: np.ndarray,
+    begin: np.ndarray,
+    end: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    levels: np.ndarray,
+) -> Iterator[np.ndarray]:
+    """Pairs (p, 2), i < j, of boxes: each that asks, and what it overlaps of the held ones from `begin` to `end`."""
+    total = np.cumsum(end - begin)
+    start = 0
+    while start < len(asking):
+        # as many as make no more candidates than are looked at together, but at least one box's
+        passed = total[start - 1] if start else 0
+        stop = max(start + 1, int(np.searchsorted(total, passed + CANDIDATES, side="right")))
+        counts = end[start:stop] - begin[start:stop]
+        one = np.repeat(asking[start:stop], counts)
+        within = np.arange(len(one)) - np.repeat(np.cumsum(counts) - counts, counts)
+        two = held[np.repeat(begin[start:stop], counts) + within]
+        # of one level both boxes ask: one answer is enough
+        meet = (levels[one] < levels[two]) | (one < two)
+        one, two = one[meet], two[meet]
         for axis in range(3):
-            meet &= low[rows, None, axis] <= high[None, :, axis]
-            meet &= low[None, :, axis] <= high[rows, None, axis]
-        i, j = np.nonzero(meet)
-        later = j > i + first
-        pairs.append(np.stack([i[later] + first, j[later]], axis=1))
-    return np.concatenate(pairs)
+            meet = (low[one, axis] <= high[two, axis]) & (low[two, axis] <= high[one, axis])
+            one, two = one[meet], two[meet]
+        if len(one):
+            yield np.stack([np.minimum(one, two), np.maximum(one, two)], axis=1)
+        start = stop
 
 
 def _segments_cross(start: np.ndarray, end: np.ndarray, triangle: np.ndarray) -> np.ndarray:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import heapq
+
 import numpy as np
 
 #: A polygon is flat when its vertices lie this close to one plane, as a share of its size.
 _FLAT = 0.1
+
+#: Most corners of a polygon that is cut ear by ear, which takes two seconds for as many. Convex ones may have more.
+MAX_CORNERS = 4096
 
 
 def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int, int]]:
@@ -20,6 +25,9 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
 
     Returns:
         n - 2 triangles, indices of vertices.
+
+    Raises:
+        ValueError: For more than MAX_CORNERS corners of a polygon that is not convex.
     """
     fan = [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
     points = vertices[polygon] - vertices[polygon[0]]
@@ -30,18 +38,17 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
     normal /= length
     if np.ptp(points @ normal) > _FLAT * np.ptp(points, axis=0).max():
         return fan  # far from flat: no cut is the right one, so take one that every pose shares
-    if (_heights(vertices, np.array(fan), normal) > 1e-9 * length).all():
+    heights = _heights(vertices, np.array(fan), normal)
+    if (heights > 1e-9 * length).all():
         return fan
-    ears: list[tuple[int, int, int]] = []
-    left = list(polygon)
-    while len(left) > 3:
-        ring = np.array([(left[k - 1], left[k], left[(k + 1) % len(left)]) for k in range(len(left))])
-        best = max(range(len(left)), key=lambda k: _ear_quality(vertices, ring[k], left, normal))
-        a, b, c = ring[best].tolist()
-        ears.append((a, b, c))
-        del left[best]
-    a, b, c = left
-    return [*ears, (a, b, c)]
+    if len(polygon) > MAX_CORNERS:
+        if (heights > 0.0).all():  # a disc of so many corners has slivers
+            return fan
+        raise ValueError(
+            f"a face of {len(polygon)} corners is not convex, at most {MAX_CORNERS} are cut into triangles: cut it in "
+            "the program that made it"
+        )
+    return _Ears(vertices[polygon], polygon, normal).cut()
 
 
 def _heights(vertices, triangles, normal) -> np.ndarray:
@@ -50,14 +57,77 @@ def _heights(vertices, triangles, normal) -> np.ndarray:
     return 0.5 * np.cross(b - a, c - a) @ normal
 
 
-def _ear_quality(vertices, ear, left, normal) -> float:
-    """Area over the square of the longest side; below zero where the ear looks backward or holds another vertex."""
-    a, b, c = vertices[ear]
-    area = float(0.5 * np.cross(b - a, c - a) @ normal)
-    longest = max(float(((p - q) ** 2).sum()) for p, q in ((a, b), (b, c), (c, a)))
-    if area <= 0.0 or longest == 0.0:
-        return -1.0 + area / max(longest, 1e-300)
-    others = vertices[[index for index in left if index not in ear]]
-    sides = [np.cross(q - p, others - p) @ normal for p, q in ((a, b), (b, c), (c, a))]
-    holds = np.logical_and.reduce([side >= -1e-9 * longest for side in sides]).any()
-    return -0.5 if holds else area / longest
+class _Ears:
+    """Cuts ears off a polygon, the best one each time.
+
+    A cut changes the two ears beside it, and those that its corner was in the way of: each blocked ear remembers one
+    corner that is in its way, and is looked at again when that one goes. An ear is compared with the corners beside it
+    along one axis alone. So n corners take a few n looks, not n^2.
+    """
+
+    def __init__(self, points: np.ndarray, polygon: list[int], normal: np.ndarray):
+        """points (n, 3): places of the corners; polygon: their n indices; normal: (3,) unit vector."""
+        count = len(polygon)
+        self.points, self.normal = points, normal
+        self.indices = np.array(polygon)
+        self.before, self.after = [k - 1 for k in range(count)], [k + 1 for k in range(count)]
+        self.before[0], self.after[-1] = count - 1, 0
+        self.left, self.alive = count, np.ones(count, bool)
+        self.axis = int(np.argmax(np.ptp(points, axis=0)))
+        self.order = np.argsort(points[:, self.axis], kind="stable")
+        self.along = points[self.order, self.axis]
+        self.looks = [0] * count
+        self.blocked: list[set[int]] = [set() for _ in range(count)]  # ears that a corner is in the way of
+        self.best: list[tuple[float, int, int]] = []  # a heap of (-quality, corner, number of the look)
+        for corner in range(count):
+            self._look(corner)
+
+    def cut(self) -> list[tuple[int, int, int]]:
+        """The triangles."""
+        triangles = []
+        while self.left > 3:
+            _, corner, look = heapq.heappop(self.best)
+            if not self.alive[corner] or look != self.looks[corner]:
+                continue
+            ear = self.before[corner], corner, self.after[corner]
+            triangles.append(self._triangle(ear))
+            self.alive[corner], self.left = False, self.left - 1
+            self.after[ear[0]], self.before[ear[2]] = ear[2], ear[0]
+            for changed in {ear[0], ear[2], *self.blocked[corner]}:
+                if self.alive[changed]:
+                    self._look(changed)
+        a, b, c = np.flatnonzero(self.alive).tolist()
+        return [*triangles, self._triangle((a, b, c))]
+
+    def _triangle(self, ear: tuple[int, int, int]) -> tuple[int, int, int]:
+        a, b, c = self.indices[list(ear)].tolist()
+        return a, b, c
+
+    def _look(self, corner: int) -> None:
+        """Put the ear at a corner on the heap, as it is now."""
+        self.looks[corner] += 1
+        heapq.heappush(self.best, (-self._quality(corner), corner, self.looks[corner]))
+
+    def _quality(self, corner: int) -> float:
+        """Area over the square of the longest side; below zero where the ear looks backward or holds another corner."""
+        ear = [self.before[corner], corner, self.after[corner]]
+        a, b, c = self.points[ear]
+        area = float(0.5 * np.cross(b - a, c - a) @ self.normal)
+        longest = max(float(((p - q) ** 2).sum()) for p, q in ((a, b), (b, c), (c, a)))
+        if area <= 0.0 or longest == 0.0:
+            return -1.0 + area / max(longest, 1e-300)
+        span = self.points[ear, self.axis]
+        room = 1e-6 * longest**0.5
+        first, last = np.searchsorted(self.along, (span.min() - room, span.max() + room))
+        near = self.order[first:last]
+        # distances from the three sides, times their lengths
+        inward = np.cross(self.normal, self.points[[ear[1], ear[2], ear[0]]] - self.points[ear])
+        of_sides = np.array([(a - b) @ inward[0], 0.0, (c - b) @ inward[2]])
+        inside = ((self.points[near] - b) @ inward.T - of_sides).min(axis=1) >= -1e-9 * longest
+        for index in self.indices[ear]:  # a polygon may come to a vertex twice
+            inside &= self.indices[near] != index
+        inside &= self.alive[near]
+        if not inside.any():
+            return area / longest
+        self.blocked[near[int(inside.argmax())]].add(corner)
+        return -0.5

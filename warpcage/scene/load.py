@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.checks import listed
 from ..view.backgrounds import parse_background
 from .formats import blender, colmap, dtu, nsvf, transforms
 from .scene import Scene
@@ -53,6 +54,10 @@ def load_scene(
     masks: bool | str = True,
 ) -> Scene:
     """Read one split of a scene from disk.
+
+    What the scene's files name must lie in its folder, by real paths: neither names nor links lead out of it. One kind
+    of link may: that to a whole folder, directly in the scene's, as `images -> /captures/fox/images`. The format's own
+    files (transforms.json, cameras.npz, sparse/0/cameras.bin) are opened by these names, whether links or not.
 
     Args:
         path: Folder of the scene.
@@ -105,6 +110,5 @@ def detect_format(path: str | os.PathLike) -> str:
         if reader.is_scene(folder):
             return name
     looked = "; ".join(f"{name}: {reader.MARK}" for name, reader in READERS.items())
-    seen = sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir())
-    there = ", ".join(seen[:8]) + (f" and {len(seen) - 8} more" if len(seen) > 8 else "")
-    raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked}); it holds {there or 'nothing'}")
+    there = listed(sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir()), none="nothing")
+    raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked}); it holds {there}")

@@ -6,7 +6,7 @@ import contextlib
 import math
 import os
 import pathlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import imageio.v3 as iio
@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.files import atomic_path, require_file
+
+#: The rows of a picture from one to another, (k, w, c) float32.
+Rows = Callable[[int, int | None], np.ndarray]
 
 #: What `read_image` opens.
 PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
@@ -61,8 +64,40 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not a picture, is cut off, or declares too large a size.
     """
-    pixels = _read_pixels(require_file(path, "image"))
-    return (pixels / np.float32(np.iinfo(pixels.dtype).max)).astype(np.float32)
+    return read_rows(path)(0, None)
+
+
+def read_rows(path: str | os.PathLike) -> Rows:
+    """Decode a picture file, whose rows become floats when they are asked for: those take four times the memory.
+
+    Args:
+        path: The file.
+
+    Returns:
+        A function of the first row and the one after the last (None is the end) that gives those rows as `read_image`
+        does.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: As for `read_image`.
+    """
+    path = require_file(path, "image")
+    with _opened(path) as picture:
+        pixels = _decoded(picture, path)
+        first = np.asarray(pixels.crop((0, 0, 1, 1))) if not isinstance(pixels, np.ndarray) else pixels[:1]
+        if first.dtype not in (np.uint8, np.uint16) or first.ndim not in (2, 3):
+            raise ValueError(f"it must hold 8 or 16 bits per channel, got {first.dtype} in {first.ndim} dimensions")
+    most = np.float32(np.iinfo(first.dtype).max)
+
+    def rows(first: int, last: int | None) -> np.ndarray:
+        if isinstance(pixels, np.ndarray):
+            part = pixels[first:last]
+        else:
+            end = pixels.height if last is None else min(last, pixels.height)
+            part = np.asarray(pixels.crop((0, first, pixels.width, end)))
+        return np.divide(part if part.ndim == 3 else part[..., None], most, dtype=np.float32)
+
+    return rows
 
 
 def image_size(path: str | os.PathLike) -> tuple[int, int]:
@@ -88,7 +123,8 @@ def _opened(path: pathlib.Path) -> Iterator[Any]:
     from PIL import Image
 
     try:
-        with Image.open(path, formats=PICTURE_FORMATS) as picture:
+        # opened here: libraries take some names for addresses
+        with open(path, "rb") as file, Image.open(file, formats=PICTURE_FORMATS) as picture:
             width, height = picture.size
             if width * height > MAX_PIXELS:
                 raise ValueError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
@@ -97,20 +133,17 @@ def _opened(path: pathlib.Path) -> Iterator[Any]:
         raise ValueError(f"image {str(path)!r} cannot be read: {_one_line(error)}") from error
 
 
-def _read_pixels(path: pathlib.Path) -> np.ndarray:
-    """(h, w, c) uint8 or uint16."""
-    with _opened(path) as picture:
-        if picture.format == "PNG" and _png_depth(path) == 16:
-            return _read_deep_png(path)
-        if picture.mode in ("P", "PA", "1") or "transparency" in picture.info:
-            grey = picture.mode in ("1", "L")
-            picture = picture.convert("RGBA" if "transparency" in picture.info else "L" if grey else "RGB")
-        elif picture.mode in ("CMYK", "YCbCr", "LAB", "HSV"):
-            picture = picture.convert("RGB")
-        pixels = np.asarray(picture)
-        if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
-            raise ValueError(f"it must hold 8 or 16 bits per channel, got {pixels.dtype} {pixels.shape}")
-        return pixels[..., None] if pixels.ndim == 2 else pixels
+def _decoded(picture: Any, path: pathlib.Path) -> Any:
+    """A picture as it is decoded: a PIL image, or (h, w, c) uint16 where that would cut it to 8 bits."""
+    if picture.format == "PNG" and _png_depth(path) == 16:
+        return _read_deep_png(path)
+    if picture.mode in ("P", "PA", "1") or "transparency" in picture.info:
+        grey = picture.mode in ("1", "L")
+        return picture.convert("RGBA" if "transparency" in picture.info else "L" if grey else "RGB")
+    if picture.mode in ("CMYK", "YCbCr", "LAB", "HSV"):
+        return picture.convert("RGB")
+    picture.load()
+    return picture
 
 
 def _png_depth(path: pathlib.Path) -> int:
@@ -123,8 +156,8 @@ def _read_deep_png(path: pathlib.Path) -> np.ndarray:
     """A PNG of 16 bits per channel; Pillow would cut colour to 8."""
     import av
 
-    with av.open(str(path), format="png_pipe") as file:
-        frame = next(file.decode(video=0))
+    with open(path, "rb") as file, av.open(file, format="png_pipe") as container:
+        frame = next(container.decode(video=0))
         if frame.format.name == "ya16be":
             return frame.reformat(format="rgba64le").to_ndarray()[..., [0, 3]].astype(np.uint16)
         pixels = frame.to_ndarray().astype(np.uint16)
@@ -152,8 +185,8 @@ def write_png(path: str | os.PathLike, image: ArrayLike) -> None:
         pixels = pixels[..., 0]
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] in (3, 4))) or 0 in pixels.shape:
         raise ValueError(f"a PNG holds (h, w), (h, w, 3) or (h, w, 4), got shape {pixels.shape}")
-    with atomic_path(path) as temporary:
-        iio.imwrite(temporary, pixels, extension=".png")
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:  # by name, some names are taken for addresses
+        iio.imwrite(file, pixels, extension=".png")
 
 
 def path_with_ending(path: str | os.PathLike, ending: str) -> pathlib.Path:
@@ -217,6 +250,19 @@ def as_rgb(image: ArrayLike) -> np.ndarray:
     return pixels
 
 
+def shrunk_size(size: tuple[int, int], factor: int) -> tuple[int, int]:
+    """The size that `shrink` leaves of an image.
+
+    Args:
+        size: Two sides, pixels.
+        factor: As for `shrink`.
+
+    Returns:
+        The two sides in the same order.
+    """
+    return max(1, round(size[0] / factor)), max(1, round(size[1] / factor))
+
+
 def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
     """A smaller image by area averages.
 
@@ -236,8 +282,7 @@ def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
         return blocks.mean(axis=(1, 3))
     from skimage.transform import resize_local_mean
 
-    size = (max(1, round(height / factor)), max(1, round(width / factor)))
-    return resize_local_mean(premultiplied, size, channel_axis=-1, preserve_range=True)
+    return resize_local_mean(premultiplied, shrunk_size((height, width), factor), channel_axis=-1, preserve_range=True)
 
 
 def side_by_side(images: Iterable[ArrayLike], *, gap: int = 4, background: ArrayLike = 1.0) -> np.ndarray:

@@ -16,6 +16,9 @@ import numpy as np
 from ...core.files import require_numbers
 from .contents import BASIS_COUNT, MAX_HALF
 
+#: The arrays that a compact file has in place of those of a plain one.
+COMPACT_NAMES = ("sh_step", "sh_low", "sh_high", "opacity", "weight_roots")
+
 #: Harmonics are kept in multiples of this.
 SH_STEP = 1 / 64
 

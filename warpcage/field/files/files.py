@@ -8,12 +8,19 @@ import pathlib
 
 import numpy as np
 
-from ...core.checks import checked_positive
-from ...core.files import atomic_path, read_npz
+from ...core.checks import checked_positive, listed
+from ...core.files import atomic_path, npz_names, read_npz
 from . import compact
 from .contents import FieldContents, voxel_side
-from .own import own_arrays, read_own
-from .svox2 import SVOX2_KEYS, read_svox2, svox2_arrays
+from .layers import LAYER_NAMES
+from .own import OWN_NAMES, own_arrays, read_own
+from .svox2 import SVOX2_KEYS, SVOX2_LAYERS, read_svox2, svox2_arrays
+
+#: The arrays that are read of a file; others may be there.
+KNOWN_NAMES = frozenset((*OWN_NAMES, *compact.COMPACT_NAMES, *LAYER_NAMES, *SVOX2_KEYS))
+
+#: Bytes of memory that a byte of these arrays takes: float16 becomes float32, which is turned and handed to a device.
+ROOM = 6
 
 
 def _write_own(path: pathlib.Path, field: FieldContents) -> None:
@@ -72,7 +79,7 @@ def load_field(path: str | os.PathLike, *, scene_scale: float = 1.0) -> FieldCon
     """
     scene_scale = checked_positive(scene_scale, "scene_scale")
     path = pathlib.Path(path)
-    field = _read(read_npz(path, "field file"), path)
+    field = _read(read_npz(path, "field file", KNOWN_NAMES.__contains__, room=ROOM), path)
     _check(field, path)
     return dataclasses.replace(
         field,
@@ -88,10 +95,12 @@ def _read(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
     if name == "warpcage":
         return read_own(contents, path)
     if all(key in contents for key in SVOX2_KEYS):
-        return read_svox2(contents, path)
+        return read_svox2(contents, path, SVOX2_LAYERS in npz_names(path, "field file"))
     if name == "warpcage fit":
         raise ValueError(f"{path} is the checkpoint of a fit, not yet a field: run the same fit with it to the end")
-    raise ValueError(f"{path} is neither a warpcage nor a Plenoxels field: it holds {', '.join(sorted(contents))}")
+    raise ValueError(
+        f"{path} is neither a warpcage nor a Plenoxels field: it holds {listed(npz_names(path, 'field file'))}"
+    )
 
 
 def _check(field: FieldContents, path: pathlib.Path) -> None:

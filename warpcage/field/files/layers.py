@@ -13,6 +13,9 @@ from .contents import LayerContents, surface_node_count
 #: Names in the archive begin with this.
 PREFIX = "layers_"
 
+#: The arrays of background layers.
+LAYER_NAMES = tuple(PREFIX + name for name in ("center", "half", "side", "count", "seen", "rgba", "unseen"))
+
 #: Most cells along an edge of a cube, and most cubes.
 MAX_SIDE, MAX_LAYERS = 8192, 1024
 

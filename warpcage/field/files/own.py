@@ -17,6 +17,12 @@ from .layers import layer_arrays, read_layers
 #: Files with background layers are of version 2, those without stay readable by older releases.
 FORMAT_VERSION = 2
 
+#: The arrays of a plain file, without its layers.
+OWN_NAMES = (
+    *("format", "version", "bounds", "background", "up", "supersampling"),
+    *("resolution", "occupancy", "density", "sh", "weights"),
+)
+
 
 def own_arrays(field: FieldContents) -> dict[str, Any]:
     """The arrays of a plain file.

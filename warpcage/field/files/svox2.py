@@ -14,6 +14,9 @@ from .contents import BASIS_COUNT, MAX_VOXELS, FieldContents, as_half
 #: Arrays that every svox2 file has.
 SVOX2_KEYS = ("radius", "center", "links", "density_data", "sh_data", "basis_type")
 
+#: The array of a svox2 file that holds its background layers.
+SVOX2_LAYERS = "background_data"
+
 #: svox2's number for spherical harmonics.
 SVOX2_BASIS_SH = 1
 
@@ -41,12 +44,13 @@ def svox2_arrays(field: FieldContents) -> dict[str, Any]:
     }
 
 
-def read_svox2(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
+def read_svox2(contents: dict[str, np.ndarray], path: pathlib.Path, layered: bool) -> FieldContents:
     """The field of a svox2 file. Background layers are left out, with a warning.
 
     Args:
         contents: The file's arrays by name.
         path: The file, for messages.
+        layered: Whether it has background layers.
 
     Returns:
         The field.
@@ -57,7 +61,7 @@ def read_svox2(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldCont
     basis = int(require_numbers(contents, "basis_type", (), path))
     if basis != SVOX2_BASIS_SH:
         raise ValueError(f"{path} has basis_type {basis}, only spherical harmonics (1) are read")
-    if "background_data" in contents:
+    if layered:
         warn_caller(f"the background layers of {path} are left out: only the field of a svox2 file is read")
     radius, center = (
         np.broadcast_to(require_numbers(contents, name, None, path).astype(np.float64).ravel(), (3,))

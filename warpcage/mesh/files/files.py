@@ -15,7 +15,7 @@ from ...core.files import PathLike, atomic_path, require_file
 from ..polygons import cut_polygon
 from .gltf import read_gltf, write_glb, write_gltf
 from .ply import read_ply, write_ply
-from .text import read_obj, read_off, write_obj, write_off
+from .text import Polygons, read_obj, read_off, write_obj, write_off
 
 _READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".glb": read_gltf, ".gltf": read_gltf}
 _WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": write_glb, ".gltf": write_gltf}
@@ -42,20 +42,28 @@ def read_mesh(path: PathLike, up: str | None = None) -> tuple[pathlib.Path, np.n
     path = require_file(path, "cage file")
     turned = _turned(path, up)
     vertices, polygons = _READERS[_format(path)](path)
-    if not len(vertices) or not polygons:
+    if not len(vertices) or not len(polygons):
         raise ValueError(f"{path}: no {'faces' if len(vertices) else 'vertices'} in it")
-    count = len(vertices)
-    triangles = []
+    triangles = polygons if isinstance(polygons, np.ndarray) else _cut(path, vertices, polygons)
+    if turned:
+        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
+    return path, vertices, triangles
+
+
+def _cut(path: pathlib.Path, vertices: np.ndarray, polygons: Polygons) -> np.ndarray:
+    """Triangles (t, 3) int64 of polygons; errors name the line."""
+    count, triangles = len(vertices), []
     for line, polygon in polygons:
         if len(polygon) < 3:
             raise ValueError(f"{path}:{line}: a face needs at least 3 vertices, got {len(polygon)}")
         for index in polygon:
             if not 0 <= index < count:
                 raise ValueError(f"{path}:{line}: face with vertex {index} of 0 to {count - 1}, counted from 0")
-        triangles += [polygon] if len(polygon) == 3 else cut_polygon(vertices, polygon)
-    if turned:
-        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
-    return path, vertices, np.array(triangles, dtype=np.int64)
+        try:
+            triangles += [polygon] if len(polygon) == 3 else cut_polygon(vertices, polygon)
+        except ValueError as error:
+            raise ValueError(f"{path}:{line}: {error}") from None
+    return np.array(triangles, dtype=np.int64)
 
 
 def write_mesh(path: PathLike, vertices: ArrayLike, faces: ArrayLike, up: str | None = None) -> None:

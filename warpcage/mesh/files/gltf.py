@@ -14,20 +14,35 @@ import urllib.parse
 
 import numpy as np
 
+from ...core.checks import shown
+from ...core.files import JSON_ROOM, read_limited
+from ...core.memory import require_host_memory
+
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
+
+#: What moves a node.
+_PLACES = {"matrix", "rotation", "scale", "translation"}
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
+#: Most triangles of all nodes together: a thousand times what a large cage has.
+MAX_TRIANGLES = 10_000_000
 
-def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[str, list[int]]]]:
+#: Bytes of memory that a vertex and a triangle take while they are read, split vertices joined again.
+VERTEX_BYTES, TRIANGLE_BYTES = 200, 150
+
+
+def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     """Read a glTF file.
+
+    Nodes may share a mesh, so that a few bytes stand for a triangle each time: what they come to is counted first.
 
     Args:
         path: The file.
 
     Returns:
-        Vertices (v, 3) float64, y up as in the file, and (name, indices of vertices) of each triangle.
+        Vertices (v, 3) float64, y up as in the file, and triangles (t, 3) int64, indices of vertices.
 
     Raises:
         ValueError: What is wrong in which file.
@@ -35,16 +50,18 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[str, list[int]
     try:
         document, chunk = _opened(path)
         nodes = _mesh_nodes(document)
-        buffers = [_buffer(path, entry, chunk) for entry in document.get("buffers", [])]
-        vertices: list[np.ndarray] = [np.zeros((0, 3))]
-        polygons: list[tuple[str, list[int]]] = []
+        _require_room(document, nodes)
+        buffers = _buffers(path, document, chunk)
+        meshes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        vertices, triangles, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
         for mesh, matrix in nodes:
-            points, faces = _mesh(document, buffers, document["meshes"][mesh])
-            first = sum(map(len, vertices))
+            if mesh not in meshes:
+                meshes[mesh] = _mesh(document, buffers, document["meshes"][mesh])
+            points, faces = meshes[mesh]
             vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
-            if np.linalg.det(matrix[:3, :3]) < 0.0:
-                faces = faces[:, ::-1]  # a mirrored node: its faces look the same way
-            polygons += [(f"triangle {len(polygons) + k}", face) for k, face in enumerate((faces + first).tolist())]
+            # a mirrored node: its faces are turned, so that they look the same way
+            triangles.append((faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0.0 else faces) + count)
+            count += len(points)
     except (
         KeyError,
         IndexError,
@@ -62,13 +79,33 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[str, list[int]
     joined = np.concatenate(vertices)
     if not np.isfinite(joined).all():
         raise ValueError(f"{path}: glTF vertex {np.flatnonzero(~np.isfinite(joined).all(axis=1))[0]} is not finite")
-    return joined, polygons
+    return joined, np.concatenate(triangles)
+
+
+def _require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
+    """Refuse more triangles than a mesh may have, or than there is memory for, before the first is read."""
+    counts = {mesh: _counts(document, document["meshes"][mesh]) for mesh in {mesh for mesh, _ in nodes}}
+    vertices, triangles = (sum(counts[mesh][k] for mesh, _ in nodes) for k in range(2))
+    what = f"its {len(nodes)} nodes with meshes come to {triangles} triangles and {vertices} vertices"
+    if triangles > MAX_TRIANGLES or vertices > 3 * MAX_TRIANGLES:
+        raise ValueError(f"{what}: at most {MAX_TRIANGLES} triangles are read")
+    require_host_memory(VERTEX_BYTES * vertices + TRIANGLE_BYTES * triangles, f"{what}, which need")
+
+
+def _counts(document: dict, mesh: dict) -> tuple[int, int]:
+    """Vertices and triangles that a mesh claims to have."""
+    accessors = document["accessors"]
+    drawn = [each for each in mesh["primitives"] if each.get("mode", _TRIANGLES) == _TRIANGLES]
+    positions = [each["attributes"]["POSITION"] for each in drawn]
+    corners = [accessors[each.get("indices", each["attributes"]["POSITION"])]["count"] for each in drawn]
+    return sum(accessors[index]["count"] for index in set(positions)), sum(corners) // 3
 
 
 def _opened(path: pathlib.Path) -> tuple[dict, bytes | None]:
     """The JSON document and the binary chunk of a .glb file."""
-    data = path.read_bytes()
+    data = read_limited(path, "glTF file")
     if data[:4] != b"glTF":
+        require_host_memory(JSON_ROOM * len(data), f"its {len(data)} bytes of JSON need")
         return json.loads(data.decode("utf-8")), None
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2 or length > len(data):
@@ -78,26 +115,39 @@ def _opened(path: pathlib.Path) -> tuple[dict, bytes | None]:
         size, kind = struct.unpack_from("<II", data, position)
         chunks.setdefault(kind, data[position + 8 : position + 8 + size])
         position += 8 + size
+    require_host_memory(JSON_ROOM * len(chunks[_JSON_CHUNK]), f"its {len(chunks[_JSON_CHUNK])} bytes of JSON need")
     return json.loads(chunks[_JSON_CHUNK].decode("utf-8")), chunks.get(_BINARY_CHUNK)
 
 
-def _buffer(path: pathlib.Path, entry: dict, chunk: bytes | None) -> bytes:
-    uri = entry.get("uri")
-    if uri is None:
-        data = chunk or b""
-    elif uri.startswith("data:"):
-        data = base64.b64decode(uri.split(",", 1)[1])
-    else:
-        name = urllib.parse.unquote(uri)
-        file = path.parent / name
-        if pathlib.PurePath(name).is_absolute() or ".." in pathlib.PurePath(name).parts:
-            raise ValueError(f"its buffer {uri!r} leads out of the folder of the file")
-        if not file.is_file():
-            raise ValueError(f"its buffer {uri!r} is not there")
-        data = file.read_bytes()
-    if len(data) < entry["byteLength"]:
-        raise ValueError(f"a buffer of {entry['byteLength']} bytes expected, got {len(data)}")
-    return data
+def _buffers(path: pathlib.Path, document: dict, chunk: bytes | None) -> list[bytes]:
+    """The buffers of a file; one that several entries name is read once."""
+    files: dict[str, bytes] = {}
+    found = []
+    for entry in document.get("buffers", []):
+        uri = entry.get("uri")
+        if uri is None:
+            data = chunk or b""
+        elif uri.startswith("data:"):
+            data = base64.b64decode(uri.split(",", 1)[1])
+        else:
+            data = files[uri] = files[uri] if uri in files else _buffer_file(path, uri)
+        if len(data) < entry["byteLength"]:
+            raise ValueError(f"a buffer of {entry['byteLength']} bytes expected, got {len(data)}")
+        found.append(data)
+    return found
+
+
+def _buffer_file(path: pathlib.Path, uri: str) -> bytes:
+    """The contents of a file that a buffer names: one in the folder of the glTF file, by its real path."""
+    name = urllib.parse.unquote(uri)
+    file = path.parent / name
+    folders = (path.parent.resolve(), path.resolve().parent)
+    leads_out = pathlib.PurePath(name).is_absolute() or ".." in pathlib.PurePath(name).parts
+    if leads_out or not any(file.resolve().is_relative_to(folder) for folder in folders):
+        raise ValueError(f"its buffer {shown(uri)} leads out of the folder of the file")
+    if not file.is_file():
+        raise ValueError(f"its buffer {shown(uri)} is not there")
+    return read_limited(file, "buffer")
 
 
 def _mesh_nodes(document: dict) -> list[tuple[int, np.ndarray]]:
@@ -105,16 +155,16 @@ def _mesh_nodes(document: dict) -> list[tuple[int, np.ndarray]]:
     nodes = document.get("nodes", [])
     scenes = document.get("scenes")
     roots = scenes[document.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
-    found, seen, queue = [], set(), [(root, np.eye(4)) for root in roots]
-    while queue:
-        index, parent = queue.pop(0)
+    found, seen, stack = [], set(), [(root, np.eye(4)) for root in reversed(roots)]
+    while stack:
+        index, parent = stack.pop()
         if index in seen:
             raise ValueError(f"its node {index} has two parents, or is its own")
         seen.add(index)
-        matrix = parent @ _local_matrix(nodes[index])
+        matrix = parent @ _local_matrix(nodes[index]) if _PLACES & nodes[index].keys() else parent
         if "mesh" in nodes[index]:
             found.append((nodes[index]["mesh"], matrix))
-        queue = [(child, matrix) for child in nodes[index].get("children", [])] + queue
+        stack += [(child, matrix) for child in reversed(nodes[index].get("children", []))]
     return found
 
 
@@ -153,7 +203,7 @@ def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray,
             if "indices" in primitive
             else np.arange(count)
         )
-        if len(indices) % 3 or (len(indices) and indices.max() >= count):
+        if len(indices) % 3 or (len(indices) and (indices.max() >= count or indices.min() < 0)):
             raise ValueError(f"a mesh of {count} vertices has {len(indices)} indices up to {indices.max(initial=0)}")
         faces.append(indices.reshape(-1, 3) + starts[accessor])
     if not positions:

@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ...core.checks import listed, shown
+from ...core.files import TEXT_ROOM, read_limited
+from ...core.memory import require_host_memory
 from .text import floats, text_lines, whole
 
 _PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -17,8 +20,12 @@ _PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short":
 #: An element of the header: name, count, and the name and type of each property; a list has two types.
 Element = tuple[str, int, list[tuple[str, Any]]]
 
-#: What the body holds of an element: name, properties, and (line or name, values) of each row.
-Rows = tuple[str, list[tuple[str, Any]], list[tuple[Any, Any]]]
+#: What the body holds of an element: name, properties, and (line or name, values) of each row; a table with a field
+#: for each property where rows are binary and alike.
+Rows = tuple[str, list[tuple[str, Any]], Any]
+
+#: Bytes of memory that a property of a row takes where it has lists, and each byte in them.
+PROPERTY_BYTES, LIST_ROOM = 300, 40
 
 
 def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list[int]]]]:
@@ -33,25 +40,30 @@ def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list
     Raises:
         ValueError: What is wrong, in which file and line.
     """
-    data = path.read_bytes()
+    data = read_limited(path, "PLY file")
     order, elements, body, body_line = _ply_header(path, data)
+    if order == "ascii":
+        require_host_memory(TEXT_ROOM * len(data), f"{path}: its {len(data)} bytes of text need")
     rows = _ply_text_rows if order == "ascii" else _ply_binary_rows
     vertices, polygons = None, []
     for name, properties, values in rows(path, data[body:], elements, order, body_line):
         names = [each[0] for each in properties]
         if name == "vertex":
             if not {"x", "y", "z"} <= set(names):
-                raise ValueError(f"{path}: PLY vertices need properties x, y, z, got {', '.join(names) or 'none'}")
+                raise ValueError(f"{path}: PLY vertices need properties x, y, z, got {listed(names)}")
             columns = [names.index(axis) for axis in "xyz"]
-            vertices = np.array([[row[column] for column in columns] for _, row in values], dtype=np.float64)
+            if isinstance(values, np.ndarray):
+                fields = [values.dtype.names[column] for column in columns]
+                vertices = np.stack([values[field].astype(np.float64) for field in fields], axis=1)
+            else:
+                vertices = np.array([[row[column] for column in columns] for _, row in values], dtype=np.float64)
             if not np.isfinite(vertices).all():
                 number = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
                 raise ValueError(f"{path}: PLY vertex {number} is not finite")
         elif name == "face":
             column = next((k for k, each in enumerate(names) if each in ("vertex_indices", "vertex_index")), None)
-            if column is None or not isinstance(properties[column][1], tuple):
-                found = ", ".join(names) or "none"
-                raise ValueError(f"{path}: PLY faces need a list property vertex_indices, got {found}")
+            if column is None or isinstance(values, np.ndarray) or not isinstance(properties[column][1], tuple):
+                raise ValueError(f"{path}: PLY faces need a list property vertex_indices, got {listed(names)}")
             polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
     if vertices is None:
         raise ValueError(f"{path}: no vertices in it")
@@ -70,17 +82,17 @@ def _ply_header(path: pathlib.Path, data: bytes) -> tuple[str, list[Element], in
         if words[:1] == ["format"]:
             orders = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
             if len(words) < 2 or words[1] not in orders:
-                raise ValueError(f"{path}:{line}: unknown PLY format {' '.join(words[1:])!r}")
+                raise ValueError(f"{path}:{line}: unknown PLY format {shown(' '.join(words[1:]))}")
             order = orders[words[1]]
         elif words[:1] == ["element"]:
-            if len(words) != 3 or not words[2].isdigit():
-                raise ValueError(f"{path}:{line}: an element needs a name and a count, got {' '.join(words)!r}")
+            if len(words) != 3 or not words[2].isdigit() or len(words[2]) > 18:
+                raise ValueError(f"{path}:{line}: an element needs a name and a count, got {shown(' '.join(words))}")
             elements.append((words[1], int(words[2]), []))
         elif words[:1] == ["property"]:
             listed = words[1:2] == ["list"]
             kinds = [_PLY_TYPES.get(word) for word in (words[2:4] if listed else words[1:2])]
             if len(words) != (5 if listed else 3) or None in kinds or not elements:
-                raise ValueError(f"{path}:{line}: cannot read PLY property {' '.join(words)!r}")
+                raise ValueError(f"{path}:{line}: cannot read PLY property {shown(' '.join(words))}")
             elements[-1][2].append((words[-1], tuple(kinds) if listed else kinds[0]))
         elif words[:1] == ["end_header"]:
             if order is None:
@@ -119,15 +131,19 @@ def _ply_binary_rows(
     position = 0
     for name, count, properties in elements:
         kinds = [kind for _, kind in properties]
-        if not any(isinstance(kind, tuple) for kind in kinds):
+        if kinds and not any(isinstance(kind, tuple) for kind in kinds):
             row_type = np.dtype([(f"p{k}", order + kind) for k, kind in enumerate(kinds)])
             if position + count * row_type.itemsize > len(body):
                 raise ValueError(f"{path}: the PLY file ends within its {count} elements {name!r}")
             table = np.frombuffer(body, row_type, count, position)
             position += count * row_type.itemsize
-            yield name, properties, [(k, row) for k, row in enumerate(table.tolist())]
+            yield name, properties, table
             continue
-        rows = []
+        rows, room = [], len(body) - position
+        if count * max(1, len(kinds)) > room:  # a property has at least a byte
+            raise ValueError(f"{path}: the PLY file ends within its {count} elements {name!r}")
+        need = PROPERTY_BYTES * count * (1 + len(kinds)) + LIST_ROOM * room
+        require_host_memory(need, f"{path}: its {count} elements {name!r} need")
         for number in range(count):
             row = []
             try:
@@ -136,6 +152,8 @@ def _ply_binary_rows(
                     if isinstance(kind, tuple):
                         taken = int(np.frombuffer(body, order + kind[0], 1, position)[0])
                         position += np.dtype(kind[0]).itemsize
+                        if taken < 0:
+                            raise ValueError("a list of less than nothing")
                     value_type = np.dtype(order + (kind[1] if isinstance(kind, tuple) else kind))
                     values = np.frombuffer(body, value_type, taken, position) if taken > 0 else np.zeros(0)
                     position += taken * value_type.itemsize

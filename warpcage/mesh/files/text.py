@@ -8,6 +8,9 @@ from typing import NoReturn
 
 import numpy as np
 
+from ...core.checks import shown
+from ...core.files import TEXT_ROOM, read_limited
+
 #: (line, indices of vertices) of each polygon of a file.
 Polygons = list[tuple[int, list[int]]]
 
@@ -76,13 +79,13 @@ def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
     lines = text_lines(path)
     line, words = next(lines, (1, []))
     if not words or not words[0].upper().endswith("OFF") or words[0].upper() not in ("OFF", "COFF", "NOFF", "CNOFF"):
-        raise ValueError(f"{path}:{line}: an OFF file begins with 'OFF', got {' '.join(words[:3])!r}")
+        raise ValueError(f"{path}:{line}: an OFF file begins with 'OFF', got {shown(' '.join(words[:3]))}")
     words = words[1:]
     if not words:
         line, words = next(lines, (line, []))
     counts = whole(words[:2], path, line)
     if len(counts) < 2 or min(counts) < 0:
-        raise ValueError(f"{path}:{line}: the numbers of vertices and faces expected, got {' '.join(words)!r}")
+        raise ValueError(f"{path}:{line}: the numbers of vertices and faces expected, got {shown(' '.join(words))}")
 
     vertices, polygons = [], []
     for line, words in lines:
@@ -91,7 +94,7 @@ def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
         elif len(polygons) < counts[1]:
             size = whole(words[:1], path, line)[0]
             if size < 0 or len(words) < size + 1:
-                raise ValueError(f"{path}:{line}: a face of {size} vertices expected, got {' '.join(words)!r}")
+                raise ValueError(f"{path}:{line}: a face of {size} vertices expected, got {shown(' '.join(words))}")
             polygons.append((line, whole(words[1 : size + 1], path, line)))
     if len(vertices) < counts[0] or len(polygons) < counts[1]:
         raise ValueError(
@@ -128,7 +131,9 @@ def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1) ->
     Yields:
         Number of the line, counted from 1, and its words.
     """
-    text = (path.read_bytes() if data is None else data).decode("utf-8-sig", errors="replace")
+    if data is None:
+        data = read_limited(path, "cage file", TEXT_ROOM)
+    text = data.decode("utf-8-sig", errors="replace")
     held = ""
     for number, line in enumerate(text.splitlines(), start=first):
         line = held + line.split("#", 1)[0].rstrip()
@@ -158,9 +163,9 @@ def floats(words: list[str], path: pathlib.Path, line: int) -> list[float]:
     try:
         values = [float(word) for word in words]
     except ValueError:
-        raise ValueError(f"{path}:{line}: numbers expected, got {' '.join(words)!r}") from None
+        raise ValueError(f"{path}:{line}: numbers expected, got {shown(' '.join(words))}") from None
     if not np.isfinite(values).all():
-        raise ValueError(f"{path}:{line}: finite numbers expected, got {' '.join(words)!r}")
+        raise ValueError(f"{path}:{line}: finite numbers expected, got {shown(' '.join(words))}")
     return values
 
 
@@ -181,7 +186,7 @@ def whole(words: list[str], path: pathlib.Path, line: int) -> list[int]:
     try:
         return [int(word) for word in words]
     except ValueError:
-        raise ValueError(f"{path}:{line}: whole numbers expected, got {' '.join(words)!r}") from None
+        raise ValueError(f"{path}:{line}: whole numbers expected, got {shown(' '.join(words))}") from None
 
 
 def point(words: list[str], path: pathlib.Path, line: int) -> list[float]:

@@ -61,4 +61,4 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         file = find_picture(folder, frame.get("file_path"), f"{where}: file_path")
         pose = matrix(frame.get("transform_matrix"), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
         views.append(View(file, pose, where, intrinsics))
-    return make_scene(views, downscale=downscale, background=background, masks=masks)
+    return make_scene(folder, views, downscale=downscale, background=background, masks=masks)

@@ -74,7 +74,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
     masks = masks and (folder / "masks").is_dir()
     views = sorted((_view(folder, model, image, masks) for image in model.images), key=lambda view: str(view.file))
     views = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(views, downscale=downscale, background=background, masks=masks, points=model.points)
+    return make_scene(folder, views, downscale=downscale, background=background, masks=masks, points=model.points)
 
 
 def _view(folder: pathlib.Path, model: Model, image: ModelImage, masks: bool | str) -> View:

@@ -8,8 +8,11 @@ import struct
 
 import numpy as np
 
-from ...core.files import require_file
+from ...core.files import read_limited
 from .parsing import floats, one_line, read_text
+
+#: Bytes of memory that a byte of a binary file takes at most: a picture of 73 bytes becomes a record of some 700.
+BINARY_ROOM = 12
 
 #: Names and parameter counts of the models, by the number that binary files use.
 MODELS = (
@@ -196,7 +199,7 @@ class _Bytes:
     """A file's bytes from front to back; reading beyond the end is refused."""
 
     def __init__(self, path: pathlib.Path):
-        self.path, self.data, self.position = path, require_file(path, "COLMAP file").read_bytes(), 0
+        self.path, self.data, self.position = path, read_limited(path, "COLMAP file", BINARY_ROOM), 0
 
     def take(self, layout: str) -> tuple:
         size = struct.calcsize(layout)

@@ -7,6 +7,7 @@ the scene. Pixel centres are integers in these files, hence +0.5 on the principa
 from __future__ import annotations
 
 import pathlib
+import re
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from .views import View, make_scene
 
 MARK = "image/ and cameras_sphere.npz or cameras.npz"
 FILES = ("cameras_sphere.npz", "cameras.npz")
+
+#: The arrays that are read of a camera file.
+MATRICES = re.compile(r"(world|scale)_mat_[0-9]+")
 
 #: Largest skew that is taken for rounding, of the focal length.
 SKEW_TOLERANCE = 1e-3
@@ -52,7 +56,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         ValueError: For contents that cannot be used.
     """
     path = next((folder / name for name in FILES if (folder / name).is_file()), folder / FILES[0])
-    cameras = read_npz(path, "camera file")
+    cameras = read_npz(path, "camera file", MATRICES.fullmatch)
     pictures = pictures_in(folder / "image")
     shapes = pictures_in(folder / "mask") if masks and (folder / "mask").is_dir() else [None] * len(pictures)
     if len(shapes) != len(pictures):
@@ -66,6 +70,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         scales.append(scale)
     same = all(np.array_equal(scale, scales[0]) for scale in scales)
     return make_scene(
+        folder,
         views,
         downscale=downscale,
         background=background,

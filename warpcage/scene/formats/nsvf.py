@@ -10,7 +10,7 @@ import pathlib
 import numpy as np
 
 from ..scene import Scene
-from .parsing import floats, missing_split, pictures_in, read_text
+from .parsing import Bounds, floats, missing_split, pictures_in, read_text
 from .views import View, make_scene
 
 MARK = "rgb/, pose/ and intrinsics.txt"
@@ -52,11 +52,13 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
     splits = {name: files for name, files in splits.items() if files}
     if split not in splits:
         raise missing_split(split, folder, splits)
-    views = []
+    views, allowed = [], Bounds(folder)
     for file in splits[split]:
-        path = folder / "pose" / f"{file.stem}.txt"
+        path = allowed.require(folder / "pose" / f"{file.stem}.txt", str(file))
         views.append(View(file, _read_pose(path), str(path), intrinsics))
-    return make_scene(views, downscale=downscale, background=background, masks=masks, bounds=_read_bounds(folder))
+    return make_scene(
+        folder, views, downscale=downscale, background=background, masks=masks, bounds=_read_bounds(folder)
+    )
 
 
 def _read_intrinsics(path: pathlib.Path) -> tuple[float, float, float, float]:

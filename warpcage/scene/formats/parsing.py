@@ -14,7 +14,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ...core.files import require_file
+from ...core.checks import listed, shown
+from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited
 
 #: Endings of pictures, and what is tried where a name has none.
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
@@ -30,7 +31,7 @@ TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 def read_json(path: pathlib.Path) -> dict:
     """The JSON object that a file holds."""
     try:
-        content = json.loads(require_file(path, "file").read_text(encoding="utf-8"))
+        content = json.loads(read_limited(path, "file", JSON_ROOM).decode("utf-8"))
     except (ValueError, RecursionError) as error:  # wrong bytes, wrong syntax, brackets without end
         raise ValueError(f"{path} is no JSON file: {one_line(error)}") from error
     if not isinstance(content, dict):
@@ -41,7 +42,7 @@ def read_json(path: pathlib.Path) -> dict:
 def read_text(path: pathlib.Path, what: str) -> str:
     """The text of a file; what: how messages call it."""
     try:
-        return require_file(path, what).read_text(encoding="utf-8")
+        return read_limited(path, what, TEXT_ROOM).decode("utf-8")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is no text file: {one_line(error)}") from error
 
@@ -84,14 +85,41 @@ def matrix(value: object, shape: tuple[int, int], where: str) -> np.ndarray:
 
 
 def inside(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
-    """The path of `name` in `folder`; refused where it leads out of it."""
+    """The path of `name` in `folder`; refused where it is the folder, or leads out of it by its words alone."""
     if not isinstance(name, str) or not name.strip() or "\0" in name or len(name) > 4000:
         raise ValueError(f"{where} must be the name of a file, got {shown(name)}")
-    path = folder / name.replace("\\", "/")
-    root = pathlib.Path(os.path.abspath(folder))
-    if not pathlib.Path(os.path.abspath(path)).is_relative_to(root):
+    root = os.path.abspath(folder)
+    relative = os.path.relpath(os.path.join(root, name.replace("\\", "/")), root)
+    if relative == os.curdir:
+        raise ValueError(f"{where}: {shown(name)} is the data folder {str(folder)!r}, not a file in it")
+    if relative.split(os.sep)[0] == os.pardir:
         raise ValueError(f"{where}: {shown(name)} leads out of the data folder {str(folder)!r}")
-    return path
+    return folder / relative
+
+
+class Bounds:
+    """Where the files of a scene may lie, by their real paths: in its folder, or in a folder that a link directly in it
+    leads to, as `images -> /captures/fox/images`. Links deeper inside, and links to files, must not lead elsewhere.
+
+    Args:
+        folder: The scene's folder.
+    """
+
+    def __init__(self, folder: pathlib.Path):
+        self.folder = folder
+        with os.scandir(folder) as entries:
+            linked = [entry.path for entry in entries if entry.is_symlink() and entry.is_dir()]
+        self.roots = [pathlib.Path(os.path.realpath(path)) for path in (folder, *linked)]
+
+    def require(self, path: pathlib.Path, where: str) -> pathlib.Path:
+        """The path of a file that a scene names; ValueError where it lies elsewhere."""
+        real = pathlib.Path(os.path.realpath(path))
+        if not any(real.is_relative_to(root) for root in self.roots):
+            raise ValueError(
+                f"{where}: {path.name[:60]!r} is a link that leads out of the data folder {str(self.folder)!r}: put "
+                "the file there, or a link to its whole folder"
+            )
+        return path
 
 
 def find_picture(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
@@ -99,8 +127,8 @@ def find_picture(folder: pathlib.Path, name: object, where: str) -> pathlib.Path
     path = inside(folder, name, where)
     if path.suffix.lower() in PICTURE_ENDINGS or is_file(path):
         return path
-    candidates = [path.with_name(path.name + ending) for ending in GUESSED_ENDINGS if path.name]
-    return next((candidate for candidate in candidates if is_file(candidate)), candidates[0] if candidates else path)
+    candidates = [path.with_name(path.name + ending) for ending in GUESSED_ENDINGS]
+    return next((candidate for candidate in candidates if is_file(candidate)), candidates[0])
 
 
 def pictures_in(folder: pathlib.Path) -> list[pathlib.Path]:
@@ -138,8 +166,7 @@ def held_out(count: int, split: str, folder: pathlib.Path) -> list[int]:
 
 def missing_split(split: str, folder: pathlib.Path, splits: Iterable[str]) -> FileNotFoundError:
     """An error that names the splits there are."""
-    there = ", ".join(splits) or "none"
-    return FileNotFoundError(f"split {split!r} of {str(folder)!r} is not there; splits: {there}")
+    return FileNotFoundError(f"split {split!r} of {str(folder)!r} is not there; splits: {listed(splits)}")
 
 
 def split_file(folder: pathlib.Path, split: str) -> pathlib.Path:
@@ -159,12 +186,6 @@ def frames_of(transforms: dict, path: pathlib.Path) -> list[tuple[str, dict]]:
         if not isinstance(frame, dict):
             raise ValueError(f"{path}: frame {index} must be a JSON object")
     return [(f"{path}: frame {index}", frame) for index, frame in enumerate(frames)]
-
-
-def shown(value: object) -> str:
-    """A value in a message, cut where it is long."""
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:60]}..."
 
 
 def one_line(error: BaseException) -> str:

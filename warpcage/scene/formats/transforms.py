@@ -11,12 +11,14 @@ import pathlib
 
 import numpy as np
 
+from ...core.checks import shown
 from ...core.files import require_file
 from ...mesh.files.ply import read_ply
 from ..scene import Scene
 from .distortion import COEFFICIENTS
 from .parsing import (
     TO_OPENCV,
+    Bounds,
     find_picture,
     frames_of,
     held_out,
@@ -25,7 +27,6 @@ from .parsing import (
     missing_split,
     number,
     read_json,
-    shown,
     split_file,
 )
 from .views import View, make_scene
@@ -77,6 +78,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         views.sort(key=lambda view: str(view.file))
         views = _of_split(views, transforms, split, folder, path)
     return make_scene(
+        folder,
         views,
         downscale=downscale,
         background=background,
@@ -177,7 +179,8 @@ def _points(folder: pathlib.Path, transforms: dict, path: pathlib.Path) -> np.nd
     if transforms.get("ply_file_path") is None:
         return None
     where = f"{path}: ply_file_path"
-    return read_ply(require_file(inside(folder, transforms["ply_file_path"], where), where))[0]
+    file = Bounds(folder).require(inside(folder, transforms["ply_file_path"], where), where)
+    return read_ply(require_file(file, where))[0]
 
 
 def _to_source(transforms: dict, path: pathlib.Path) -> np.ndarray | None:

@@ -5,20 +5,34 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from ...core.memory import free_host_bytes
 from ...view.camera import Camera
-from ...view.pictures import image_size, read_image, shrink
+from ...view.pictures import image_size, read_rows, shrink, shrunk_size
 from ..box import view_box
 from ..scene import Scene
 from .distortion import Intrinsics, undistort, undistorted_intrinsics
+from .parsing import Bounds
 
 #: Fewer points of a reconstruction say nothing about where the object is.
 MIN_POINTS = 8
+
+#: Bytes a pixel that files decode to: 4 of Pillow's, and as many again where colours are looked up; 24 with 16 bits a
+#: channel, as a frame, as an array and in this machine's order.
+DECODED_BYTES = 24
+
+#: Copies of its floats that a strip becomes on the way, and bytes a pixel that undoing a lens takes besides.
+COPIES, LENS_BYTES = 5, 300
+
+#: Bytes of floats that a strip holds.
+STRIP_BYTES = 1 << 22
+
+#: Most pictures that are read at once, as many as a pool of threads has by itself.
+MOST_WORKERS = 32
 
 
 @dataclasses.dataclass
@@ -46,6 +60,7 @@ class View:
 
 
 def make_scene(
+    folder: pathlib.Path,
     views: list[View],
     *,
     downscale: int,
@@ -58,6 +73,7 @@ def make_scene(
     """Read the pictures of views, undo their distortion, shrink them and put them on the background.
 
     Args:
+        folder: The scene's folder, which pictures and masks must not lead out of: see `Bounds`.
         views: Pictures with their cameras, in the order of the scene.
         downscale: Whole factor by which width and height shrink.
         background: (3,) colour put behind transparent pixels.
@@ -72,10 +88,15 @@ def make_scene(
 
     Raises:
         FileNotFoundError: For pictures that are not there.
-        ValueError: For pictures listed twice, of several sizes, of another size than their camera's, broken, or too
-            many for the memory.
+        ValueError: For pictures listed twice, of several sizes, of another size than their camera's, broken, outside
+            the folder, or too many for the memory.
     """
     _refuse_doubles(views)
+    allowed = Bounds(folder)
+    for view in views:
+        for file in (view.file, view.mask):
+            if file is not None:
+                allowed.require(file, view.where)
     if masks == "split" and any(view.mask is None for view in views):
         raise ValueError(f"{views[0].where}: masks='split' needs a mask file for every picture")
     if not masks:
@@ -84,39 +105,38 @@ def make_scene(
     intrinsics = [_intrinsics(view, size) for view in views]
     pinholes = [_pinhole(view, given, size) for view, given in zip(views, intrinsics, strict=True)]
     cameras = [_camera(view, pinhole, size) for view, pinhole in zip(views, pinholes, strict=True)]
-    _require_memory(len(views), size, downscale, channels=8 if masks != "split" else 14)
+    split = masks == "split"
+    workers = _workers(views, size, downscale, split)
+    width, height = shrunk_size(size, downscale)
+    images = np.empty((len(views), height, width, 3), np.float32)
+    alphas = np.empty((len(views), height, width), np.float32)
+    surroundings = np.empty_like(images) if split else None
 
-    def load(index: int) -> np.ndarray:
-        view = views[index]
-        rgba = _premultiplied(view)
-        if masks == "split":
-            whole = _premultiplied(dataclasses.replace(view, mask=None))
-            around = whole[..., :3] + (1.0 - whole[..., 3:]) * background - rgba[..., :3]
-            rgba = np.concatenate([rgba, around], axis=-1)
-        if any(view.distortion):
-            rgba = undistort(rgba, intrinsics[index], pinholes[index], view.distortion)
-        return shrink(rgba, downscale).astype(np.float32)
+    def load(index: int) -> None:
+        view, top = views[index], 0
+        for part in _parts(view, intrinsics[index], pinholes[index], size, downscale, background, split):
+            alpha, rows = part[..., 3], slice(top, top + len(part))
+            images[index, rows] = part[..., :3] + (1.0 - alpha[..., None]) * background
+            alphas[index, rows] = alpha
+            if surroundings is not None:
+                surroundings[index, rows] = part[..., 4:]
+            top += len(part)
 
-    with ThreadPoolExecutor() as pool:
-        rgba = np.stack(list(pool.map(load, range(len(views)))))
-    height, width = rgba.shape[1:3]
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(load, range(len(views))))
     cameras = [camera.resized(width, height) for camera in cameras]
-    alphas = rgba[..., 3]
-    images = rgba[..., :3] + (1.0 - alphas[..., None]) * background
-    if (alphas == 1.0).all():  # opaque images say nothing about the object's outline
-        alphas = None
-    surroundings = rgba[..., 4:] if masks == "split" and alphas is not None else None
+    opaque = all((alpha == 1.0).all() for alpha in alphas)  # such images say nothing about the object's outline
     if bounds is None and points is not None:
         bounds = _bulk_box(points, view_box(cameras))
     return Scene(
         images,
-        alphas,
+        None if opaque else alphas,
         cameras,
         background,
         _names(views),
         bounds=bounds,
         to_source=to_source,
-        surroundings=surroundings,
+        surroundings=None if opaque else surroundings,
         captured=any(view.mask is not None for view in views),
     )
 
@@ -184,27 +204,76 @@ def _camera(view: View, intrinsics: Intrinsics, size: tuple[int, int]) -> Camera
         raise ValueError(f"{view.where}: {error}") from error
 
 
-def _require_memory(count: int, size: tuple[int, int], downscale: int, channels: int) -> None:
-    """Refuse pictures that the machine cannot hold, before the first is read."""
-    width, height = (max(1, round(side / downscale)) for side in size)
-    needed = count * width * height * channels * 4  # what is read, and what becomes of it
-    free = free_host_bytes()
-    if needed > free:
+def _workers(views: list[View], size: tuple[int, int], downscale: int, split: bool) -> int:
+    """How many pictures are read at once. Refuses pictures that the machine cannot hold, before the first is read."""
+    width, height = shrunk_size(size, downscale)
+    held = len(views) * width * height * (4 * (7 if split else 4) + 1)
+    flight, free = max(_flight_bytes(view, size, downscale, split) for view in views), free_host_bytes()
+    if flight >= free:
         raise ValueError(
-            f"{count} pictures of {width}x{height} need {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB "
-            f"are free: give downscale={downscale * int(np.ceil(np.sqrt(needed / free)))} or more"
+            f"reading a picture of {_times(size)} needs {flight / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free: "
+            "shrink the files"
         )
+    if held > free - flight:
+        least = downscale * int(np.ceil(np.sqrt(held / (free - flight))))
+        raise ValueError(
+            f"{len(views)} pictures of {width}x{height} need {(held + flight) / 2**30:.1f} GiB, {free / 2**30:.1f} GiB "
+            f"are free: give downscale={least} or more"
+        )
+    return max(1, min(MOST_WORKERS, (os.cpu_count() or 1) + 4, len(views), (free - held) // flight))
 
 
-def _premultiplied(view: View) -> np.ndarray:
+def _flight_bytes(view: View, size: tuple[int, int], downscale: int, split: bool) -> int:
+    """Memory that a picture takes while it is read: what its files decode to, and floats of a strip or of all of it."""
+    pixels = size[0] * size[1]
+    numbers = 8 if split else 4
+    lens = LENS_BYTES if any(view.distortion) else 0
+    files = DECODED_BYTES * (1 if view.mask is None else 2) * pixels
+    return files + COPIES * 4 * numbers * size[0] * _strip_rows(view, size, downscale, numbers) + lens * pixels
+
+
+def _strip_rows(view: View, size: tuple[int, int], downscale: int, numbers: int) -> int:
+    """Rows of a picture that are handled at once: all where a lens is undone, or where squares do not fit into it."""
+    width, height = size
+    if any(view.distortion) or width % downscale or height % downscale:
+        return height
+    return min(height, downscale * max(1, STRIP_BYTES // (4 * numbers * width * downscale)))
+
+
+def _parts(
+    view: View,
+    lens: Intrinsics,
+    pinhole: Intrinsics,
+    size: tuple[int, int],
+    downscale: int,
+    background: np.ndarray,
+    split: bool,
+) -> Iterator[np.ndarray]:
+    """A picture from top to bottom, shrunk: (rows, width, 4 or 7) float32, colour times opacity, opacity, and with
+    `split` what the mask takes away."""
+    picture = read_rows(view.file)
+    mask = None if view.mask is None else read_rows(view.mask)
+    step = _strip_rows(view, size, downscale, 8 if split else 4)
+    for first in range(0, size[1], step):
+        span = (first, first + step)
+        rgba = _premultiplied(picture(*span), None if mask is None else mask(*span))
+        if split:
+            whole = _premultiplied(picture(*span), None)
+            around = whole[..., :3] + (1.0 - whole[..., 3:]) * background - rgba[..., :3]
+            rgba = np.concatenate([rgba, around], axis=-1)
+        if any(view.distortion):
+            rgba = undistort(rgba, lens, pinhole, view.distortion)
+        yield shrink(rgba, downscale).astype(np.float32, copy=False)
+
+
+def _premultiplied(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     """(h, w, 4) float32, colour times opacity, and opacity."""
-    image = read_image(view.file)
     if image.shape[-1] < 3:  # grey, with or without alpha
         image = np.concatenate([np.repeat(image[..., :1], 3, axis=-1), image[..., 1:]], axis=-1)
     if image.shape[-1] == 3:
         image = np.concatenate([image, np.ones_like(image[..., :1])], axis=-1)
-    if view.mask is not None:
-        image[..., 3] *= read_image(view.mask)[..., 0]
+    if mask is not None:
+        image[..., 3] *= mask[..., 0]
     image[..., :3] *= image[..., 3:]
     return image
 
