@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import math
 import os
 from typing import TYPE_CHECKING, Any
 
@@ -86,6 +88,7 @@ class VoxelField:
     ):
         self.device = resolve_device(device if device is not None or not isinstance(links, wp.array) else links.device)
         self.bounds = checked_bounds(bounds)
+        self._diagonal = math.dist(*self.bounds)
         require_ordinary_side(float((self.bounds[1] - self.bounds[0]).max()), "a field")
         self.background = parse_background(background)
         self.background_model = None if background_model is None else background_model.to(self.device)
@@ -164,7 +167,7 @@ class VoxelField:
         links[mask] = np.arange(mask.sum(), dtype=np.int32)
         return cls(bounds, links, sigma[mask], coefficients[mask], background=background, device=device)
 
-    @property
+    @functools.cached_property
     def center(self) -> np.ndarray:
         """(3,) float64 middle of the bounds: the origin that kernels' positions are relative to."""
         return self.bounds.mean(axis=0)
@@ -174,7 +177,7 @@ class VoxelField:
         """Voxels that hold values."""
         return self.grid.density.shape[0]
 
-    @property
+    @functools.cached_property
     def step(self) -> float:
         """Default march step in world units: half the smallest side of a voxel."""
         return 0.5 * float(self.voxel_size.min())
@@ -264,11 +267,8 @@ class VoxelField:
             ValueError: As `render`.
         """
         require_type(camera, Camera, "render needs")
-        diagonal = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
-        away = camera.centre - self.center
-        largest = float(np.abs(away).max()) or 1.0  # squares of the largest numbers are beyond float64
-        step = checked_march(step, self.step, diagonal, largest * float(np.linalg.norm(away / largest)))
-        return step, diagonal / step
+        step = checked_march(step, self.step, self._diagonal, math.dist(camera.centre, self.center))
+        return step, self._diagonal / step
 
     @in_turn
     def render_by(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import numbers
 from typing import Any
 
@@ -60,7 +61,7 @@ class Frame:
             if isinstance(array, wp.array) and array.dtype == wp.vec3:
                 shape += (3,)
             expected = width * height * (3 if name == "rgb" else 1)
-            if int(np.prod(shape)) != expected:
+            if math.prod(shape) != expected:
                 raise ValueError(f"{name} of a {width}x{height} frame holds {expected} numbers, got shape {shape}")
         self._host: dict[str, np.ndarray] = {}
 
