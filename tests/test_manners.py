@@ -12,11 +12,14 @@ import textwrap
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
+import warp as wp
 
 import warpcage
 from warpcage.cli import main
 from warpcage.core.files import atomic_path
+from warpcage.view.pictures import read_image
 
 #: Put before the code of a child: a command that does what a test says, and nothing of Warp.
 FAKE = """\
@@ -232,3 +235,40 @@ def test_closed_descriptors_lose_messages_and_nothing_else(tmp_path):
     out = tmp_path / "out.txt"
     done = child(code, out, preexec_fn=lambda: [os.close(number) for number in range(3)])
     assert done.returncode == 0 and out.read_text() == "results"
+
+
+# Poor places
+
+
+def test_a_command_works_in_a_poor_place(tmp_path):
+    """Warnings as errors, no assertions, few descriptors, and a home that cannot be written to, which is said."""
+    ball_and_box(tmp_path)
+    code = """
+        import resource, sys
+        resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
+        from warpcage.cli import main
+        words = "render ball.npz --cage cage.obj --posed posed.obj --size 16 --coordinates mean_value --resolution 12"
+        sys.exit(main([*words.split(), "--device", "cpu", "--out", "frame.png"]))
+    """
+    command = [sys.executable, "-W", "error", "-O", "-c", textwrap.dedent(code)]
+    poor = {name: value for name, value in os.environ.items() if name not in ("WARP_CACHE_PATH", "XDG_CACHE_HOME")}
+    poor["HOME"] = os.devnull
+    cache = str(pathlib.Path(wp.config.kernel_cache_dir).parent)  # of this process: nothing is compiled anew
+    options = {"cwd": tmp_path, "capture_output": True, "text": True, "timeout": 120}
+    refused = subprocess.run(command, env=poor, **options)
+    said = [line for line in refused.stderr.splitlines() if line.startswith("warpcage: ")]
+    assert refused.returncode == 2 and len(said) == 1 and "WARP_CACHE_PATH" in said[0], refused.stderr
+    assert not (tmp_path / "frame.png").exists()
+    done = subprocess.run(command, env={**poor, "WARP_CACHE_PATH": cache}, **options)
+    assert done.returncode == 0, done.stderr
+    assert read_image(tmp_path / "frame.png").shape[:2] == (16, 16)
+
+
+def ball_and_box(folder):
+    """A field, and a box around it at rest and posed."""
+    density = np.full((8, 8, 8), 20.0, np.float32)
+    field = warpcage.VoxelField.from_dense(density, np.zeros((8, 8, 8, 9, 3)), [[-1] * 3, [1] * 3], device="cpu")
+    field.save(folder / "ball.npz")
+    cage = warpcage.Cage.box((-1.2, -1.2, -1.2), (1.2, 1.2, 1.2))
+    cage.save(folder / "cage.obj")
+    cage.twist(20).save(folder / "posed.obj")

@@ -27,9 +27,16 @@ _loaded: set[tuple[wp.Module, str, int | None]] = set()
 
 
 def start_warp() -> None:
-    """Start Warp, in one thread; costs nothing where it has started."""
+    """Start Warp, in one thread; costs nothing where it has started.
+
+    Raises:
+        RuntimeError: Where the folder of the kernel cache cannot be made.
+    """
     with _loading:
-        wp.init()
+        try:
+            wp.init()
+        except OSError as error:
+            raise _unwritable(error) from error
 
 
 def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> None:
@@ -80,6 +87,8 @@ def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
     """Load a module; where its files in the cache are damaged, remove them and compile it again."""
     try:
         wp.load_module(module, device=device, block_dim=block_dim)
+    except OSError as error:
+        raise _unwritable(error) from error
     except Exception as error:
         if module.failed_builds:  # it did not compile: the files are not to blame
             raise
@@ -91,6 +100,13 @@ def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
             f"the compiled kernels in {folder} are damaged, and the folder cannot be removed: remove it, or set "
             "WARP_CACHE_PATH to another one"
         ) from error
+
+
+def _unwritable(error: OSError) -> RuntimeError:
+    return RuntimeError(
+        f"compiled kernels are kept in {wp.config.kernel_cache_dir}, which cannot be written to "
+        f"({error.strerror}): set WARP_CACHE_PATH to a folder that can"
+    )
 
 
 def _cache_folder(module: wp.Module, block_dim: int) -> pathlib.Path:
