@@ -53,13 +53,15 @@ def _crossing(
     """Which of the pairs (p, 2) of faces (f, 3) with corners (f, 3, 3) cross or overlap; normals and their lengths."""
     one, two = pairs.T
     shared = (faces[one][:, :, None] == faces[two][:, None, :]).any(axis=2).sum(axis=1)
-    crossing = np.zeros(len(pairs), dtype=bool)
-    for a, b in ((one, two), (two, one)):
-        for k in range(3):
-            start, end = faces[a, k], faces[a, (k + 1) % 3]
-            # an edge that begins or ends at a corner of the triangle touches it there and nowhere else
-            apart = ~((faces[b] == start[:, None]) | (faces[b] == end[:, None])).any(axis=1)
-            crossing[apart] |= _segments_cross(corners[a[apart], k], corners[a[apart], (k + 1) % 3], corners[b[apart]])
+    # the edges of each against the triangle of the other, all at once
+    a, b = np.concatenate([one, two]), np.concatenate([two, one])
+    start, end, other = faces[a], np.roll(faces[a], -1, axis=1), faces[b][:, None]
+    # an edge that begins or ends at a corner of the triangle touches it there and nowhere else
+    row, k = np.nonzero(~((other == start[..., None]) | (other == end[..., None])).any(axis=2))
+    crossed = _segments_cross(corners[a[row], k], corners[a[row], (k + 1) % 3], corners[b[row]])
+    crossing = np.zeros(2 * len(pairs), dtype=bool)
+    crossing[row[crossed]] = True
+    crossing = crossing[: len(pairs)] | crossing[len(pairs) :]
     heights = np.abs(np.einsum("pki,pi->pk", corners[two] - corners[one][:, :1], normals[one])).max(axis=1)
     flat = np.flatnonzero((heights < 1e-7) & (shared < 3) & (lengths[one] > 0.0) & (lengths[two] > 0.0))
     crossing[flat] |= _overlap_in_plane(corners[one[flat]], corners[two[flat]], normals[one[flat]])

@@ -6,6 +6,8 @@ import functools
 
 import numpy as np
 
+from ...core.threads import cpu_threads
+
 
 class ObjectShell:
     """Distances around a solid given by points, in a grid that reaches `reach` beyond them.
@@ -38,7 +40,7 @@ class ObjectShell:
         deep = np.asarray(scipy.ndimage.binary_erosion(self.solid, np.ones((3, 3, 3), dtype=bool), iterations=2), bool)
         # what lies two voxels below the skin is nearest to nothing outside
         near = np.flatnonzero(~deep[tuple(cell.T)])
-        _, one = np.unique(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape), return_index=True)
+        one = first_of_each(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape), self.solid.size)
         self.skin = points[near[one]]
         # from far off a search among all points is slow and more than is needed: voxels stand for those they hold
         self._coarse = np.sqrt(0.75) * spacing if need > 6.0 * spacing else 0.0
@@ -86,7 +88,7 @@ class ObjectShell:
     def exact_distance(self, x: np.ndarray) -> np.ndarray:
         """Distance from x (n, 3) to the nearest point of the object's skin; where `need` is more than six voxels, up to
         1.8 voxels less."""
-        return np.maximum(self._nearest.query(x)[0] - self._coarse, 0.0)
+        return np.maximum(self._nearest.query(x, workers=cpu_threads())[0] - self._coarse, 0.0)
 
     def outward(self, x: np.ndarray) -> np.ndarray:
         """Unit directions (..., 3) in which `closed` grows fastest; zero where it is flat."""
@@ -117,6 +119,13 @@ class ObjectShell:
 
         grid = np.moveaxis((np.asarray(x) - self.lower) / self.spacing, -1, 0)
         return [scipy.ndimage.map_coordinates(volume, grid, order=1, mode="nearest") for volume in volumes]
+
+
+def first_of_each(numbers: np.ndarray, count: int) -> np.ndarray:
+    """Index of the first of each of the numbers (n,), 0 to count - 1, in the order of the numbers."""
+    first = np.full(count, -1)
+    first[numbers[::-1]] = np.arange(len(numbers))[::-1]  # of several values at one place the last stays
+    return first[first >= 0]
 
 
 def distance_to(mask: np.ndarray, radius: int) -> np.ndarray:
