@@ -81,18 +81,19 @@ def hammer(device, kind):
     resolution = None if kind == "precise" else 16
     options = {"coordinates": "mean_value" if kind == "precise" else kind, "resolution": resolution, "device": device}
     shared = Deformer(shiny_field(device), BOX, **options)
-    expected = [parts(shared.pose(pose).render(CAMERA)) for pose in POSES]
+    camera = view(size=6) if kind == "precise" else CAMERA  # closed forms at each sample take long on a CPU
+    expected = [parts(shared.pose(pose).render(camera)) for pose in POSES]
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 3))
     mapped = [shared.pose(pose).to_canonical(points, points)[0] for pose in POSES]
     shared.pose(POSES[0])
 
     def frames(turn):
         pose = shared.posed(POSES[turn])
-        for _ in range(2):
-            found = parts(pose.render(CAMERA))
+        for _ in range(1 if kind == "precise" else 2):
+            found = parts(pose.render(camera))
             assert all(same(*pair, device) for pair in zip(found, expected[turn], strict=True)), f"frame {turn}"
             assert same(pose.to_canonical(points, points)[0], mapped[turn], device), f"points {turn}"
-            assert same(shared.render(CAMERA).rgb, expected[0][0], device), "the Deformer's own pose"
+            assert same(shared.render(camera).rgb, expected[0][0], device), "the Deformer's own pose"
 
     at_once([lambda turn=turn: frames(turn) for turn in range(THREADS)])
 
