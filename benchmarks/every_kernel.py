@@ -6,7 +6,8 @@
 
 --no-pool takes each array from the driver by itself, so that reading behind its end is seen. --eager launches what is
 otherwise replayed as a captured graph: under racecheck the process crashes while it waits for a replay (driver 580),
-which it does not by itself or under memcheck. The exit status is 1 where a kernel of warpcage.kernels was never launched.
+which it does not by itself or under memcheck. The exit status is 1 where a kernel of warpcage.kernels was never
+launched.
 """
 
 from __future__ import annotations

@@ -35,6 +35,7 @@ def test_the_package_runs_as_a_module():
     assert wrong.returncode == 2 and "nowhere.npz" in wrong.stderr and wrong.stderr.count("\n") == 1
 
 
+@pytest.mark.filterwarnings("default")
 def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatch):
     monkeypatch.setattr("warpcage.cli.info.run", lambda arguments: warn_caller("the gap\n is narrow"))
     assert main(["info"]) == 0

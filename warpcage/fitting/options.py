@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import textwrap
 from typing import Any
 
@@ -187,7 +188,7 @@ def _arguments() -> str:
     return "\n".join(blocks)
 
 
-FitOptions.__doc__ = f"{(FitOptions.__doc__ or '').rstrip()}\n\n{textwrap.indent(_arguments(), ' ' * 4)}\n"
+FitOptions.__doc__ = f"{inspect.cleandoc(FitOptions.__doc__ or '')}\n\n{_arguments()}\n"
 
 #: What each quality sets in place of the defaults.
 _SET_BY_QUALITY: dict[str, dict[str, Any]] = dict(
