@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import io
 import json
+import struct
 import subprocess
 import sys
 import textwrap
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from test_optimize import blob_scene
 
+from warpcage.cli.cage import read_mesh as read_object
 from warpcage.core.checks import listed
 from warpcage.core.files import npz_names, read_limited, read_npz
 from warpcage.core.memory import UNKNOWN, free_host_bytes
@@ -376,6 +378,19 @@ def test_instances_are_counted_before_they_are_made(tmp_path, nodes, primitives)
         lambda: refused(lambda: read_mesh(path), "many.gltf", "come to 12000000 triangles", "at most 10000000")
     )
     assert peak < 1 << 26 and path.stat().st_size < 2_000_000
+
+
+def test_instances_of_an_object_to_be_caged_are_counted_too(tmp_path):
+    """`warpcage cage` reads meshes by trimesh, which makes each instance."""
+    content = instances(tmp_path, 3000, triangles=4000).read_bytes()
+    content += b" " * (-len(content) % 4)
+    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(content), len(content), 0x4E4F534A)
+    (tmp_path / "many.glb").write_bytes(head + content)
+    path = str(tmp_path / "many.glb")
+    peak, _ = peak_of(
+        lambda: refused(lambda: read_object(path), "many.glb", "come to 12000000 triangles", "at most 10000000")
+    )
+    assert peak < 1 << 26
 
 
 def test_instances_need_memory_that_is_there(tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ from ..cage.cage import Cage
 from ..core.files import require_file
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
+from ..mesh.files.gltf import require_gltf_room
 from ..scene.load import load_scene
 from . import inputs, options
 from .mesh import TO_Y_UP
@@ -114,6 +115,8 @@ def read_mesh(name: str) -> trimesh.Trimesh:
         raise ValueError(
             f"mesh file {str(path)!r} must end in {' or '.join(options.MESH_ENDINGS)}, or in .npz for a field"
         )
+    if path.suffix.lower() == ".glb":
+        require_gltf_room(path)
     try:
         mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
     except Exception as error:

@@ -7,10 +7,12 @@ the same place are joined again, in the order of the first ones. A mesh of posit
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import pathlib
 import struct
 import urllib.parse
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -47,7 +49,7 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         ValueError: What is wrong in which file.
     """
-    try:
+    with _one_line(path):
         document, chunk = _opened(path)
         nodes = _mesh_nodes(document)
         _require_room(document, nodes)
@@ -62,6 +64,31 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
             # a mirrored node: its faces are turned, so that they look the same way
             triangles.append((faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0.0 else faces) + count)
             count += len(points)
+    joined = np.concatenate(vertices)
+    if not np.isfinite(joined).all():
+        raise ValueError(f"{path}: glTF vertex {np.flatnonzero(~np.isfinite(joined).all(axis=1))[0]} is not finite")
+    return joined, np.concatenate(triangles)
+
+
+def require_gltf_room(path: pathlib.Path) -> None:
+    """Count what the nodes of a glTF file come to, before another library reads it.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ValueError: For more triangles than a mesh may have, or than there is memory for, and for what is no glTF.
+    """
+    with _one_line(path):
+        document, _ = _opened(path)
+        _require_room(document, _mesh_nodes(document))
+
+
+@contextlib.contextmanager
+def _one_line(path: pathlib.Path) -> Iterator[None]:
+    """What goes wrong with the content of a file, as a ValueError that names the file."""
+    try:
+        yield
     except (
         KeyError,
         IndexError,
@@ -76,10 +103,6 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"{path}: not a glTF file that can be read: {type(error).__name__} {error}") from None
     except ValueError as error:
         raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
-    joined = np.concatenate(vertices)
-    if not np.isfinite(joined).all():
-        raise ValueError(f"{path}: glTF vertex {np.flatnonzero(~np.isfinite(joined).all(axis=1))[0]} is not finite")
-    return joined, np.concatenate(triangles)
 
 
 def _require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
