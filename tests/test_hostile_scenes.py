@@ -99,14 +99,16 @@ def test_threads_read_as_many_pictures_as_there_is_memory_for(tmp_path, monkeypa
     folder, size = one_file_scene(tmp_path / "scene", noise(96, 64, 3), 8), (96, 64)
     view = views.View(folder, np.eye(4), "", (1, 1, 1, 1), None)
     flight, held = views._flight_bytes(view, size, 1, False), 8 * 96 * 64 * 17
-    lock, now, most = threading.Lock(), [0], [0]
+    changed, now, most, expected = threading.Condition(), [0], [0], 0
 
     def counted(path):
-        with lock:
+        with changed:
             now[0] += 1
             most[0] = max(most[0], now[0])
-        time.sleep(0.02)  # so that others come in
-        with lock:
+            changed.notify_all()
+            changed.wait_for(lambda: most[0] >= expected, timeout=20)  # until all have come in that may
+        time.sleep(0.02)  # so that one too many would, too
+        with changed:
             now[0] -= 1
         return read_rows(path)
 
