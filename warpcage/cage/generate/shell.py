@@ -40,7 +40,8 @@ class ObjectShell:
         deep = np.asarray(scipy.ndimage.binary_erosion(self.solid, np.ones((3, 3, 3), dtype=bool), iterations=2), bool)
         # what lies two voxels below the skin is nearest to nothing outside
         near = np.flatnonzero(~deep[tuple(cell.T)])
-        one = first_of_each(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape), self.solid.size)
+        places = np.asarray(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape))
+        one = first_of_each(places, self.solid.size)
         self.skin = points[near[one]]
         # from far off a search among all points is slow and more than is needed: voxels stand for those they hold
         self._coarse = np.sqrt(0.75) * spacing if need > 6.0 * spacing else 0.0
