@@ -88,7 +88,7 @@ class VoxelField:
     ):
         self.device = resolve_device(device if device is not None or not isinstance(links, wp.array) else links.device)
         self.bounds = checked_bounds(bounds)
-        self._diagonal = math.dist(*self.bounds)
+        self._center, self._diagonal = self.bounds.mean(axis=0), math.dist(*self.bounds)
         require_ordinary_side(float((self.bounds[1] - self.bounds[0]).max()), "a field")
         self.background = parse_background(background)
         self.background_model = None if background_model is None else background_model.to(self.device)
@@ -167,10 +167,10 @@ class VoxelField:
         links[mask] = np.arange(mask.sum(), dtype=np.int32)
         return cls(bounds, links, sigma[mask], coefficients[mask], background=background, device=device)
 
-    @functools.cached_property
+    @property
     def center(self) -> np.ndarray:
         """(3,) float64 middle of the bounds: the origin that kernels' positions are relative to."""
-        return self.bounds.mean(axis=0)
+        return self._center.copy()
 
     @property
     def voxel_count(self) -> int:
@@ -267,7 +267,7 @@ class VoxelField:
             ValueError: As `render`.
         """
         require_type(camera, Camera, "render needs")
-        step = checked_march(step, self.step, self._diagonal, math.dist(camera.centre, self.center))
+        step = checked_march(step, self.step, self._diagonal, math.dist(camera.centre, self._center))
         return step, self._diagonal / step
 
     @in_turn
