@@ -68,7 +68,7 @@ def pytest_collection_modifyitems(items):
 def pytest_xdist_make_scheduler(config, log):
     """Tests go out one by one, those that share a dear fixture or object together.
 
-    pytest-xdist's own loadgroup writes the group into the node's id, which pytest 9.2 does not let it: no test is grouped.
+    pytest-xdist's own loadgroup writes the group into the node's id, which pytest 9.2 ignores: no test is grouped.
     """
     from xdist.scheduler import LoadScopeScheduling
 
