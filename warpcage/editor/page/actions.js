@@ -1,0 +1,125 @@
+// Named actions and their keys. Panels run them by name; the help lists them by group.
+//
+// Registered here: undo, redo, play, key.insert, help, and the switches of the tools.
+// Registered by viewport.js: select.*, view.*, transform.move, transform.rotate, transform.scale, pose.reset, pose.reset.all.
+
+import { store } from "./store.js";
+import { ask, attempt } from "./connection.js";
+import { showHelp } from "./dialogs.js";
+
+/** name -> {label, keys: ["Ctrl+Z"], group, run(event), enabled?(), repeat?: true where a held key runs it again} */
+export const actions = new Map();
+const byKey = new Map(); // key -> name
+
+/** Adds an action, or replaces the one of that name. */
+export function register(name, action) {
+  for (const key of actions.get(name)?.keys ?? []) byKey.delete(key);
+  actions.set(name, { keys: [], group: "Other", ...action });
+  for (const key of action.keys ?? []) byKey.set(key, name);
+}
+
+/** Runs an action by its name unless it is not enabled now; returns whether it ran. */
+export function run(name, event) {
+  const action = actions.get(name);
+  if (!action) throw new Error(`no action "${name}"`);
+  if (action.enabled && !action.enabled()) return false;
+  action.run(event);
+  return true;
+}
+
+const NAMED = { " ": "Space", Esc: "Escape", Del: "Delete", Left: "ArrowLeft", Right: "ArrowRight" };
+
+/** The name of the pressed key as actions write it: "Ctrl+Shift+Z", "Shift+1", "?", "Ctrl++". */
+export function keyName(event) {
+  let key = NAMED[event.key] ?? event.key;
+  const digit = /^Digit(\d)$/.exec(event.code ?? "");
+  if (digit) key = digit[1]; // Shift+1 is "!" on some keyboards, "+" on others
+  // On some systems Alt makes other letters of the keys
+  const letter = /^Key([A-Z])$/.exec(event.code ?? "");
+  if (letter && event.altKey && !/^[a-z]$/i.test(key)) key = letter[1];
+  const isSign = key.length === 1 && !/^[a-z0-9]$/i.test(key);
+  if (key.length === 1) key = key.toUpperCase();
+  let name = "";
+  if (event.ctrlKey || event.metaKey) name += "Ctrl+";
+  if (event.altKey) name += "Alt+";
+  if (event.shiftKey && !isSign) name += "Shift+";
+  return name + key;
+}
+
+/** Whether the focused element takes this key itself: a text field all of them, a button Space and Enter. */
+function isTakenBy(element, event) {
+  if (!(element instanceof HTMLElement)) return false;
+  if (element.isContentEditable || element.closest("dialog[open]")) return true;
+  const tag = element.tagName;
+  const isField = tag === "INPUT" || tag === "TEXTAREA" || tag === "SELECT";
+  const isChoice = tag === "INPUT" && ["checkbox", "radio", "range", "color", "button", "file"].includes(element.type);
+  if (isField && !isChoice) return true;
+  const works = [" ", "Enter"].includes(event.key) || event.key.startsWith("Arrow") || ["Home", "End"].includes(event.key);
+  const isPlain = !(event.ctrlKey || event.metaKey || event.altKey);
+  const isWidget = isChoice || ["BUTTON", "A", "SUMMARY"].includes(tag) || (element.tabIndex >= 0 && tag !== "CANVAS");
+  return isWidget && works && isPlain;
+}
+
+/** Runs the action of a pressed key; listens once, from main.js. */
+export function listenToKeys() {
+  window.addEventListener("keydown", (event) => {
+    if (event.defaultPrevented || event.isComposing || document.querySelector("dialog[open]")) return;
+    if (isTakenBy(event.target, event)) return;
+    const name = byKey.get(keyName(event));
+    if (!name) return;
+    event.preventDefault();
+    if (event.repeat && !actions.get(name).repeat) return;
+    run(name, event);
+  });
+}
+
+const FALLOFFS = ["smooth", "sphere", "linear", "sharp", "constant"];
+const next = (values, value) => values[(values.indexOf(value) + 1) % values.length];
+const command = (content) => () => attempt(ask(typeof content === "function" ? content() : content));
+const choose = (name, value) => () => store.setTool(name, value);
+const toggle = (name) => () => store.setTool(name, !store.tools[name]);
+const cycle = (name, values) => () => store.setTool(name, next(values, store.tools[name]));
+
+register("undo", {
+  label: "Undo",
+  keys: ["Ctrl+Z"],
+  group: "Edit",
+  repeat: true,
+  enabled: () => (store.sections.history?.undo ?? 0) > 0,
+  run: command({ do: "undo" }),
+});
+register("redo", {
+  label: "Redo",
+  keys: ["Ctrl+Shift+Z", "Ctrl+Y"],
+  group: "Edit",
+  repeat: true,
+  enabled: () => (store.sections.history?.redo ?? 0) > 0,
+  run: command({ do: "redo" }),
+});
+register("key.insert", {
+  label: "Insert a key of pose and camera at the present time",
+  keys: ["K"],
+  group: "Timeline",
+  run: command(() => ({ do: "key.add", time: store.sections.playback?.time ?? 0, pose: true, camera: true })),
+});
+register("play", {
+  label: "Play or pause",
+  keys: ["Space"],
+  group: "Timeline",
+  run: command(() => ({ do: "play", on: !store.sections.playback?.playing })),
+});
+register("help", { label: "Help: all keys", keys: ["?", "F1", "H"], group: "Page", run: () => showHelp() });
+
+register("tool.select", { label: "Tool: select", keys: ["W"], group: "Tools", run: choose("tool", "select") });
+register("tool.move", { label: "Tool: move (gizmo)", keys: ["Shift+G"], group: "Tools", run: choose("tool", "move") });
+register("tool.rotate", { label: "Tool: rotate (gizmo)", keys: ["Shift+R"], group: "Tools", run: choose("tool", "rotate") });
+register("tool.scale", { label: "Tool: scale (gizmo)", keys: ["Shift+S"], group: "Tools", run: choose("tool", "scale") });
+register("pick.rectangle", { label: "Drags draw a rectangle", keys: ["B"], group: "Select", run: choose("pick", "rectangle") });
+register("pick.lasso", { label: "Drags draw a lasso", keys: ["C"], group: "Select", run: choose("pick", "lasso") });
+register("pick.through", { label: "Select what is hidden too", keys: ["Alt+Z"], group: "Select", run: toggle("through") });
+register("proportional", { label: "Proportional editing", keys: ["O"], group: "Tools", run: toggle("proportional") });
+register("falloff", { label: "Next falloff", keys: ["Shift+O"], group: "Tools", run: cycle("falloff", FALLOFFS) });
+register("axes", { label: "Next axes: world, view, local", keys: [","], group: "Tools", run: cycle("axes", ["world", "view", "local"]) });
+register("symmetry", { label: "Next plane of symmetry: none, x, y, z", keys: ["M"], group: "Tools", run: cycle("symmetry", ["", "x", "y", "z"]) });
+register("snap", { label: "Snap to steps", keys: ["N"], group: "Tools", run: toggle("snap") });
+register("cage", { label: "Show the cage", keys: ["Alt+Shift+Z"], group: "View", run: toggle("cage") });
