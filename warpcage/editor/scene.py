@@ -1,0 +1,185 @@
+"""A document as something that renders: its visible edits on a Deformer, or the field alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..core.checks import shown
+from ..deform.deformer import Deformer
+from ..deform.edits import CageEdit
+from ..field.voxel_field import VoxelField
+from ..mesh.usable import require_usable
+from ..view.camera import Camera
+from ..view.frame import Frame
+from .document import Document, Edit, View
+
+#: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
+KEPT_DEFORMERS = 2
+
+#: What `background` of the settings may be, and `background` of a render.
+Background = str | Sequence[float] | None
+
+
+def camera(view: View, width: int, height: int) -> Camera:
+    """The camera of a view, with square pixels.
+
+    Args:
+        view: The view; its `fov` is vertical, degrees.
+        width: Width of the picture, pixels.
+        height: Height of the picture, pixels.
+
+    Returns:
+        The camera.
+
+    Raises:
+        ValueError: If the eye is the target, or the picture has no pixel.
+    """
+    focal = 0.5 * height / math.tan(math.radians(view.fov) / 2)
+    looking = Camera.look_at(view.eye, view.target, up=view.up, width=width, height=height)
+    return dataclasses.replace(looking, fx=focal, fy=focal)
+
+
+def render_background(background: Background) -> Background:
+    """A background of the settings as renders take it.
+
+    Args:
+        background: A name, "#rrggbb", three numbers in [0, 1], or None for the field's own.
+
+    Returns:
+        The same, but three numbers for "#rrggbb".
+
+    Raises:
+        ValueError: For "#" with anything but six hexadecimal digits.
+    """
+    if not isinstance(background, str) or not background.startswith("#"):
+        return background
+    if not re.fullmatch("#[0-9a-fA-F]{6}", background):
+        raise ValueError(f"background must be a name, #rrggbb or three numbers in [0, 1], got {shown(background)}")
+    return [int(background[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+
+
+class PosedScene:
+    """The scene of a document, posed and ready to be rendered. One thread at a time may use it.
+
+    A Deformer is made only when what it is made of changes: faces, rest cages, kinds, visibility, order, coordinates,
+    resolution or density. A changed pose is posed, and an unchanged one is left as it is.
+
+    Args:
+        field: The radiance field. Several scenes may share it.
+
+    Attributes:
+        field: As given.
+        deformer: The Deformer of the last `prepare`, None where the field is shown as it is.
+    """
+
+    def __init__(self, field: VoxelField):
+        self.field = field
+        self.deformer: Deformer | None = None
+        self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of
+        self._options: tuple[str, str] = ("", "")
+        self._rest: list[Cage] = []
+        self._kept: dict[int, Deformer] = {}  # by resolution, the last used one at the end
+        self._posed: dict[int, list[np.ndarray]] = {}  # the vertices that each of them is posed with
+
+    def prepare(self, document: Document, resolution: int | None = None) -> None:
+        """Make the scene that a document describes. Where that fails, the scene before stays.
+
+        Args:
+            document: The document: its edits and its settings are looked at.
+            resolution: Cells of the lattices along the longest side of a cage. None is that of the settings.
+
+        Raises:
+            ValueError: For a cage that cannot be used, with the name of its edit, or too many edits.
+        """
+        edits = tuple(edit for edit in document.edits if edit.visible)
+        if not edits or document.settings.mode == "rest":
+            self.deformer = None
+            return
+        cells = document.settings.resolution if resolution is None else resolution
+        options = (document.settings.coordinates, document.settings.density)
+        same = options == self._options and _same_rest(edits, self._edits)
+        rest = self._rest if same else [Cage(edit.rest, edit.faces) for edit in edits]
+        posed = [
+            None if edit.kind == "remove" else cage.with_vertices(edit.posed)
+            for edit, cage in zip(edits, rest, strict=True)
+        ]
+        kept = self._kept if same else {}
+        deformer = kept.get(cells)
+        vertices = [edit.posed for edit in edits]
+        if deformer is None:
+            coordinates, density = options
+            deformer = Deformer(
+                self.field, _cage_edits(edits, rest), coordinates=coordinates, resolution=cells, density=density
+            )
+            _pose(deformer, edits, posed)
+        elif not _same_arrays(vertices, self._posed.get(cells, [])):
+            self._posed.pop(cells, None)
+            _pose(deformer, edits, posed)
+        if not same:
+            self._kept, self._posed = {}, {}
+        self._edits, self._options, self._rest, self.deformer = edits, options, rest, deformer
+        self._kept.pop(cells, None)
+        self._kept[cells], self._posed[cells] = deformer, vertices
+        while len(self._kept) > KEPT_DEFORMERS:
+            oldest = next(iter(self._kept))
+            del self._kept[oldest], self._posed[oldest]
+
+    def render(
+        self, camera: Camera, background: Background = None, step: float | None = None, supersampling: int | None = None
+    ) -> Frame:
+        """The view of a camera of the scene that was prepared last; of the field itself where none was.
+
+        Args:
+            camera: The camera.
+            background: Colour behind the scene: a name, "#rrggbb" or three numbers in [0, 1]. None is the field's own.
+            step: March step, world units. None is the field's.
+            supersampling: Rays along each side of a pixel. None is the field's.
+
+        Returns:
+            The frame. That of a field without edits has no masks.
+
+        Raises:
+            ValueError: As `Deformer.render`.
+        """
+        renderer = self.field if self.deformer is None else self.deformer
+        colour = render_background(background)
+        return renderer.render(camera, background=colour, step=step, supersampling=supersampling)
+
+
+def _cage_edits(edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:
+    """The edits as a Deformer takes them."""
+    for edit, cage in zip(edits, rest, strict=True):
+        require_usable(cage, f"the rest cage of {edit.name!r}")
+    return [
+        CageEdit(cage, keep_source=edit.kind == "copy", remove=edit.kind == "remove")
+        for edit, cage in zip(edits, rest, strict=True)
+    ]
+
+
+def _pose(deformer: Deformer, edits: Sequence[Edit], posed: list[Cage | None]) -> None:
+    """Pose a Deformer, or say which edit cannot be posed."""
+    for edit, cage in zip(edits, posed, strict=True):
+        if cage is not None:
+            require_usable(cage, f"the posed cage of {edit.name!r}")
+    deformer.pose(posed)
+
+
+def _same_rest(edits: Sequence[Edit], others: Sequence[Edit]) -> bool:
+    """Whether a Deformer of some edits is a Deformer of others too."""
+    return [edit.kind for edit in edits] == [edit.kind for edit in others] and _same_arrays(
+        [array for edit in edits for array in (edit.faces, edit.rest)],
+        [array for edit in others for array in (edit.faces, edit.rest)],
+    )
+
+
+def _same_arrays(arrays: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
+    """Whether arrays hold the same. Documents share most of them, and those need no look."""
+    return len(arrays) == len(others) and all(
+        one is two or np.array_equal(one, two) for one, two in zip(arrays, others, strict=True)
+    )
