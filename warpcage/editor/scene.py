@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Sequence
 
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import shown
 from ..deform.deformer import Deformer
 from ..deform.edits import CageEdit
 from ..field.voxel_field import VoxelField
@@ -22,7 +20,7 @@ from .document import Document, Edit, View
 #: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
 KEPT_DEFORMERS = 2
 
-#: What `background` of the settings may be, and `background` of a render.
+#: The colour behind a scene: a name, three numbers in [0, 1], or None for the field's own.
 Background = str | Sequence[float] | None
 
 
@@ -43,25 +41,6 @@ def camera(view: View, width: int, height: int) -> Camera:
     focal = 0.5 * height / math.tan(math.radians(view.fov) / 2)
     looking = Camera.look_at(view.eye, view.target, up=view.up, width=width, height=height)
     return dataclasses.replace(looking, fx=focal, fy=focal)
-
-
-def render_background(background: Background) -> Background:
-    """A background of the settings as renders take it.
-
-    Args:
-        background: A name, "#rrggbb", three numbers in [0, 1], or None for the field's own.
-
-    Returns:
-        The same, but three numbers for "#rrggbb".
-
-    Raises:
-        ValueError: For "#" with anything but six hexadecimal digits.
-    """
-    if not isinstance(background, str) or not background.startswith("#"):
-        return background
-    if not re.fullmatch("#[0-9a-fA-F]{6}", background):
-        raise ValueError(f"background must be a name, #rrggbb or three numbers in [0, 1], got {shown(background)}")
-    return [int(background[at : at + 2], 16) / 255 for at in (1, 3, 5)]
 
 
 class PosedScene:
@@ -137,7 +116,7 @@ class PosedScene:
 
         Args:
             camera: The camera.
-            background: Colour behind the scene: a name, "#rrggbb" or three numbers in [0, 1]. None is the field's own.
+            background: Colour behind the scene: a name or three numbers in [0, 1]. None is the field's own.
             step: March step, world units. None is the field's.
             supersampling: Rays along each side of a pixel. None is the field's.
 
@@ -148,8 +127,7 @@ class PosedScene:
             ValueError: As `Deformer.render`.
         """
         renderer = self.field if self.deformer is None else self.deformer
-        colour = render_background(background)
-        return renderer.render(camera, background=colour, step=step, supersampling=supersampling)
+        return renderer.render(camera, background=background, step=step, supersampling=supersampling)
 
 
 def _cage_edits(edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:
