@@ -1,0 +1,524 @@
+"""Document: all that an editor session edits. It is immutable; a change makes a new one that shares what stays."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..core.checks import checked_number
+from ..core.names import COORDINATES, DENSITIES
+from ..deform.edits import MAX_EDITS, CageEdit
+from ..mesh.closed_mesh import ClosedMesh
+from ..view.backgrounds import parse_background
+from ..view.frame import MAX_SUPERSAMPLING
+
+KINDS = ("move", "copy", "remove")
+SHOWN = ("rgb", "disparity", "alpha", "masks")
+MODES = ("pose", "rest")
+PICKS = ("vertex", "edge", "face")
+EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")
+LOOPS = ("once", "loop", "ping-pong")
+
+#: Most vertices of a cage, letters of a name, keys of a timeline and seconds of a film: more is not a person's work.
+MAX_VERTICES, MAX_NAME, MAX_KEYS, MAX_SECONDS = 20_000, 100, 5_000, 3_600.0
+#: Frames per second that a film may have.
+MAX_RATE = 240.0
+#: Cells of a lattice along the longest side.
+RESOLUTIONS = (8, 512)
+
+
+@dataclasses.dataclass(frozen=True)
+class Edit:
+    """One cage and what becomes of its content.
+
+    Args:
+        id: Number that no other edit of the session has had.
+        name: What the person calls it.
+        kind: "move", "copy" (a duplicate: the source stays) or "remove".
+        visible: Whether it acts on the picture.
+        faces: (f, 3) int32.
+        rest: (v, 3) float64, the cage around the captured object, world units.
+        posed: (v, 3) float64.
+    """
+
+    id: int
+    name: str
+    kind: str
+    visible: bool
+    faces: np.ndarray
+    rest: np.ndarray
+    posed: np.ndarray
+
+    @property
+    def rest_cage(self) -> Cage:
+        """The cage at rest."""
+        return Cage(self.rest, self.faces)
+
+    @property
+    def posed_cage(self) -> Cage:
+        """The posed cage."""
+        return Cage(self.posed, self.faces)
+
+    @property
+    def cage_edit(self) -> CageEdit:
+        """The edit as a Deformer takes it. Raises ValueError where the rest cage cannot be used."""
+        return CageEdit(self.rest_cage, keep_source=self.kind == "copy", remove=self.kind == "remove")
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """Where the person looks from.
+
+    Args:
+        eye: (3,) centre of projection, world units.
+        target: (3,) the point in the middle of the picture.
+        up: (3,) unit vector, the direction that points up.
+        fov: Vertical field of view, degrees.
+    """
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: tuple[float, float, float]
+    fov: float = 40.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """How the scene is deformed and shown.
+
+    Args:
+        coordinates: "harmonic", "mean_value" or "green".
+        resolution: Cells of the map's lattice along the longest side of a cage, in pictures that rest.
+        density: "opacity" or "paper"; see `Deformer`.
+        background: A name, three numbers in [0, 1], or None for the field's own.
+        supersampling: Rays along each side of a pixel, in pictures that rest.
+        show: "rgb", "disparity", "alpha" or "masks".
+        mode: "pose": the posed cage and the deformed scene. "rest": the cage at rest and the scene as captured.
+    """
+
+    coordinates: str = "harmonic"
+    resolution: int = 64
+    density: str = "opacity"
+    background: str | tuple[float, float, float] | None = None
+    supersampling: int = 1
+    show: str = "rgb"
+    mode: str = "pose"
+
+
+@dataclasses.dataclass(frozen=True)
+class Selection:
+    """What the next tool acts on.
+
+    Args:
+        edit: The active edit, or None where there is none.
+        mode: What a click picks: "vertex", "edge" or "face".
+        vertices: Numbers of the selected vertices of the active edit, ascending.
+    """
+
+    edit: int | None = None
+    mode: str = "vertex"
+    vertices: tuple[int, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """A moment of the film.
+
+    Args:
+        id: Number that no other key of the session has had.
+        time: Seconds from the film's start.
+        name: What the person calls it.
+        easing: How the way from here to the next key goes, one of EASINGS.
+        poses: Posed vertices (v, 3) by the number of the edit. None: this is no key of poses.
+        view: The camera. None: this is no key of cameras.
+    """
+
+    id: int
+    time: float
+    name: str
+    easing: str = "smooth"
+    poses: Mapping[int, np.ndarray] | None = None
+    view: View | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Timeline:
+    """The film.
+
+    Args:
+        keys: By time.
+        length: Seconds.
+        fps: Frames per second.
+        loop: "once", "loop" or "ping-pong".
+    """
+
+    keys: tuple[Key, ...] = ()
+    length: float = 4.0
+    fps: float = 24.0
+    loop: str = "once"
+
+
+@dataclasses.dataclass(frozen=True)
+class Document:
+    """All that a session edits.
+
+    Args:
+        edits: In the order in which they act.
+        selection: What tools act on.
+        settings: How the scene is shown.
+        view: Where the person looks from.
+        timeline: The film.
+        time: Where the timeline stands, seconds.
+        next_id: The number of the next edit or key.
+    """
+
+    edits: tuple[Edit, ...]
+    selection: Selection
+    settings: Settings
+    view: View
+    timeline: Timeline
+    time: float = 0.0
+    next_id: int = 1
+
+    def edit(self, number: int) -> Edit:
+        """An edit by its number. Raises ValueError where there is none."""
+        for edit in self.edits:
+            if edit.id == number:
+                return edit
+        raise ValueError(f"there is no edit {number!r}: it may have been deleted")
+
+    def key(self, number: int) -> Key:
+        """A key by its number. Raises ValueError where there is none."""
+        for key in self.timeline.keys:
+            if key.id == number:
+                return key
+        raise ValueError(f"there is no key {number!r}: it may have been deleted")
+
+    def with_edit(self, edit: Edit) -> Document:
+        """The document with an edit in the place of the one of the same number."""
+        return dataclasses.replace(self, edits=tuple(edit if old.id == edit.id else old for old in self.edits))
+
+    def with_key(self, key: Key) -> Document:
+        """The document with a key added, or in the place of the one of the same number."""
+        keys = [old for old in self.timeline.keys if old.id != key.id] + [key]
+        return self.with_timeline(keys=tuple(sorted(keys, key=lambda one: (one.time, one.id))))
+
+    def with_timeline(self, **changes: Any) -> Document:
+        """The document with another film."""
+        return dataclasses.replace(self, timeline=dataclasses.replace(self.timeline, **changes))
+
+    def to_json(self) -> dict[str, Any]:
+        """The document as JSON takes it. Numbers keep all their digits."""
+        return {
+            "edits": [edit_json(edit) for edit in self.edits],
+            "selection": dataclasses.asdict(self.selection),
+            "settings": dataclasses.asdict(self.settings),
+            "view": dataclasses.asdict(self.view),
+            "timeline": {
+                "keys": [_key_json(key) for key in self.timeline.keys],
+                "length": self.timeline.length,
+                "fps": self.timeline.fps,
+                "loop": self.timeline.loop,
+            },
+            "time": self.time,
+            "next_id": self.next_id,
+        }
+
+    @classmethod
+    def from_json(cls, content: Any) -> Document:
+        """A document from what `to_json` made, or somebody else.
+
+        Args:
+            content: Dictionaries, lists, numbers and texts.
+
+        Returns:
+            The document.
+
+        Raises:
+            ValueError: What is wrong with it, in one line.
+        """
+        try:
+            return _document(content)
+        except KeyError as error:
+            raise ValueError(f"the session lacks {error.args[0]!r}") from None
+        except (TypeError, AttributeError, OverflowError) as error:
+            raise ValueError(f"the session is damaged: {error}") from None
+
+
+def edit_json(edit: Edit) -> dict[str, Any]:
+    """An edit as JSON takes it."""
+    return {
+        "id": edit.id,
+        "name": edit.name,
+        "kind": edit.kind,
+        "visible": edit.visible,
+        "faces": edit.faces.tolist(),
+        "rest": edit.rest.tolist(),
+        "posed": edit.posed.tolist(),
+    }
+
+
+def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:
+    """Vertices as a document holds them.
+
+    Args:
+        vertices: (v, 3) numbers.
+        count: How many there must be. None takes any number.
+
+    Returns:
+        (v, 3) float64, read-only, an array of its own.
+
+    Raises:
+        ValueError: For another shape or number, or values that are not finite.
+    """
+    array = np.array(vertices, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1:] != (3,) or (count is not None and len(array) != count):
+        wanted = "(v, 3)" if count is None else f"({count}, 3)"
+        raise ValueError(f"vertices must be {wanted} numbers, got shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError("vertices must be finite")
+    array.setflags(write=False)
+    return array
+
+
+def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed: Any = None) -> Edit:
+    """An edit around a cage.
+
+    Args:
+        number: Its number.
+        cage: The cage at rest.
+        name: What the person calls it.
+        kind: One of KINDS.
+        posed: (v, 3) the posed vertices. None: it is at rest.
+
+    Returns:
+        The edit.
+
+    Raises:
+        ValueError: For a kind or a name that cannot be, vertices that do not fit, or a cage beyond MAX_VERTICES.
+    """
+    if len(cage.vertices) > MAX_VERTICES:
+        raise ValueError(f"a cage of {len(cage.vertices)} vertices is too large to edit by hand: at most {MAX_VERTICES}")
+    rest = frozen_vertices(cage.vertices)
+    faces = np.array(cage.faces, np.int32)
+    faces.setflags(write=False)
+    moved = rest if posed is None else frozen_vertices(posed, len(rest))
+    return Edit(number, checked_name(name), checked_choice(kind, KINDS, "kind"), True, faces, rest, moved)
+
+
+def checked_name(name: Any) -> str:
+    """A name in one line. Raises ValueError for another type, an empty one, or a long one."""
+    if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME:
+        raise ValueError(f"a name must be 1 to {MAX_NAME} letters")
+    return " ".join(name.split())
+
+
+def checked_choice(value: Any, choices: Sequence[str], what: str) -> str:
+    """A value that is one of some words. Raises ValueError for another one."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{what} must be one of {', '.join(choices)}, got {str(value)[:40]!r}")
+    return value
+
+
+def checked_whole(value: Any, low: int, high: int, what: str) -> int:
+    """A whole number in a range. Raises ValueError for another one."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"{what} must be a whole number from {low} to {high}, got {str(value)[:40]}")
+    return value
+
+
+def checked_between(value: Any, low: float, high: float, what: str) -> float:
+    """A number in a range. Raises ValueError for another one."""
+    number = checked_number(value, what)
+    if not low <= number <= high:
+        raise ValueError(f"{what} must be {low:g} to {high:g}, got {number:g}")
+    return number
+
+
+def checked_view(content: Any) -> View:
+    """A view from its parts.
+
+    Args:
+        content: Dictionary of eye, target, up and fov; others are ignored.
+
+    Returns:
+        The view; its `up` has the length 1.
+
+    Raises:
+        ValueError: For values that are not finite, an eye at the target, or a direction that is zero.
+    """
+    eye, target, up = (_triple(content[name], name) for name in ("eye", "target", "up"))
+    length = float(np.linalg.norm(up))
+    if not 1e-12 < length < 1e12:
+        raise ValueError("a view needs a direction `up` that is not zero")
+    if not 1e-12 < np.linalg.norm(np.subtract(eye, target)) < 1e12:
+        raise ValueError("a view needs an eye some way from its target")
+    forward = np.subtract(target, eye)
+    if np.linalg.norm(np.cross(forward, up)) < 1e-6 * np.linalg.norm(forward) * length:
+        raise ValueError("a view cannot look along its own `up`")
+    x, y, z = (float(value / length) for value in up)
+    return View(eye, target, (x, y, z), checked_between(content["fov"], 1.0, 150.0, "fov"))
+
+
+def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings:
+    """Settings with some of them changed.
+
+    Args:
+        settings: As they are.
+        changes: New value by name.
+
+    Returns:
+        The new settings.
+
+    Raises:
+        ValueError: For names that do not exist and values that cannot be.
+    """
+    known = {field.name for field in dataclasses.fields(Settings)}
+    unknown = sorted(set(changes) - known)
+    if unknown:
+        raise ValueError(f"there is no setting {unknown[0][:40]!r}, only {', '.join(sorted(known))}")
+    good: dict[str, Any] = {}
+    for name, value in changes.items():
+        if name == "background":
+            good[name] = _background(value)
+        elif name == "resolution":
+            good[name] = checked_whole(value, *RESOLUTIONS, name)
+        elif name == "supersampling":
+            good[name] = checked_whole(value, 1, min(4, MAX_SUPERSAMPLING), name)
+        else:
+            choices = {"coordinates": COORDINATES, "density": DENSITIES, "show": SHOWN, "mode": MODES}[name]
+            good[name] = checked_choice(value, choices, name)
+    return dataclasses.replace(settings, **good)
+
+
+def _background(value: Any) -> str | tuple[float, float, float] | None:
+    if value is None:
+        return None
+    if isinstance(value, str):
+        if len(value) == 7 and value[0] == "#":
+            try:
+                r, g, b = bytes.fromhex(value[1:])
+            except ValueError:
+                raise ValueError(f"background {value!r} is no colour: #rrggbb") from None
+            return r / 255, g / 255, b / 255
+        parse_background(value)  # raises ValueError where there is no such name
+        return value
+    if not isinstance(value, Sequence) or len(value) != 3:
+        raise ValueError("background must be a name, #rrggbb, or three numbers in [0, 1]")
+    r, g, b = (checked_between(part, 0.0, 1.0, "background") for part in value)
+    return r, g, b
+
+
+def _triple(values: Any, what: str) -> tuple[float, float, float]:
+    if isinstance(values, str | bytes) or len(values) != 3:
+        raise ValueError(f"{what} must be three numbers")
+    x, y, z = (checked_between(value, -1e12, 1e12, what) for value in values)
+    return x, y, z
+
+
+def _key_json(key: Key) -> dict[str, Any]:
+    poses = None if key.poses is None else {str(number): array.tolist() for number, array in key.poses.items()}
+    view = None if key.view is None else dataclasses.asdict(key.view)
+    return {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "poses": poses, "view": view}
+
+
+def _document(content: Mapping[str, Any]) -> Document:
+    if not isinstance(content, Mapping):
+        raise ValueError(f"a session must be a dictionary, got {type(content).__name__}")
+    edits = tuple(_edit(one) for one in _items(content["edits"], MAX_EDITS, "edits"))
+    sizes = {edit.id: len(edit.rest) for edit in edits}
+    film = content["timeline"]
+    keys = tuple(_key(one, sizes) for one in _items(film["keys"], MAX_KEYS, "keys"))
+    numbers = [edit.id for edit in edits] + [key.id for key in keys]
+    if len(set(numbers)) < len(numbers):
+        raise ValueError("two edits or keys of the session have the same number")
+    length = checked_between(film["length"], 0.0, MAX_SECONDS, "length")
+    return Document(
+        edits,
+        checked_selection(content["selection"], sizes),
+        checked_settings(Settings(), content["settings"]),
+        checked_view(content["view"]),
+        Timeline(
+            tuple(sorted(keys, key=lambda key: (key.time, key.id))),
+            length,
+            checked_between(film["fps"], 0.01, MAX_RATE, "fps"),
+            checked_choice(film["loop"], LOOPS, "loop"),
+        ),
+        checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
+        max([checked_whole(content["next_id"], 1, 2**31, "next_id"), *(number + 1 for number in numbers)]),
+    )
+
+
+def checked_selection(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Selection:
+    """A selection from its parts.
+
+    Args:
+        content: Dictionary of edit, mode and vertices.
+        sizes: Vertices of each edit by its number.
+
+    Returns:
+        The selection.
+
+    Raises:
+        ValueError: For an edit or vertices that are not there.
+    """
+    number = content["edit"]
+    if number is not None and number not in sizes:
+        raise ValueError(f"there is no edit {number!r}: it may have been deleted")
+    size = 0 if number is None else sizes[number]
+    return Selection(
+        number, checked_choice(content["mode"], PICKS, "mode"), checked_vertices(content["vertices"], size)
+    )
+
+
+def checked_vertices(numbers: Any, count: int) -> tuple[int, ...]:
+    """Numbers of vertices, ascending, each once.
+
+    Args:
+        numbers: A list of whole numbers.
+        count: Vertices of the cage.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        ValueError: For anything but whole numbers below `count`.
+    """
+    given = _items(numbers, MAX_VERTICES, "vertices")
+    if not all(type(number) is int and 0 <= number < count for number in given):
+        raise ValueError(f"vertices must be whole numbers from 0 to {count - 1}")
+    return tuple(sorted(set(given)))
+
+
+def _edit(content: Mapping[str, Any]) -> Edit:
+    vertices = _items(content["rest"], MAX_VERTICES, "rest")
+    cage = Cage(frozen_vertices(vertices), np.asarray(_items(content["faces"], 4 * MAX_VERTICES, "faces")))
+    number = checked_whole(content["id"], 1, 2**31, "id")
+    if type(content["visible"]) is not bool:
+        raise ValueError("visible must be true or false")
+    edit = new_edit(number, cage, content["name"], content["kind"], content["posed"])
+    return dataclasses.replace(edit, visible=content["visible"])
+
+
+def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
+    poses, view = content["poses"], content["view"]
+    if poses is not None:
+        poses = {int(number): frozen_vertices(array, sizes.get(int(number))) for number, array in poses.items()}
+    return Key(
+        checked_whole(content["id"], 1, 2**31, "id"),
+        checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
+        checked_name(content["name"]),
+        checked_choice(content["easing"], EASINGS, "easing"),
+        poses,
+        None if view is None else checked_view(view),
+    )
+
+
+def _items(values: Any, most: int, what: str) -> list[Any]:
+    if not isinstance(values, list | tuple) or len(values) > most:
+        raise ValueError(f"{what} must be a list of at most {most}")
+    return list(values)
