@@ -1,0 +1,137 @@
+// What is under the pointer, in a rectangle or in a lasso, and what is hidden. Screen points are flat: x, y, distance.
+
+import { distance, point } from "./vectors.js";
+import { project } from "./camera.js";
+
+const everything = () => true;
+
+/** The vertex nearest to a pixel within a radius (pixels), the nearer to the eye of two alike; -1 where there is none. */
+export function vertexAt(screen, x, y, radius, allowed = everything) {
+  let best = -1;
+  let least = Infinity;
+  for (let i = 0; i < screen.length / 3; i += 1) {
+    const away = Math.hypot(screen[3 * i] - x, screen[3 * i + 1] - y);
+    if (screen[3 * i + 2] <= 0 || away > radius || !allowed(i)) continue;
+    // Two handles over each other: a pixel of doubt is worth less than being in front
+    const cost = Math.round(away / 2) + screen[3 * i + 2] * 1e-6;
+    if (cost < least) [best, least] = [i, cost];
+  }
+  return best;
+}
+
+/** Distance of a pixel from the line between two pixels, and how far along it (0 to 1) the nearest place is. */
+export function toSegment(x, y, x0, y0, x1, y1) {
+  const [dx, dy] = [x1 - x0, y1 - y0];
+  const t = Math.max(0, Math.min(1, ((x - x0) * dx + (y - y0) * dy) / Math.max(dx * dx + dy * dy, 1e-12)));
+  return [Math.hypot(x - x0 - t * dx, y - y0 - t * dy), t];
+}
+
+/** The edge nearest to a pixel within a radius; -1 where there is none. */
+export function edgeAt(screen, edges, x, y, radius, allowed = everything) {
+  let best = -1;
+  let least = Infinity;
+  for (let e = 0; e < edges.length / 2; e += 1) {
+    const [a, b] = [3 * edges[2 * e], 3 * edges[2 * e + 1]];
+    if (screen[a + 2] <= 0 || screen[b + 2] <= 0) continue;
+    const [away, t] = toSegment(x, y, screen[a], screen[a + 1], screen[b], screen[b + 1]);
+    if (away > radius || !allowed(e)) continue;
+    const cost = Math.round(away / 2) + (screen[a + 2] * (1 - t) + screen[b + 2] * t) * 1e-6;
+    if (cost < least) [best, least] = [e, cost];
+  }
+  return best;
+}
+
+/** The foremost face over a pixel; -1 where there is none. */
+export function faceAt(screen, faces, x, y, allowed = everything) {
+  let best = -1;
+  let least = Infinity;
+  for (let f = 0; f < faces.length / 3; f += 1) {
+    const [a, b, c] = [0, 1, 2].map((k) => 3 * faces[3 * f + k]);
+    if (screen[a + 2] <= 0 || screen[b + 2] <= 0 || screen[c + 2] <= 0) continue;
+    const area = (i, j) => (screen[i] - x) * (screen[j + 1] - y) - (screen[j] - x) * (screen[i + 1] - y);
+    const [u, v, w] = [area(b, c), area(c, a), area(a, b)];
+    if (!((u >= 0 && v >= 0 && w >= 0) || (u <= 0 && v <= 0 && w <= 0)) || u + v + w === 0 || !allowed(f)) continue;
+    const near = (u * screen[a + 2] + v * screen[b + 2] + w * screen[c + 2]) / (u + v + w);
+    if (near < least) [best, least] = [f, near];
+  }
+  return best;
+}
+
+/** Whether each screen point lies in a rectangle given by two corners. */
+export function inRectangle(screen, x0, y0, x1, y1) {
+  const [left, right, top, bottom] = [Math.min(x0, x1), Math.max(x0, x1), Math.min(y0, y1), Math.max(y0, y1)];
+  return Array.from({ length: screen.length / 3 }, (_, i) => {
+    const [x, y, z] = [screen[3 * i], screen[3 * i + 1], screen[3 * i + 2]];
+    return z > 0 && x >= left && x <= right && y >= top && y <= bottom;
+  });
+}
+
+/** Whether a pixel lies in a polygon (flat x, y), by the even-odd rule. */
+export function isInside(polygon, x, y) {
+  let inside = false;
+  const n = polygon.length / 2;
+  for (let i = 0, j = n - 1; i < n; j = i, i += 1) {
+    const [xi, yi, xj, yj] = [polygon[2 * i], polygon[2 * i + 1], polygon[2 * j], polygon[2 * j + 1]];
+    if (yi > y !== yj > y && x < ((xj - xi) * (y - yi)) / (yj - yi) + xi) inside = !inside;
+  }
+  return inside;
+}
+
+/** Whether each screen point lies in a lasso (flat x, y of its path). */
+export function inLasso(screen, polygon) {
+  return Array.from({ length: screen.length / 3 }, (_, i) => {
+    return screen[3 * i + 2] > 0 && isInside(polygon, screen[3 * i], screen[3 * i + 1]);
+  });
+}
+
+/** The vertices that a region takes: those inside; of edges with both ends inside; of faces whose middle is inside. */
+export function verticesInRegion(mode, topology, screen, inside, allowed = everything) {
+  const taken = (i) => inside[i] && allowed(i);
+  const out = new Set();
+  if (mode === "vertex") inside.forEach((_, i) => taken(i) && out.add(i));
+  const { edges, faces } = topology;
+  for (let e = 0; mode === "edge" && e < edges.length; e += 2) {
+    if (taken(edges[e]) && taken(edges[e + 1])) out.add(edges[e]).add(edges[e + 1]);
+  }
+  for (let f = 0; mode === "face" && f < faces.length; f += 3) {
+    const corners = faces.subarray(f, f + 3);
+    if (inside.ofMiddle(corners) && corners.some(allowed)) corners.forEach((i) => out.add(i));
+  }
+  return out;
+}
+
+/** A test of vertices with a test of faces' middles: `test` answers for flat screen points. */
+export function region(screen, test) {
+  const inside = test(screen);
+  inside.ofMiddle = (corners) => {
+    const middle = [0, 0, Infinity];
+    for (const i of corners) {
+      for (let k = 0; k < 2; k += 1) middle[k] += screen[3 * i + k] / 3;
+      middle[2] = Math.min(middle[2], screen[3 * i + 2]);
+    }
+    return test(Float64Array.from(middle))[0];
+  };
+  return inside;
+}
+
+/** The distance along the ray that a depth map {width, height, near, far, data} has at a pixel; Infinity: nothing. */
+export function depthAt(map, x, y) {
+  const [i, j] = [Math.floor(x), Math.floor(y)];
+  if (i < 0 || j < 0 || i >= map.width || j >= map.height) return Infinity;
+  const value = map.data[j * map.width + i];
+  return value === 0 ? Infinity : map.near * (map.far / map.near) ** ((value - 1) / 65534);
+}
+
+/** Whether a point lies behind matter, by a depth map and its camera (of the map's own size), with a tolerance. */
+export function isHidden(map, camera, p, tolerance) {
+  if (!map) return false;
+  const [x, y, z] = project(camera, p);
+  return z > 0 && distance(p, camera.eye) > depthAt(map, x, y) + tolerance;
+}
+
+/** Whether each of the flat points lies behind matter. */
+export function hiddenPoints(map, camera, points, tolerance) {
+  const out = new Uint8Array(points.length / 3);
+  if (map) for (let i = 0; i < out.length; i += 1) out[i] = isHidden(map, camera, point(points, i), tolerance);
+  return out;
+}
