@@ -1,0 +1,398 @@
+"""What a page may ask for that changes the document: one function per command, from document to document.
+
+Each takes the document and the message, a dictionary of JSON values that nobody has checked, and returns the name of the
+step for undo with the new document. Each raises ValueError in one line for what cannot be. Nothing else happens in them:
+they hold no lock and touch no file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..cage import poses
+from ..cage.cage import Cage
+from ..coordinates.deform import deform_points
+from ..deform.edits import MAX_EDITS
+from .document import (
+    EASINGS,
+    KINDS,
+    LOOPS,
+    MAX_KEYS,
+    MAX_RATE,
+    MAX_SECONDS,
+    MAX_VERTICES,
+    Document,
+    Edit,
+    Key,
+    Selection,
+    checked_between,
+    checked_choice,
+    checked_name,
+    checked_selection,
+    checked_settings,
+    checked_vertices,
+    frozen_vertices,
+    new_edit,
+)
+
+Message = Mapping[str, Any]
+Step = tuple[str, Document]
+
+#: Words for the kinds of edits in names.
+KIND_NAMES = {"move": "Move", "copy": "Copy", "remove": "Remove"}
+PRESETS = {"bend": 0.0, "twist": 0.0, "taper": 1.0, "stretch": 1.0}
+
+
+def select(document: Document, message: Message) -> Step:
+    """Select vertices of an edit, which becomes the active one."""
+    sizes = {edit.id: len(edit.rest) for edit in document.edits}
+    return "select", dataclasses.replace(document, selection=checked_selection(message, sizes))
+
+
+def change_settings(document: Document, message: Message) -> Step:
+    """Change how the scene is deformed and shown."""
+    changes = {name: value for name, value in message.items() if name not in ("do", "n")}
+    settings = checked_settings(document.settings, changes)
+    return f"change {', '.join(changes)}", dataclasses.replace(document, settings=settings)
+
+
+# -- Poses
+
+
+def set_pose(document: Document, message: Message) -> Step:
+    """Put the vertices of a posed cage somewhere."""
+    edit = document.edit(message["edit"])
+    vertices = frozen_vertices(message["vertices"], len(edit.posed))
+    label = checked_name(message.get("label", "move"))
+    return label, document.with_edit(dataclasses.replace(edit, posed=vertices))
+
+
+def reset_pose(document: Document, message: Message) -> Step:
+    """Bring vertices, or all, back to where they are at rest."""
+    edit = document.edit(message["edit"])
+    given = message.get("vertices")
+    if given is None:
+        return "reset all", document.with_edit(dataclasses.replace(edit, posed=edit.rest))
+    vertices = edit.posed.copy()
+    chosen = list(checked_vertices(given, len(vertices)))
+    if not chosen:
+        raise ValueError("nothing is selected: select the vertices to reset")
+    vertices[chosen] = edit.rest[chosen]
+    return "reset", document.with_edit(dataclasses.replace(edit, posed=frozen_vertices(vertices)))
+
+
+def preset_pose(edit: Edit, chosen: Sequence[int] | None, message: Message) -> np.ndarray:
+    """Vertices (v, 3) of an edit's pose after a preset.
+
+    Args:
+        edit: The edit as it was before the slider was touched.
+        chosen: Numbers of the vertices that follow. None takes all.
+        message: preset, amount, axis, towards, limits; see `warpcage.cage.poses`.
+
+    Returns:
+        (v, 3) float64, read-only.
+
+    Raises:
+        ValueError: For a preset or values that cannot be.
+    """
+    name = checked_choice(message["preset"], list(PRESETS), "preset")
+    amount = checked_between(message["amount"], -1440.0, 1440.0, "amount")
+    if amount == PRESETS[name]:
+        return edit.posed
+    options: dict[str, Any] = {"axis": message.get("axis", "z"), "limits": tuple(message.get("limits", (0.0, 1.0)))}
+    if name == "bend":
+        options["towards"] = message.get("towards", "z" if options["axis"] == "x" else "x")
+    vertices = edit.posed.copy()
+    rows = np.arange(len(vertices)) if chosen is None else np.asarray(chosen, np.int64)
+    if not len(rows):
+        raise ValueError("nothing is selected: select vertices, or let the slider act on all")
+    vertices[rows] = getattr(poses, name)(vertices[rows], amount, **options)
+    return frozen_vertices(vertices)
+
+
+# -- Edits
+
+
+def add_edit(document: Document, message: Message) -> Step:
+    """A new edit with a simple cage between two corners."""
+    kind = checked_choice(message.get("kind", "move"), KINDS, "kind")
+    low, high = (frozen_vertices([message[name]])[0] for name in ("lower", "upper"))
+    shape, centre, size = message.get("shape", "box"), (low + high) / 2, high - low
+    if not (size > 0).all():
+        raise ValueError("a cage needs a lower corner below its upper corner")
+    if shape == "box":
+        cage = Cage.box(low, high, segments=2)
+    elif shape == "cylinder":
+        cage = Cage.cylinder(centre, 0.5 * float(np.hypot(size[0], size[1])), float(size[2]), rings=3)
+    elif shape == "icosphere":
+        cage = Cage.icosphere(centre, 0.5 * float(np.linalg.norm(size)), 1)
+    else:
+        raise ValueError("shape must be one of box, cylinder, icosphere")
+    return with_new_edit(document, cage, kind)
+
+
+def box_selection(document: Document, message: Message) -> Step:
+    """A new edit: a box around vertices of another one, as they are at rest."""
+    edit = document.edit(message["edit"])
+    chosen = list(checked_vertices(message["vertices"], len(edit.rest)))
+    if not chosen:
+        raise ValueError("nothing is selected: select the vertices to put a box around")
+    low, high = edit.rest[chosen].min(axis=0), edit.rest[chosen].max(axis=0)
+    size = float(np.ptp(edit.rest, axis=0).max())
+    margin = checked_between(message.get("margin", 0.02), 0.0, 1.0, "margin") * size
+    return with_new_edit(document, Cage.box(low - max(margin, 1e-4 * size), high + max(margin, 1e-4 * size)), "move")
+
+
+def with_new_edit(document: Document, cage: Cage, kind: str = "move", name: str | None = None) -> Step:
+    """A document with one more edit, which becomes the active one."""
+    if len(document.edits) >= MAX_EDITS:
+        raise ValueError(f"a scene takes at most {MAX_EDITS} edits: delete one first")
+    number = document.next_id
+    edit = new_edit(number, cage, name or f"{KIND_NAMES[kind]} {len(document.edits) + 1}", kind)
+    document = dataclasses.replace(document, edits=(*document.edits, edit), next_id=number + 1)
+    return f"add {edit.name}", dataclasses.replace(document, selection=Selection(number, document.selection.mode))
+
+
+def delete_edit(document: Document, message: Message) -> Step:
+    """Delete an edit and its part of all keys."""
+    gone = document.edit(message["id"])
+    edits = tuple(edit for edit in document.edits if edit.id != gone.id)
+    selection = document.selection
+    if selection.edit == gone.id:
+        selection = Selection(edits[-1].id if edits else None, selection.mode)
+    document = dataclasses.replace(document, edits=edits, selection=selection)
+    return f"delete {gone.name}", _with_key_poses(document, gone.id, lambda pose: None)
+
+
+def change_edit(document: Document, message: Message) -> Step:
+    """Rename an edit, show or hide it, or make it another kind."""
+    edit, changes = document.edit(message["id"]), {}
+    if "name" in message:
+        changes["name"] = checked_name(message["name"])
+    if "kind" in message:
+        changes["kind"] = checked_choice(message["kind"], KINDS, "kind")
+    if "visible" in message:
+        if type(message["visible"]) is not bool:
+            raise ValueError("visible must be true or false")
+        changes["visible"] = message["visible"]
+    label = f"{', '.join(changes)} of {edit.name}"
+    return label, document.with_edit(dataclasses.replace(edit, **changes))
+
+
+def order_edits(document: Document, message: Message) -> Step:
+    """Put the edits in another order."""
+    numbers = message["ids"]
+    if not isinstance(numbers, list) or sorted(map(str, numbers)) != sorted(str(edit.id) for edit in document.edits):
+        raise ValueError("ids must name every edit once")
+    return "order edits", dataclasses.replace(document, edits=tuple(document.edit(number) for number in numbers))
+
+
+# -- Cages
+
+
+def subdivide_cage(document: Document, message: Message) -> Step:
+    """Cut every face of a cage in four. Poses follow: new vertices are the middles of edges there too."""
+    edit = document.edit(message["edit"])
+    finer = edit.rest_cage.subdivide()
+    if len(finer.vertices) > MAX_VERTICES:
+        raise ValueError(f"the cage would have {len(finer.vertices)} vertices: at most {MAX_VERTICES} can be edited")
+
+    def posed(pose: np.ndarray) -> np.ndarray:
+        return Cage(pose, edit.faces).subdivide().vertices
+
+    return "subdivide", _with_cage(document, edit, finer, posed)
+
+
+def replace_cage(document: Document, number: int, cage: Cage, label: str) -> Step:
+    """Another cage for an edit. Poses follow: its vertices go where the old cage carries them.
+
+    Args:
+        document: The document.
+        number: The edit.
+        cage: The new cage at rest.
+        label: Name of the step.
+
+    Returns:
+        Name and new document.
+
+    Raises:
+        ValueError: Where the edit is gone, or a pose of the old cage cannot be used.
+    """
+    edit = document.edit(number)
+
+    def posed(pose: np.ndarray) -> np.ndarray:
+        if np.array_equal(pose, edit.rest):
+            return cage.vertices
+        try:
+            return deform_points(cage.vertices, edit.rest_cage, Cage(pose, edit.faces), device="cpu")
+        except ValueError as error:
+            raise ValueError(f"the pose cannot be carried over to the new cage: {error}") from None
+
+    return label, _with_cage(document, edit, cage, posed)
+
+
+def moved_rest(document: Document, before: Edit, rest: Any) -> Document:
+    """A document whose cage at rest has other places. Poses keep their distance from it.
+
+    Args:
+        document: The document.
+        before: The edit before its cage was touched.
+        rest: (v, 3) new places.
+
+    Returns:
+        The new document; keys are not touched, see `moved_keys`.
+
+    Raises:
+        ValueError: For other shapes, or where the edit is gone.
+    """
+    places = frozen_vertices(rest, len(before.rest))
+    edit = dataclasses.replace(
+        document.edit(before.id), rest=places, posed=frozen_vertices(before.posed + (places - before.rest))
+    )
+    return document.with_edit(edit)
+
+
+def moved_keys(document: Document, before: Edit) -> Document:
+    """A document whose keys keep their distance from a cage at rest that was moved since `before`."""
+    offset = document.edit(before.id).rest - before.rest
+    return _with_key_poses(document, before.id, lambda pose: frozen_vertices(pose + offset))
+
+
+# -- Film
+
+
+def add_key(document: Document, message: Message) -> Step:
+    """Keep the pose, the camera or both at a time. A key that is there is filled up."""
+    time = checked_between(message["time"], 0.0, MAX_SECONDS, "time")
+    if len(document.timeline.keys) >= MAX_KEYS:
+        raise ValueError(f"a film takes at most {MAX_KEYS} keys: delete some first")
+    near = 0.5 / document.timeline.fps
+    key = next((key for key in document.timeline.keys if abs(key.time - time) < near), None)
+    if key is None:
+        name = checked_name(message.get("name") or free_name(document))
+        key = Key(document.next_id, time, name)
+        document = dataclasses.replace(document, next_id=document.next_id + 1)
+    key = _filled(document, key, message)
+    if key.poses is None and key.view is None:
+        raise ValueError("a key needs a pose, a camera or both")
+    document = document.with_key(key)
+    return f"key {key.name}", document.with_timeline(length=max(document.timeline.length, key.time))
+
+
+def change_key(document: Document, message: Message) -> Step:
+    """Move a key in time, rename it, ease it otherwise, or take the present pose or camera for it."""
+    key, changes = document.key(message["id"]), {}
+    if "time" in message:
+        changes["time"] = checked_between(message["time"], 0.0, MAX_SECONDS, "time")
+    if "easing" in message:
+        changes["easing"] = checked_choice(message["easing"], EASINGS, "easing")
+    if "name" in message:
+        changes["name"] = checked_name(message["name"])
+    key = _filled(document, dataclasses.replace(key, **changes), message)
+    document = document.with_key(key)
+    return f"change key {key.name}", document.with_timeline(length=max(document.timeline.length, key.time))
+
+
+def delete_key(document: Document, message: Message) -> Step:
+    """Delete a key."""
+    gone = document.key(message["id"])
+    keys = tuple(key for key in document.timeline.keys if key.id != gone.id)
+    return f"delete key {gone.name}", document.with_timeline(keys=keys)
+
+
+def change_timeline(document: Document, message: Message) -> Step:
+    """Change the length, the frame rate or the loop of the film."""
+    changes: dict[str, Any] = {}
+    if "length" in message:
+        last = max((key.time for key in document.timeline.keys), default=0.0)
+        changes["length"] = checked_between(message["length"], last, MAX_SECONDS, "length (not before the last key)")
+    if "fps" in message:
+        changes["fps"] = checked_between(message["fps"], 0.01, MAX_RATE, "fps")
+    if "loop" in message:
+        changes["loop"] = checked_choice(message["loop"], LOOPS, "loop")
+    return f"film {', '.join(changes)}", document.with_timeline(**changes)
+
+
+def free_name(document: Document) -> str:
+    """A name that no key has."""
+    names = {key.name for key in document.timeline.keys}
+    return next(name for name in (f"key {number}" for number in range(1, MAX_KEYS + 2)) if name not in names)
+
+
+#: Commands by the word in `do`.
+COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
+    "select": select,
+    "settings": change_settings,
+    "pose.set": set_pose,
+    "pose.reset": reset_pose,
+    "edit.add": add_edit,
+    "edit.delete": delete_edit,
+    "edit.change": change_edit,
+    "edit.order": order_edits,
+    "cage.subdivide": subdivide_cage,
+    "cage.box": box_selection,
+    "key.add": add_key,
+    "key.change": change_key,
+    "key.delete": delete_key,
+    "timeline": change_timeline,
+}
+
+
+def run_command(document: Document, message: Message) -> Step:
+    """Carry out one of COMMANDS.
+
+    Args:
+        document: The document.
+        message: The message; `do` names the command.
+
+    Returns:
+        Name of the step and new document.
+
+    Raises:
+        ValueError: For values that are missing or wrong, in one line.
+    """
+    try:
+        return COMMANDS[message["do"]](document, message)
+    except KeyError as error:
+        raise ValueError(f"{message['do']}: {error.args[0]!r} is missing") from None
+    except (TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(f"{message['do']}: a value has the wrong type: {error}") from None
+
+
+def _with_cage(
+    document: Document, edit: Edit, cage: Cage, posed: Callable[[np.ndarray], np.ndarray]
+) -> Document:
+    """The document with another cage for an edit; posed: carries vertices of a pose over."""
+    fresh = new_edit(edit.id, cage, edit.name, edit.kind, posed(edit.posed))
+    document = document.with_edit(dataclasses.replace(fresh, visible=edit.visible))
+    document = _with_key_poses(document, edit.id, lambda pose: frozen_vertices(posed(pose), len(cage.vertices)))
+    if document.selection.edit == edit.id:
+        document = dataclasses.replace(document, selection=dataclasses.replace(document.selection, vertices=()))
+    return document
+
+
+def _with_key_poses(document: Document, number: int, change: Callable[[np.ndarray], np.ndarray | None]) -> Document:
+    """The document with the poses of one edit changed in all keys; None takes them out."""
+    keys = []
+    for key in document.timeline.keys:
+        if key.poses is not None and number in key.poses:
+            left = {other: pose for other, pose in key.poses.items() if other != number}
+            changed = change(key.poses[number])
+            held = left if changed is None else {**left, number: changed}
+            key = dataclasses.replace(key, poses=held or None)
+        if key.poses is not None or key.view is not None:
+            keys.append(key)
+    return document.with_timeline(keys=tuple(keys))
+
+
+def _filled(document: Document, key: Key, message: Message) -> Key:
+    """The key with the present pose and camera where the message asks for them."""
+    if message.get("pose") is True:
+        key = dataclasses.replace(key, poses={edit.id: edit.posed for edit in document.edits} or None)
+    if message.get("camera") is True:
+        key = dataclasses.replace(key, view=document.view)
+    return key
