@@ -1,0 +1,79 @@
+"""Session files: a document as JSON, and the field that it belongs to."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+from typing import Any
+
+from ..core.checks import listed
+from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
+from ..field.voxel_field import VoxelField
+from .document import Document
+
+FORMAT, VERSION = "warpcage session", 1
+
+#: How the name of a field's session ends: `lego.npz` has `lego.session.json`.
+ENDING = ".session.json"
+
+
+def session_path(field: PathLike) -> pathlib.Path:
+    """Where the session of a field's file is kept: beside it."""
+    path = pathlib.Path(field)
+    return path.with_name(path.stem + ENDING)
+
+
+def write_session(path: PathLike, document: Document, field: VoxelField, field_name: str | None) -> None:
+    """Write a session's file, whole or not at all.
+
+    Args:
+        path: The file.
+        document: The document.
+        field: The field that it belongs to.
+        field_name: Name of the field's file. None where it has none.
+
+    Raises:
+        OSError: If the file cannot be written. What was there stays.
+    """
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "field": {"name": field_name, "bounds": field.bounds.tolist()},
+        "document": document.to_json(),
+    }
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content) + "\n", encoding="utf-8")
+
+
+def read_session(path: PathLike, field: VoxelField | None = None) -> Document:
+    """Read a session's file.
+
+    Args:
+        path: The file.
+        field: The field that it should belong to. None takes any.
+
+    Returns:
+        The document.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: What is wrong with it, in one line with its name.
+    """
+    path = require_file(path, "session file")
+    try:
+        content: Any = json.loads(read_limited(path, "session file", JSON_ROOM).decode("utf-8"))
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise ValueError(f"it is no {FORMAT}")
+        version = content.get("version")
+        if type(version) is not int or version < 1:
+            raise ValueError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
+        if version > VERSION:
+            raise ValueError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
+        if field is not None and content["field"]["bounds"] != field.bounds.tolist():
+            name = listed([str(content["field"].get("name"))])
+            raise ValueError(f"it belongs to another field, {name}, with other bounds")
+        return Document.from_json(content["document"])
+    except (KeyError, TypeError, AttributeError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path}: not a session file: {type(error).__name__} {error}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
