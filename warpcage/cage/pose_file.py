@@ -22,8 +22,9 @@ class PoseFile:
     """Named keyframes of a rest cage.
 
     The file is JSON: format, version, cage (sha256 over its faces and float64 vertices, and both in full) and
-    keyframes (name and vertices, each number with all its digits). Readers ignore keys that they do not know, so later
-    versions may add some. A version that changes the meaning of these keys has a higher number.
+    keyframes (name and vertices, each number with all its digits; where it was given one, time and easing). Readers
+    ignore keys that they do not know, so later versions may add some. A version that changes the meaning of these keys
+    has a higher number.
 
     Args:
         rest: The cage that is posed.
@@ -35,12 +36,16 @@ class PoseFile:
 
     Attributes:
         rest: The cage that is posed.
+        times: When a keyframe is reached, by name, seconds. A keyframe need not have one, and `at` does not ask for it.
+        easings: How the way from a keyframe to the next goes, by name: a word such as "smooth", "linear" or "hold".
     """
 
     def __init__(self, rest: Cage, keyframes: Mapping[str, Cage | ArrayLike] | Iterable[tuple[str, Any]] = ()):
         require_mesh(rest, "the rest cage must be")
         self.rest = rest
         self._poses: dict[str, Cage] = {}
+        self.times: dict[str, float] = {}
+        self.easings: dict[str, str] = {}
         for name, pose in dict(keyframes).items():
             self[name] = pose
 
@@ -118,15 +123,36 @@ class PoseFile:
 
         Args:
             path: The file, usually .json.
+
+        Raises:
+            ValueError: For a time or an easing of no keyframe, a time that is not finite, or an easing that is no word.
         """
+        self._check_moments()
         document = {
             "format": _FORMAT, "version": _VERSION,
             "cage": {"sha256": cage_hash(self.rest), "faces": self.rest.faces.tolist(),
                      "vertices": self.rest.vertices.tolist()},
-            "keyframes": [{"name": name, "vertices": pose.vertices.tolist()} for name, pose in self._poses.items()],
+            "keyframes": [
+                {"name": name, "vertices": pose.vertices.tolist(), **self._moment(name)}
+                for name, pose in self._poses.items()
+            ],
         }  # fmt: skip
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
+
+    def _moment(self, name: str) -> dict[str, Any]:
+        """What the file holds of a keyframe besides its vertices."""
+        parts = (("time", self.times), ("easing", self.easings))
+        return {key: values[name] for key, values in parts if name in values}
+
+    def _check_moments(self) -> None:
+        """Raise ValueError for times and easings that cannot be, and make all times floats."""
+        for name in (*self.times, *self.easings):
+            self[name]
+        self.times = {name: checked_number(time, f"the time of keyframe {name!r}") for name, time in self.times.items()}
+        for name, easing in self.easings.items():
+            if not isinstance(easing, str) or not easing.strip():
+                raise ValueError(f"the easing of keyframe {name!r} must be a word, got {easing!r}")
 
     @classmethod
     def load(cls, path: PathLike, rest: Cage | None = None) -> PoseFile:
@@ -163,7 +189,11 @@ class PoseFile:
                 names = [frame["name"] for frame in keyframes]
                 twice = next(name for name in names if names.count(name) > 1)
                 raise ValueError(f"two of its keyframes are named {twice!r}")
-            return cls(own if rest is None else rest, poses)
+            file = cls(own if rest is None else rest, poses)
+            file.times = {frame["name"]: frame["time"] for frame in keyframes if "time" in frame}
+            file.easings = {frame["name"]: frame["easing"] for frame in keyframes if "easing" in frame}
+            file._check_moments()
+            return file
         except (KeyError, TypeError, OverflowError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
             raise ValueError(f"{path}: not a pose file: {type(error).__name__} {error}") from None
         except ValueError as error:

@@ -1,0 +1,241 @@
+"""Films of the editor: what is where at a time, easing, looping, frames, and keys as pose files."""
+
+import dataclasses
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
+from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, frozen_vertices, new_edit
+from warpcage.editor.timeline import (
+    document_at,
+    frame_rate,
+    frame_times,
+    load_poses,
+    looped_time,
+    pose_file,
+    state_at,
+    with_pose_file,
+)
+
+CAGE = Cage.box([-1, -1, -1], [1, 1, 1])
+VIEW = View((3.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
+RANDOM = np.random.default_rng(5)
+POSES = [frozen_vertices(CAGE.vertices + RANDOM.normal(scale=0.2, size=CAGE.vertices.shape)) for _ in range(5)]
+
+
+def film(*keys, edits=None, **timeline):
+    """A document with one edit, number 1, and keys (time, easing, poses or None, view or None)."""
+    made = tuple(
+        Key(100 + k, time, f"key {k}", easing, poses if poses is None or isinstance(poses, dict) else {1: poses}, view)
+        for k, (time, easing, poses, view) in enumerate(keys)
+    )
+    edits = (new_edit(1, CAGE, "Cage"),) if edits is None else edits
+    return Document(edits, Selection(), Settings(), VIEW, Timeline(made, **timeline), next_id=500)
+
+
+def pose_at(document, time):
+    return state_at(document, time)[0][1]
+
+
+@pytest.mark.parametrize("easing", ["smooth", "linear", "hold", "ease-in", "ease-out"])
+def test_keys_are_met_to_the_bit_and_ends_are_still(easing):
+    times = (0.5, 1.0, 2.25)
+    document = film(*((time, easing, pose, None) for time, pose in zip(times, POSES, strict=False)))
+    for time, pose in zip(times, POSES, strict=False):
+        assert np.array_equal(pose_at(document, time), pose)
+    assert np.array_equal(pose_at(document, 0.0), POSES[0])
+    assert np.array_equal(pose_at(document, 99.0), POSES[2])
+
+
+@pytest.mark.parametrize(
+    ("easing", "share"),
+    [
+        ("linear", lambda s: s),
+        ("hold", lambda s: 0.0),
+        ("ease-in", lambda s: s**2),
+        ("ease-out", lambda s: 1 - (1 - s) ** 2),
+        ("smooth", lambda s: 3 * s**2 - 2 * s**3),  # between two keys alone: at rest at both
+    ],
+)
+def test_the_easing_of_the_earlier_key_decides(easing, share):
+    document = film((1.0, easing, POSES[0], None), (3.0, "linear", POSES[1], None))
+    for s in (0.1, 0.25, 0.5, 0.9):
+        expected = (1 - share(s)) * POSES[0] + share(s) * POSES[1]
+        np.testing.assert_allclose(pose_at(document, 1.0 + 2.0 * s), expected, atol=1e-12)
+
+
+def test_a_held_pose_is_exactly_still_and_then_jumps():
+    document = film((0.0, "hold", POSES[0], None), (1.0, "smooth", POSES[1], None), (2.0, "smooth", POSES[2], None))
+    for time in (0.0, 0.3, np.nextafter(1.0, 0.0)):
+        assert np.array_equal(pose_at(document, time), POSES[0])
+    assert np.array_equal(pose_at(document, 1.0), POSES[1])
+    still = film((0.0, "smooth", POSES[2], None), *((t, "smooth", POSES[0], None) for t in (1.0, 2.0)),
+                 (3.0, "smooth", POSES[1], None))  # fmt: skip
+    assert all(np.array_equal(pose_at(still, time), POSES[0]) for time in np.linspace(1.0, 2.0, 9))
+
+
+def test_smooth_ways_have_one_velocity_at_keys_and_a_quadratic_in_time_is_met():
+    times = (0.0, 0.3, 1.5, 2.0, 3.1)
+    document = film(*((time, "smooth", pose, None) for time, pose in zip(times, POSES, strict=True)))
+    h = 1e-6
+    for index, time in enumerate(times):
+        before = (pose_at(document, time) - pose_at(document, time - h)) / h
+        after = (pose_at(document, time + h) - pose_at(document, time)) / h
+        np.testing.assert_allclose(before, after, atol=1e-3)
+        if 0 < index < len(times) - 1:  # of the keys around it, by their times
+            slope = (POSES[index + 1] - POSES[index - 1]) / (times[index + 1] - times[index - 1])
+            np.testing.assert_allclose(after, slope, atol=1e-3)
+        else:
+            np.testing.assert_allclose(after, 0.0, atol=1e-3)
+    # steady motion through keys at uneven times stays steady between inner keys
+    line = film(*((time, "smooth", CAGE.vertices + time, None) for time in times))
+    for time in np.linspace(0.3, 2.0, 11):
+        np.testing.assert_allclose(pose_at(line, time), CAGE.vertices + time, atol=1e-12)
+
+
+def test_edits_go_by_the_keys_that_hold_them():
+    edits = (new_edit(1, CAGE, "one", posed=POSES[3]), new_edit(2, CAGE, "two"), new_edit(3, CAGE, "three"))
+    document = film(
+        (0.0, "linear", {1: POSES[0], 2: POSES[1]}, None),
+        (1.0, "linear", {2: POSES[2]}, None),
+        (2.0, "hold", {1: POSES[1], 7: POSES[0]}, None),  # 7 was deleted
+        edits=edits,
+    )
+    poses, view = state_at(document, 1.5)
+    assert sorted(poses) == [1, 2] and view is None
+    np.testing.assert_allclose(poses[1], 0.25 * POSES[0] + 0.75 * POSES[1])  # past the key that does not hold it
+    assert np.array_equal(poses[2], POSES[2])
+    after = document_at(document, 1.5)
+    assert after.edits[2].posed is edits[2].posed and after.time == 1.5 and after.view == VIEW
+    assert np.array_equal(after.edit(1).posed, poses[1])
+    cut = dataclasses.replace(edits[0], rest=CAGE.vertices[:4], posed=CAGE.vertices[:4])  # keys of the cage before
+    assert 1 not in state_at(dataclasses.replace(document, edits=(cut, *edits[1:])), 1.0)[0]
+
+
+def test_cameras_go_as_poses_do():
+    other = View((0.0, 5.0, 3.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 60.0)
+    document = film((0.0, "linear", None, VIEW), (1.0, "smooth", POSES[0], None), (2.0, "hold", None, other))
+    view = state_at(document, 1.0)[1]
+    np.testing.assert_allclose(view.eye, (1.5, 2.5, 2.0))
+    np.testing.assert_allclose(view.target, (0.5, 0.0, 0.0))
+    np.testing.assert_allclose(view.up, np.array([0.0, 1.0, 1.0]) / np.sqrt(2))
+    assert view.fov == pytest.approx(50.0)
+    assert state_at(document, 0.0)[1] == VIEW and state_at(document, 7.0)[1] == other
+    turned = dataclasses.replace(VIEW, up=(0.0, 0.0, -1.0), target=(6.0, 0.0, 2.0))
+    middle = state_at(film((0.0, "linear", None, VIEW), (1.0, "linear", None, turned)), 0.5)[1]
+    assert np.linalg.norm(middle.up) == pytest.approx(1.0) and middle.target != middle.eye
+    wide = film(*((t, "smooth", None, dataclasses.replace(VIEW, fov=fov)) for t, fov in enumerate((40, 149, 149.5, 1))))
+    assert max(state_at(wide, t)[1].fov for t in np.linspace(0, 3, 61)) <= 150.0
+
+
+def test_looped_time():
+    once, loop, swing = (Timeline(length=2.0, loop=name) for name in ("once", "loop", "ping-pong"))
+    places = (0.0, 0.5, 2.0, 2.5, 4.0, 5.5)
+    assert [looped_time(once, t) for t in places] == [0.0, 0.5, 2.0, 2.0, 2.0, 2.0]
+    assert [looped_time(loop, t) for t in places] == [0.0, 0.5, 0.0, 0.5, 0.0, 1.5]
+    assert [looped_time(swing, t) for t in places] == [0.0, 0.5, 2.0, 1.5, 0.0, 1.5]
+    assert looped_time(Timeline(length=0.0, loop="loop"), 3.0) == 0.0
+
+
+def test_frame_times():
+    def times(length, fps, loop):
+        return frame_times(Timeline(length=length, fps=fps, loop=loop))
+
+    assert times(1.0, 4.0, "once") == [0.0, 0.25, 0.5, 0.75, 1.0]
+    assert times(1.0, 4.0, "loop") == [0.0, 0.25, 0.5, 0.75]
+    assert times(1.0, 4.0, "ping-pong") == [0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25]
+    assert times(0.0, 24.0, "once") == times(0.0, 24.0, "loop") == [0.0]
+    assert len(times(0.7, 10.0, "once")) == 8 and times(0.7, 10.0, "once")[-1] == 0.7  # 0.7 * 10 is below 7 in floats
+    rate = Timeline(length=10.01, fps=30000 / 1001)
+    assert frame_rate(rate) == Fraction(30000, 1001)
+    assert frame_times(rate)[-1] == 10.01 and len(frame_times(rate)) == 301
+    assert times(0.25, 10.0, "loop") == [0.0, 0.1, 0.2]
+
+
+def test_keys_go_through_a_pose_file_to_the_bit(tmp_path):
+    document = film(
+        (0.1, "ease-in", {1: POSES[0], 2: POSES[4]}, None),
+        (1 / 3, "hold", POSES[1], VIEW),
+        (2.0, "smooth", POSES[2], None),
+        edits=(new_edit(1, CAGE, "one"), new_edit(2, CAGE, "two")),
+        length=3.0,
+    )
+    pose_file(document, 1).save(tmp_path / "poses.json")
+    again = load_poses(document, 1, tmp_path / "poses.json")
+    assert [(k.time, k.name, k.easing, k.view) for k in again.timeline.keys] == [
+        (k.time, k.name, k.easing, k.view) for k in document.timeline.keys
+    ]
+    for key, before in zip(again.timeline.keys, document.timeline.keys, strict=True):
+        assert list(key.poses) == list(before.poses)
+        assert all(key.poses[number].tobytes() == before.poses[number].tobytes() for number in key.poses)
+    empty = film(edits=document.edits, length=1.0)
+    loaded = load_poses(empty, 1, tmp_path / "poses.json")
+    assert loaded.timeline.length == 2.0 and loaded.next_id == empty.next_id + 3
+    assert len({key.id for key in loaded.timeline.keys}) == 3
+    assert [key.time for key in loaded.timeline.keys] == [0.1, 1 / 3, 2.0]
+    assert all(np.array_equal(pose_at(loaded, t), pose_at(document, t)) for t in np.linspace(0, 3, 13))
+
+
+def test_pose_files_without_times_are_spread_and_equal_names_are_told_apart():
+    plain = PoseFile(CAGE, {"a": POSES[0], "b": POSES[1], "c": POSES[2]})
+    loaded = with_pose_file(film(length=3.0), 1, plain)
+    assert [(k.time, k.name, k.easing) for k in loaded.timeline.keys] == [
+        (0.0, "a", "smooth"),
+        (1.5, "b", "smooth"),
+        (3.0, "c", "smooth"),
+    ]
+    same = [dataclasses.replace(key, name="pose") for key in loaded.timeline.keys]
+    assert pose_file(loaded.with_timeline(keys=tuple(same)), 1).names == ("pose", "pose 2", "pose 3")
+    jump = PoseFile(CAGE, {"a": POSES[0], "b": POSES[1]})
+    jump.times = {"a": 1.0, "b": 1.0}
+    both = with_pose_file(film(length=3.0), 1, jump)
+    assert np.array_equal(pose_at(both, 0.99), POSES[0]) and np.array_equal(pose_at(both, 1.0), POSES[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda file: file.times.update(a=-1.0), "keyframe 'a' is at -1 s: a film goes from 0"),
+        (lambda file: file.easings.update(a="bounce"), "keyframe 'a' has the easing 'bounce', known are smooth"),
+    ],
+)
+def test_pose_files_that_a_film_cannot_hold(change, message):
+    file = PoseFile(CAGE, {"a": POSES[0]})
+    change(file)
+    with pytest.raises(ValueError, match=message):
+        with_pose_file(film(), 1, file)
+
+
+def test_pose_files_of_other_cages_and_films_without_keys():
+    with pytest.raises(ValueError, match="another cage"):
+        with_pose_file(film(), 1, PoseFile(Cage.icosphere([0, 0, 0], 1.0), {"a": Cage.icosphere([0, 0, 0], 1.0)}))
+    with pytest.raises(ValueError, match="no key holds a pose of 'Cage'"):
+        pose_file(film(), 1)
+
+
+def test_times_and_easings_of_pose_files_are_checked_and_older_files_have_none(tmp_path):
+    file = PoseFile(CAGE, {"a": POSES[0], "b": POSES[1]})
+    file.times["a"], file.easings["b"] = 1, "hold"
+    file.save(tmp_path / "poses.json")
+    again = PoseFile.load(tmp_path / "poses.json")
+    assert again.times == {"a": 1.0} and again.easings == {"b": "hold"}
+    content = json.loads((tmp_path / "poses.json").read_text())
+    assert content["version"] == 1 and list(content["keyframes"][0]) == ["name", "vertices", "time"]
+    for key, value, message in (
+        ("time", "soon", "the time of keyframe 'a' must be one finite number"),
+        ("time", float("inf"), "the time of keyframe 'a' must be one finite number"),
+        ("easing", 3, "the easing of keyframe 'a' must be a word"),
+    ):
+        changed = json.loads(json.dumps(content))
+        changed["keyframes"][0][key] = value
+        (tmp_path / "bad.json").write_text(json.dumps(changed))
+        with pytest.raises(ValueError, match=f"bad.json: {message}"):
+            PoseFile.load(tmp_path / "bad.json")
+    file.times["nobody"] = 1.0
+    with pytest.raises(ValueError, match="there is no keyframe 'nobody'"):
+        file.save(tmp_path / "worse.json")
+    assert not (tmp_path / "worse.json").exists()

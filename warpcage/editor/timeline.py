@@ -1,0 +1,285 @@
+"""The film of a document: poses and views at a time, the times of its frames, and its keys as a pose file."""
+
+from __future__ import annotations
+
+import bisect
+import dataclasses
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import TypeVar
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..cage.pose_file import PoseFile
+from ..view.film import MAX_DENOMINATOR
+from .document import EASINGS, MAX_KEYS, MAX_NAME, MAX_SECONDS, Document, Key, Timeline, View, frozen_vertices
+
+#: Fields of view, degrees: a smooth way may swing beyond those of its keys.
+LEAST_FOV, LARGEST_FOV = 1.0, 150.0
+
+Time = TypeVar("Time", float, Fraction)
+
+
+def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], View | None]:
+    """The poses and the view of a film at a time.
+
+    Before the first key and after the last one all is still. The way from a key to the next goes as the easing of the
+    earlier one says. "smooth" is a Catmull-Rom spline: the velocity at a key is that from the key before to the key
+    after, so that it does not jump. It is zero at the first and the last key, next to a "hold", and where the key
+    before or after has the same pose, which then stays still.
+
+    Args:
+        document: The document.
+        time: Seconds from the film's start.
+
+    Returns:
+        Posed vertices (v, 3), read-only, by the number of the edit, for those edits that keys hold; the others stay as
+        the document has them. And the view, or None where there is no key of cameras.
+    """
+    keys = document.timeline.keys
+    poses = {}
+    for edit in document.edits:
+        # a key may be older than the cage and hold vertices that it no longer has
+        track = [(key, key.poses[edit.id]) for key in keys if key.poses is not None and edit.id in key.poses]
+        track = [(key, vertices) for key, vertices in track if vertices.shape == edit.posed.shape]
+        if track:
+            poses[edit.id] = _value_at(track, time)
+    views = [(key, np.array([*key.view.eye, *key.view.target, *key.view.up, key.view.fov])) for key in keys if key.view]
+    return poses, _view_at(views, time) if views else None
+
+
+def document_at(document: Document, time: float) -> Document:
+    """The document as its film has it at a time.
+
+    Args:
+        document: The document.
+        time: Seconds from the film's start.
+
+    Returns:
+        The document with the poses and the view of that time.
+    """
+    poses, view = state_at(document, time)
+    edits = tuple(dataclasses.replace(edit, posed=poses.get(edit.id, edit.posed)) for edit in document.edits)
+    return dataclasses.replace(document, edits=edits, view=view or document.view, time=time)
+
+
+def looped_time(timeline: Timeline, elapsed: float) -> float:
+    """Where a film is that has been played for a while.
+
+    Args:
+        timeline: The film.
+        elapsed: Seconds since it began to play at its start.
+
+    Returns:
+        Seconds from the film's start, 0 to its length.
+    """
+    return _looped(timeline.loop, timeline.length, elapsed)
+
+
+def frame_times(timeline: Timeline) -> list[float]:
+    """The times of a film's frames.
+
+    A film that is played once ends with the frame at its length, where a frame falls on it. A film that loops or goes
+    back and forth has every moment of its round once: the frame after its last one is the first.
+
+    Args:
+        timeline: The film.
+
+    Returns:
+        Seconds from the film's start, one number per frame, at least one.
+    """
+    rate, length = frame_rate(timeline), Fraction(repr(float(timeline.length)))
+    period = 2 * length if timeline.loop == "ping-pong" else length
+    exact = period * rate
+    count = exact.__floor__() + 1 if timeline.loop == "once" else max(1, exact.__ceil__())
+    return [float(_looped(timeline.loop, length, index / rate)) for index in range(count)]
+
+
+def frame_rate(timeline: Timeline) -> Fraction:
+    """The frames per second of a film, such as 30000/1001 for 29.97003.
+
+    Args:
+        timeline: The film.
+
+    Returns:
+        The nearest fraction whose denominator is at most 1001.
+    """
+    return Fraction(repr(float(timeline.fps))).limit_denominator(MAX_DENOMINATOR)
+
+
+def pose_file(document: Document, number: int) -> PoseFile:
+    """The keys of an edit as a pose file, with times and easings.
+
+    Args:
+        document: The document.
+        number: Number of the edit.
+
+    Returns:
+        The pose file. A name that several keys have gets a number behind it.
+
+    Raises:
+        ValueError: If there is no such edit, or no key holds a pose of it.
+    """
+    edit = document.edit(number)
+    file = PoseFile(edit.rest_cage)
+    for key in document.timeline.keys:
+        if key.poses is None or number not in key.poses:
+            continue
+        name, count = key.name, 1
+        while name in file:
+            count += 1
+            name = f"{key.name} {count}"
+        file[name] = key.poses[number]
+        file.times[name], file.easings[name] = key.time, key.easing
+    if not len(file):
+        raise ValueError(f"no key holds a pose of {edit.name!r}: add one first")
+    return file
+
+
+def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
+    """A document whose keys hold the poses of a file, in the place of those that they held of the edit.
+
+    A keyframe goes into the key of its time, if there is one. Keyframes without times are spread evenly over the film.
+
+    Args:
+        document: The document.
+        number: Number of the edit.
+        file: Keyframes of the edit's cage.
+
+    Returns:
+        The document. The film is longer where the file's is.
+
+    Raises:
+        ValueError: If there is no such edit, for a file of another cage, times below 0 or beyond MAX_SECONDS, easings
+            that are not known, or too many keyframes.
+    """
+    edit = document.edit(number)
+    if not np.array_equal(file.rest.faces, edit.faces):
+        raise ValueError(f"the pose file is of another cage than {edit.name!r}: load it with this cage")
+    if not len(file):
+        raise ValueError("the pose file holds no keyframes")
+    keys = [_without_pose(key, number) for key in document.timeline.keys]
+    keys = [key for key in keys if key.poses is not None or key.view is not None]
+    if len(keys) + len(file) > MAX_KEYS:
+        raise ValueError(f"a film has at most {MAX_KEYS} keys, this one would have {len(keys) + len(file)}")
+    by_time = {key.time: key for key in keys}
+    spread = [float(time) for time in np.linspace(0.0, document.timeline.length, len(file))]
+    next_id = document.next_id
+    for name, evenly in zip(file.names, spread, strict=True):
+        time = file.times.get(name, evenly)
+        if not 0.0 <= time <= MAX_SECONDS:
+            raise ValueError(f"keyframe {name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
+        easing = file.easings.get(name, "smooth")
+        if easing not in EASINGS:
+            raise ValueError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}")
+        held = by_time.get(time)
+        if held is None or number in (held.poses or {}):  # two keyframes of one time: a jump
+            held = Key(next_id, time, "", easing)
+            next_id += 1
+        poses = dict(sorted([*(held.poses or {}).items(), (number, frozen_vertices(file[name].vertices))]))
+        shown = " ".join(name.split())[:MAX_NAME]
+        key = dataclasses.replace(held, name=shown, easing=easing, poses=poses)
+        keys = [other for other in keys if other.id != key.id] + [key]
+        by_time[time] = key
+    keys.sort(key=lambda key: (key.time, key.id))
+    timeline = dataclasses.replace(
+        document.timeline, keys=tuple(keys), length=max(document.timeline.length, keys[-1].time)
+    )
+    return dataclasses.replace(document, timeline=timeline, next_id=next_id)
+
+
+def load_poses(document: Document, number: int, path: str) -> Document:
+    """`with_pose_file` of a file on disk, matched to the edit's cage.
+
+    Args:
+        document: The document.
+        number: Number of the edit.
+        path: The file.
+
+    Returns:
+        The document.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: As `with_pose_file`, and for a file that cannot be read or is of another cage.
+    """
+    edit = document.edit(number)
+    return with_pose_file(document, number, PoseFile.load(path, Cage(edit.rest, edit.faces)))
+
+
+def _without_pose(key: Key, number: int) -> Key:
+    """A key without the pose of an edit."""
+    if key.poses is None or number not in key.poses:
+        return key
+    rest = {other: vertices for other, vertices in key.poses.items() if other != number}
+    return dataclasses.replace(key, poses=rest or None)
+
+
+def _looped(loop: str, length: Time, elapsed: Time) -> Time:
+    """`looped_time`, for floats and for fractions."""
+    zero = length - length
+    if length <= 0:
+        return zero
+    if loop == "once":
+        return min(max(elapsed, zero), length)
+    if loop == "loop":
+        return elapsed % length
+    place = elapsed % (length + length)
+    return place if place <= length else length + length - place
+
+
+def _value_at(track: Sequence[tuple[Key, np.ndarray]], time: float) -> np.ndarray:
+    """The value of keys at a time, read-only. At a key it is the key's own array."""
+    index = bisect.bisect_right([key.time for key, _ in track], time) - 1
+    if index < 0 or index == len(track) - 1:
+        return track[max(index, 0)][1]
+    (key, begin), (after, end) = track[index : index + 2]
+    length = after.time - key.time
+    share = (time - key.time) / length
+    if share == 0.0 or key.easing == "hold" or np.array_equal(begin, end):
+        return begin
+    if key.easing == "smooth":
+        eased = share * share * (3.0 - 2.0 * share)
+        value = begin + eased * (end - begin)
+        value += length * share * (1.0 - share) ** 2 * _velocity(track, index)
+        value -= length * share * share * (1.0 - share) * _velocity(track, index + 1)
+    else:
+        eased = {"linear": share, "ease-in": share * share, "ease-out": share * (2.0 - share)}[key.easing]
+        value = begin + eased * (end - begin)
+    value.setflags(write=False)
+    return value
+
+
+def _velocity(track: Sequence[tuple[Key, np.ndarray]], index: int) -> np.ndarray | float:
+    """What a smooth way has at a key; see `state_at`."""
+    if index in (0, len(track) - 1):
+        return 0.0
+    (before, one), (key, value), (after, two) = track[index - 1 : index + 2]
+    if "hold" in (before.easing, key.easing) or before.time == key.time or key.time == after.time:
+        return 0.0
+    if np.array_equal(one, value) or np.array_equal(value, two):
+        return 0.0
+    return (two - one) / (after.time - before.time)
+
+
+def _view_at(track: Sequence[tuple[Key, np.ndarray]], time: float) -> View:
+    """The view at a time. Where the way leads through one that shows nothing, the earlier key's direction is kept."""
+    place = bisect.bisect_right([key.time for key, _ in track], time) - 1
+    value = _value_at(track, time)
+    held = track[max(place, 0)][0].view
+    assert held is not None
+    if value is track[max(place, 0)][1]:
+        return held
+    eye, target, up, fov = value[:3], value[3:6], value[6:9], float(value[9])
+    length = float(np.linalg.norm(up))
+    up = up / length if length > 1e-9 else np.array(held.up)
+    towards = np.subtract(held.target, held.eye)
+    if np.linalg.norm(target - eye) < 1e-6 * np.linalg.norm(towards):
+        target = eye + towards
+    return View(_triple(eye), _triple(target), _triple(up), min(max(fov, LEAST_FOV), LARGEST_FOV))
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
