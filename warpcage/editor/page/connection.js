@@ -144,7 +144,8 @@ function onLost() {
   const before = isConnected();
   socket = null;
   waiting = null;
-  for (const { reject } of replies.values()) reject(new Error("The connection was lost before the server answered."));
+  const error = new Error("The connection was lost before the server answered.");
+  for (const { reject } of replies.values()) reject(Object.assign(error, { isLost: true }));
   replies.clear();
   store.setStatus({ connected: false, attempts: store.status.attempts + 1 });
   if (before) emit("lost");

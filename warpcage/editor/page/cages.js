@@ -1,0 +1,133 @@
+// The cages and the selection as the page has them now, which may be ahead of the server while the hand moves them.
+
+import { store } from "./store.js";
+import { send, when } from "./connection.js";
+import { makeTopology } from "./topology.js";
+import { bounds, distance } from "./vectors.js";
+
+/** id -> {id, name, kind, visible, faces, topology, rest, posed, size}; faces and points are flat. */
+export const cages = new Map();
+const listeners = [];
+let held = null; // {id, places}: the hand moves this edit's places (name), the server's are kept for later
+let chosen = { of: null, vertices: new Set() };
+let active = { edit: null, vertex: -1 }; // the vertex that was picked last
+
+/** Calls listener() whenever cages or selection change. */
+export const whenChanged = (listener) => listeners.push(listener);
+const changed = () => listeners.forEach((listener) => listener());
+
+/** Which places are edited and shown: "posed" or "rest". */
+export const placesName = () => (store.sections.settings?.mode === "rest" ? "rest" : "posed");
+
+/** The flat vertices of a cage that are edited and shown. */
+export const places = (cage) => cage[placesName()];
+
+export const visibleCages = () => [...cages.values()].filter((cage) => cage.visible);
+
+/** The edit that is worked on, or null. */
+export const activeCage = () => cages.get(store.sections.selection?.edit) ?? null;
+
+/** The selected vertices of the active edit, as a set. */
+export function selected() {
+  const content = store.sections.selection;
+  if (chosen.of !== content) chosen = { of: content, vertices: new Set(content?.vertices ?? []) };
+  return chosen.vertices;
+}
+
+export const pickMode = () => store.sections.selection?.mode ?? "vertex";
+
+/** The active vertex of the active edit; -1 where there is none. */
+export const activeVertex = () => (active.edit === activeCage()?.id && selected().has(active.vertex) ? active.vertex : -1);
+
+/** Selects vertices of an edit at once, and tells the server. */
+export function select(edit, vertices, { mode = pickMode(), active: vertex = active.vertex } = {}) {
+  const numbers = [...vertices].sort((a, b) => a - b);
+  active = { edit, vertex };
+  const before = store.sections.selection;
+  const isSame = before?.edit === edit && before.mode === mode && String(before.vertices) === String(numbers);
+  if (isSame) return changed();
+  store.set("selection", { edit, mode, vertices: numbers });
+  send({ do: "select", edit, mode, vertices: numbers });
+}
+
+/** A cage whose places the hand has changed. */
+export function setPlaces(cage, name, points) {
+  cage[name] = points;
+  changed();
+}
+
+/** Keeps the server from changing these places of an edit until `release`. */
+export function hold(id, name) {
+  held = { id, name, heard: null };
+}
+
+/** Lets the server change them again; takes what it sent since `expectAnswer`, if anything. */
+export function release() {
+  const { id, name, heard } = held ?? {};
+  held = null;
+  const cage = cages.get(id);
+  if (cage && heard?.length === cage[name].length) setPlaces(cage, name, heard);
+}
+
+/** Lets the server change them again, and takes back what the hand did. */
+export function giveUp() {
+  held = null;
+  take(store.sections.edits ?? []);
+  changed();
+}
+
+/** Forgets what the server sent while the hand moved: what comes from now on answers the hand. */
+export function expectAnswer() {
+  if (held) held.heard = null;
+}
+
+export const isHeld = (id) => held?.id === id;
+
+/** Whether two lists of points are equal but for rounding. */
+export function areEqual(a, b, scale) {
+  return a.length === b.length && a.every((value, i) => Math.abs(value - b[i]) <= 1e-9 * scale);
+}
+
+function sameFaces(cage, faces) {
+  return cage.faces.length === 3 * faces.length && faces.every((face, f) => face.every((v, k) => v === cage.faces[3 * f + k]));
+}
+
+function take(edits) {
+  const gone = new Set(cages.keys());
+  for (const edit of edits) {
+    gone.delete(edit.id);
+    const before = cages.get(edit.id);
+    const cage = before ?? { id: edit.id };
+    if (!before || before.rest.length !== 3 * edit.rest.length || !sameFaces(before, edit.faces)) {
+      cage.faces = Int32Array.from(edit.faces.flat());
+      cage.topology = makeTopology(cage.faces, edit.rest.length);
+    }
+    Object.assign(cage, { name: edit.name, kind: edit.kind, visible: edit.visible });
+    for (const name of ["rest", "posed"]) {
+      const points = Float64Array.from(edit[name].flat());
+      const isKept = held?.id === edit.id && held.name === name && cage[name]?.length === points.length;
+      if (isKept) held.heard = points;
+      else cage[name] = points;
+    }
+    cage.size = distance(...bounds(cage.rest)) || 1;
+    cages.delete(edit.id); // the map's order is the edits' order
+    cages.set(edit.id, cage);
+  }
+  for (const id of gone) cages.delete(id);
+}
+
+store.on("edits", (edits) => {
+  take(edits);
+  changed();
+});
+store.on("selection", changed);
+store.on("settings", changed);
+store.on("check", changed);
+
+when("vertices", (kind, id, points) => {
+  const cage = cages.get(id);
+  const name = kind === 3 ? "rest" : "posed";
+  if (cage?.[name].length !== points.length) return;
+  if (held?.id === id && held.name === name) held.heard = points;
+  else setPlaces(cage, name, points);
+});

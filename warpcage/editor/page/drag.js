@@ -1,0 +1,116 @@
+// A drag of vertices: sent at display rate at most, one step of undo, kept while the connection is broken.
+
+import { ask, isCongested, send, sendVertices, when } from "./connection.js";
+import { areEqual, cages, expectAnswer, giveUp, hold, places, placesName, release, setPlaces } from "./cages.js";
+import { toast } from "./dialogs.js";
+
+const KINDS = { posed: 2, rest: 3 };
+const REMEMBERED = 64; // sent poses that are kept, to know the server's state again after the connection broke
+
+let drag = null; // the drag under way: {cage, name, label, start, now, unsent, sent, broken}
+let orphan = null; // one that ended while there was no connection
+let latest = null; // for latencies: called with (seq, time of the pointer event)
+
+/** Calls latest(seq, time) with each pose that was sent and the time of the pointer event that made it. */
+export const whenSent = (listener) => (latest = listener);
+
+export const isDragging = () => drag !== null;
+
+/** Begins a drag of the active places of a cage. */
+export function begin(cage, label) {
+  const name = placesName();
+  const start = places(cage);
+  drag = { cage: cage.id, name, label, start, now: start, unsent: false, time: 0, sent: [start], broken: false };
+  hold(cage.id, name);
+  drag.broken = !send({ do: "drag.begin", edit: cage.id, label, rest: name === "rest" });
+}
+
+/** Takes the vertices that the hand wants now; they go to the server with the next `flush`. */
+export function update(points, time) {
+  const cage = drag && cages.get(drag.cage);
+  if (!cage || cage[drag.name].length !== points.length) return;
+  Object.assign(drag, { now: points, unsent: true, time });
+  setPlaces(cage, drag.name, points);
+}
+
+/** Sends the newest vertices, once per animation frame, unless older ones still wait in the socket. */
+export function flush(force = false) {
+  if (!drag?.unsent || drag.broken || (isCongested() && !force)) return;
+  const seq = sendVertices(KINDS[drag.name], drag.cage, drag.now);
+  if (!seq) return;
+  drag.unsent = false;
+  drag.sent.push(drag.now);
+  if (drag.sent.length > REMEMBERED) drag.sent.splice(1, 1);
+  latest?.(seq, drag.time);
+}
+
+/** Ends the drag: one step of undo, or none where it is cancelled. */
+export function end(cancel = false) {
+  if (!drag) return;
+  if (cancel) update(drag.start, performance.now());
+  flush(true);
+  const done = drag;
+  drag = null;
+  if (done.broken) {
+    orphan = cancel ? null : done;
+    return;
+  }
+  expectAnswer();
+  settle(ask({ do: "drag.end", edit: done.cage, cancel }), cancel ? null : done);
+}
+
+/** Waits for the server's answer to what the hand did: it stays, or goes back with the error shown. */
+function settle(promise, done) {
+  promise.then(release, (error) => {
+    if (error.isLost) {
+      orphan = done;
+      return;
+    }
+    giveUp();
+    toast(error.message, "error");
+  });
+}
+
+/** Whether the server has what the drag began with or a pose that it was sent: nobody else has changed it. */
+function isOurs(old, points, scale) {
+  return old.sent.some((sent) => areEqual(sent, points, scale));
+}
+
+when("lost", () => {
+  if (drag) drag.broken = true;
+});
+
+// While the connection was broken, `hold` kept the hand's places, and the server's have just arrived beneath them.
+when("hello", (message) => {
+  const old = drag ?? orphan;
+  if (!old) {
+    release();
+    return;
+  }
+  const edit = message.sections.edits?.find(({ id }) => id === old.cage);
+  const cage = cages.get(old.cage);
+  const theirs = edit && Float64Array.from(edit[old.name].flat());
+  if (!cage || !isOurs(old, theirs, cage.size)) {
+    drag = orphan = null;
+    giveUp();
+    toast("This cage was changed elsewhere while there was no connection; your last drag was left out.", "warning");
+    return;
+  }
+  const begun = { do: "drag.begin", edit: old.cage, label: old.label, rest: old.name === "rest" };
+  if (drag) {
+    drag.broken = false;
+    drag.unsent = true;
+    send(begun);
+    return;
+  }
+  orphan = null;
+  expectAnswer();
+  if (old.name === "posed") {
+    const vertices = Array.from({ length: old.now.length / 3 }, (_, i) => [...old.now.subarray(3 * i, 3 * i + 3)]);
+    settle(ask({ do: "pose.set", edit: old.cage, vertices, label: old.label }), old);
+  } else {
+    send(begun);
+    sendVertices(KINDS.rest, old.cage, old.now);
+    settle(ask({ do: "drag.end", edit: old.cage, cancel: false }), old);
+  }
+});
