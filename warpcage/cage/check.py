@@ -169,12 +169,34 @@ def check_pose(rest: ClosedMesh, pose: ClosedMesh) -> PoseReport:
     if problem:
         return PoseReport(0, ratio, 0.0, 0.0, 0.0, 0.0, folds, problem)
 
-    points, step = _grid(pose), _DIFFERENCE * pose.size
+    count, inverted, outside, stretch = sample_pose(rest, pose)
+    return PoseReport(
+        sample_count=count, volume_ratio=ratio, inverted_share=inverted, outside_share=outside,
+        least_stretch=stretch[0], largest_stretch=stretch[1], intersecting_faces=folds, problem=problem,
+    )  # fmt: skip
+
+
+def sample_pose(
+    rest: ClosedMesh, pose: ClosedMesh, samples: int = _SAMPLES
+) -> tuple[int, float, float, tuple[float, float]]:
+    """What the map posed -> rest does at samples inside the posed cage; see `check_pose`.
+
+    Args:
+        rest: The cage, usable.
+        pose: The same faces in another pose, usable.
+        samples: About how many samples are taken.
+
+    Returns:
+        Number of samples, share of them where the map folds over, share of them that it sends out of the rest cage, and
+        least and largest stretch. Shares are 0 and stretches 1 where no sample fits into the cage.
+    """
+    points, step = _grid(pose, samples), _DIFFERENCE * pose.size
+    points = points[inside_mesh(points, pose)]
     offsets: np.ndarray = np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
     stencil = points[:, None] + offsets
-    stencil = stencil[inside_mesh(stencil.reshape(-1, 3), pose).reshape(-1, 4).all(axis=1)]
+    stencil = stencil[inside_mesh(stencil[:, 1:].reshape(-1, 3), pose).reshape(-1, 3).all(axis=1)]
     if not len(stencil):
-        return PoseReport(0, ratio, 0.0, 0.0, 1.0, 1.0, folds, problem)
+        return 0, 0.0, 0.0, (1.0, 1.0)
     mapped = deform_points(stencil.reshape(-1, 3), pose, rest, coordinates="mean_value")
     assert isinstance(mapped, np.ndarray)  # as the points are
     mapped = mapped.reshape(-1, 4, 3)
@@ -182,18 +204,14 @@ def check_pose(rest: ClosedMesh, pose: ClosedMesh) -> PoseReport:
     inverted = np.linalg.det(jacobian) <= 0.0
     singular = np.linalg.svd(jacobian[~inverted], compute_uv=False)
     stretch = 1.0 / np.clip(singular, 1e-6, 1e6) if len(singular) else np.zeros((1, 3))
-    return PoseReport(
-        sample_count=len(stencil), volume_ratio=ratio, inverted_share=float(inverted.mean()),
-        outside_share=float(np.mean(~inside_mesh(mapped[:, 0], rest))),
-        least_stretch=float(stretch.min()), largest_stretch=float(stretch.max()),
-        intersecting_faces=folds, problem=problem,
-    )  # fmt: skip
+    outside = float(np.mean(~inside_mesh(mapped[:, 0], rest)))
+    return len(stencil), float(inverted.mean()), outside, (float(stretch.min()), float(stretch.max()))
 
 
-def _grid(cage: ClosedMesh) -> np.ndarray:
-    """Points (n, 3) of a grid over the cage's bounding box, off its planes of symmetry."""
+def _grid(cage: ClosedMesh, samples: int) -> np.ndarray:
+    """Points (n, 3) of a grid over the cage's bounding box, off its planes of symmetry, about `samples` in the cage."""
     lower, upper = cage.bounds
-    spacing = (cage.volume / _SAMPLES) ** (1.0 / 3.0)
+    spacing = (cage.volume / samples) ** (1.0 / 3.0)
     axes = [
         np.arange(low + 0.37 * min(spacing, high - low), high, spacing) for low, high in zip(lower, upper, strict=True)
     ]

@@ -1,0 +1,221 @@
+"""The live check of an edit: whether its cages can be used, what folds and crosses, and what the cage cuts through."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import threading
+import weakref
+from typing import Any
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..cage.check import sample_pose
+from ..field.selection import visible_mask
+from ..field.voxel_field import VoxelField
+from ..mesh.containment import inside_mesh
+from ..mesh.faces import column_cross, column_dot, face_edges
+from ..mesh.intersections import intersecting_faces
+from ..mesh.usable import first_problem
+from .document import Document, Edit
+
+#: About how many samples of the map are taken in a posed cage, and of the visible nodes for the share inside: fewer
+#: than `Cage.check` takes, so that a check ends while the hand still rests.
+POSE_SAMPLES, NODE_SAMPLES = 300, 2000
+
+#: Points on all faces of a cage at most, at which it is asked whether matter passes through.
+FACE_SAMPLES = 40_000
+
+#: Distance of those points from their face, outward, in voxels.
+FACE_DISTANCE = 0.5
+
+#: Rest cages whose answers are kept: they stay the same while a pose is dragged.
+KEPT = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class RestFindings:
+    """What is known of a cage at rest.
+
+    Args:
+        problem: What makes it unusable; empty for a usable cage.
+        crossing: (k, 2) pairs of faces that pass through each other.
+        leaking: (k,) faces that visible matter passes through.
+        inside_share: Share of the visible nodes that is inside. None for an unusable cage, or where nothing is visible.
+    """
+
+    problem: str
+    crossing: np.ndarray
+    leaking: np.ndarray
+    inside_share: float | None
+
+
+class Inspector:
+    """Checks edits in one field. Any thread may use it, one at a time.
+
+    Args:
+        field: The radiance field.
+    """
+
+    def __init__(self, field: VoxelField):
+        self._mask = visible_mask(field)
+        self._lower, self._side = np.array(field.bounds[0]), np.array(field.voxel_size)
+        nodes = np.argwhere(self._mask)
+        chosen = np.random.default_rng(0).permutation(len(nodes))[:NODE_SAMPLES]
+        self._nodes = self._lower + (nodes[chosen] + 0.5) * self._side
+        self._known: collections.OrderedDict[tuple[bytes, bytes], RestFindings] = collections.OrderedDict()
+        self._lock = threading.Lock()
+
+    def rest(self, edit: Edit) -> RestFindings:
+        """What is known of the rest cage of an edit.
+
+        Args:
+            edit: The edit.
+
+        Returns:
+            The findings, from before where the cage was looked at already.
+        """
+        key = (edit.rest.tobytes(), edit.faces.tobytes())
+        with self._lock:
+            if key not in self._known:
+                self._known[key] = self._examined(edit.rest_cage)
+            self._known.move_to_end(key)
+            while len(self._known) > KEPT:
+                self._known.popitem(last=False)
+            return self._known[key]
+
+    def _examined(self, cage: Cage) -> RestFindings:
+        problem = first_problem(cage)
+        crossing = intersecting_faces(cage.vertices, cage.faces)
+        share = None
+        if not problem and len(self._nodes):
+            share = float(inside_mesh(self._nodes, cage).mean())
+        return RestFindings(problem, crossing, self.leaking_faces(cage), share)
+
+    def leaking_faces(self, cage: Cage) -> np.ndarray:
+        """The faces that visible matter passes through: there is some right outside of them.
+
+        Args:
+            cage: A cage at rest.
+
+        Returns:
+            (k,) numbers of faces, ascending.
+        """
+        edges = face_edges(cage)
+        normals = column_cross(*edges)
+        double_area = np.sqrt(column_dot(normals, normals))
+        voxel = float(self._side.min())
+        # a grid on each face, as fine as the voxels or as the number of points allows
+        spacing = max(voxel, np.sqrt(0.5 * double_area.sum() / FACE_SAMPLES))
+        counts = np.ceil(np.sqrt(double_area) / spacing).astype(int).clip(1, 400)
+        leaking = []
+        for count in np.unique(counts):
+            faces = np.flatnonzero((counts == count) & (double_area > 0.0))
+            i, j = np.nonzero(np.tri(count, dtype=bool)[::-1])
+            across, along = (i + 1 / 3) / count, (j + 1 / 3) / count
+            normal = (normals[:, faces] / double_area[faces]).T
+            corner = cage.vertices[cage.faces[faces, 0]] + FACE_DISTANCE * voxel * normal
+            one, two = (edge[:, faces].T[:, None] for edge in edges)
+            points = corner[:, None] + across[:, None] * one + along[:, None] * two
+            leaking.append(faces[self._visible(points).any(axis=1)])
+        return np.sort(np.concatenate(leaking))
+
+    def _visible(self, points: np.ndarray) -> np.ndarray:
+        """Whether the voxels that points (..., 3) lie in can be seen; not where they lie in none."""
+        cells = np.floor((points - self._lower) / self._side)
+        there = ((cells >= 0) & (cells < self._mask.shape)).all(axis=-1)
+        cells = np.where(np.expand_dims(there, -1), cells, 0).astype(np.int64)
+        return np.logical_and(there, self._mask[tuple(np.moveaxis(cells, -1, 0))])
+
+
+_inspectors: weakref.WeakKeyDictionary[VoxelField, Inspector] = weakref.WeakKeyDictionary()
+
+
+def inspector(field: VoxelField) -> Inspector:
+    """The inspector of a field, made once; it knows which of the field's voxels can be seen.
+
+    Args:
+        field: The radiance field.
+
+    Returns:
+        The inspector.
+    """
+    if field not in _inspectors:
+        _inspectors[field] = Inspector(field)
+    return _inspectors[field]
+
+
+def inspect(document: Document, number: int, field: VoxelField) -> dict[str, Any]:
+    """Check an edit, as pages show it.
+
+    The map is sampled by mean value coordinates at a few hundred places; `Cage.check` looks closer.
+
+    Args:
+        document: The document.
+        number: Number of the edit.
+        field: The radiance field.
+
+    Returns:
+        The section `check`: edit, pending (False), problem (empty for cages that can be used), crossing_faces (of the
+        cage that is edited), folded_share and outside_share (of the posed cage's inside), leaking_faces (of the rest
+        cage), inside_share (of what is visible, or None) and lines, sentences for people.
+
+    Raises:
+        ValueError: If there is no such edit.
+    """
+    edit = document.edit(number)
+    known = inspector(field).rest(edit)
+    rest_only = document.settings.mode == "rest" or edit.kind == "remove"
+    problem = f"The cage at rest {known.problem}" if known.problem else ""
+    crossing, folded, outside = known.crossing, 0.0, 0.0
+    if not rest_only:
+        rest = edit.rest_cage
+        pose = rest.with_vertices(edit.posed)
+        at_rest = np.array_equal(edit.posed, edit.rest)
+        crossing = known.crossing if at_rest else intersecting_faces(edit.posed, edit.faces)
+        if not problem and not at_rest:
+            trouble = first_problem(pose)
+            problem = f"The posed cage {trouble}" if trouble else ""
+            if not problem:
+                _, folded, outside, _ = sample_pose(rest, pose, POSE_SAMPLES)
+    crossing_faces = np.unique(crossing).tolist()
+    leaking = known.leaking.tolist()
+    return {
+        "edit": number,
+        "pending": False,
+        "problem": problem,
+        "crossing_faces": crossing_faces,
+        "folded_share": folded,
+        "leaking_faces": leaking,
+        "outside_share": outside,
+        "inside_share": known.inside_share,
+        "lines": _lines(problem, len(crossing_faces), folded, outside, len(leaking), known.inside_share),
+    }
+
+
+def _lines(
+    problem: str, crossing: int, folded: float, outside: float, leaking: int, inside_share: float | None
+) -> list[str]:
+    """What was found, as sentences that say what to do."""
+    lines = []
+    if problem:
+        lines.append(f"{problem}. The picture stays as it was until this is mended.")
+    if crossing:
+        lines.append(f"{crossing} faces pass through each other. The picture may tear there: move them apart.")
+    if folded:
+        lines.append(f"{_percent(folded)} of the posed cage is turned inside out. Move, turn or twist it less there.")
+    if outside:
+        lines.append(f"{_percent(outside)} of the posed cage stays empty, as it leads out of the cage at rest.")
+    if leaking:
+        faces = "1 face of the cage at rest cuts" if leaking == 1 else f"{leaking} faces of the cage at rest cut"
+        lines.append(f"{faces} through what is visible. Move them outward, unless the cut is meant.")
+    if inside_share == 0.0:
+        lines.append("Nothing visible is inside this cage: it moves nothing.")
+    elif inside_share is not None and inside_share < 1.0:
+        lines.append(f"{_percent(1.0 - inside_share)} of what is visible is outside this cage and stays where it is.")
+    return lines or ["All is well: the cage holds all that is visible, and nothing folds."]
+
+
+def _percent(share: float) -> str:
+    return "Less than 1 %" if share < 0.01 else f"{100 * share:.0f} %"
