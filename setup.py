@@ -6,7 +6,15 @@ from setuptools import find_packages, setup
 # the one version number, read as text: importing the package would need its dependencies
 VERSION = re.search(r'^__version__ = "(.+)"$', pathlib.Path("warpcage/__init__.py").read_text("utf-8"), re.MULTILINE)[1]
 
+EDIT = [
+    "aiohttp>=3.10",  # the server of the page and its WebSockets
+    "simplejpeg>=1.7",  # pictures to the page: libjpeg-turbo without the lock of the interpreter
+    "platformdirs>=4.0",  # where the demo is kept
+]
+
 TEST = [
+    *EDIT,
+    "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
     "pytest>=8.0",
     "pytest-xdist>=3.6",  # over all cores
     "hypothesis>=6.100",
@@ -34,7 +42,7 @@ setup(
         *(f"warpcage.kernels.{room}" for room in find_packages("kernels")),
     ],
     package_dir={"warpcage": "warpcage", "warpcage.kernels": "kernels"},
-    package_data={"warpcage": ["py.typed", "__init__.pyi"]},
+    package_data={"warpcage": ["py.typed", "__init__.pyi"], "warpcage.editor": ["page/*"]},
     install_requires=[
         "warp-lang>=1.19",
         "numpy>=1.26",
@@ -46,7 +54,7 @@ setup(
         "scipy>=1.11",
         "tqdm>=4.66",
     ],
-    extras_require={"test": TEST, "dev": DEV},
+    extras_require={"edit": EDIT, "test": TEST, "dev": DEV},
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[
         "Programming Language :: Python :: 3",

@@ -10,6 +10,7 @@ from .coordinates.weights import mean_value_coordinates as mean_value_coordinate
 from .deform.bake import bake as bake
 from .deform.deformer import Deformer as Deformer
 from .deform.edits import CageEdit as CageEdit
+from .editor.edit import edit as edit
 from .field.selection import NodeSelection as NodeSelection
 from .field.selection import select_nodes as select_nodes
 from .field.voxel_field import VoxelField as VoxelField
@@ -43,6 +44,7 @@ __all__ = [
     "VoxelField",
     "bake",
     "deform_points",
+    "edit",
     "evaluate",
     "fit",
     "green_coordinates",

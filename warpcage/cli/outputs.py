@@ -3,83 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
-import numpy as np
-
-from ..cage.cage import Cage
-from ..view.camera import Camera
-from ..view.frame import Frame
-from ..view.overlay import draw_cage
-from ..view.pictures import colour_disparity, disparity_range
-
-#: Mask -> its colour in the picture, and what a warning says of the share that it marks.
-MASKS = {
-    "fold": ((0.9, 0.1, 0.1), "folds over (the map turns inside out; red)"),
-    "reveal": ((0.1, 0.3, 0.9), "shows what a moved cage uncovered, which no camera may have seen (blue)"),
-    "outside": ((0.95, 0.75, 0.1), "lost samples that the map sends out of the rest cage (yellow)"),
-}
-
-#: A pixel counts as marked from this value on: opacity that folds or was uncovered, or number of samples lost.
-MASK_LEVEL = {"fold": 0.1, "reveal": 0.1, "outside": 1.0}
-
-
-def picture(
-    frame: Frame,
-    kind: str,
-    camera: Camera | None = None,
-    cage: Cage | None = None,
-    scale: tuple[float, float] | None = None,
-) -> np.ndarray:
-    """A picture of one part of a frame.
-
-    Args:
-        frame: The frame.
-        kind: One of `options.PICTURE_KINDS`.
-        camera: The camera of the frame, needed with a cage.
-        cage: Its edges are drawn over the picture. None draws none.
-        scale: Low and high disparity of depth and disparity pictures. None is the range of this frame.
-
-    Returns:
-        (h, w, 3) or (h, w) float in [0, 1].
-    """
-    if kind == "alpha":
-        shown = frame.alpha
-    elif kind == "disparity":
-        shown = colour_disparity(frame.disparity, alpha=frame.alpha, scale=scale)
-    elif kind == "depth":
-        low, high = disparity_range(frame.disparity) if scale is None else scale
-        near, far = 1.0 / high, 1.0 / max(low, 0.05 * high)
-        seen = np.where(np.isfinite(frame.depth), frame.depth, far)
-        shown = frame.alpha * (1.0 - 0.85 * np.clip((seen - near) / max(far - near, 1e-12), 0.0, 1.0))
-    else:
-        shown = mask_picture(frame) if kind == "masks" else frame.rgb
-    if cage is None:
-        return shown
-    assert camera is not None
-    if shown.ndim == 2:
-        shown = np.repeat(shown[..., None], 3, axis=-1)
-    return draw_cage(np.clip(shown, 0.0, 1.0).astype(np.float32), camera, cage)
-
-
-def mask_picture(frame: Frame) -> np.ndarray:
-    """(h, w, 3) float32, the frame in grey with its masks in colour over it."""
-    shown = np.repeat(0.35 + 0.65 * frame.rgb.mean(axis=-1, keepdims=True), 3, axis=-1)
-    for name, (colour, _) in MASKS.items():
-        values = getattr(frame, name)
-        if values is not None:
-            share = 0.8 * np.clip(values / (5.0 if name == "outside" else 1.0), 0.0, 1.0)[..., None]
-            shown = (1.0 - share) * shown + share * np.array(colour)
-    return shown.astype(np.float32)
-
-
-def mask_shares(frame: Frame) -> dict[str, float]:
-    """Share of the pixels that each mask marks. The frame of a field that is not deformed has no masks."""
-    return {
-        name: float((values >= MASK_LEVEL[name]).mean())
-        for name, values in ((name, getattr(frame, name)) for name in MASKS)
-        if values is not None
-    }
+from ..view.frame_parts import MASKS
+from ..view.frame_parts import disparity_scale as disparity_scale
+from ..view.frame_parts import mask_shares as mask_shares
+from ..view.frame_parts import picture as picture
 
 
 def warn_of_masks(shares: dict[str, float], where: str = "the picture") -> None:
@@ -87,9 +15,3 @@ def warn_of_masks(shares: dict[str, float], where: str = "the picture") -> None:
     for name, share in shares.items():
         if share > 0:
             print(f"warpcage: warning: {100 * share:.2f} % of {where} {MASKS[name][1]}", file=sys.stderr)
-
-
-def disparity_scale(frames: Sequence[Frame]) -> tuple[float, float]:
-    """Low and high disparity for the frames of a film, such that a few outliers do not matter."""
-    # faint pixels have a disparity too, which must not count
-    return disparity_range(np.stack([np.where(frame.alpha > 0.5, frame.disparity, 0.0) for frame in frames]))

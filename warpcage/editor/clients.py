@@ -1,0 +1,155 @@
+"""Client: one page that is connected. What it is sent waits here, and old frames are left out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import struct
+import time
+from typing import Any
+
+import numpy as np
+from aiohttp import WSCloseCode, web
+
+#: Frames that may be on their way to a page.
+FRAMES_UNDER_WAY = 2
+
+#: A page that has not said for this long that it saw a frame gets the next one all the same, seconds.
+PATIENCE = 2.0
+
+#: Messages and bytes per second that are taken of a page, and those that may come at once.
+MESSAGE_RATE, MESSAGE_BURST = 300.0, 600.0
+BYTE_RATE, BYTE_BURST = 20e6, 40e6
+
+#: Messages in a row that nothing can be made of, until the page is let go.
+MAX_MISTAKES = 50
+
+#: Vertices of a message: kind, sequence number, edit and count, little-endian.
+VERTICES = struct.Struct("<4I")
+
+
+class Client:
+    """A connected page.
+
+    Args:
+        number: Its number.
+        socket: Its WebSocket.
+
+    Attributes:
+        number: As given.
+        size: Width and height of its viewport in pixels, or None.
+        sequence: Number of its newest pose or view.
+    """
+
+    def __init__(self, number: int, socket: web.WebSocketResponse):
+        self.number, self.size, self.sequence = number, None, 0
+        self.mistakes = 0
+        self._socket = socket
+        self._sections: dict[str, Any] = {}
+        self._texts: list[str] = []
+        self._vertices: dict[tuple[int, int], bytes] = {}
+        self._frame: tuple[int, bytes] | None = None
+        self._sent_frames: dict[int, float] = {}
+        self._news = asyncio.Event()
+        self._allowed = {"messages": MESSAGE_BURST, "bytes": BYTE_BURST}
+        self._counted = time.monotonic()
+
+    # -- To the page
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Send a message."""
+        self._texts.append(json.dumps(message))
+        self._news.set()
+
+    def tell_sections(self, sections: dict[str, Any]) -> None:
+        """Send sections. Where some wait already, the newer ones take their place."""
+        self._sections.update(sections)
+        self._news.set()
+
+    def tell_vertices(self, kind: int, edit: int, vertices: np.ndarray) -> None:
+        """Send where an edit's vertices are. Where some wait already, the newer ones take their place."""
+        head = VERTICES.pack(kind, 0, edit, len(vertices))
+        self._vertices[kind, edit] = head + np.ascontiguousarray(vertices, "<f8").tobytes()
+        self._news.set()
+
+    def show(self, number: int, message: bytes) -> None:
+        """Send a frame, once there are few enough on their way. A frame that waits is left out for a newer one."""
+        self._frame = (number, message)
+        self._news.set()
+
+    def saw(self, number: int) -> None:
+        """The page has shown a frame, and all before it."""
+        self._sent_frames = {frame: when for frame, when in self._sent_frames.items() if frame > number}
+        self._news.set()
+
+    async def end(self) -> None:
+        """Say goodbye: the server ends."""
+        await self._socket.close(code=WSCloseCode.GOING_AWAY, message=b"the editor was closed")
+
+    async def write(self) -> None:
+        """Send what waits, until the connection ends."""
+        with contextlib.suppress(ConnectionError, RuntimeError):
+            while not self._socket.closed:
+                with contextlib.suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(self._news.wait(), PATIENCE)
+                self._news.clear()
+                await self._write_all()
+
+    async def _write_all(self) -> None:
+        texts, self._texts = self._texts, []
+        sections, self._sections = self._sections, {}
+        vertices, self._vertices = self._vertices, {}
+        if sections:
+            await self._socket.send_str(json.dumps({"type": "state", "sections": sections}))
+        for text in texts:
+            await self._socket.send_str(text)
+        for message in vertices.values():
+            await self._socket.send_bytes(message)
+        now = time.monotonic()
+        self._sent_frames = {frame: when for frame, when in self._sent_frames.items() if now - when < PATIENCE}
+        if self._frame is not None and len(self._sent_frames) < FRAMES_UNDER_WAY:
+            (number, message), self._frame = self._frame, None
+            self._sent_frames[number] = now
+            await self._socket.send_bytes(message)
+
+    # -- From the page
+
+    async def keep_pace(self, size: int) -> None:
+        """Count a message of so many bytes; wait where a page sends more than a hand can. TCP then holds it back."""
+        now = time.monotonic()
+        passed, self._counted = now - self._counted, now
+        for name, rate, burst, used in (
+            ("messages", MESSAGE_RATE, MESSAGE_BURST, 1.0),
+            ("bytes", BYTE_RATE, BYTE_BURST, float(size)),
+        ):
+            self._allowed[name] = min(burst, self._allowed[name] + rate * passed) - used
+            if self._allowed[name] < 0.0:
+                await asyncio.sleep(-self._allowed[name] / rate)
+
+    async def mistake(self, text: str) -> None:
+        """Say what is wrong with a message; after too many in a row let the page go."""
+        self.mistakes += 1
+        self.tell({"type": "notice", "level": "error", "text": text})
+        if self.mistakes >= MAX_MISTAKES:
+            await self._socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too many messages make no sense")
+
+
+def unpacked_vertices(message: bytes) -> tuple[int, int, int, np.ndarray]:
+    """The parts of a page's vertices.
+
+    Args:
+        message: As `VERTICES` and float64 (count, 3), little-endian.
+
+    Returns:
+        Kind (2 posed, 3 at rest), sequence number, edit, and vertices (count, 3).
+
+    Raises:
+        ValueError: For a message of another form.
+    """
+    if len(message) < VERTICES.size:
+        raise ValueError(f"a message of {len(message)} bytes is too short for vertices")
+    kind, sequence, edit, count = VERTICES.unpack_from(message)
+    if kind not in (2, 3) or len(message) != VERTICES.size + 24 * count:
+        raise ValueError(f"a message of kind {kind} with {len(message)} bytes holds no {count} vertices")
+    return kind, sequence, edit, np.frombuffer(message, "<f8", offset=VERTICES.size).reshape(count, 3)

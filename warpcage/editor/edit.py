@@ -1,0 +1,166 @@
+"""The editor as callers see it: a page for a field and its cages, served from a thread."""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import pathlib
+import threading
+from collections.abc import Sequence
+
+from ..cage.cage import Cage
+from ..core.checks import require_type
+from ..core.files import PathLike
+from ..field.voxel_field import VoxelField
+from .document import Document
+from .session import Session, new_document
+from .session_file import read_session, session_path
+
+#: Cells of a new session's lattices along the longest side of a cage, on a CPU and on CUDA.
+RESOLUTION_CPU, RESOLUTION_CUDA = 64, 128
+
+
+class Editor:
+    """A running editor. Use it in a `with` block, or call `close`.
+
+    In a notebook the object shows the page.
+
+    Args:
+        session: What is edited.
+        folder: Files that pages may load and that they make lie here.
+        host: Address to listen on.
+        port: Port to listen on; 0 takes a free one.
+        allowed_hosts: Further host names under which pages may come.
+
+    Raises:
+        OSError: If the port is taken, or the address is not this machine's.
+        ImportError: If what `pip install warpcage[edit]` brings is not there.
+
+    Attributes:
+        url: Address of the page, with the word that lets one in.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        folder: pathlib.Path,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        allowed_hosts: Sequence[str] = (),
+    ):
+        try:
+            import aiohttp  # noqa: F401
+            import simplejpeg  # noqa: F401
+        except ImportError as error:
+            raise ImportError(f"the editor needs {error.name}: pip install 'warpcage[edit]'") from None
+        from .server import Server
+
+        self._session = session
+        self._loop = asyncio.new_event_loop()
+        self._server = Server(session, folder, host, port, tuple(allowed_hosts))
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="warpcage-editor", daemon=True)
+        self._thread.start()
+        try:
+            self.url = asyncio.run_coroutine_threadsafe(self._server.start(), self._loop).result()
+        except BaseException:
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join()
+            raise
+
+    @property
+    def document(self) -> Document:
+        """What is edited, as it is now. It never changes; look again for what comes later."""
+        return self._session.document
+
+    @property
+    def posed(self) -> list[Cage]:
+        """The posed cages, one per edit."""
+        return [edit.posed_cage for edit in self.document.edits]
+
+    def wait(self) -> None:
+        """Wait until the editor is closed, or the program is interrupted."""
+        while not self._closed.wait(0.2):
+            pass
+
+    def close(self) -> None:
+        """Save the session and end the server. Calling it again does nothing."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        asyncio.run_coroutine_threadsafe(self._server.stop(), self._loop).result()
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def __enter__(self) -> Editor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"Editor({self.url!r})" if not self._closed.is_set() else "Editor(closed)"
+
+    def _repr_html_(self) -> str:
+        """The page in a notebook's cell."""
+        if self._closed.is_set():
+            return "<p>This editor was closed.</p>"
+        address = html.escape(self.url.replace("127.0.0.1", "localhost"))
+        return f'<iframe src="{address}" width="100%" height="720" style="border:0" allow="fullscreen"></iframe>'
+
+
+def edit(
+    field: VoxelField | PathLike,
+    cage: Cage | Sequence[Cage] | None = None,
+    *,
+    session: PathLike | None = None,
+    field_name: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    allowed_hosts: Sequence[str] = (),
+) -> Editor:
+    """Open the editor: a page in which a person poses cages and sees the deformed scene follow.
+
+    Args:
+        field: The field, or its file; then the session is kept beside it, as `NAME.session.json`.
+        cage: The cage at rest, or several, one per edit. None goes on with the session that is there, or begins
+            without a cage.
+        session: The session's file. None is the one beside the field's file; a field from memory is not kept.
+        field_name: What the page calls the field. None is the name of its file.
+        host: Address to listen on. The default is reached from this machine only.
+        port: Port to listen on; 0 takes a free one.
+        allowed_hosts: Further host names under which the page may be opened, such as that of a proxy.
+
+    Returns:
+        The running editor; `url` is its address, `posed` are the posed cages, `close` ends it.
+
+    Raises:
+        FileNotFoundError: If there is no such field.
+        ValueError: For a field or a session that cannot be read, a session that is there while cages are given, or a
+            cage that cannot be used.
+        OSError: If the port is taken.
+        ImportError: If what `pip install warpcage[edit]` brings is not there.
+    """
+    path = None if isinstance(field, VoxelField) else pathlib.Path(field)
+    loaded = field if isinstance(field, VoxelField) else VoxelField.load(field)
+    require_type(loaded, VoxelField, "the editor needs")
+    cages = [] if cage is None else [cage] if isinstance(cage, Cage) else list(cage)
+    kept = session_path(path) if session is None and path is not None else session
+    kept = None if kept is None else pathlib.Path(kept)
+    for number, one in enumerate(cages, start=1):
+        require_type(one, Cage, f"cage {number} of the editor must be")
+        one.require_usable(f"cage {number}")
+    if kept is not None and kept.exists():
+        if cages:
+            raise ValueError(
+                f"{kept} holds a session of this field already: leave the cage out to go on with it, or name another "
+                "file for the session"
+            )
+        document = read_session(kept, loaded)
+    else:
+        resolution = RESOLUTION_CPU if loaded.device.is_cpu else RESOLUTION_CUDA
+        document = new_document(loaded, cages, resolution)
+    folder = kept.parent if kept is not None else pathlib.Path.cwd()
+    held = Session(loaded, document, kept, field_name or (None if path is None else path.name))
+    return Editor(held, folder.resolve(), host, port, allowed_hosts)

@@ -1,0 +1,298 @@
+"""Session: the newest document, its history, who is told of changes, and its file."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import os
+import pathlib
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..core.files import PathLike
+from ..field.voxel_field import VoxelField
+from ..view.camera import framing_orbit
+from . import commands, timeline
+from .document import Document, Edit, Selection, Settings, Timeline, View, edit_json, frozen_vertices, new_edit
+from .history import History
+from .session_file import write_session
+
+#: Parts of the document that pages are told of.
+PARTS = ("edits", "selection", "settings", "view", "timeline")
+
+#: Where a new session looks from, degrees, and its vertical field of view.
+ELEVATION, AZIMUTH, FOV = 25.0, -60.0, 40.0
+
+
+class Session:
+    """What is edited, by one or several pages. All methods are called from one thread, the server's.
+
+    A change is a step of the history (`apply`), or part of a gesture: a drag or a slider that becomes one step when it
+    ends. Views, scrubbing and playing are no steps.
+
+    Args:
+        field: The field.
+        document: The document to begin with.
+        path: The session's file. None keeps nothing.
+        field_name: Name of the field's file, which the session's file repeats.
+
+    Attributes:
+        field: As given.
+        document: The newest document.
+        history: Its history.
+        path: The session's file, or None.
+        saved: When it was saved last, ISO 8601, or None.
+        save_error: Why it could not be saved, or None.
+        listeners: Each is called with the set of the sections that changed; "vertices" stands for those of a gesture.
+    """
+
+    def __init__(
+        self, field: VoxelField, document: Document, path: PathLike | None = None, field_name: str | None = None
+    ):
+        self.field, self.document, self.field_name = field, document, field_name
+        self.path = None if path is None else pathlib.Path(path)
+        self.history = History()
+        self.saved: str | None = None
+        self.save_error: str | None = None
+        self.listeners: list[Callable[[set[str]], None]] = []
+        self._gesture: Gesture | None = None
+        self._on_disk: Document | None = None
+        self._stamp = self._file_stamp()
+
+    # -- Changes
+
+    def run(self, message: dict[str, Any]) -> None:
+        """Carry out a command of `commands`, as one step. Raises ValueError in one line."""
+        self.end_gesture()
+        self.apply(*commands.run_command(self.document, message))
+
+    def apply(self, label: str, document: Document) -> None:
+        """Take a new document as one step of the history."""
+        self.end_gesture()
+        if _same(document, self.document):
+            return
+        self.history.push(label, self.document)
+        self._take(document, {"history"})
+
+    def undo(self) -> str:
+        """Undo a step, or what is under way. Returns its name; raises ValueError where there is none."""
+        self.end_gesture()
+        label, document = self.history.undo(self.document)
+        self._take(document, {"history"})
+        return label
+
+    def redo(self) -> str:
+        """Do an undone step again. Returns its name; raises ValueError where there is none."""
+        self.end_gesture()
+        label, document = self.history.redo(self.document)
+        self._take(document, {"history"})
+        return label
+
+    def look(self, view: View) -> None:
+        """Look from somewhere else."""
+        self._take(dataclasses.replace(self.document, view=view))
+
+    def begin_gesture(self, owner: object, number: int, label: str, chosen: tuple[int, ...] | None = None) -> None:
+        """Begin to move an edit's cage. Another gesture that is under way ends.
+
+        Args:
+            owner: Who moves it; only this owner goes on with the gesture.
+            number: The edit.
+            label: Name of the step.
+            chosen: Vertices that a preset acts on. None for all.
+
+        Raises:
+            ValueError: Where the edit is gone.
+        """
+        self.end_gesture()
+        self._gesture = Gesture(owner, self.document, self.document.edit(number), label, chosen)
+
+    def move(self, owner: object, number: int, vertices: Any, rest: bool = False) -> None:
+        """Move the cage of the gesture: all posed vertices (v, 3), or all at rest. Raises ValueError without one."""
+        gesture = self._gesture_of(owner)
+        if gesture.edit.id != number:
+            raise ValueError(f"edit {number} is not being moved")
+        if rest:
+            gesture.rest = True
+            document = commands.moved_rest(self.document, gesture.edit, vertices)
+        else:
+            edit = self.document.edit(number)
+            places = frozen_vertices(vertices, len(edit.posed))
+            document = self.document.with_edit(dataclasses.replace(edit, posed=places))
+        self._take(document, {"vertices"}, without={"edits"})
+
+    def move_preset(self, owner: object, message: dict[str, Any]) -> None:
+        """Bend, twist, taper or stretch the cage of the gesture, from how it was at the beginning."""
+        gesture = self._gesture_of(owner)
+        vertices = commands.preset_pose(gesture.edit, gesture.chosen, message)
+        gesture.label = str(message["preset"])
+        edit = dataclasses.replace(self.document.edit(gesture.edit.id), posed=vertices)
+        self._take(self.document.with_edit(edit))
+
+    def end_gesture(self, owner: object = None, cancel: bool = False) -> None:
+        """Make a step of the gesture that is under way, or take it back.
+
+        Args:
+            owner: Ends the gesture of this owner alone. None ends any.
+            cancel: Whether to take it back.
+        """
+        gesture = self._gesture
+        if gesture is None or (owner is not None and gesture.owner is not owner):
+            return
+        self._gesture = None
+        if cancel:
+            before = dataclasses.replace(gesture.before, view=self.document.view)
+            self._take(before, {"edits"})
+            return
+        document = commands.moved_keys(self.document, gesture.edit) if gesture.rest else self.document
+        if not _same(document, gesture.before):
+            self.history.push(gesture.label, gesture.before)
+        self._take(document, {"edits", "history"})
+
+    @property
+    def moving(self) -> bool:
+        """Whether a gesture is under way."""
+        return self._gesture is not None
+
+    def scrub(self, time: float) -> None:
+        """Go to a time of the film: poses and camera are those of the keys around it.
+
+        A pose that no key holds would be lost by this; it becomes a step of the history first.
+        """
+        self.end_gesture()
+        here, _ = timeline.state_at(self.document, self.document.time)
+        edits = {edit.id: edit for edit in self.document.edits}
+        if any(number in edits and not np.array_equal(edits[number].posed, pose) for number, pose in here.items()):
+            if not (self.history.undo_steps and _same(self.history.undo_steps[-1][1], self.document)):
+                self.history.push("scrub", self.document)
+        poses, view = timeline.state_at(self.document, time)
+        document = dataclasses.replace(self.document, time=time, view=view or self.document.view)
+        for edit in self.document.edits:
+            if edit.id in poses:
+                posed = frozen_vertices(poses[edit.id], len(edit.rest))
+                document = document.with_edit(dataclasses.replace(edit, posed=posed))
+        self._take(document, {"playback", "vertices", "history"}, without={"edits"})
+
+    def _gesture_of(self, owner: object) -> Gesture:
+        if self._gesture is None or self._gesture.owner is not owner:
+            raise ValueError("nothing is being moved: the step has ended")
+        return self._gesture
+
+    def _take(self, document: Document, more: Iterable[str] = (), without: Iterable[str] = ()) -> None:
+        """Take a document as the newest one and tell listeners what changed."""
+        changed = {part for part in PARTS if getattr(document, part) is not getattr(self.document, part)}
+        if document.time != self.document.time:
+            changed.add("playback")
+        self.document = document
+        changed = (changed - set(without)) | set(more)
+        for listener in self.listeners:
+            listener(changed)
+
+    # -- What pages are told
+
+    def section(self, name: str) -> Any:
+        """One section of the document or the history, as JSON takes it."""
+        document = self.document
+        if name == "edits":
+            return [edit_json(edit) for edit in document.edits]
+        if name == "timeline":
+            film = document.timeline
+            keys = [
+                {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing}
+                | {"pose": key.poses is not None, "camera": key.view is not None}
+                for key in film.keys
+            ]
+            return {"keys": keys, "length": film.length, "fps": film.fps, "loop": film.loop}
+        if name == "history":
+            return self.history.summary()
+        return dataclasses.asdict(getattr(document, name))
+
+    # -- The file
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether the session's file is behind the document."""
+        return self.path is not None and self.document is not self._on_disk
+
+    def save(self, document: Document) -> None:
+        """Write the session's file; called from another thread too. What went wrong is in `save_error`."""
+        assert self.path is not None
+        try:
+            if self._file_stamp() != self._stamp:
+                raise ValueError(f"{self.path.name} was changed by another program: not saved over it")
+            write_session(self.path, document, self.field, self.field_name)
+            self._stamp, self._on_disk, self.save_error = self._file_stamp(), document, None
+            self.saved = datetime.datetime.now().isoformat(timespec="seconds")
+        except (OSError, ValueError, MemoryError) as error:
+            self.save_error = getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+    def _file_stamp(self) -> tuple[int, int] | None:
+        """What tells versions of the session's file apart, None where there is none."""
+        try:
+            status = os.stat(self.path) if self.path is not None else None
+        except OSError:
+            return None
+        return None if status is None else (status.st_mtime_ns, status.st_size)
+
+
+@dataclasses.dataclass
+class Gesture:
+    """A drag or a slider that is being moved.
+
+    Args:
+        owner: Who moves it.
+        before: The document before it.
+        edit: The edit before it.
+        label: Name of the step that it becomes.
+        chosen: Vertices that a preset acts on, None for all.
+        rest: Whether the cage at rest was moved.
+    """
+
+    owner: object
+    before: Document
+    edit: Edit
+    label: str
+    chosen: tuple[int, ...] | None
+    rest: bool = False
+
+
+def new_document(field: VoxelField, cages: Iterable[Cage] = (), resolution: int = 64) -> Document:
+    """The document of a new session.
+
+    Args:
+        field: The field.
+        cages: A cage for each edit.
+        resolution: Cells of the lattices.
+
+    Returns:
+        The document; it looks at the whole field.
+    """
+    edits = tuple(new_edit(number, cage, f"Move {number}") for number, cage in enumerate(cages, start=1))
+    low, high = field.bounds
+    points = np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
+    up = np.asarray(field.up, np.float64)
+    camera = framing_orbit(points, 1, up=up, elevation_degrees=ELEVATION, start_degrees=AZIMUTH, fov_degrees=FOV)[0]
+    target = (low + high) / 2
+    view = View(*(tuple(map(float, vector)) for vector in (camera.centre, target, up / np.linalg.norm(up))), FOV)
+    selection = Selection(edits[0].id if edits else None)
+    return Document(edits, selection, Settings(resolution=resolution), view, Timeline(), next_id=len(edits) + 1)
+
+
+def _same(one: Document, two: Document) -> bool:
+    """Whether two documents are equal in all that the history keeps."""
+    return all(getattr(one, part) is getattr(two, part) for part in PARTS if part != "view") or (
+        all(getattr(one, part) == getattr(two, part) for part in ("selection", "settings"))
+        and len(one.edits) == len(two.edits)
+        and all(map(_same_edit, one.edits, two.edits))
+        and one.timeline is two.timeline
+    )
+
+
+def _same_edit(one: Edit, two: Edit) -> bool:
+    return one is two or (
+        (one.id, one.name, one.kind, one.visible) == (two.id, two.name, two.kind, two.visible)
+        and all(np.array_equal(getattr(one, part), getattr(two, part)) for part in ("faces", "rest", "posed"))
+    )
