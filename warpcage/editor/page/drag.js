@@ -14,7 +14,8 @@ let latest = null; // for latencies: called with (seq, time of the pointer event
 /** Calls latest(seq, time) with each pose that was sent and the time of the pointer event that made it. */
 export const whenSent = (listener) => (latest = listener);
 
-export const isDragging = () => drag !== null;
+/** Whether vertices wait to be sent although there is a connection. */
+export const isWaiting = () => Boolean(drag?.unsent && !drag.broken);
 
 /** Begins a drag of the active places of a cage. */
 export function begin(cage, label) {

@@ -76,7 +76,8 @@ export function follow(at, { slow = false, flip = false, time = performance.now(
   Object.assign(operation, { pointer: next, seen: at, flip, time, dirty: true });
 }
 
-const axesNow = () => {
+/** The three axes that the operation under way goes by. */
+export const axesNow = () => {
   const { way, camera, cage, start, chosen } = operation;
   return basisNow(way, camera, cage, start, chosen);
 };
@@ -179,6 +180,15 @@ export function widen(factor) {
   store.setTool("radius", Math.max(0.005, Math.min(5, store.tools.radius * factor)));
 }
 
+/** Moves the pointer that leads the operation by some pixels (a rotation: degrees), as arrow keys do. */
+function nudge([x, y], far) {
+  const { pointer, camera, pivot } = operation;
+  operation.pointer = [pointer[0] + x * far, pointer[1] + y * far];
+  const sense = dot(turningAxis(), camera.eye.map((value, k) => value - pivot[k])) < 0 ? 1 : -1;
+  operation.angle += (sense * (x + y) * far * Math.PI) / 180;
+  Object.assign(operation, { dirty: true, time: performance.now() });
+}
+
 const KINDS = { G: "move", R: "rotate", S: "scale" };
 const NUDGES = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
@@ -201,8 +211,7 @@ export function takeKey(event) {
     Object.assign(operation, { allowed: [true, true, true], way: store.tools.axes });
     resetAngle();
   } else if (NUDGES[key]) {
-    const far = event.shiftKey ? 1 : 10;
-    follow([operation.seen[0] + NUDGES[key][0] * far, operation.seen[1] + NUDGES[key][1] * far]);
+    nudge(NUDGES[key], event.shiftKey ? 1 : 10);
   } else if (operation.typed.take(key)) operation.dirty = true;
 }
 

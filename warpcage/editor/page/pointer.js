@@ -1,0 +1,254 @@
+// The pointer over the canvas: mouse, pen and fingers. One gesture at a time.
+
+import * as C from "./cages.js";
+import { ballAt, handleAt } from "./gizmo.js";
+import * as operation from "./operation.js";
+import * as S from "./selecting.js";
+import { store } from "./store.js";
+import { camera, compass, gizmo, overlay, requestDraw } from "./viewport.js";
+
+const MOUSE = { reach: 11, slack: 4 }; // pixels: how near counts as on it, how far counts as a drag
+const FINGER = { reach: 24, slack: 8 };
+const TURN = 0.008; // radians per pixel
+
+let canvas = null;
+let gesture = null; // {kind: "press" | "turn" | "pan" | "zoom" | "region" | "transform" | "pinch", ...}
+const fingers = new Map(); // pointer id -> [x, y]
+
+const placeOf = (event) => {
+  const box = canvas.getBoundingClientRect();
+  return [event.clientX - box.left, event.clientY - box.top];
+};
+const wayOf = (event) => (event.shiftKey ? "add" : event.ctrlKey || event.metaKey ? "remove" : "replace");
+const tolerances = (event) => (event.pointerType === "touch" ? FINGER : MOUSE);
+const details = (event) => ({ slow: event.shiftKey, flip: event.ctrlKey || event.metaKey, time: event.timeStamp });
+
+function onDown(event) {
+  canvas.focus({ preventScroll: true });
+  const at = placeOf(event);
+  S.pointer.at = at;
+  try {
+    canvas.setPointerCapture(event.pointerId);
+  } catch {
+    // a pointer that is gone already
+  }
+  if (event.pointerType === "touch") {
+    fingers.set(event.pointerId, at);
+    if (fingers.size === 2) return beginPinch();
+    if (fingers.size > 2) return;
+  }
+  if (gesture) return;
+  event.preventDefault();
+  if (operation.current()) {
+    if (event.button === 0) operation.finish();
+    else if (event.button === 2) operation.finish(true);
+    requestDraw();
+    return;
+  }
+  if (event.button === 1 || (event.button === 0 && event.altKey)) {
+    const kind = event.shiftKey ? "pan" : event.ctrlKey || event.metaKey ? "zoom" : "turn";
+    gesture = { kind, at, id: event.pointerId };
+  } else if (event.button === 0) press(event, at);
+  showCursor();
+}
+
+function press(event, at) {
+  const { reach } = tolerances(event);
+  const ball = ballAt(compass(), ...at);
+  if (ball) {
+    S.lookAlong(ball.direction);
+    return;
+  }
+  const handle = handleAt(gizmo(), ...at, reach);
+  if (handle) {
+    beginTransform(event, at, handle);
+    return;
+  }
+  const element = S.elementAt(...at, reach);
+  gesture = { kind: "press", at, id: event.pointerId, element, way: wayOf(event), path: [...at] };
+}
+
+function beginTransform(event, at, handle) {
+  const begun = operation.begin(handle.kind, { camera: camera(), at, allowed: handle.allowed, source: "pointer" });
+  if (begun) gesture = { kind: "transform", id: event.pointerId };
+  overlay.hover = null;
+  requestDraw();
+}
+
+/** What a press becomes once the pointer has moved: a move of the selection, a turn of the view, or a region. */
+function decide(event, at) {
+  const { element, way } = gesture;
+  const isSelected = element && element.cage === C.activeCage() && element.vertices.every((i) => C.selected().has(i));
+  const isThin = element && element.mode === "vertex"; // an unselected face is ground to draw a rectangle on
+  if (element && way !== "remove" && (isSelected || (isThin && way === "replace"))) {
+    if (!isSelected) S.clicked(element, "replace");
+    beginTransform(event, gesture.at, { kind: "move", allowed: [true, true, true] });
+    if (gesture.kind === "transform") operation.follow(at, details(event));
+    return;
+  }
+  if (event.pointerType === "touch" && store.tools.tool === "select") {
+    gesture = { ...gesture, kind: "turn", at };
+    return;
+  }
+  gesture.kind = "region";
+  gesture.shape = store.tools.pick;
+}
+
+function onMove(event) {
+  const at = placeOf(event);
+  if (fingers.has(event.pointerId)) fingers.set(event.pointerId, at);
+  S.pointer.at = at;
+  if (gesture?.kind === "pinch") return movePinch();
+  if (gesture && event.pointerId !== gesture.id) return;
+  if (!gesture) {
+    if (operation.current()) {
+      operation.follow(at, details(event));
+      requestDraw();
+    } else if (event.pointerType !== "touch") hover(at, tolerances(event).reach);
+    return;
+  }
+  const [dx, dy] = [at[0] - gesture.at?.[0], at[1] - gesture.at?.[1]];
+  if (gesture.kind === "press" && Math.hypot(dx, dy) > tolerances(event).slack) decide(event, at);
+  if (gesture.kind === "turn") S.turnBy(dx * TURN, dy * TURN);
+  else if (gesture.kind === "pan") S.panBy(dx, dy);
+  else if (gesture.kind === "zoom") S.zoomBy(Math.exp(dy * 0.006));
+  else if (gesture.kind === "transform") operation.follow(at, details(event));
+  else if (gesture.kind === "region") extendRegion(at);
+  if (["turn", "pan", "zoom"].includes(gesture.kind)) gesture.at = at;
+  requestDraw();
+}
+
+function extendRegion(at) {
+  const { path, shape, way } = gesture;
+  if (Math.hypot(at[0] - path.at(-2), at[1] - path.at(-1)) >= 1) path.push(...at);
+  overlay.region = { shape, path, way };
+  overlay.preview = S.regionSelection(overlay.region)?.vertices ?? null;
+  overlay.hover = null;
+}
+
+function onUp(event) {
+  fingers.delete(event.pointerId);
+  if (gesture?.kind === "pinch") {
+    if (fingers.size < 2) gesture = null;
+    return;
+  }
+  if (!gesture || event.pointerId !== gesture.id) return;
+  const ended = gesture;
+  gesture = null;
+  if (ended.kind === "press") S.clicked(ended.element, ended.way);
+  else if (ended.kind === "transform") operation.finish();
+  else if (ended.kind === "region") {
+    const made = overlay.region && S.regionSelection(overlay.region);
+    if (made) C.select(made.cage.id, made.vertices, { active: -1 });
+  }
+  Object.assign(overlay, { region: null, preview: null });
+  hover(placeOf(event), tolerances(event).reach);
+  requestDraw();
+}
+
+/** Leaves a gesture without its effect: the system took the pointer, Escape, or a second finger. */
+function abandon() {
+  if (gesture?.kind === "transform") operation.finish(true);
+  gesture = null;
+  Object.assign(overlay, { region: null, preview: null, hover: null });
+  requestDraw();
+}
+
+function onCancel(event) {
+  fingers.delete(event.pointerId);
+  abandon();
+}
+
+const spread = ([a, b]) => ({
+  middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2],
+  far: Math.max(10, Math.hypot(a[0] - b[0], a[1] - b[1])),
+});
+
+function beginPinch() {
+  abandon();
+  gesture = { kind: "pinch", ...spread([...fingers.values()]) };
+}
+
+function movePinch() {
+  const now = spread([...fingers.values()]);
+  S.zoomBy(gesture.far / now.far);
+  S.panBy(now.middle[0] - gesture.middle[0], now.middle[1] - gesture.middle[1]);
+  Object.assign(gesture, now);
+}
+
+function onWheel(event) {
+  event.preventDefault();
+  const lines = event.deltaMode === 1 ? 33 : event.deltaMode === 2 ? 400 : 1;
+  const way = Math.max(-200, Math.min(200, event.deltaY * lines));
+  if (operation.current()) {
+    if (store.tools.proportional) operation.widen(Math.exp(-way * 0.001));
+    requestDraw();
+    return;
+  }
+  S.zoomBy(Math.exp(way * (event.ctrlKey ? 0.008 : 0.0015)));
+}
+
+/** Marks what is under the pointer. */
+function hover([x, y], reach) {
+  const ball = ballAt(compass(), x, y);
+  const handle = ball ? null : handleAt(gizmo(), x, y, reach);
+  const element = ball || handle ? null : S.elementAt(x, y, reach);
+  const before = overlay.hover;
+  const isSame = before?.cage === element?.cage && before?.number === element?.number && before?.mode === element?.mode;
+  if (isSame && overlay.handle?.name === handle?.name && overlay.ball === ball) return;
+  Object.assign(overlay, { hover: element, handle, ball });
+  showCursor();
+  requestDraw();
+}
+
+function showCursor() {
+  const { kind } = gesture ?? {};
+  const cursors = { turn: "grabbing", pan: "move", zoom: "ns-resize", transform: "grabbing", region: "crosshair" };
+  const isOver = overlay.hover && overlay.hover.mode !== "face";
+  canvas.style.cursor = cursors[kind] ?? (overlay.ball || overlay.handle || isOver ? "pointer" : "default");
+}
+
+function onLeave() {
+  if (gesture || operation.current()) return;
+  S.pointer.at = null;
+  Object.assign(overlay, { hover: null, handle: null, ball: null });
+  requestDraw();
+}
+
+/** Keys that belong to the gesture or operation under way, before any action. */
+function onKey(event) {
+  if (operation.current()) {
+    operation.takeKey(event);
+    if (!operation.current() && gesture?.kind === "transform") gesture = null;
+    requestDraw();
+  } else if (event.key === "Escape" && gesture) {
+    event.preventDefault();
+    event.stopPropagation();
+    abandon();
+  }
+}
+
+/** A press elsewhere on the page ends an operation that keys began. */
+function onOutside(event) {
+  if (event.target === canvas || !operation.current()) return;
+  operation.finish();
+  requestDraw();
+}
+
+/** Starts listening on the canvas. */
+export function start(element) {
+  canvas = element;
+  canvas.addEventListener("pointerdown", onDown);
+  canvas.addEventListener("pointermove", onMove);
+  canvas.addEventListener("pointerup", onUp);
+  canvas.addEventListener("pointercancel", onCancel);
+  canvas.addEventListener("pointerleave", onLeave);
+  canvas.addEventListener("wheel", onWheel, { passive: false });
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("mousedown", (event) => event.button === 1 && event.preventDefault()); // no scrolling by it
+  window.addEventListener("keydown", onKey, { capture: true });
+  window.addEventListener("pointerdown", onOutside, { capture: true });
+  store.on("tools", () => overlay.handle && Object.assign(overlay, { handle: null }));
+  canvas.style.touchAction = "none";
+  if (canvas.tabIndex < 0) canvas.tabIndex = 0;
+}

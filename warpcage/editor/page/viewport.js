@@ -1,0 +1,271 @@
+// The canvas: the server's picture, the cages over it, the gizmo; drawn when something has changed, at display rate.
+
+import { makeCamera, pixelAt, project, projectAll } from "./camera.js";
+import * as C from "./cages.js";
+import { send, nextSequence, ask, when } from "./connection.js";
+import * as D from "./draw.js";
+import * as drag from "./drag.js";
+import { drawCompass, drawGizmo, drawGuides, makeCompass, makeGizmo } from "./gizmo.js";
+import * as operation from "./operation.js";
+import { store } from "./store.js";
+import { mean, point } from "./vectors.js";
+
+const KEPT_LATENCIES = 1000;
+const CALM = 250; // ms between changes of the status' figures
+const REST = 180; // ms after the last step of the view until it counts as resting
+
+let canvas = null;
+let context = null;
+let width = 1; // CSS pixels
+let height = 1;
+let ratio = 1;
+let scheduled = false;
+let picture = null; // {header, bitmap, map, camera}: the newest one
+let unshown = false; // whether the newest picture was not drawn yet
+let view = null; // as the hand has it now
+let viewHeld = false; // the server's view is not taken while the hand moves this one
+let unsentView = false;
+let restTimer = 0;
+let calmUntil = 0;
+const pending = new Map(); // number of a pose message -> time of its pointer event
+const shownTimes = []; // of the last pictures
+const hiddenCache = new Map(); // edit -> {points, picture, result}
+
+/** What the pointer and its gestures ask to be drawn. */
+export const overlay = { hover: null, handle: null, ball: null, region: null, preview: null };
+
+export const viewport = {
+  latencies: [], // ms from pointer event to picture, the last 1000
+  /** Where a vertex of an edit is on the canvas, CSS pixels. */
+  project(edit, vertex) {
+    const cage = C.cages.get(edit);
+    return project(camera(), point(C.places(cage), vertex)).slice(0, 2);
+  },
+  overlay,
+  get canvas() {
+    return canvas;
+  },
+  get view() {
+    return view;
+  },
+  get picture() {
+    return picture?.header ?? null;
+  },
+  get operation() {
+    return operation.current();
+  },
+  hidden: (edit) => [...hiddenOf(C.cages.get(edit)).vertices],
+  handles: () => gizmo().map(({ name, line, area, disc, ring }) => ({ name, line, area, disc, ring })),
+};
+
+/** The camera that cages are drawn with: that of the hand, or the film's while it plays. */
+export function camera() {
+  const isPlaying = store.sections.playback?.playing && !viewHeld;
+  return makeCamera((isPlaying && picture?.header.view) || view || FALLBACK, width, height);
+}
+const FALLBACK = { eye: [3, 3, 3], target: [0, 0, 0], up: [0, 0, 1], fov: 45 };
+
+export const getView = () => view ?? FALLBACK;
+export const getSize = () => [width, height];
+
+/** Asks for a new drawing with the next animation frame. */
+export function requestDraw() {
+  if (scheduled || !canvas) return;
+  scheduled = true;
+  requestAnimationFrame(onFrame);
+}
+
+/** Shows another view at once and sends it, once per animation frame; it counts as resting a moment later. */
+export function setView(next) {
+  view = next;
+  viewHeld = true;
+  unsentView = true;
+  clearTimeout(restTimer);
+  restTimer = setTimeout(restView, REST);
+  requestDraw();
+}
+
+function sendView(moving) {
+  unsentView = false;
+  return { do: "view", ...view, seq: nextSequence(), moving };
+}
+
+function restView() {
+  if (!store.status.connected) return; // sent after the next hello
+  const mine = view;
+  ask(sendView(false))
+    .catch(() => undefined)
+    .then(() => {
+      if (view === mine) viewHeld = false;
+    });
+}
+
+function onFrame() {
+  operation.advance();
+  if (unsentView && store.status.connected) send(sendView(true));
+  scheduled = false;
+  draw();
+  if (drag.isWaiting()) requestDraw();
+}
+
+export const screenOf = (cage) => projectAll(camera(), C.places(cage));
+
+/** Which vertices and pieces of edges of a cage the last picture hides. */
+export function hiddenOf(cage) {
+  const points = C.places(cage);
+  const kept = hiddenCache.get(cage.id);
+  if (kept?.points === points && kept.picture === picture && kept.faces === cage.faces) return kept.result;
+  const result = D.findHidden(cage, points, picture);
+  hiddenCache.set(cage.id, { points, picture, faces: cage.faces, result });
+  return result;
+}
+
+/** Where the gizmo stands: the middle of the selection; null without one. */
+function pivotNow() {
+  const cage = C.activeCage();
+  if (!cage?.visible || !C.selected().size) return null;
+  return mean(C.places(cage), [...C.selected()]);
+}
+
+/** The handles of the present tool at the selection. */
+export function gizmo() {
+  const pivot = store.tools.cage && !operation.current() && pivotNow();
+  if (!pivot) return [];
+  const cage = C.activeCage();
+  const basis = operation.basisNow(store.tools.axes, camera(), cage, C.places(cage), C.selected());
+  return makeGizmo(store.tools.tool, camera(), pivot, basis);
+}
+
+export const compass = () => makeCompass(camera(), width);
+
+function draw() {
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  const now = camera();
+  if (picture?.bitmap) {
+    const wide = (height * picture.bitmap.width) / picture.bitmap.height;
+    context.drawImage(picture.bitmap, (width - wide) / 2, 0, wide, height);
+  }
+  if (store.tools.cage) drawCages(now);
+  drawCompass(context, compass(), overlay.ball);
+  if (overlay.region) D.drawRegion(context, overlay.region.shape, overlay.region.path);
+  const running = operation.current();
+  if (running) drawOperation(now, running);
+  else if (!store.status.connected) D.drawHint(context, ["No connection to the server; trying again …"], height);
+  if (unshown) onShown();
+}
+
+function drawCages(now) {
+  const current = C.activeCage();
+  for (const cage of C.visibleCages()) if (cage !== current) D.drawOther(context, now, cage, C.places(cage));
+  if (!current?.visible) return;
+  const axis = "xyz".indexOf(store.tools.symmetry || "-");
+  if (axis >= 0) D.drawMirror(context, now, current, axis);
+  D.drawCage(context, now, current, C.places(current), {
+    screen: screenOf(current),
+    hidden: hiddenOf(current),
+    selected: overlay.preview ?? C.selected(),
+    active: C.activeVertex(),
+    mode: C.pickMode(),
+    hover: overlay.hover?.cage === current ? overlay.hover : null,
+    check: store.sections.check,
+  });
+  drawGizmo(context, gizmo(), overlay.handle);
+}
+
+function drawOperation(now, running) {
+  const pivot = pivotNow() ?? running.pivot;
+  if (!running.allowed.every(Boolean)) drawGuides(context, now, running.pivot, operation.axesNow(), running.allowed);
+  if (store.tools.proportional) {
+    const [x, y] = project(now, pivot);
+    D.drawCircle(context, x, y, (store.tools.radius * running.cage.size) / pixelAt(now, pivot));
+  }
+  D.drawHint(context, operation.describe(), height);
+}
+
+/** Marks the newest picture as shown: flow control, latencies, figures. */
+function onShown() {
+  unshown = false;
+  const { header } = picture;
+  send({ do: "seen", frame: header.frame });
+  const time = performance.now();
+  const applied = header.applied?.[store.status.client] ?? 0;
+  let last = null;
+  for (const [seq, begun] of pending) {
+    if (seq > applied) continue;
+    pending.delete(seq);
+    last = time - begun;
+    viewport.latencies.push(last);
+  }
+  if (viewport.latencies.length > KEPT_LATENCIES) viewport.latencies.splice(0, viewport.latencies.length - KEPT_LATENCIES);
+  shownTimes.push(time);
+  while (shownTimes[0] < time - 1000) shownTimes.shift();
+  store.status.frame = header;
+  if (last !== null) store.status.latency = last;
+  store.status.fps = shownTimes.length;
+  if (time < calmUntil) return;
+  calmUntil = time + CALM;
+  store.setStatus({});
+  setTimeout(() => store.setStatus({}), CALM); // so that the last picture's figures are told too
+}
+
+function resize() {
+  const box = canvas.getBoundingClientRect();
+  ratio = window.devicePixelRatio || 1;
+  width = Math.max(1, box.width);
+  height = Math.max(1, box.height);
+  const [w, h] = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
+  if (canvas.width !== w || canvas.height !== h) {
+    canvas.width = w;
+    canvas.height = h;
+    tellSize();
+  }
+  requestDraw();
+}
+
+/** Tells the server how large the picture should be. */
+export function tellSize() {
+  const shrink = Math.min(1, 4096 / Math.max(canvas.width, canvas.height));
+  send({ do: "size", width: Math.round(canvas.width * shrink), height: Math.round(canvas.height * shrink) });
+}
+
+/** Watches for a change of the device's pixel ratio, which no resize event tells of. */
+function watchRatio() {
+  const query = matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`);
+  query.addEventListener("change", () => (resize(), watchRatio()), { once: true });
+}
+
+/** Starts the viewport on a canvas. */
+export function start(element) {
+  canvas = element;
+  context = canvas.getContext("2d");
+  new ResizeObserver(resize).observe(canvas);
+  watchRatio();
+  resize();
+}
+
+drag.whenSent((seq, time) => pending.set(seq, time));
+C.whenChanged(requestDraw);
+for (const name of ["tools", "playback", "settings", "session"]) store.on(name, requestDraw);
+store.on("status", () => store.status.connected || requestDraw());
+
+store.on("view", (content) => {
+  if (!viewHeld) view = content;
+  requestDraw();
+});
+
+when("hello", () => {
+  pending.clear();
+  tellSize();
+  if (viewHeld) restView();
+  requestDraw();
+});
+
+when("frame", ({ header, bitmap, depth }) => {
+  picture?.bitmap?.close();
+  const { near, far, width: w, height: h } = header.depth ?? {};
+  const map = depth && header.depth ? { width: w, height: h, near, far, data: depth } : null;
+  picture = { header, bitmap, map, camera: map && makeCamera(header.view, w, h) };
+  unshown = true;
+  requestDraw();
+});
