@@ -1,0 +1,260 @@
+// The pieces that panels are made of: elements, fields and foldable groups. A field that someone types or drags in
+// keeps what is in it: `set` waits until it is let go.
+
+import { store } from "./store.js";
+import { actions } from "./actions.js";
+
+const SVG = "http://www.w3.org/2000/svg";
+const FOLDED = "warpcage.folded";
+
+/** An element: el("p", {id: "a", class: "note", on: {click}}, "text", child, ...). Texts are never read as HTML. */
+export function el(tag, options = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(options)) {
+    if (value === undefined || value === null || value === false) continue;
+    if (name === "on") for (const [event, listener] of Object.entries(value)) element.addEventListener(event, listener);
+    else if (name === "class") element.className = value;
+    else element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+/** One of the pictures in icons.svg. */
+export function icon(name) {
+  const picture = document.createElementNS(SVG, "svg");
+  picture.setAttribute("class", "icon");
+  picture.setAttribute("aria-hidden", "true");
+  const use = document.createElementNS(SVG, "use");
+  use.setAttribute("href", `icons.svg#${name}`);
+  picture.append(use);
+  return picture;
+}
+
+/** Shows another picture in an icon. */
+export function setIcon(picture, name) {
+  picture.querySelector("use").setAttribute("href", `icons.svg#${name}`);
+}
+
+/** The text as it is, written only where it differs: what nobody changed is not drawn again. */
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** A title with the keys of an action: "Undo (Ctrl+Z)". */
+export function titleOf(label, action) {
+  const keys = actions.get(action)?.keys ?? [];
+  return keys.length ? `${label} (${keys.join(", ")})` : label;
+}
+
+/** A number in few characters: 0.25, 12, 1.5. */
+export const short = (value, digits = 3) => String(Number(Number(value).toFixed(digits)));
+
+/** A share in percent that does not call a small one nothing. */
+export function percent(share) {
+  if (share > 0 && share < 0.001) return "under 0.1 %";
+  return `${short(100 * share, share < 0.1 ? 1 : 0)} %`;
+}
+
+/** A button. {id, label, icon?, title, keep? (the label is shown too), onClick} */
+export function button({ id, label, icon: name, title, keep = !name, kind = "", onClick }) {
+  const hint = title ?? label;
+  const element = el("button", { id, type: "button", class: `button ${kind}`, title: hint, on: { click: onClick } });
+  if (name) element.append(icon(name));
+  if (keep) element.append(el("span", {}, label));
+  else element.setAttribute("aria-label", label);
+  return element;
+}
+
+/** A row of buttons. */
+export const row = (...children) => el("div", { class: "row" }, ...children);
+
+/** A line with a label on its left. */
+function labelled(label, id, title, ...controls) {
+  return el("div", { class: "field", title }, el("label", { for: id }, label), el("div", { class: "value" }, ...controls));
+}
+
+/** Keeps a field from changes while someone is at it, and from being told what it has. */
+function guarded(input, read, write) {
+  let held = false;
+  let waiting; // what came meanwhile
+  const release = () => {
+    held = false;
+    if (waiting !== undefined) write(waiting);
+    waiting = undefined;
+  };
+  input.addEventListener("input", () => (held = true));
+  input.addEventListener("pointerdown", () => (held = input.type === "range"));
+  // what was typed and is the same as before makes no "change"
+  for (const event of ["blur", "pointercancel"]) input.addEventListener(event, release);
+  return {
+    set(value) {
+      if (held) waiting = value;
+      else if (read() !== value) write(value);
+    },
+    /** The value is on its way to the server; what comes back is shown again. */
+    release() {
+      held = false;
+      waiting = undefined;
+    },
+  };
+}
+
+/** A number to type. {id, label, title, min, max, step, unit, value, onChange(value)} */
+export function number({ id, label, title, min, max, step = "any", unit = "", value = "", bare = false, onChange }) {
+  const input = el("input", { id, type: "number", min, max, step, inputmode: "decimal", title, autocomplete: "off" });
+  if (bare) input.setAttribute("aria-label", label);
+  let last = value;
+  const write = (content) => {
+    last = content;
+    input.value = content === null || content === "" ? "" : short(content, 4);
+  };
+  write(value);
+  const guard = guarded(input, () => last, write);
+  input.addEventListener("change", () => {
+    const typed = input.valueAsNumber;
+    guard.release();
+    if (!Number.isFinite(typed)) return write(last);
+    const kept = Math.min(max ?? Infinity, Math.max(min ?? -Infinity, typed));
+    write(kept);
+    onChange?.(kept);
+  });
+  input.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape") return;
+    guard.release();
+    write(last);
+    input.blur();
+  });
+  const unitText = unit ? el("span", { class: "unit" }, unit) : null;
+  const root = bare ? input : labelled(label, id, title, input, unitText);
+  return { root, input, set: guard.set, get: () => last };
+}
+
+/** A line of text. {id, label, title, value, onChange(text)} */
+export function text({ id, label, title, value = "", maxlength = 80, bare = false, onChange }) {
+  const input = el("input", { id, type: "text", title, maxlength, autocomplete: "off", spellcheck: "false" });
+  input.value = value;
+  if (bare) input.setAttribute("aria-label", label);
+  let last = value;
+  const write = (content) => (last = input.value = content);
+  const guard = guarded(input, () => last, write);
+  input.addEventListener("change", () => {
+    const typed = input.value.trim();
+    guard.release();
+    if (!typed) return write(last);
+    last = typed;
+    onChange?.(typed);
+  });
+  input.addEventListener("keydown", (event) => {
+    if (event.key === "Enter") input.blur();
+    if (event.key !== "Escape") return;
+    guard.release();
+    write(last);
+    input.blur();
+  });
+  return { root: bare ? input : labelled(label, id, title, input), input, set: guard.set };
+}
+
+/** A list to choose from. {id, label, title, options: [[value, text]], onChange(value)} */
+export function choice({ id, label, title, options, value, bare = false, onChange }) {
+  const input = el("select", { id, title });
+  if (bare) input.setAttribute("aria-label", label);
+  const fill = (pairs) => input.replaceChildren(...pairs.map(([key, name]) => el("option", { value: key }, name)));
+  fill(options);
+  if (value !== undefined) input.value = value;
+  input.addEventListener("change", () => onChange?.(input.value));
+  const set = (content) => {
+    const wanted = String(content ?? "");
+    if (input.value !== wanted) input.value = wanted;
+  };
+  return { root: bare ? input : labelled(label, id, title, input), input, set, fill };
+}
+
+/** A switch. {id, label, title, value, onChange(on)} */
+export function check({ id, label, title, value = false, onChange }) {
+  const input = el("input", { id, type: "checkbox" });
+  input.checked = value;
+  input.addEventListener("change", () => onChange?.(input.checked));
+  const root = el("label", { class: "check", title }, input, el("span", {}, label));
+  return { root, input, set: (on) => (input.checked = Boolean(on)) };
+}
+
+/** A few choices side by side, one of them on. {id, label, options: [[value, text, title]], onChange(value)} */
+export function segments({ id, label, options, value, onChange }) {
+  const root = el("div", { id, class: "segments", role: "radiogroup", "aria-label": label });
+  const inputs = new Map();
+  for (const [key, name, title] of options) {
+    const input = el("input", { id: `${id}-${key}`, type: "radio", name: id, value: key, "aria-label": name });
+    input.addEventListener("change", () => onChange(key));
+    inputs.set(key, input);
+    root.append(el("label", { title: title ?? name }, input, el("span", {}, name)));
+  }
+  const set = (key) => inputs.has(key) && (inputs.get(key).checked = true);
+  set(value);
+  return { root, set };
+}
+
+function folded() {
+  try {
+    return JSON.parse(localStorage.getItem(FOLDED) ?? "{}") ?? {};
+  } catch {
+    return {}; // nothing kept, or something that is not ours
+  }
+}
+
+/** A foldable group of the panel; whether it is open is kept in the browser. */
+export function group(id, label, open, ...children) {
+  const root = el("details", { id: `group-${id}`, class: "group" });
+  root.open = folded()[id] === undefined ? open : !folded()[id];
+  const note = el("span", { class: "group-note", id: `group-${id}-note` });
+  root.append(el("summary", { title: `${label}: fold or unfold (Enter)` }, el("span", {}, label), note));
+  root.append(el("div", { class: "group-body" }, ...children));
+  root.addEventListener("toggle", () => {
+    try {
+      localStorage.setItem(FOLDED, JSON.stringify({ ...folded(), [id]: !root.open }));
+    } catch {
+      // a browser that keeps nothing: groups open as they are made
+    }
+  });
+  return { root, note };
+}
+
+/** Rows of a list, kept by key: those that stay are not made again. make(item) gives {root, update(item)}. */
+export function rows(list, make) {
+  const made = new Map();
+  return (items) => {
+    const wanted = new Set(items.map(({ id }) => id));
+    for (const [id, entry] of made) {
+      if (wanted.has(id)) continue;
+      entry.root.remove();
+      made.delete(id);
+    }
+    items.forEach((item, index) => {
+      if (!made.has(item.id)) made.set(item.id, make(item));
+      const entry = made.get(item.id);
+      entry.update(item);
+      if (list.children[index] !== entry.root) list.insertBefore(entry.root, list.children[index] ?? null);
+    });
+  };
+}
+
+/** Calls a function at most once per drawn picture, with the last arguments. */
+export function perPicture(work) {
+  let last = null;
+  return (...content) => {
+    const isWaiting = last !== null;
+    last = content;
+    if (isWaiting) return;
+    requestAnimationFrame(() => {
+      const content = last;
+      last = null;
+      work(...content);
+    });
+  };
+}
+
+/** The active edit, or null. */
+export function activeEdit() {
+  const { edits = [], selection } = store.sections;
+  return edits.find(({ id }) => id === selection?.edit) ?? null;
+}

@@ -1,0 +1,153 @@
+// Toasts, questions and help. Dialogs are the browser's own: they keep the focus inside, Escape closes them.
+
+import { el, button, number, text, choice, check } from "./controls.js";
+import { actions } from "./actions.js";
+
+const STAYS = { info: 4000, warning: 7000, error: 10000 }; // milliseconds
+const MOST = 4; // toasts at once
+
+/** A short message in the corner, read out by screen readers; it goes by itself. */
+export function toast(message, level = "info") {
+  const list = document.getElementById("toasts");
+  const same = [...list.children].find(({ dataset }) => dataset.text === message);
+  same?.remove();
+  const times = Number(same?.dataset.times ?? 0) + 1;
+  const content = el("span", { class: "toast-text" }, times > 1 ? `${message} (${times} times)` : message);
+  const item = el("div", { class: `toast ${level}`, role: level === "error" ? "alert" : "status" }, content);
+  Object.assign(item.dataset, { text: message, times });
+  item.append(button({ label: "Close this message", icon: "close", kind: "flat", onClick: () => item.remove() }));
+  let timer = 0;
+  const leave = () => (timer = setTimeout(() => item.remove(), STAYS[level] ?? STAYS.info));
+  item.addEventListener("pointerenter", () => clearTimeout(timer));
+  item.addEventListener("pointerleave", leave);
+  list.append(item);
+  while (list.children.length > MOST) list.firstChild.remove();
+  leave();
+}
+
+/** Opens a dialog with content and a row of buttons; returns what closes it. The focus goes back where it was. */
+function open(title, content, buttons, { wide = false, onClosed } = {}) {
+  const before = document.activeElement;
+  const heading = el("h2", { id: "dialog-title" }, title);
+  const form = el("form", { method: "dialog" }, heading, content, el("div", { class: "dialog-buttons" }, ...buttons));
+  const dialog = el("dialog", { class: wide ? "dialog wide" : "dialog", "aria-labelledby": "dialog-title" }, form);
+  const close = () => dialog.close();
+  dialog.addEventListener("close", () => {
+    dialog.remove();
+    if (before instanceof HTMLElement && before.isConnected) before.focus();
+    onClosed?.();
+  });
+  // a press on what is behind closes it, a drag that only ends there does not
+  dialog.addEventListener("pointerdown", (event) => event.target === dialog && close());
+  document.body.append(dialog);
+  dialog.showModal();
+  return { dialog, form, close };
+}
+
+function fieldOf({ type, name, choices, ...given }) {
+  const options = { ...given, id: `ask-${name}`, title: given.help ?? given.label };
+  if (type === "number") return number(options);
+  if (type === "choice") return choice({ ...options, options: choices.map((one) => (Array.isArray(one) ? one : [one, one])) });
+  if (type === "check") return check(options);
+  return text({ ...options, maxlength: 200 });
+}
+
+function contentOf({ input }, { type, choices }) {
+  if (type === "check") return input.checked;
+  if (type === "number") return input.value === "" ? null : input.valueAsNumber;
+  if (type !== "choice") return input.value.trim();
+  const one = choices[input.selectedIndex]; // a choice may be a number or null: its own type comes back
+  return Array.isArray(one) ? one[0] : one;
+}
+
+/**
+ * Asks for some values: {title, text?, fields: [{name, label, type: "number"|"text"|"choice"|"check", value, choices?,
+ * min?, max?, step?, unit?, help?, optional?}], confirm}. A promise of {name: value}, or null where it was left.
+ */
+export function askFor({ title, text: intro, fields, confirm = "OK" }) {
+  return new Promise((resolve) => {
+    let result = null;
+    const controls = fields.map((field) => fieldOf(field));
+    const body = el("div", { class: "dialog-body" }, intro ? el("p", {}, intro) : null);
+    fields.forEach((field, index) => {
+      const { root, input } = controls[index];
+      if (!field.optional && field.type !== "check") input.required = true;
+      body.append(root);
+      if (!field.help) return;
+      const note = el("p", { class: "note", id: `ask-${field.name}-help` }, field.help);
+      input.setAttribute("aria-describedby", note.id);
+      body.append(note);
+    });
+    const yes = el("button", { id: "dialog-confirm", type: "submit", class: "button primary", title: `${confirm} (Enter)` }, confirm);
+    const no = button({ id: "dialog-cancel", label: "Cancel", title: "Cancel (Escape)", onClick: () => close() });
+    const { form, close } = open(title, body, [no, yes], { onClosed: () => resolve(result) });
+    form.addEventListener("submit", () => {
+      result = Object.fromEntries(fields.map((field, index) => [field.name, contentOf(controls[index], field)]));
+    });
+    (controls[0]?.input ?? yes).focus();
+    controls[0]?.input.select?.();
+  });
+}
+
+/** Asks whether to go on: a promise of true or false. */
+export async function confirmThat(title, question, confirm) {
+  return (await askFor({ title, text: question, fields: [], confirm })) !== null;
+}
+
+/** Shows a text that can be copied. */
+export function showText(title, intro, content) {
+  const area = el("textarea", { id: "dialog-text", readonly: true, rows: 6, "aria-label": title, spellcheck: "false" });
+  area.value = content;
+  const copy = button({
+    id: "dialog-copy",
+    label: "Copy",
+    icon: "copy",
+    keep: true,
+    kind: "primary",
+    onClick: async () => {
+      area.select();
+      try {
+        await navigator.clipboard.writeText(content);
+      } catch {
+        document.execCommand("copy"); // pages of plain http have no clipboard of their own
+      }
+      toast("Copied.");
+    },
+  });
+  const body = el("div", { class: "dialog-body" }, el("p", {}, intro), area);
+  const done = button({ label: "Close", title: "Close (Escape)", onClick: () => opened.close() });
+  const opened = open(title, body, [done, copy], { wide: true });
+  copy.focus();
+}
+
+const MOUSE = [
+  ["Click, Shift+click", "Select a vertex, edge or face; add or take away"],
+  ["Drag on empty space", "Rectangle or lasso; Shift adds, Ctrl takes away"],
+  ["Drag a selected vertex", "Move the selection in the plane of the view"],
+  ["Drag with the middle or right button", "Turn the view; with Shift pan it"],
+  ["Wheel, pinch", "Zoom"],
+  ["Number while moving", "Exact amount; Enter keeps it, Escape goes back"],
+];
+
+function keyRow(keys, label) {
+  const shown = keys.flatMap((key, index) => (index ? [" ", el("kbd", {}, key)] : [el("kbd", {}, key)]));
+  return el("div", { class: "key-row" }, el("dt", {}, ...shown), el("dd", {}, label));
+}
+
+/** All actions with their keys, by group. */
+export function showHelp() {
+  const groups = new Map();
+  for (const { label, keys, group } of actions.values()) {
+    if (!keys.length) continue;
+    if (!groups.has(group)) groups.set(group, []);
+    groups.get(group).push(keyRow(keys, label));
+  }
+  const body = el("div", { class: "dialog-body help-groups", tabindex: "0", "aria-label": "Keys by group" });
+  const mouse = MOUSE.map(([what, label]) => keyRow([what], label));
+  for (const [name, list] of [["Mouse and touch", mouse], ...groups]) {
+    body.append(el("section", {}, el("h3", {}, name), el("dl", {}, ...list)));
+  }
+  const done = button({ id: "dialog-close", label: "Close", title: "Close (Escape)", onClick: () => opened.close() });
+  const opened = open("Keys", body, [done], { wide: true });
+  done.focus();
+}

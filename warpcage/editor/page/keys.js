@@ -1,0 +1,103 @@
+// Keys of the film: which one is chosen in this page, and what timeline and panel do with them.
+
+import { store } from "./store.js";
+import { ask, attempt, send } from "./connection.js";
+import { perPicture, short } from "./controls.js";
+
+export const EASINGS = [
+  ["smooth", "Smooth"],
+  ["linear", "Linear"],
+  ["hold", "Hold"],
+  ["ease-in", "Ease in"],
+  ["ease-out", "Ease out"],
+];
+export const LOOPS = [
+  ["once", "Once"],
+  ["loop", "Loop"],
+  ["ping-pong", "There and back"],
+];
+
+let chosen = null;
+const listeners = new Set();
+
+/** The film as the server has it, or an empty one. */
+export const film = () => store.sections.timeline ?? { keys: [], length: 1, fps: 24, loop: "once" };
+
+/** The present time in seconds. */
+export const now = () => store.sections.playback?.time ?? 0;
+
+/** The chosen key, or null. */
+export const chosenKey = () => film().keys.find(({ id }) => id === chosen) ?? null;
+
+/** Calls listener() when another key is chosen. */
+export const onChosen = (listener) => listeners.add(listener);
+
+/** Chooses a key by its number, or none (null). */
+export function choose(id) {
+  if (id === chosen) return;
+  chosen = id;
+  for (const listener of listeners) listener();
+}
+
+/** The key at a time, or null. */
+export function keyAt(time) {
+  const { keys, fps } = film();
+  return keys.find((key) => Math.abs(key.time - time) < 0.5 / fps) ?? null;
+}
+
+/** A time inside the film, on one of its frames. */
+export function onFrame(time) {
+  const { fps, length } = film();
+  return Math.min(length, Math.max(0, Math.round(time * fps) / fps));
+}
+
+const sendTime = perPicture((time) => send({ do: "time", time }));
+
+/** Goes to a time; the key there, if there is one, is chosen. */
+export function goTo(time) {
+  const to = Math.min(film().length, Math.max(0, time));
+  if (store.sections.playback?.playing) send({ do: "play", on: false });
+  store.set("playback", { ...store.sections.playback, time: to, playing: false });
+  choose(keyAt(to)?.id ?? null);
+  sendTime(to);
+}
+
+/** Goes some frames on (or back, below 0). */
+export const step = (frames) => goTo(onFrame(now() + frames / film().fps));
+
+/** Goes to the next key (1) or the one before (-1). */
+export function jump(by) {
+  const { keys, fps } = film();
+  const near = 0.25 / fps;
+  const next = by > 0 ? keys.find(({ time }) => time > now() + near) : keys.findLast(({ time }) => time < now() - near);
+  if (!next) return;
+  goTo(next.time);
+  choose(next.id);
+}
+
+/** Keeps the pose, the camera or both at the present time, and chooses the key. */
+export async function add(pose, camera) {
+  const time = now();
+  await attempt(ask({ do: "key.add", time, pose, camera }));
+  choose(keyAt(time)?.id ?? chosen);
+}
+
+/** Changes the chosen key. */
+export function change(changes) {
+  const key = chosenKey();
+  if (key) attempt(ask({ do: "key.change", id: key.id, ...changes }));
+}
+
+/** Deletes the chosen key; undo brings it back. */
+export function remove() {
+  const key = chosenKey();
+  if (key) attempt(ask({ do: "key.delete", id: key.id }));
+}
+
+/** Seconds as text: "1.25 s". */
+export const seconds = (time) => `${short(time, 2)} s`;
+
+/** What a key holds, in words. */
+export function holds({ pose, camera }) {
+  return pose && camera ? "pose and camera" : pose ? "pose" : "camera";
+}

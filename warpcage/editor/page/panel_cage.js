@@ -1,0 +1,183 @@
+// The cage of the active edit: where it comes from, its fineness, and what the live check finds.
+
+import { store } from "./store.js";
+import { ask, attempt } from "./connection.js";
+import { askFor, toast } from "./dialogs.js";
+import { activeEdit, button, el, group, percent, row, setText } from "./controls.js";
+
+const METHODS = [
+  ["auto", "Whichever fits better"],
+  ["shell", "Shell: follows the surface"],
+  ["voxel", "Voxels: sturdy, for any matter"],
+];
+
+const where = (edit) => [
+  ["new", "A new edit"],
+  ...(edit ? [[edit.id, `"${edit.name}": another cage, its pose follows`]] : []),
+];
+
+/** Asks for the cage and has it made; the list of jobs shows how far it is. */
+async function generate() {
+  const edit = activeEdit();
+  const given = await askFor({
+    title: "Generate a cage",
+    fields: [
+      { name: "edit", label: "For", type: "choice", value: edit ? edit.id : "new", choices: where(edit) },
+      { name: "count", label: "Vertices", type: "number", value: 100, min: 8, max: 2000, step: 1, help: "About so many. Few are easy to pose, many follow details." },
+      { name: "margin", label: "Margin", type: "number", value: null, min: 0, max: 100, step: "any", unit: "voxels", optional: true, help: "Room between matter and cage. Empty: chosen for you." },
+      { name: "method", label: "Method", type: "choice", value: "auto", choices: METHODS },
+      {
+        name: "symmetry",
+        label: "Symmetry",
+        type: "choice",
+        value: "",
+        choices: [
+          [null, "None"],
+          ["x", "Left and right alike (x)"],
+          ["y", "y"],
+          ["z", "z"],
+        ],
+      },
+    ],
+    confirm: "Generate",
+  });
+  if (!given) return;
+  await attempt(ask({ do: "cage.generate", ...given, edit: given.edit === "new" ? null : given.edit, count: Math.round(given.count) }));
+}
+
+async function simplify(edit) {
+  const has = edit.rest.length;
+  const given = await askFor({
+    title: "Simplify the cage",
+    text: `"${edit.name}" has ${has} vertices. Its pose is carried over.`,
+    fields: [{ name: "count", label: "Vertices", type: "number", value: Math.max(8, Math.round(has / 2)), min: 8, max: Math.max(8, has - 1), step: 1 }],
+    confirm: "Simplify",
+  });
+  if (given) attempt(ask({ do: "cage.simplify", edit: edit.id, count: Math.round(given.count) }));
+}
+
+async function box(edit) {
+  const { vertices = [] } = store.sections.selection ?? {};
+  if (!vertices.length) return toast("Nothing is selected: select the vertices to put a box around.", "warning");
+  const given = await askFor({
+    title: "Box around the selection",
+    text: `A new edit: a box around ${vertices.length} vertices of "${edit.name}" as they are at rest.`,
+    fields: [{ name: "margin", label: "Margin", type: "number", value: 2, min: 0, max: 100, step: 1, unit: "% of the cage" }],
+    confirm: "Add",
+  });
+  if (given) attempt(ask({ do: "cage.box", edit: edit.id, vertices, margin: given.margin / 100 }));
+}
+
+/** Lets one of the files of a kind in the session's folder be chosen, and loads it. */
+export async function loadFrom(kind, title, command) {
+  const result = await attempt(ask({ do: "files" }));
+  if (!result) return;
+  const names = result.files.filter((file) => file.kind === kind).map(({ name }) => name);
+  if (!names.length) return toast(`The session's folder has no ${kind === "cage" ? "cages" : "pose files"}; upload one.`, "warning");
+  const given = await askFor({ title, fields: [{ name: "file", label: "File", type: "choice", value: names[0], choices: names }], confirm: "Load" });
+  if (given) await attempt(ask({ do: command, file: given.file }));
+}
+
+/** Sends a file into the session's folder; its name there, or throws Error(one line). */
+async function uploaded(file) {
+  const form = new FormData();
+  form.append("file", file, file.name);
+  const answer = await fetch("upload", { method: "POST", body: form, credentials: "same-origin" });
+  const content = await answer.text();
+  if (!answer.ok) throw new Error(content.split("\n")[0] || `the upload of ${file.name} failed (${answer.status})`);
+  return JSON.parse(content).file;
+}
+
+/** A hidden file field, which opens the browser's own dialog: upload(accept, command) of the chosen file. */
+export function uploadField(id, label, accept, command) {
+  const input = el("input", { id, type: "file", accept, class: "hidden-file", tabindex: "-1", "aria-label": label });
+  input.addEventListener("change", async () => {
+    const [file] = input.files;
+    input.value = "";
+    if (!file) return;
+    const name = await attempt(uploaded(file));
+    if (name) await attempt(ask({ do: command, file: name }));
+  });
+  return input;
+}
+
+/** What the check found, in sentences. */
+function sentences(check) {
+  if (!check || check.edit === null) return [];
+  const { problem, lines = [], crossing_faces: crossing = [], folded_share: folded, leaking_faces: leaking = [], outside_share: outside } = check;
+  const told = [...(problem ? [problem] : []), ...lines];
+  if (told.length) return [...new Set(told)];
+  if (crossing.length) told.push(`${crossing.length} faces cross each other: move their vertices apart.`);
+  if (folded > 0) told.push(`${percent(folded)} of the space in the cage folds over itself: pose less strongly there.`);
+  if (leaking.length || outside > 0) told.push(`${percent(outside ?? 0)} of the matter is outside the cage: it stays where it was.`);
+  return told;
+}
+
+function isBad(check) {
+  if (!check || check.edit === null) return false;
+  const { problem, crossing_faces: crossing = [], folded_share: folded, leaking_faces: leaking = [], outside_share: outside } = check;
+  return Boolean(problem) || crossing.length > 0 || folded > 0 || leaking.length > 0 || outside > 0.001;
+}
+
+/** The group of the cage: {root, start()}. */
+export function cageGroup() {
+  const act = (work) => () => {
+    const edit = activeEdit();
+    if (edit) work(edit);
+  };
+  const upload = uploadField("cage-upload-file", "Cage file", ".obj,.ply,.off,.stl,.glb,.gltf,.npz", "cage.load");
+  const size = el("p", { id: "cage-size", class: "note" });
+  const refine = row(
+    button({ id: "cage-subdivide", label: "Subdivide", title: "Cut each face of the cage into four; the shape and the pose stay", onClick: act((edit) => attempt(ask({ do: "cage.subdivide", edit: edit.id }))) }),
+    button({ id: "cage-simplify", label: "Simplify…", title: "Fewer vertices, about the same shape", onClick: act(simplify) }),
+    button({ id: "cage-box", label: "Box…", title: "A new edit: a box around the selected vertices", onClick: act(box) }),
+  );
+  const verdict = el("p", { id: "check-verdict", class: "verdict" });
+  const found = el("ul", { id: "check-lines", class: "check-lines", "aria-label": "What the check found" });
+  const check = el("div", { id: "check", "aria-live": "polite", "aria-atomic": "true" }, verdict, found);
+  const made = group(
+    "cage",
+    "Cage",
+    true,
+    size,
+    row(
+      button({ id: "cage-generate", label: "Generate…", kind: "primary", title: "Make a cage around the scene's matter", onClick: generate }),
+      button({ id: "cage-load", label: "Load…", title: "Load a cage file of the session's folder", onClick: () => loadFrom("cage", "Load a cage", "cage.load") }),
+      button({ id: "cage-upload", label: "Upload…", title: "Send a cage file (OBJ, PLY, GLB ...) from this computer", onClick: () => upload.click() }),
+    ),
+    upload,
+    refine,
+    check,
+  );
+  const showCage = () => {
+    const edit = activeEdit();
+    for (const element of refine.children) element.disabled = !edit;
+    setText(size, edit ? `${edit.rest.length} vertices, ${edit.faces.length} faces` : "No cage is chosen.");
+    const chosen = store.sections.selection?.vertices?.length ?? 0;
+    document.getElementById("cage-box").disabled = !edit || !chosen;
+  };
+  const showCheck = () => {
+    const { check: content } = store.sections;
+    const isOfEdit = content && content.edit !== null && content.edit === store.sections.selection?.edit;
+    check.hidden = !isOfEdit;
+    if (!isOfEdit) return setText(made.note, "");
+    const told = sentences(content);
+    const bad = isBad(content);
+    const state = content.pending ? "pending" : bad ? "bad" : "good";
+    check.dataset.state = state;
+    made.note.dataset.state = state;
+    setText(made.note, bad ? "!" : "");
+    setText(verdict, content.pending ? "Checking…" : bad ? "Check: look here" : "Check: all well");
+    const lines = told.length ? told : content.pending ? [] : ["Nothing folds, crosses or leaks."];
+    const texts = [...found.children].map((line) => line.textContent);
+    if (texts.join("\n") !== lines.join("\n")) found.replaceChildren(...lines.map((line) => el("li", {}, line)));
+  };
+  const start = () => {
+    store.on("edits", showCage);
+    store.on("selection", () => (showCage(), showCheck()));
+    store.on("check", showCheck);
+    showCage();
+    showCheck();
+  };
+  return { root: made.root, start };
+}

@@ -1,0 +1,190 @@
+// The list of edits: what each cage does to the scene, whether it does so now, and in which order.
+
+import { store } from "./store.js";
+import { ask, attempt } from "./connection.js";
+import { askFor, confirmThat } from "./dialogs.js";
+import { activeEdit, button, choice, el, group, icon, row, rows, setIcon, setText, short, text } from "./controls.js";
+
+const KINDS = [
+  ["move", "Move"],
+  ["copy", "Copy"],
+  ["remove", "Remove"],
+];
+const MEANINGS = {
+  move: "What is in the cage moves with it.",
+  copy: "A second one moves with the cage; the source stays.",
+  remove: "What is in the rest cage is taken out of the scene.",
+};
+
+const change = (id, changes) => attempt(ask({ do: "edit.change", id, ...changes }));
+
+function activate(id) {
+  const { selection } = store.sections;
+  if (selection?.edit === id) return;
+  attempt(ask({ do: "select", edit: id, mode: selection?.mode ?? "vertex", vertices: [] }));
+}
+
+/** Moves an edit up (-1) or down (1) in the list. */
+function shift(id, by) {
+  const ids = store.sections.edits.map((edit) => edit.id);
+  const at = ids.indexOf(id);
+  if (at < 0 || at + by < 0 || at + by >= ids.length) return;
+  ids.splice(at + by, 0, ...ids.splice(at, 1));
+  attempt(ask({ do: "edit.order", ids }));
+}
+
+async function remove(edit) {
+  const isSure = await confirmThat("Delete the edit?", `"${edit.name}" and its keys go; undo brings them back.`, "Delete");
+  if (isSure) attempt(ask({ do: "edit.delete", id: edit.id }));
+}
+
+/** Asks for the first cage of a new edit: a shape around the middle of the field. */
+async function add() {
+  const { bounds } = store.sections.session?.field ?? {};
+  if (!bounds) return;
+  const given = await askFor({
+    title: "Add an edit",
+    text: "A new cage around the middle of the scene. Generate a fitted one in the group Cage, or move this one in the mode Rest.",
+    fields: [
+      { name: "kind", label: "What it does", type: "choice", value: "move", choices: KINDS },
+      {
+        name: "shape",
+        label: "Shape",
+        type: "choice",
+        value: "box",
+        choices: [
+          ["box", "Box"],
+          ["cylinder", "Cylinder"],
+          ["icosphere", "Ball"],
+        ],
+      },
+      { name: "share", label: "Size", type: "number", value: 50, min: 1, max: 120, step: 5, unit: "% of the scene" },
+    ],
+    confirm: "Add",
+  });
+  if (!given) return;
+  const [low, high] = bounds;
+  const corner = (sign) => low.map((value, i) => (value + high[i]) / 2 + (sign * (high[i] - value) * given.share) / 200);
+  attempt(ask({ do: "edit.add", kind: given.kind, shape: given.shape, lower: corner(-1), upper: corner(1) }));
+}
+
+function makeRow({ id }) {
+  const eye = el("span", { class: "eye", title: "Show or hide (Space)", "aria-hidden": "true" });
+  eye.append(icon("eye"));
+  const name = el("span", { class: "row-name" });
+  const kind = el("span", { class: "row-note" });
+  const root = el("li", { id: `edit-${id}`, class: "list-row", role: "option" }, eye, name, kind);
+  root.dataset.edit = id;
+  eye.addEventListener("click", (event) => {
+    event.stopPropagation();
+    const edit = store.sections.edits.find((one) => one.id === id);
+    change(id, { visible: !edit.visible });
+  });
+  root.addEventListener("click", () => activate(id));
+  root.addEventListener("dblclick", () => document.getElementById("edit-name").select());
+  const update = (edit) => {
+    const isActive = store.sections.selection?.edit === id;
+    setText(name, edit.name);
+    setText(kind, `${edit.kind} · ${edit.rest.length}`);
+    kind.title = `${edit.kind}, ${edit.rest.length} vertices`;
+    setIcon(eye, edit.visible ? "eye" : "eye-off");
+    root.setAttribute("aria-selected", String(isActive));
+    root.setAttribute("aria-label", `${edit.name}, ${edit.kind}, ${edit.rest.length} vertices, ${edit.visible ? "shown" : "hidden"}`);
+    root.classList.toggle("dim", !edit.visible);
+  };
+  return { root, update };
+}
+
+function onListKey(event) {
+  const { edits = [] } = store.sections;
+  const edit = activeEdit();
+  if (!edit || event.ctrlKey || event.metaKey) return;
+  const at = edits.indexOf(edit);
+  const go = (to) => edits[to] && activate(edits[to].id);
+  const ways = {
+    ArrowUp: () => (event.altKey ? shift(edit.id, -1) : go(at - 1)),
+    ArrowDown: () => (event.altKey ? shift(edit.id, 1) : go(at + 1)),
+    Home: () => go(0),
+    End: () => go(edits.length - 1),
+    " ": () => change(edit.id, { visible: !edit.visible }),
+    Enter: () => document.getElementById("edit-name").select(),
+    F2: () => document.getElementById("edit-name").select(),
+    Delete: () => remove(edit),
+  };
+  if (!ways[event.key]) return;
+  event.preventDefault();
+  event.stopPropagation();
+  ways[event.key]();
+}
+
+/** Where the middle of the selection is, to be read and typed. */
+export function middleOf(vertices, chosen) {
+  const sum = [0, 0, 0];
+  for (const vertex of chosen) vertices[vertex]?.forEach((value, i) => (sum[i] += value));
+  return sum.map((value) => short(value / Math.max(1, chosen.length), 4));
+}
+
+/** The group of the edits: {root, start()}. */
+export function editsGroup() {
+  const list = el("ul", {
+    id: "edit-list",
+    class: "list",
+    role: "listbox",
+    tabindex: "0",
+    "aria-label": "Edits",
+    title: "Up and Down choose, Alt+Up and Alt+Down change the order, Space shows or hides, Enter renames, Delete deletes",
+    on: { keydown: onListKey },
+  });
+  const empty = el("p", { class: "note" }, "No cage yet. Generate one in the group Cage, or add a simple one.");
+  const act = (work) => () => {
+    const edit = activeEdit();
+    if (edit) work(edit);
+  };
+  const name = text({ id: "edit-name", label: "Name", title: "Name of the active edit (Enter keeps it)", maxlength: 100, onChange: (to) => {
+    const edit = activeEdit();
+    if (edit && edit.name !== to) change(edit.id, { name: to });
+  } });
+  const kind = choice({ id: "edit-kind", label: "Does", title: "What the active edit does", options: KINDS, onChange: (to) => {
+    const edit = activeEdit();
+    if (edit) change(edit.id, { kind: to });
+  } });
+  const meaning = el("p", { class: "note", id: "edit-meaning" });
+  const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Whether the active edit acts on the picture", onClick: act((edit) => change(edit.id, { visible: !edit.visible })) });
+  const tools = row(
+    button({ id: "edit-add", label: "Add", icon: "plus", keep: true, title: "Add an edit with a simple cage", onClick: add }),
+    el("span", { class: "spring" }),
+    shown,
+    button({ id: "edit-up", label: "Earlier", icon: "up", title: "Move the active edit up (Alt+Up in the list)", onClick: act((edit) => shift(edit.id, -1)) }),
+    button({ id: "edit-down", label: "Later", icon: "down", title: "Move the active edit down (Alt+Down in the list)", onClick: act((edit) => shift(edit.id, 1)) }),
+    button({ id: "edit-delete", label: "Delete", icon: "delete", title: "Delete the active edit (Delete in the list)", onClick: act(remove) }),
+  );
+  const details = el("div", {}, name.root, kind.root, meaning);
+  const made = group("edits", "Edits", true, list, empty, tools, details);
+  const showRows = rows(list, makeRow);
+  const show = () => {
+    const { edits = [] } = store.sections;
+    const edit = activeEdit();
+    showRows(edits);
+    list.hidden = !edits.length;
+    empty.hidden = edits.length > 0;
+    if (edit) list.setAttribute("aria-activedescendant", `edit-${edit.id}`);
+    else list.removeAttribute("aria-activedescendant");
+    setText(made.note, edits.length ? String(edits.length) : "");
+    details.hidden = !edit;
+    for (const element of tools.querySelectorAll("button:not(#edit-add)")) element.disabled = !edit;
+    if (!edit) return;
+    document.getElementById("edit-up").disabled = edits.indexOf(edit) === 0;
+    document.getElementById("edit-down").disabled = edits.indexOf(edit) === edits.length - 1;
+    name.set(edit.name);
+    kind.set(edit.kind);
+    setText(meaning, MEANINGS[edit.kind]);
+    setIcon(shown, edit.visible ? "eye" : "eye-off");
+    shown.setAttribute("aria-pressed", String(edit.visible));
+  };
+  const start = () => {
+    store.on("edits", show);
+    store.on("selection", show);
+    show();
+  };
+  return { root: made.root, start };
+}

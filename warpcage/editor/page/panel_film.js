@@ -1,0 +1,234 @@
+// Keys, the film and its exports, and the work that takes a while.
+
+import { store } from "./store.js";
+import { ask, attempt } from "./connection.js";
+import { askFor, showText, toast } from "./dialogs.js";
+import { titleOf, button, choice, el, group, icon, number, row, rows, setText, text } from "./controls.js";
+import { loadFrom, uploadField } from "./panel_cage.js";
+import { EASINGS, LOOPS, add, change, choose, chosenKey, film, goTo, holds, jump, onChosen, remove, seconds } from "./keys.js";
+
+function makeKeyRow({ id }) {
+  const time = el("span", { class: "row-note time" });
+  const name = el("span", { class: "row-name" });
+  const easing = el("span", { class: "row-note" });
+  const marks = el("span", { class: "marks", "aria-hidden": "true" }, icon("key"), icon("camera"));
+  const root = el("li", { id: `key-${id}`, class: "list-row", role: "option" }, time, name, easing, marks);
+  root.dataset.key = id;
+  root.addEventListener("click", () => {
+    const key = film().keys.find((one) => one.id === id);
+    goTo(key.time);
+    choose(id);
+  });
+  const update = (key) => {
+    setText(time, seconds(key.time));
+    setText(name, key.name);
+    setText(easing, EASINGS.find(([value]) => value === key.easing)?.[1] ?? key.easing);
+    marks.children[0].classList.toggle("off", !key.pose);
+    marks.children[1].classList.toggle("off", !key.camera);
+    const isChosen = chosenKey()?.id === id;
+    root.setAttribute("aria-selected", String(isChosen));
+    root.setAttribute("aria-label", `${key.name} at ${seconds(key.time)}, ${holds(key)}, ${key.easing}`);
+  };
+  return { root, update };
+}
+
+/** The group of the keys: {root, start()}. */
+export function keysGroup() {
+  const onKey = (event) => {
+    const ways = { ArrowUp: () => jump(-1), ArrowDown: () => jump(1), Delete: remove, Enter: () => document.getElementById("key-name").select() };
+    if (!ways[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    event.stopPropagation();
+    ways[event.key]();
+  };
+  const list = el("ul", {
+    id: "key-list",
+    class: "list",
+    role: "listbox",
+    tabindex: "0",
+    "aria-label": "Keys",
+    title: "Up and Down go from key to key, Enter renames, Delete deletes",
+    on: { keydown: onKey },
+  });
+  const empty = el("p", { class: "note" }, "No keys yet. Pose the cage, choose a time on the timeline, and add a key.");
+  const name = text({ id: "key-name", label: "Name", title: "Name of the chosen key (Enter keeps it)", maxlength: 100, onChange: (to) => change({ name: to }) });
+  const time = number({ id: "key-time", label: "Time", title: "Time of the chosen key", min: 0, max: 3600, unit: "s", onChange: (to) => change({ time: to }) });
+  const easing = choice({ id: "key-easing", label: "Easing", title: "How the way to the next key goes", options: EASINGS, onChange: (to) => change({ easing: to }) });
+  const details = el(
+    "div",
+    { id: "key-details" },
+    name.root,
+    time.root,
+    easing.root,
+    row(
+      button({ id: "key-take-pose", label: "Take pose", title: "The chosen key takes the pose as it is now", onClick: () => change({ pose: true }) }),
+      button({ id: "key-take-camera", label: "Take camera", title: "The chosen key takes the camera as it is now", onClick: () => change({ camera: true }) }),
+      button({ id: "key-delete", label: "Delete the key", icon: "delete", title: "Delete the chosen key (Delete in the list or on the timeline)", onClick: remove }),
+    ),
+  );
+  const adds = row(
+    button({ id: "key-add", label: "Add key", icon: "plus", keep: true, title: titleOf("Key of pose and camera at the present time", "key.insert"), onClick: () => add(true, true) }),
+    button({ id: "key-add-pose", label: "Pose", title: "Key of the pose alone at the present time", onClick: () => add(true, false) }),
+    button({ id: "key-add-camera", label: "Camera", title: "Key of the camera alone at the present time", onClick: () => add(false, true) }),
+  );
+  const made = group("keys", "Keys", false, list, empty, adds, details);
+  const showRows = rows(list, makeKeyRow);
+  const show = () => {
+    const { keys } = film();
+    showRows(keys);
+    list.hidden = !keys.length;
+    empty.hidden = keys.length > 0;
+    setText(made.note, keys.length ? String(keys.length) : "");
+    const key = chosenKey();
+    details.hidden = !key;
+    if (!key) return list.removeAttribute("aria-activedescendant");
+    list.setAttribute("aria-activedescendant", `key-${key.id}`);
+    document.getElementById(`key-${key.id}`)?.scrollIntoView({ block: "nearest" });
+    name.set(key.name);
+    time.set(key.time);
+    easing.set(key.easing);
+  };
+  const start = () => {
+    store.on("timeline", show);
+    onChosen(show);
+    show();
+  };
+  return { root: made.root, start };
+}
+
+const sizes = () => {
+  const { width = 800, height = 600 } = store.status.frame ?? {};
+  const even = (value) => 2 * Math.round(value / 2);
+  return [
+    { name: "width", label: "Width", type: "number", value: even(Math.max(640, width)), min: 16, max: 4096, step: 2, unit: "pixels" },
+    { name: "height", label: "Height", type: "number", value: even((Math.max(640, width) * height) / width), min: 16, max: 4096, step: 2, unit: "pixels" },
+  ];
+};
+const overlay = { name: "overlay", label: "Draw the cage", type: "check", value: false };
+const transparent = { name: "transparent", label: "Transparent background", type: "check", value: true };
+const shape = {
+  name: "ending",
+  label: "Format",
+  type: "choice",
+  value: ".obj",
+  choices: [
+    [".obj", "OBJ"],
+    [".ply", "PLY"],
+    [".glb", "glTF (GLB)"],
+  ],
+};
+
+/** What can be exported: [what, label, title, name of the file, fields]. */
+const EXPORTS = [
+  ["mp4", "MP4 film", "The film as MP4", "film.mp4", () => [...sizes(), overlay]],
+  ["gif", "GIF", "The film as GIF", "film.gif", () => [...sizes(), overlay]],
+  ["png", "PNG pictures", "The film as numbered PNG pictures, with alpha", "film.zip", () => [...sizes(), transparent, overlay]],
+  ["cage", "Posed cage", "The posed cage as a mesh", "posed", () => [shape]],
+  ["poses", "Poses", "All poses of the active edit in one file", "poses.json", () => []],
+  ["bake", "Baked field", "The deformed scene as a field of its own", "bent.npz", () => []],
+];
+
+async function exportAs([what, label, , file, fields]) {
+  const given = await askFor({
+    title: `Export: ${label}`,
+    fields: [{ name: "file", label: "File", type: "text", value: file, help: "Goes into the session's folder; the group Jobs offers it for download." }, ...fields()],
+    confirm: "Export",
+  });
+  if (!given) return;
+  const { ending } = given;
+  if (ending && !given.file.endsWith(ending)) given.file += ending;
+  document.getElementById("group-jobs").open = true;
+  await attempt(ask({ do: "export", what, ...given }));
+}
+
+async function savePoses() {
+  const given = await askFor({ title: "Save the poses", fields: [{ name: "file", label: "File", type: "text", value: "poses.json" }], confirm: "Save" });
+  if (!given) return;
+  if ((await attempt(ask({ do: "poses.save", file: given.file }))) !== undefined) toast(`Saved ${given.file}.`);
+}
+
+async function showCommand() {
+  const result = await attempt(ask({ do: "export.command" }));
+  if (result) showText("Command line", "This makes the same film without the editor:", result.command);
+}
+
+/** The group of the film: {root, start()}. */
+export function filmGroup() {
+  const length = number({ id: "film-length", label: "Length", title: "Length of the film, not before its last key", min: 0.1, max: 3600, step: 0.5, unit: "s", onChange: (value) => attempt(ask({ do: "timeline", length: value })) });
+  const fps = number({ id: "film-fps", label: "Rate", title: "Pictures a second", min: 1, max: 240, step: 1, unit: "fps", onChange: (value) => attempt(ask({ do: "timeline", fps: value })) });
+  const loop = choice({ id: "film-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, onChange: (value) => attempt(ask({ do: "timeline", loop: value })) });
+  const grid = el("div", { class: "grid" });
+  for (const one of EXPORTS) grid.append(button({ id: `export-${one[0]}`, label: `${one[1]}…`, title: one[2], onClick: () => exportAs(one) }));
+  const command = button({ id: "export-command", label: "Command line…", title: "The warpcage command that makes the same film without the editor", onClick: showCommand });
+  const upload = uploadField("poses-upload-file", "Pose file", ".json", "poses.load");
+  const poses = row(
+    button({ id: "poses-load", label: "Load…", title: "Load a pose file of the session's folder into the timeline", onClick: () => loadFrom("poses", "Load poses", "poses.load") }),
+    button({ id: "poses-upload", label: "Upload…", title: "Send a pose file from this computer", onClick: () => upload.click() }),
+    button({ id: "poses-save", label: "Save…", title: "Save the keys' poses of the active edit as a pose file", onClick: savePoses }),
+  );
+  const made = group("film", "Film", false, length.root, fps.root, loop.root, el("h3", {}, "Export"), grid, command, el("h3", {}, "Pose files"), poses, upload);
+  const show = () => {
+    const { length: long, fps: rate, loop: way } = film();
+    length.set(long);
+    fps.set(rate);
+    loop.set(way);
+  };
+  const start = () => {
+    store.on("timeline", show);
+    show();
+  };
+  return { root: made.root, start };
+}
+
+function makeJobRow({ id }) {
+  const name = el("span", { class: "row-name" });
+  const note = el("span", { class: "job-text", role: "status" });
+  const bar = el("progress", { max: 1, "aria-label": "Progress" });
+  const cancel = button({ label: "Cancel", title: "Stop this work", kind: "flat", onClick: () => attempt(ask({ do: "job.cancel", id })) });
+  const clear = button({ label: "Take off the list", icon: "close", kind: "flat", onClick: () => attempt(ask({ do: "job.clear", id })) });
+  const download = el("a", { class: "button primary", download: true }, icon("download"), el("span", {}, "Download"));
+  const root = el("li", { id: `job-${id}`, class: "job" }, el("div", { class: "row" }, name, download, cancel, clear), bar, note);
+  const update = (job) => {
+    root.dataset.state = job.state;
+    setText(name, job.name);
+    name.title = job.name;
+    const isRunning = job.state === "running";
+    bar.hidden = cancel.hidden = !isRunning;
+    clear.hidden = isRunning;
+    if (job.share === null || job.share === undefined) bar.removeAttribute("value");
+    else bar.value = job.share;
+    bar.setAttribute("aria-label", `Progress of ${job.name}`);
+    const words = { done: "Done", failed: "Failed", cancelled: "Cancelled" };
+    const texts = isRunning ? [job.text] : [job.state === "failed" ? null : words[job.state], job.result ?? job.text];
+    setText(note, texts.filter(Boolean).join(": "));
+    download.hidden = !job.download;
+    if (job.download) {
+      download.href = job.download;
+      download.title = `Download ${job.result ?? job.name}`;
+    }
+  };
+  return { root, update };
+}
+
+/** The group of the work that runs or ran: {root, start()}. */
+export function jobsGroup() {
+  const list = el("ul", { id: "job-list", class: "jobs", "aria-label": "Jobs" });
+  const empty = el("p", { class: "note" }, "Nothing runs. Cages and exports that take a while are shown here.");
+  const made = group("jobs", "Jobs", false, list, empty);
+  const showRows = rows(list, makeJobRow);
+  let before = 0;
+  const show = () => {
+    const { jobs = [] } = store.sections;
+    showRows(jobs);
+    empty.hidden = jobs.length > 0;
+    const running = jobs.filter(({ state }) => state === "running").length;
+    setText(made.note, running ? `${running} running` : jobs.length ? String(jobs.length) : "");
+    if (running > before) made.root.open = true;
+    before = running;
+  };
+  const start = () => {
+    store.on("jobs", show);
+    show();
+  };
+  return { root: made.root, start };
+}

@@ -1,0 +1,241 @@
+// Posing with sliders and typed numbers: bend, twist, taper and stretch of all or of the selection. A slider poses live
+// while it is dragged, makes one undo step when it is let go, and goes back to the middle for the next one.
+
+import { store } from "./store.js";
+import { ask, attempt, send, sendVertices } from "./connection.js";
+import { toast } from "./dialogs.js";
+import { actions, run } from "./actions.js";
+import { activeEdit, button, choice, el, group, number, perPicture, row, segments, setText, short, titleOf } from "./controls.js";
+import { middleOf } from "./panel_edits.js";
+
+const AXES = ["x", "y", "z"];
+const degrees = { neutral: 0, read: (place) => Math.round(place), place: (amount) => amount, tell: (amount) => `${short(amount, 1)}°` };
+const factor = { neutral: 1, read: (place) => 4 ** place, place: (amount) => Math.log(amount) / Math.log(4), tell: (amount) => `× ${short(amount, 2)}` };
+const PRESETS = [
+  { name: "bend", label: "Bend", ...degrees, min: -180, max: 180, step: 1, unit: "°", limit: [-720, 720] },
+  { name: "twist", label: "Twist", ...degrees, min: -360, max: 360, step: 1, unit: "°", limit: [-1440, 1440] },
+  { name: "taper", label: "Taper", ...factor, min: -1, max: 1, step: 0.01, unit: "×", limit: [0.01, 100] },
+  { name: "stretch", label: "Stretch", ...factor, min: -1, max: 1, step: 0.01, unit: "×", limit: [0.01, 100] },
+];
+
+/** What all sliders share: which vertices, along which axis, between which limits. */
+const ways = { on: "all", axis: "z", towards: "x", limits: [0, 1], isAxisChosen: false };
+let opened = null; // the preset whose slider is out of the middle
+
+const message = ({ name }, amount) => ({ do: "preset.set", preset: name, amount, axis: ways.axis, towards: ways.towards, limits: ways.limits });
+
+/** Begins a preset; false, and a word about it, where it has nothing to act on. */
+function begin(preset) {
+  const edit = activeEdit();
+  const { vertices = [] } = store.sections.selection ?? {};
+  if (!edit) toast("There is no cage to pose: generate one first.", "warning");
+  else if (store.sections.settings?.mode === "rest") toast("Sliders pose the cage: change to Pose first (Q).", "warning");
+  else if (ways.on === "selection" && !vertices.length) toast("Nothing is selected: select vertices, or let the slider act on all.", "warning");
+  else {
+    opened = preset;
+    attempt(ask({ do: "preset.begin", edit: edit.id, vertices: ways.on === "selection" ? vertices : null }));
+    return true;
+  }
+  return false;
+}
+
+const sendAmount = perPicture((preset, amount) => opened === preset && send(message(preset, amount)));
+
+/** Ends what is open as one undo step, or takes it back. */
+async function end(amount, cancel) {
+  const preset = opened;
+  if (!preset) return;
+  opened = null;
+  if (!cancel) await attempt(ask(message(preset, amount)));
+  await attempt(ask({ do: "preset.end", cancel }));
+}
+
+/** One preset: a slider to drag and a number to type. */
+function presetRow(preset) {
+  const { name, label, neutral, min, max, step, unit, limit } = preset;
+  const id = `preset-${name}`;
+  const slider = el("input", { id, type: "range", min, max, step, "aria-label": label, title: `${label}: drag; with the arrow keys, Enter keeps it; Escape takes it back` });
+  const shown = el("output", { class: "amount", for: id, hidden: true });
+  let isDragged = false;
+  const amountNow = () => preset.read(slider.valueAsNumber);
+  const rest = () => {
+    slider.value = preset.place(neutral);
+    slider.setAttribute("aria-valuetext", preset.tell(neutral));
+    typed.input.hidden = false;
+    shown.hidden = true;
+  };
+  const finish = (cancel) => {
+    isDragged = false;
+    if (opened === preset) end(amountNow(), cancel || amountNow() === neutral);
+    rest();
+  };
+  slider.addEventListener("pointerdown", () => (isDragged = true));
+  slider.addEventListener("input", () => {
+    if (opened !== preset && !begin(preset)) return rest();
+    const amount = amountNow();
+    slider.setAttribute("aria-valuetext", preset.tell(amount));
+    setText(shown, preset.tell(amount));
+    shown.hidden = false;
+    typed.input.hidden = true;
+    sendAmount(preset, amount);
+  });
+  // keys change step by step: what they reach is kept by Enter, or when the focus goes on
+  slider.addEventListener("change", () => isDragged && finish(false));
+  slider.addEventListener("blur", () => finish(false));
+  slider.addEventListener("pointerup", () => isDragged && finish(false));
+  slider.addEventListener("pointercancel", () => finish(true));
+  slider.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter" && event.key !== "Escape") return;
+    event.preventDefault();
+    event.stopPropagation();
+    finish(event.key === "Escape");
+  });
+  const typed = number({
+    id: `${id}-amount`,
+    label: `${label}, typed`,
+    title: `${label}: type an amount (${unit}) and press Enter`,
+    min: limit[0],
+    max: limit[1],
+    value: neutral,
+    bare: true,
+    onChange: async (amount) => {
+      if (amount !== neutral && begin(preset)) await end(amount, false);
+      typed.set(neutral);
+    },
+  });
+  rest();
+  const name_ = el("label", { for: id }, label);
+  return el("div", { class: "preset" }, name_, slider, el("span", { class: "value" }, typed.input, shown, el("span", { class: "unit" }, unit)));
+}
+
+/** Where the middle of the selection is: three numbers that can be typed. */
+function placeFields() {
+  const fields = AXES.map((axis, i) =>
+    number({
+      id: `place-${axis}`,
+      label: `Middle of the selection, ${axis}`,
+      title: `Middle of the selection, ${axis}: type a number and press Enter`,
+      bare: true,
+      onChange: (value) => {
+        const edit = activeEdit();
+        const { vertices = [] } = store.sections.selection ?? {};
+        if (!edit || !vertices.length) return;
+        const isRest = store.sections.settings?.mode === "rest";
+        const places = isRest ? edit.rest : edit.posed;
+        const by = value - vertices.reduce((sum, vertex) => sum + places[vertex][i], 0) / vertices.length;
+        const moved = Float64Array.from(places.flat());
+        for (const vertex of vertices) moved[3 * vertex + i] += by;
+        attempt(ask({ do: "drag.begin", edit: edit.id, label: `move to ${axis} ${short(value)}`, rest: isRest }));
+        sendVertices(isRest ? 3 : 2, edit.id, moved);
+        attempt(ask({ do: "drag.end", edit: edit.id, cancel: false }));
+      },
+    }),
+  );
+  const count = el("span", { id: "selection-count", class: "note" });
+  const root = el("div", { class: "place", role: "group", "aria-label": "Middle of the selection" });
+  AXES.forEach((axis, i) => root.append(el("label", { for: `place-${axis}` }, axis), fields[i].input));
+  const show = () => {
+    const edit = activeEdit();
+    const { vertices = [] } = store.sections.selection ?? {};
+    setText(count, vertices.length ? `${vertices.length} of ${edit?.rest.length ?? 0} vertices are selected; their middle:` : "Nothing is selected.");
+    root.hidden = !edit || !vertices.length;
+    if (root.hidden) return;
+    const isRest = store.sections.settings?.mode === "rest";
+    const middle = middleOf(isRest ? edit.rest : edit.posed, vertices);
+    fields.forEach((field, i) => field.set(Number(middle[i])));
+  };
+  return { nodes: [count, root], show };
+}
+
+/** Brings the selection, or all, back to the rest cage. */
+function reset(all) {
+  const name = all ? "pose.reset.all" : "pose.reset";
+  if (actions.has(name)) return run(name);
+  const edit = activeEdit();
+  const { vertices = [] } = store.sections.selection ?? {};
+  if (!edit) return undefined;
+  return attempt(ask({ do: "pose.reset", edit: edit.id, vertices: all ? null : vertices }));
+}
+
+/** The group of the pose: {root, start()}. */
+export function poseGroup() {
+  const on = segments({
+    id: "preset-on",
+    label: "What the sliders act on",
+    options: [
+      ["all", "All", "Sliders act on the whole cage"],
+      ["selection", "Selection", "Sliders act on the selected vertices"],
+    ],
+    value: ways.on,
+    onChange: (value) => (ways.on = value),
+  });
+  const others = () => AXES.filter((axis) => axis !== ways.axis).flatMap((axis) => [[axis, axis], [`-${axis}`, `−${axis}`]]);
+  const towards = choice({
+    id: "preset-towards",
+    label: "Towards",
+    title: "The direction that Bend bends to",
+    options: others(),
+    value: ways.towards,
+    onChange: (value) => (ways.towards = value),
+  });
+  const setAxis = (value) => {
+    ways.axis = value;
+    towards.fill(others());
+    if (ways.towards.endsWith(value)) ways.towards = AXES.find((axis) => axis !== value);
+    towards.set(ways.towards);
+  };
+  const axis = choice({
+    id: "preset-axis",
+    label: "Axis",
+    title: "The axis along which the sliders act",
+    options: AXES.map((name) => [name, name]),
+    value: ways.axis,
+    onChange: (value) => {
+      ways.isAxisChosen = true;
+      setAxis(value);
+    },
+  });
+  const limits = ["from", "to"].map((name, i) =>
+    number({
+      id: `preset-${name}`,
+      label: `Limits: ${name}`,
+      title: `Where along the axis it ${i ? "ends" : "begins"}, in percent of the cage's box`,
+      min: 0,
+      max: 100,
+      step: 5,
+      value: 100 * i,
+      bare: true,
+      onChange: (value) => {
+        const kept = i ? Math.max(value, 100 * ways.limits[0] + 1) : Math.min(value, 100 * ways.limits[1] - 1);
+        ways.limits[i] = kept / 100;
+        limits[i].set(kept);
+      },
+    }),
+  );
+  const between = el("div", { class: "field", title: "Where along the axis the sliders act" }, el("label", { for: "preset-from" }, "Between"));
+  between.append(el("div", { class: "value" }, limits[0].input, el("span", { class: "unit" }, "to"), limits[1].input, el("span", { class: "unit" }, "%")));
+  const place = placeFields();
+  const resets = row(
+    button({ id: "reset-selection", label: "Reset selection", title: titleOf("Bring the selected vertices back to the rest cage", "pose.reset"), onClick: () => reset(false) }),
+    button({ id: "reset-all", label: "Reset all", title: titleOf("Bring the whole cage back to rest", "pose.reset.all"), onClick: () => reset(true) }),
+  );
+  const made = group("pose", "Pose", true, el("div", { class: "field" }, el("span", { class: "label" }, "Acts on"), on.root), ...PRESETS.map(presetRow), axis.root, towards.root, between, ...place.nodes, resets);
+  const show = () => {
+    place.show();
+    document.getElementById("reset-all").disabled = !activeEdit();
+    document.getElementById("reset-selection").disabled = !store.sections.selection?.vertices?.length;
+  };
+  const start = () => {
+    for (const name of ["edits", "selection", "settings"]) store.on(name, show);
+    store.on("session", ({ field }) => {
+      if (ways.isAxisChosen || !field?.up) return;
+      const sizes = field.up.map(Math.abs);
+      axis.set(AXES[sizes.indexOf(Math.max(...sizes))]);
+      setAxis(axis.input.value);
+    });
+    // a lost connection has ended the preset
+    store.on("status", ({ connected }) => connected || (opened = null));
+    show();
+  };
+  return { root: made.root, start };
+}

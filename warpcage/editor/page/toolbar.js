@@ -1,0 +1,271 @@
+// The header, the tools at the left of the view and the options of those that are on.
+
+import { store } from "./store.js";
+import { ask, attempt } from "./connection.js";
+import { actions, register, run } from "./actions.js";
+import { choice, el, icon, number, perPicture, segments, setText, titleOf } from "./controls.js";
+
+const THEME = "warpcage.theme";
+const PANEL = "warpcage.panel";
+const THEMES = ["auto", "light", "dark"];
+const FALLOFFS = [
+  ["smooth", "Smooth"],
+  ["sphere", "Sphere"],
+  ["linear", "Linear"],
+  ["sharp", "Sharp"],
+  ["constant", "Constant"],
+];
+
+const kept = (name) => {
+  try {
+    return localStorage.getItem(name);
+  } catch {
+    return null; // a browser that keeps nothing
+  }
+};
+const keep = (name, value) => {
+  try {
+    localStorage.setItem(name, value);
+  } catch {
+    // a browser that keeps nothing: the choice lasts as long as the page
+  }
+};
+
+let theme = THEMES.includes(kept(THEME)) ? kept(THEME) : "auto";
+
+function showTheme() {
+  if (theme === "auto") delete document.documentElement.dataset.theme;
+  else document.documentElement.dataset.theme = theme;
+  const name = { auto: "as the system has it", light: "light", dark: "dark" }[theme];
+  const element = document.getElementById("theme");
+  element.title = `Theme: ${name}. Press for the next.`;
+  element.setAttribute("aria-label", element.title);
+}
+
+function nextTheme() {
+  theme = THEMES[(THEMES.indexOf(theme) + 1) % THEMES.length];
+  keep(THEME, theme);
+  showTheme();
+}
+
+function showPanel(isOpen) {
+  document.body.classList.toggle("panel-closed", !isOpen);
+  document.getElementById("panel").inert = !isOpen;
+  document.getElementById("panel-toggle").setAttribute("aria-expanded", String(isOpen));
+}
+
+function togglePanel() {
+  const isOpen = document.body.classList.contains("panel-closed");
+  keep(PANEL, isOpen ? "open" : "closed");
+  showPanel(isOpen);
+}
+
+/** What a key of the tool's button says: the first of its action's, in few signs. */
+function badge(action) {
+  const key = actions.get(action)?.keys[0] ?? "";
+  return key.replace("Shift+", "⇧").replace("Ctrl+", "^").replace("Alt+", "⌥");
+}
+
+/** Gives the buttons of index.html their pictures, titles and keys. */
+function dress() {
+  for (const element of document.querySelectorAll("button[data-icon]")) {
+    const { icon: name, label, action } = element.dataset;
+    const title = titleOf(label, action);
+    element.replaceChildren(icon(name));
+    element.title = title;
+    element.setAttribute("aria-label", title);
+    const text = element.closest("#tools") ? badge(action) : "";
+    if (text) element.append(el("span", { class: "badge", "aria-hidden": "true" }, text));
+  }
+}
+
+function onClick(event) {
+  const element = event.target.closest("button[data-icon]");
+  if (!element) return;
+  if (element.id === "theme") nextTheme();
+  else run(element.dataset.action, event);
+}
+
+function buildOptions() {
+  const axes = choice({
+    id: "axes",
+    label: "Axes",
+    title: titleOf("Axes that move, rotate and scale follow", "axes"),
+    options: [
+      ["world", "World axes"],
+      ["view", "View axes"],
+      ["local", "Local axes"],
+    ],
+    bare: true,
+    onChange: (value) => store.setTool("axes", value),
+  });
+  const symmetry = choice({
+    id: "symmetry",
+    label: "Symmetry",
+    title: titleOf("Symmetry about a plane through the middle of the cage", "symmetry"),
+    options: [
+      ["", "No mirror"],
+      ["x", "Mirror x"],
+      ["y", "Mirror y"],
+      ["z", "Mirror z"],
+    ],
+    bare: true,
+    onChange: (value) => store.setTool("symmetry", value),
+  });
+  document.getElementById("options-place").append(axes.root, symmetry.root);
+
+  const radius = number({
+    id: "radius",
+    label: "Radius",
+    title: "Radius of proportional editing in percent of the cage's size; the wheel changes it while you drag",
+    min: 1,
+    max: 200,
+    step: 5,
+    unit: "%",
+    onChange: (value) => store.setTool("radius", value / 100),
+  });
+  const falloff = choice({
+    id: "falloff",
+    label: "Falloff",
+    title: titleOf("How the pull fades with distance", "falloff"),
+    options: FALLOFFS,
+    onChange: (value) => store.setTool("falloff", value),
+  });
+  const step = number({
+    id: "snap-step",
+    label: "Step",
+    title: "Step of snapping in percent of the cage's size; a turn snaps to as many degrees",
+    min: 0.1,
+    max: 100,
+    step: 1,
+    unit: "%",
+    onChange: (value) => store.setTool("step", value / 100),
+  });
+  const near = el("div", { class: "chip", id: "proportional-options" }, radius.root, falloff.root);
+  const steps = el("div", { class: "chip", id: "snap-options" }, step.root);
+  document.getElementById("tool-options").append(near, steps);
+  return () => {
+    const { tools } = store;
+    axes.set(tools.axes);
+    symmetry.set(tools.symmetry);
+    radius.set(100 * tools.radius);
+    falloff.set(tools.falloff);
+    step.set(100 * tools.step);
+    near.hidden = !tools.proportional;
+    steps.hidden = !tools.snap;
+  };
+}
+
+function buildMode() {
+  const mode = segments({
+    id: "mode",
+    label: "What is edited",
+    options: [
+      ["pose", "Pose", "Pose the cage: the scene follows (Q)"],
+      ["rest", "Rest", "Fit the rest cage to the scene as it was captured (Q)"],
+    ],
+    value: "pose",
+    onChange: (value) => attempt(ask({ do: "settings", mode: value })),
+  });
+  document.getElementById("mode-place").append(mode.root);
+  return mode.set;
+}
+
+function showHistory() {
+  const { undo = 0, redo = 0, undo_label, redo_label } = store.sections.history ?? {};
+  for (const [id, label, count, what] of [
+    ["undo", "Undo", undo, undo_label],
+    ["redo", "Redo", redo, redo_label],
+  ]) {
+    const element = document.getElementById(id);
+    element.disabled = !count;
+    element.title = titleOf(count && what ? `${label}: ${what}` : label, id);
+    element.setAttribute("aria-label", element.title);
+  }
+}
+
+function showTools() {
+  for (const element of document.querySelectorAll("button[data-tool]")) {
+    const { tool, value } = element.dataset;
+    const isOn = value ? store.tools[tool] === value : Boolean(store.tools[tool]);
+    element.setAttribute("aria-pressed", String(isOn));
+  }
+}
+
+function showPicks() {
+  for (const element of document.querySelectorAll("button[data-mode]")) {
+    element.setAttribute("aria-pressed", String(element.dataset.mode === store.sections.selection?.mode));
+  }
+}
+
+const clock = (time) => {
+  const moment = new Date(time);
+  if (Number.isNaN(moment.getTime())) return "";
+  return moment.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+};
+
+/** Whether the page is connected and the session saved. */
+function connectionText() {
+  const { connected, attempts } = store.status;
+  const { saved, save_error: error } = store.sections.session ?? {};
+  if (!connected) return attempts ? ["lost", "Reconnecting…", "The server is being sought; what it had is safe"] : ["wait", "Connecting…", ""];
+  if (error) return ["lost", "Not saved", error];
+  if (!saved) return ["wait", "Saving…", "The session is saved by itself, beside the field"];
+  return ["good", "Saved", `Saved at ${clock(saved)}; the session is saved by itself, beside the field`];
+}
+
+const showStatus = perPicture(() => {
+  const { connected, fps, latency, frame } = store.status;
+  const speed = document.getElementById("speed");
+  const parts = connected && fps ? [`${Math.round(fps)} fps`] : [];
+  if (connected && latency) parts.push(`${Math.round(latency)} ms`);
+  setText(speed, parts.join(" · "));
+  if (frame) {
+    const { width, height, ms } = frame;
+    const made = ms ? `, made in ${Math.round(ms.all)} ms (pose ${Math.round(ms.pose)}, picture ${Math.round(ms.render)})` : "";
+    speed.title = `Pictures a second, and time from the hand to the picture. This one: ${width} x ${height}${made}`;
+  }
+  const [state, text, title] = connectionText();
+  const place = document.getElementById("connection");
+  place.dataset.state = state;
+  setText(place, text);
+  place.title = title;
+});
+
+function showSession() {
+  const { name, field } = store.sections.session ?? {};
+  const title = field?.name ?? name ?? "warpcage";
+  const heading = document.getElementById("scene-name");
+  setText(heading, title);
+  heading.title = `The field that is edited: ${title}`;
+  document.title = `${title} · warpcage`;
+}
+
+/** Fills header and tools, and keeps them as the store is. */
+export function start() {
+  register("panel", { label: "Side panel", keys: ["P"], group: "Page", run: togglePanel });
+  register("theme", { label: "Next theme: as the system, light, dark", group: "Page", run: nextTheme });
+  register("mode", {
+    label: "Pose or rest cage",
+    keys: ["Q"],
+    group: "Edit",
+    run: () => attempt(ask({ do: "settings", mode: store.sections.settings?.mode === "rest" ? "pose" : "rest" })),
+  });
+  dress();
+  showTheme();
+  showPanel(kept(PANEL) ? kept(PANEL) === "open" : window.innerWidth > 900);
+  const showOptions = buildOptions();
+  const showMode = buildMode();
+  document.addEventListener("click", onClick);
+  store.on("tools", () => (showTools(), showOptions()));
+  store.on("selection", showPicks);
+  store.on("settings", ({ mode }) => showMode(mode));
+  store.on("history", showHistory);
+  store.on("session", () => (showSession(), showStatus()));
+  store.on("status", showStatus);
+  showTools();
+  showOptions();
+  showPicks();
+  showHistory();
+  showStatus();
+}
