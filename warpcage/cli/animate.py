@@ -12,8 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.files import atomic_path
+from ..core.files import atomic_path, require_file
 from ..deform.deformer import Deformer
+from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
+from ..editor.session_file import read_session
+from ..editor.timeline import frame_times
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
 from ..view.film import checked_rate, write_gif, write_video
@@ -21,12 +24,36 @@ from ..view.frame import Frame
 from ..view.motion import axis_rotation, cameras_along, frame_places
 from ..view.pictures import read_image, write_png
 from . import inputs, options, outputs, view
+from .arguments.animate import OF_SESSIONS, Default
 from .keyframes import Keyframes, is_preset, pose_file
 
 SETTINGS_NAME = "animation.json"
 
 
+#: Options that go with --session.
+WITH_SESSION = (
+    "command",
+    "field",
+    "output",
+    "session",
+    "transparent",
+    "overlay",
+    "size",
+    "scene_scale",
+    "device",
+    "quiet",
+)
+
+
 def run(args: argparse.Namespace) -> None:
+    if args.session is not None:
+        _run_session(args)
+        return
+    if args.transparent:
+        raise ValueError("--transparent goes with --session")
+    for name in OF_SESSIONS:
+        default = getattr(args, name)
+        setattr(args, name, default.value if isinstance(default, Default) else default)
     output = _checked_output(args.output)
     if output.suffix:
         checked_rate(args.fps, output.suffix.lower())
@@ -59,6 +86,35 @@ def run(args: argparse.Namespace) -> None:
         f"{output.stat().st_size / 1e6:.2f} MB"
     )
     shot.warn()
+
+
+def _run_session(args: argparse.Namespace) -> None:
+    """The film of a session of the editor."""
+    given = [name for name, value in vars(args).items() if name not in WITH_SESSION and _is_given(value)]
+    if given:
+        raise ValueError(f"--session cannot be combined with --{given[0].replace('_', '-')}: the session decides that")
+    output = checked_film_path(args.output)
+    options.check_parent(output)
+    require_file(args.session, "session file")  # before a field is read, which takes a while
+    width, height = view.image_size(args) or DEFAULT_SIZE
+    film = Film(width, height, args.overlay, args.transparent)
+    field = inputs.read_field(args)
+    document = read_session(args.session, field)
+
+    from tqdm import tqdm
+
+    with tqdm(total=len(frame_times(document.timeline)), desc="animate", disable=args.quiet) as bar:
+
+        def report(share: float | None, text: str) -> None:
+            bar.update(round((share or 0.0) * bar.total) - bar.n)
+
+        count = export_film(document, field, output, film, report)
+    print(f"wrote {output}: {count} frames of {width}x{height}")
+
+
+def _is_given(value: object) -> bool:
+    """Whether an option has another value than where nobody gives it."""
+    return value is not None and value is not False and not isinstance(value, Default)
 
 
 class _Shot:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from fractions import Fraction
+from typing import Any
 
 from .. import options
 
@@ -15,11 +16,32 @@ EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
   warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
+  warpcage animate lego.npz --session lego.session.json -o film.mp4 --size 800 600
 
 An output without an ending is a folder of PNG files. If the command is interrupted, run it again: it renders only what
 is missing. The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from
 pose to pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
+
+--session makes the film of a session of the editor: its keys, its camera and its settings. A folder is new or empty
+then, and appears when all of its pictures are there.
 """
+
+#: What a session decides by itself, of the options that have a default.
+OF_SESSIONS = ("frames", "fps", "motion", "interpolation", "show", "coordinates", "resolution", "density", "fov")
+
+
+class Default:
+    """The default of an option that a session decides: nobody gave it.
+
+    Args:
+        value: What it is without a session.
+    """
+
+    def __init__(self, value: Any):
+        self.value = value
+
+    def __str__(self) -> str:
+        return str(self.value)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +72,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at "
         "both ends (default: %(default)s)",
     )
+    session = parser.add_argument_group("a session of the editor")
+    session.add_argument("--session", metavar="FILE", help="session file (.session.json), instead of all that it holds")
+    session.add_argument(
+        "--transparent", action="store_true", help="with --session and a folder: PNG files with opacity, no background"
+    )
     path = parser.add_argument_group("camera path")
     path.add_argument(
         "--turn",
@@ -77,3 +104,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_scene_scale(parser)
     options.add_device(parser)
     options.add_quiet(parser)
+    parser.set_defaults(**{name: Default(parser.get_default(name)) for name in OF_SESSIONS})

@@ -1,0 +1,316 @@
+"""Files that a session makes: films, pictures with opacity, cages, poses, baked fields, and the command for a film."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import pathlib
+import shlex
+import shutil
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..core.checks import checked_whole
+from ..core.files import PathLike
+from ..deform.bake import bake
+from ..field.voxel_field import VoxelField
+from ..view.camera import Camera
+from ..view.film import checked_rate, write_gif, write_video
+from ..view.frame import Frame
+from ..view.overlay import draw_cage
+from ..view.pictures import write_png
+from .document import Document
+from .scene import PosedScene, camera
+from .timeline import document_at, frame_rate, frame_times, pose_file
+
+#: Width and height of a film where none is given, and the largest, pixels.
+DEFAULT_SIZE, LARGEST_SIDE = (800, 600), 8192
+
+#: Kinds of cage files that a session writes; others can be read back too.
+CAGE_ENDINGS = (".obj", ".ply", ".glb")
+
+#: Told how far the work is: a share from 0 to 1 or None, and what is done next. What it raises ends the work.
+Report = Callable[[float | None, str], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Film:
+    """How a film is written.
+
+    Args:
+        width: Width of its pictures, pixels.
+        height: Height of its pictures, pixels.
+        overlay: Draw the cages of visible edits into the pictures.
+        transparent: Write pictures with opacity instead of a background: for folders of PNG files.
+
+    Raises:
+        ValueError: For sizes that are not 1 to LARGEST_SIDE.
+    """
+
+    width: int = DEFAULT_SIZE[0]
+    height: int = DEFAULT_SIZE[1]
+    overlay: bool = False
+    transparent: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            checked_whole(getattr(self, name), f"the {name} of a film", 1, LARGEST_SIDE)
+
+
+def _silent(share: float | None, text: str) -> None:
+    """Tell nobody."""
+
+
+def export_film(
+    document: Document, field: VoxelField, path: PathLike, film: Film | None = None, report: Report = _silent
+) -> int:
+    """Write the film of a document, whole or not at all.
+
+    Each frame shows all visible edits as the timeline has them, at the settings of the document. A session without keys
+    makes a film that stands still.
+
+    Args:
+        document: The document.
+        field: The radiance field.
+        path: The film: .mp4 or .gif, or a folder of PNG files, which must not be there or be empty.
+        film: Size and kind of its pictures. None is the default of each.
+        report: Told after each frame. What it raises ends the work.
+
+    Returns:
+        Number of frames.
+
+    Raises:
+        ValueError: For another ending, a rate that such a film cannot have, a folder with something in it, opacity in a
+            film that has none, or a pose that cannot be used.
+    """
+    film = film or Film()
+    target, times = checked_film_path(path), frame_times(document.timeline)
+    ending = target.suffix.lower()
+    if film.transparent and ending:
+        raise ValueError(f"a film ({ending}) has no opacity: write a folder of PNG files, which has no ending")
+    rate = checked_rate(frame_rate(document.timeline), ending) if ending else None
+    pictures = film_pictures(document, field, film, report)
+    if ending == ".mp4" and rate is not None:
+        write_video(target, pictures, rate)
+    elif rate is not None:
+        write_gif(target, pictures, rate, loop=document.timeline.loop != "once")
+    else:
+        with atomic_folder(target) as folder:
+            digits = max(4, len(str(len(times) - 1)))
+            for index, picture in enumerate(pictures):
+                write_png(folder / f"frame_{index:0{digits}d}.png", picture)
+    return len(times)
+
+
+def film_pictures(document: Document, field: VoxelField, film: Film, report: Report = _silent) -> Iterator[np.ndarray]:
+    """The pictures of a film, each rendered when it is asked for.
+
+    Args:
+        document: The document.
+        field: The radiance field.
+        film: Size and kind of the pictures.
+        report: Told before each picture and after the last one.
+
+    Yields:
+        (height, width, 3) or, with opacity, (height, width, 4) float32 in [0, 1], colours not multiplied by opacity.
+
+    Raises:
+        ValueError: For a pose that cannot be used, with its time.
+    """
+    times = frame_times(document.timeline)
+    settings = dataclasses.replace(document.settings, mode="pose")
+    document = dataclasses.replace(document, settings=settings)
+    scene = PosedScene(field)  # with a Deformer of its own: the session's is in use
+    shown: Document | None = None
+    picture = np.zeros(0, np.float32)
+    for index, time in enumerate(times):
+        report(index / len(times), f"frame {index + 1} of {len(times)}")
+        moment = document_at(document, time)
+        if shown is None or not _look_alike(moment, shown):
+            try:
+                picture = _picture(scene, moment, film)
+            except ValueError as error:
+                raise ValueError(f"at {time:.3f} s of the film: {error}") from error
+            shown = moment
+        yield picture
+    report(1.0, "writes the end")
+
+
+def checked_film_path(path: PathLike) -> pathlib.Path:
+    """The path of a film, once it is clear that one can be written there.
+
+    Args:
+        path: .mp4, .gif, or a folder without an ending.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: For another ending, a folder that ends so, or a folder with something in it.
+    """
+    target = pathlib.Path(path)
+    if target.suffix.lower() in (".mp4", ".gif"):
+        if target.is_dir():
+            raise ValueError(f"film {str(target)!r} is a folder")
+    elif target.suffix:
+        raise ValueError(f"film {str(target)!r} must end in .mp4 or .gif, or have no ending: a folder of PNG files")
+    elif target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise ValueError(f"{str(target)!r} holds something already: give the name of a new folder")
+    return target
+
+
+@contextlib.contextmanager
+def atomic_folder(path: PathLike) -> Iterator[pathlib.Path]:
+    """A temporary folder that becomes `path` when the block ends without an error. After one it is removed.
+
+    Args:
+        path: The folder. It must not be there, or be empty.
+
+    Yields:
+        The temporary folder, beside it.
+
+    Raises:
+        ValueError: If there is something in the folder, also when the block ends.
+    """
+    target = pathlib.Path(path).absolute()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{target.name[:60]}-{os.urandom(8).hex()}")
+    temporary.mkdir()
+    try:
+        yield temporary
+        try:
+            with contextlib.suppress(FileNotFoundError):
+                target.rmdir()  # an empty folder alone lets itself be removed
+            os.rename(temporary, target)
+        except OSError as error:
+            if os.path.lexists(target):
+                raise ValueError(f"{str(path)!r} holds something already: give the name of a new folder") from error
+            raise
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def export_cage(document: Document, number: int, path: PathLike, *, rest: bool = False) -> None:
+    """Write the cage of an edit, whole or not at all.
+
+    Args:
+        document: The document.
+        number: Number of the edit.
+        path: The file; its ending, one of CAGE_ENDINGS, says which format it gets.
+        rest: Write the cage at rest, not the posed one.
+
+    Raises:
+        ValueError: If there is no such edit, or for another ending.
+    """
+    edit, path = document.edit(number), pathlib.Path(path)
+    if path.suffix.lower() not in CAGE_ENDINGS:
+        raise ValueError(f"cage {str(path)!r} must end in {', '.join(CAGE_ENDINGS)}")
+    Cage(edit.rest if rest else edit.posed, edit.faces).save(path)
+
+
+def export_poses(document: Document, number: int, path: PathLike) -> None:
+    """Write the keys of an edit as a pose file, whole or not at all.
+
+    Args:
+        document: The document.
+        number: Number of the edit.
+        path: The file; it must end in .json.
+
+    Raises:
+        ValueError: If there is no such edit, no key holds a pose of it, or for another ending.
+    """
+    if pathlib.Path(path).suffix.lower() != ".json":
+        raise ValueError(f"pose file {str(path)!r} must end in .json")
+    pose_file(document, number).save(path)
+
+
+def export_baked(document: Document, field: VoxelField, path: PathLike, report: Report = _silent) -> VoxelField:
+    """Write the deformed scene as a field of its own, whole or not at all. Without visible edits it is the field.
+
+    Args:
+        document: The document; its poses of now count.
+        field: The radiance field.
+        path: The file; it must end in .npz.
+        report: Told between the steps. What it raises ends the work.
+
+    Returns:
+        The field that was written.
+
+    Raises:
+        ValueError: For another ending, a pose that cannot be used, or too little memory.
+    """
+    if pathlib.Path(path).suffix.lower() != ".npz":
+        raise ValueError(f"field {str(path)!r} must end in .npz")
+    report(None, "poses the cages")
+    scene = PosedScene(field)
+    scene.prepare(dataclasses.replace(document, settings=dataclasses.replace(document.settings, mode="pose")))
+    report(0.1, "resamples the deformed scene")
+    baked = field if scene.deformer is None else bake(scene.deformer)
+    report(0.8, f"writes {baked.voxel_count} voxels")
+    baked.save(path)
+    return baked
+
+
+def export_command(
+    session: PathLike, field: PathLike, film: Film | None = None, *, output: str = "film.mp4", scene_scale: float = 1.0
+) -> str:
+    """The command that makes the film of a session without the editor.
+
+    Args:
+        session: The session's file.
+        field: The field's file.
+        film: Size and kind of its pictures. None is the default of each.
+        output: The film: .mp4, .gif, or a folder without an ending.
+        scene_scale: The factor that the field was loaded with.
+
+    Returns:
+        One line for a shell.
+    """
+    film = film or Film()
+    paths = [os.fspath(path) for path in (field, session, output)]
+    # a name that begins like an option is taken for one
+    field_word, session_word, output_word = (f"./{path}" if path.startswith("-") else path for path in paths)
+    words = ["warpcage", "animate", field_word, "--session", session_word, "-o", output_word]
+    words += ["--size", str(film.width), str(film.height)]
+    words += ["--overlay"] * film.overlay + ["--transparent"] * film.transparent
+    words += ["--scene-scale", repr(float(scene_scale))] * (scene_scale != 1.0)
+    return shlex.join(words)
+
+
+def _look_alike(one: Document, other: Document) -> bool:
+    """Whether two moments of a film have the same picture. What is still shares its arrays."""
+    poses = zip(one.edits, other.edits, strict=True)
+    return one.view == other.view and all(a.posed is b.posed or np.array_equal(a.posed, b.posed) for a, b in poses)
+
+
+def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
+    """What a film shows of a moment."""
+    settings = document.settings
+    looking = camera(document.view, film.width, film.height)
+    scene.prepare(document)
+    background = "black" if film.transparent else settings.background
+    frame = scene.render(looking, background, supersampling=settings.supersampling)
+    cages = (
+        [edit.posed_cage for edit in document.edits if edit.visible and edit.kind != "remove"] if film.overlay else []
+    )
+    if film.transparent:
+        return _with_opacity(frame, looking, cages)
+    shown = np.clip(frame.rgb, 0.0, 1.0)
+    for cage in cages:
+        shown = draw_cage(shown, looking, cage)
+    return shown
+
+
+def _with_opacity(frame: Frame, looking: Camera, cages: list[Cage]) -> np.ndarray:
+    """(h, w, 4) colours and opacity of a frame on black, whose colours are multiplied by opacity."""
+    colours = np.maximum(frame.rgb, 0.0)
+    clear = np.repeat(1.0 - np.clip(frame.alpha, 0.0, 1.0)[..., None], 3, axis=-1)
+    for cage in cages:
+        colours = draw_cage(colours, looking, cage)
+        clear = draw_cage(clear, looking, cage, color=(0.0, 0.0, 0.0))  # what is behind, through the same lines
+    alpha = 1.0 - clear[..., :1]
+    straight = np.divide(colours, alpha, out=np.zeros_like(colours), where=alpha > 0.0)
+    return np.concatenate([np.clip(straight, 0.0, 1.0), alpha], axis=-1).astype(np.float32)
