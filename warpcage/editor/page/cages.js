@@ -2,10 +2,10 @@
 
 import { store } from "./store.js";
 import { send, when } from "./connection.js";
-import { makeTopology } from "./topology.js";
+import { makeTopology, signedVolume } from "./topology.js";
 import { bounds, distance } from "./vectors.js";
 
-/** id -> {id, name, kind, visible, faces, topology, rest, posed, size}; faces and points are flat. */
+/** id -> {id, name, kind, visible, faces, topology, rest, posed, size, sense}; faces and points are flat. */
 export const cages = new Map();
 const listeners = [];
 let held = null; // {id, places}: the hand moves this edit's places (name), the server's are kept for later
@@ -110,6 +110,7 @@ function take(edits) {
       else cage[name] = points;
     }
     cage.size = distance(...bounds(cage.rest)) || 1;
+    cage.sense = signedVolume(cage.faces, cage.rest) < 0 ? -1 : 1; // whether its faces look inwards
     cages.delete(edit.id); // the map's order is the edits' order
     cages.set(edit.id, cage);
   }

@@ -2,7 +2,7 @@
 
 import { project, projectAll } from "./camera.js";
 import { hiddenPoints } from "./pick.js";
-import { facesWithin } from "./topology.js";
+import { facesWithin, facing } from "./topology.js";
 import { add, bounds, point, times } from "./vectors.js";
 
 const PIECES = 12; // of an edge, each seen or hidden
@@ -11,7 +11,9 @@ const TOLERANCE = 0.015; // share of the cage's size: the cage lies outside the 
 
 const INK = {
   rim: "rgba(0, 0, 0, 0.5)",
-  line: "rgba(240, 244, 250, 0.92)",
+  softRim: "rgba(0, 0, 0, 0.22)",
+  line: "rgba(244, 247, 252, 0.95)",
+  back: "rgba(240, 244, 250, 0.5)",
   faint: "rgba(240, 244, 250, 0.42)",
   other: "rgba(190, 205, 225, 0.5)",
   selected: "#ff9a1f",
@@ -66,15 +68,17 @@ function traceEdge(path, camera, points, screen, a, b, flags, pieces, hidden) {
   }
 }
 
-/** Paths of a cage's edges: seen and hidden, plain and selected. */
-function edgePaths(camera, cage, points, screen, hidden, isSelected) {
-  const paths = { seen: new Path2D(), behind: new Path2D(), chosen: new Path2D(), chosenBehind: new Path2D() };
+/** Paths of a cage's edges: of its front and its back, behind matter, and of these those selected. */
+function edgePaths(camera, cage, points, screen, hidden, front, isSelected) {
+  const names = ["seen", "back", "behind", "chosen", "chosenBehind"];
+  const paths = Object.fromEntries(names.map((name) => [name, new Path2D()]));
   const { edges } = cage.topology;
   for (let e = 0; e < edges.length / 2; e += 1) {
     const [a, b] = [edges[2 * e], edges[2 * e + 1]];
     const flags = hidden.edges.subarray(e * hidden.pieces, (e + 1) * hidden.pieces);
     const chosen = isSelected(a) && isSelected(b);
-    traceEdge(chosen ? paths.chosen : paths.seen, camera, points, screen, a, b, flags, hidden.pieces, false);
+    const plain = front.edges[e] ? paths.seen : paths.back;
+    traceEdge(chosen ? paths.chosen : plain, camera, points, screen, a, b, flags, hidden.pieces, false);
     traceEdge(chosen ? paths.chosenBehind : paths.behind, camera, points, screen, a, b, flags, hidden.pieces, true);
   }
   return paths;
@@ -138,13 +142,16 @@ export function drawCage(context, camera, cage, points, look) {
     fillFaces(context, cage, screen, check.crossing_faces ?? [], INK.crossing);
   }
   if (mode === "face") fillFaces(context, cage, screen, facesWithin(cage.faces, selected), INK.selectedFace);
-  const paths = edgePaths(camera, cage, points, screen, hidden, isSelected);
-  stroke(context, paths.behind, INK.rim, 2, [3, 4]);
+  const front = facing(cage.topology, points, camera.eye, cage.sense);
+  const paths = edgePaths(camera, cage, points, screen, hidden, front, isSelected);
+  stroke(context, paths.behind, INK.softRim, 2, [3, 4]);
   stroke(context, paths.behind, INK.faint, 1, [3, 4]);
   stroke(context, paths.chosenBehind, INK.selectedFaint, 1.4, [3, 4]);
-  stroke(context, paths.seen, INK.rim, 3);
-  stroke(context, paths.seen, INK.line, 1.2);
-  stroke(context, paths.chosen, INK.rim, 4);
+  stroke(context, paths.back, INK.softRim, 2);
+  stroke(context, paths.back, INK.back, 1);
+  stroke(context, paths.seen, INK.rim, 2.6);
+  stroke(context, paths.seen, INK.line, 1.3);
+  stroke(context, paths.chosen, INK.rim, 3.6);
   stroke(context, paths.chosen, INK.selected, 2);
   if (hover?.mode === "face") fillFaces(context, cage, screen, [hover.number], "rgba(255, 233, 168, 0.25)");
   if (hover?.mode === "edge") {
@@ -154,13 +161,14 @@ export function drawCage(context, camera, cage, points, look) {
     path.lineTo(screen[3 * b], screen[3 * b + 1]);
     stroke(context, path, INK.hover, 3);
   }
-  const groups = { seen: [], behind: [], chosen: [], chosenBehind: [] };
+  const groups = { seen: [], back: [], behind: [], chosen: [], chosenBehind: [] };
   for (let i = 0; i < hidden.vertices.length; i += 1) {
-    const [near, far] = selected.has(i) ? ["chosen", "chosenBehind"] : ["seen", "behind"];
+    const [near, far] = selected.has(i) ? ["chosen", "chosenBehind"] : [front.vertices[i] ? "seen" : "back", "behind"];
     groups[hidden.vertices[i] ? far : near].push(i);
   }
   const size = mode === "vertex" ? 1 : 0.7;
   dots(context, screen, groups.behind, 2.2 * size, INK.faint);
+  dots(context, screen, groups.back, 2.8 * size, INK.back, INK.softRim);
   dots(context, screen, groups.seen, 3.4 * size, INK.line, INK.rim);
   dots(context, screen, groups.chosenBehind, 4 * size, INK.selectedFaint, INK.rim);
   dots(context, screen, groups.chosen, 5 * size, INK.selected, INK.rim);
@@ -185,7 +193,8 @@ export function drawMirror(context, camera, cage, axis) {
   if (corners.some(([, , z]) => z <= 0)) return;
   corners.forEach(([x, y], i) => path[i ? "lineTo" : "moveTo"](x, y));
   path.closePath();
-  stroke(context, path, INK.mirror, 1, [6, 4]);
+  stroke(context, path, INK.rim, 2.5);
+  stroke(context, path, INK.mirror, 1.4, [8, 4]);
 }
 
 /** The rectangle or lasso that is being drawn (flat x, y of its path). */

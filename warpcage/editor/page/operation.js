@@ -199,6 +199,7 @@ export function takeKey(event) {
   if (["Shift", "Control", "Alt", "Meta"].includes(key)) return;
   event.preventDefault();
   event.stopPropagation();
+  operation.time = event.timeStamp;
   if (key === "Enter" || key === " ") finish();
   else if (key === "Escape") finish(true);
   else if (event.ctrlKey || event.metaKey || event.altKey) return;

@@ -1,17 +1,20 @@
 // Edges, neighbours and parts of a cage. Faces are flat (a0, b0, c0, a1, ...), selections are sets of vertex numbers.
 
-/** Edges (flat pairs, smaller number first), neighbours of each vertex and the part that each vertex belongs to. */
+/** Edges (flat pairs, smaller number first), three edges of each face, neighbours and part of each vertex. */
 export function makeTopology(faces, count) {
   const neighbours = Array.from({ length: count }, () => []);
-  const seen = new Set();
+  const seen = new Map(); // edge by its two vertices -> its number
   const edges = [];
+  const faceEdges = new Int32Array(faces.length).fill(-1);
   for (let f = 0; f < faces.length; f += 3) {
     for (let k = 0; k < 3; k += 1) {
       const a = Math.min(faces[f + k], faces[f + ((k + 1) % 3)]);
       const b = Math.max(faces[f + k], faces[f + ((k + 1) % 3)]);
       const name = a * count + b;
-      if (a === b || seen.has(name)) continue;
-      seen.add(name);
+      if (a === b) continue;
+      faceEdges[f + k] = seen.get(name) ?? edges.length / 2;
+      if (seen.has(name)) continue;
+      seen.set(name, edges.length / 2);
       edges.push(a, b);
       neighbours[a].push(b);
       neighbours[b].push(a);
@@ -31,7 +34,7 @@ export function makeTopology(faces, count) {
     }
     part += 1;
   }
-  return { count, faces, edges: Int32Array.from(edges), neighbours, parts };
+  return { count, faces, edges: Int32Array.from(edges), faceEdges, neighbours, parts };
 }
 
 /** All vertices that hang together with any of these. */
@@ -64,6 +67,38 @@ export function facesWithin(faces, selected) {
     if (selected.has(faces[3 * f]) && selected.has(faces[3 * f + 1]) && selected.has(faces[3 * f + 2])) out.push(f);
   }
   return out;
+}
+
+/** Six times the volume that the faces enclose: positive where they look outwards. */
+export function signedVolume(faces, points) {
+  let sum = 0;
+  for (let f = 0; f < faces.length; f += 3) {
+    const [a, b, c] = [3 * faces[f], 3 * faces[f + 1], 3 * faces[f + 2]];
+    sum +=
+      points[a] * (points[b + 1] * points[c + 2] - points[b + 2] * points[c + 1]) +
+      points[a + 1] * (points[b + 2] * points[c] - points[b] * points[c + 2]) +
+      points[a + 2] * (points[b] * points[c + 1] - points[b + 1] * points[c]);
+  }
+  return sum;
+}
+
+/** Which edges and vertices touch a face that looks at the eye: {edges, vertices}, 1 or 0 each. */
+export function facing(topology, points, eye, sense) {
+  const { faces, faceEdges } = topology;
+  const edges = new Uint8Array(topology.edges.length / 2);
+  const vertices = new Uint8Array(topology.count);
+  for (let f = 0; f < faces.length; f += 3) {
+    const corner = [0, 1, 2].map((k) => [0, 1, 2].map((i) => points[3 * faces[f + k] + i] - eye[i]));
+    const [a, b, c] = corner;
+    const side =
+      a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
+    if (side * sense > 0) continue;
+    for (let k = 0; k < 3; k += 1) {
+      if (faceEdges[f + k] >= 0) edges[faceEdges[f + k]] = 1;
+      vertices[faces[f + k]] = 1;
+    }
+  }
+  return { edges, vertices };
 }
 
 /** The sum of the faces' normals times twice their area, over the faces that touch a selection. */

@@ -1,0 +1,89 @@
+"""A headless Chromium for tests of the editor's page."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+
+@contextmanager
+def chromium(width: int = 1280, height: int = 800, *, ratio: float = 1.0, scheme: str = "light") -> Iterator[Any]:
+    """A selenium driver of Debian's Chromium; skips, visibly, where one of the two is missing.
+
+    Args:
+        width: Of the page, CSS pixels.
+        height: Of the page, CSS pixels.
+        ratio: Device pixels of a CSS pixel.
+        scheme: light or dark.
+
+    Yields:
+        The driver; `get_log("browser")` gives what the console got.
+    """
+    webdriver = pytest.importorskip("selenium.webdriver")
+    browser, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if browser is None or driver is None:
+        pytest.skip("needs Debian's chromium and chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = browser
+    arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage"]
+    arguments += [f"--force-device-scale-factor={ratio:g}", "--no-first-run", "--disable-extensions"]
+    if scheme == "dark":
+        arguments.append("--blink-settings=preferredColorScheme=0")
+    for argument in arguments:
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driven = webdriver.Chrome(options=options, service=webdriver.ChromeService(executable_path=driver))
+    try:
+        driven.set_script_timeout(30)
+        metrics = {"width": width, "height": height, "deviceScaleFactor": ratio, "mobile": False}
+        driven.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        yield driven
+    finally:
+        driven.quit()
+
+
+def pointer(driver: Any, kind: str, x: float, y: float, *, button: str = "none", keys: int = 0, **more: Any) -> None:
+    """One mouse event at a place of the page.
+
+    Args:
+        driver: Of `chromium`.
+        kind: mousePressed, mouseMoved, mouseReleased or mouseWheel.
+        x: CSS pixels.
+        y: CSS pixels.
+        button: none, left, middle or right.
+        keys: 1 Alt, 2 Ctrl, 4 Meta, 8 Shift, added.
+        **more: Further parts of Chromium's Input.dispatchMouseEvent.
+    """
+    held = {"none": 0, "left": 1, "right": 2, "middle": 4}[button]
+    event = {"type": kind, "x": x, "y": y, "button": button, "buttons": held, "modifiers": keys, "clickCount": 1}
+    driver.execute_cdp_cmd("Input.dispatchMouseEvent", event | more)
+
+
+def drag(driver: Any, path: list[tuple[float, float]], *, button: str = "left", keys: int = 0) -> None:
+    """A drag along places of the page, pressed at the first and released at the last; see `pointer`."""
+    pointer(driver, "mouseMoved", *path[0], keys=keys)
+    pointer(driver, "mousePressed", *path[0], button=button, keys=keys)
+    for place in path[1:]:
+        pointer(driver, "mouseMoved", *place, button=button, keys=keys)
+    pointer(driver, "mouseReleased", *path[-1], button=button, keys=keys)
+
+
+def press(driver: Any, *strokes: str) -> None:
+    """Press keys, each "G", "Ctrl+Z", "Enter", "ArrowLeft" and the like, at what has the focus."""
+    keys = {"Alt": 1, "Ctrl": 2, "Shift": 8}
+    codes = {"Enter": 13, "Escape": 27, "Tab": 9, "Backspace": 8, "Space": 32}
+    for stroke in strokes:
+        head, _, key = stroke.rpartition("+") if not stroke.endswith("++") else (stroke[:-2], "+", "+")
+        held = sum(keys[name] for name in head.split("+") if name)
+        single = key if len(key) > 1 else key.upper() if held & 8 else key.lower()
+        code = f"Digit{key}" if key.isdigit() else f"Key{key.upper()}" if key.isalpha() and len(key) == 1 else key
+        event: dict[str, Any] = {"key": " " if key == "Space" else single, "code": code, "modifiers": held}
+        event["windowsVirtualKeyCode"] = codes.get(key, ord(key.upper()) if len(key) == 1 else 0)
+        if len(key) == 1 and not held & 3:
+            event["text"] = single
+        driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyDown", **event})
+        driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyUp", **event})
