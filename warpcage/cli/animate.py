@@ -90,8 +90,7 @@ def run(args: argparse.Namespace) -> None:
 
 def _run_session(args: argparse.Namespace) -> None:
     """The film of a session of the editor."""
-    given = [name for name, value in vars(args).items() if name not in WITH_SESSION and _is_given(value)]
-    if given:
+    if given := _given_besides(args):
         raise ValueError(f"--session cannot be combined with --{given[0].replace('_', '-')}: the session decides that")
     output = checked_film_path(args.output)
     options.check_parent(output)
@@ -112,9 +111,14 @@ def _run_session(args: argparse.Namespace) -> None:
     print(f"wrote {output}: {count} frames of {width}x{height}")
 
 
-def _is_given(value: object) -> bool:
-    """Whether an option has another value than where nobody gives it."""
-    return value is not None and value is not False and not isinstance(value, Default)
+def _given_besides(args: argparse.Namespace) -> list[str]:
+    """The options that were given and do not go with --session."""
+    values = {name: value for name, value in vars(args).items() if name not in WITH_SESSION}
+    return [
+        name
+        for name, value in values.items()
+        if (not isinstance(value, Default) if name in OF_SESSIONS else value is not None)
+    ]
 
 
 class _Shot:

@@ -1,0 +1,409 @@
+"""Files that a session makes, and the scene that its renderer and its films share."""
+
+import dataclasses
+import itertools
+import shlex
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from cli_runs import write_files
+from deformed_scenes import BOX, shiny_field
+
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
+from warpcage.cli import main
+from warpcage.deform.deformer import Deformer
+from warpcage.deform.edits import CageEdit
+from warpcage.editor import scene as scene_module
+from warpcage.editor.checked import frozen_vertices
+from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, new_edit
+from warpcage.editor.exports import (
+    Film,
+    atomic_folder,
+    export_baked,
+    export_cage,
+    export_command,
+    export_film,
+    export_poses,
+    film_pictures,
+)
+from warpcage.editor.jobs import Cancelled, Jobs, Outcome
+from warpcage.editor.scene import PosedScene, camera
+from warpcage.editor.session_file import write_session
+from warpcage.editor.timeline import frame_times, state_at
+from warpcage.field.voxel_field import VoxelField
+from warpcage.view.camera import Camera
+
+VIEW = View((2.5, 1.2, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
+BENT, TWISTED = BOX.bend(40, axis="x", towards="z"), BOX.twist(50, axis="x")
+SMALL = Settings(coordinates="mean_value", resolution=16)
+TINY = Film(40, 30)
+
+
+@pytest.fixture(scope="module")
+def field():
+    return shiny_field("cpu")
+
+
+def document(*edits, keys=(), settings=SMALL, **film):
+    edits = edits or (new_edit(1, BOX, "Cage", posed=BENT.vertices),)
+    return Document(edits, Selection(1), settings, VIEW, Timeline(tuple(keys), **film), next_id=99)
+
+
+def moving(**film):
+    """A film from rest to the bent pose with a moving camera, of a few frames."""
+    other = dataclasses.replace(VIEW, eye=(0.5, 2.8, 1.5), fov=50.0)
+    keys = (
+        Key(10, 0.0, "rest", "smooth", {1: frozen_vertices(BOX.vertices)}, VIEW),
+        Key(11, 0.5, "bent", "linear", {1: frozen_vertices(BENT.vertices)}, other),
+    )
+    return document(keys=keys, **{"length": 0.5, "fps": 6.0, **film})
+
+
+def pictures_of(folder):
+    return [iio.imread(path) for path in sorted(folder.iterdir())]
+
+
+# -- The scene
+
+
+def test_a_view_is_a_camera_with_a_vertical_field_of_view():
+    looking = camera(VIEW, 60, 30)
+    assert (looking.width, looking.height, looking.fx) == (60, 30, looking.fy)
+    assert 2 * np.degrees(np.arctan(15 / looking.fy)) == pytest.approx(40.0)
+    square = Camera.look_at(VIEW.eye, VIEW.target, fov_degrees=40.0, width=50, height=50)
+    np.testing.assert_allclose(camera(VIEW, 50, 50).fx, square.fx)
+    np.testing.assert_array_equal(looking.camera_to_world, square.camera_to_world)
+
+
+def test_a_scene_renders_what_a_deformer_of_its_edits_does(field):
+    part = Cage.box([-0.7, -0.5, -0.4], [-0.2, 0.5, 0.4])
+    edits = (
+        new_edit(1, BOX, "bend", posed=BENT.vertices),
+        new_edit(2, BOX, "hidden", posed=TWISTED.vertices),
+        new_edit(3, part, "gone", kind="remove"),
+        new_edit(4, part, "twin", kind="copy", posed=part.translate([0, 0, 0.8]).vertices),
+    )
+    hidden = tuple(dataclasses.replace(edit, visible=edit.id != 2) for edit in edits)
+    scene, looking = PosedScene(field), camera(VIEW, 40, 30)
+    scene.prepare(document(*hidden))
+    oracle = Deformer(
+        field, [BOX, CageEdit(part, remove=True), CageEdit(part, keep_source=True)],
+        coordinates="mean_value", resolution=16,
+    ).pose([BENT, None, part.translate([0, 0, 0.8])])  # fmt: skip
+    shown, expected = scene.render(looking, "black"), oracle.render(looking, background="black")
+    for name in ("rgb", "alpha", "depth", "fold"):
+        np.testing.assert_array_equal(getattr(shown, name), getattr(expected, name))
+
+
+@pytest.mark.parametrize("change", ["rest mode", "none visible", "no edits"])
+def test_a_scene_without_visible_edits_is_the_field(field, change):
+    shown = document()
+    if change == "rest mode":
+        shown = dataclasses.replace(shown, settings=dataclasses.replace(SMALL, mode="rest"))
+    elif change == "none visible":
+        shown = shown.with_edit(dataclasses.replace(shown.edits[0], visible=False))
+    else:
+        shown = dataclasses.replace(shown, edits=())
+    scene, looking = PosedScene(field), camera(VIEW, 40, 30)
+    scene.prepare(document())
+    scene.prepare(shown)
+    np.testing.assert_array_equal(scene.render(looking).rgb, field.render(looking).rgb)
+
+
+def test_a_deformer_is_made_anew_only_for_what_it_is_made_of(field, monkeypatch):
+    made, posed = [], []
+
+    class Counted(Deformer):
+        def __init__(self, *args, **options):
+            made.append(options["resolution"])
+            super().__init__(*args, **options)
+
+        def pose(self, deformed):
+            posed.append(1)
+            return super().pose(deformed)
+
+    monkeypatch.setattr(scene_module, "Deformer", Counted)
+    scene, now = PosedScene(field), document()
+
+    def counts(shown, resolution=None):
+        made.clear(), posed.clear()
+        scene.prepare(shown, resolution)
+        return len(made), len(posed)
+
+    assert counts(now) == (1, 1)
+    assert counts(now) == counts(dataclasses.replace(now, view=dataclasses.replace(VIEW, fov=20.0))) == (0, 0)
+    assert counts(Document.from_json(now.to_json())) == (0, 0)  # other arrays that hold the same
+    edit = now.edits[0]
+    now = now.with_edit(dataclasses.replace(edit, posed=frozen_vertices(TWISTED.vertices), name="other"))
+    assert counts(now) == (0, 1)
+    assert counts(now, 8) == (1, 1) and counts(now) == counts(now, 8) == (0, 0)  # one for the hand, one at rest
+    assert counts(now, 12) == (1, 1) and counts(now) == (1, 1)  # but no more of them
+    for changed in (
+        {"edits": (dataclasses.replace(now.edits[0], kind="copy"),)},
+        {"edits": (dataclasses.replace(now.edits[0], rest=frozen_vertices(BOX.scale(1.1).vertices)),)},
+        {"settings": dataclasses.replace(SMALL, coordinates="green")},
+        {"settings": dataclasses.replace(SMALL, density="paper")},
+    ):
+        assert counts(dataclasses.replace(now, **changed)) == (1, 1)
+
+
+@pytest.mark.parametrize("part", ["posed", "rest"])
+def test_a_cage_that_cannot_be_used_leaves_the_scene_before(field, part):
+    scene, looking, now = PosedScene(field), camera(VIEW, 40, 30), document()
+    scene.prepare(now)
+    before = scene.render(looking).rgb
+    flat = frozen_vertices(BOX.vertices * [1, 1, 0])
+    name = {"posed": "posed", "rest": "rest"}[part]
+    with pytest.raises(ValueError, match=f"the {name} cage of 'Cage' "):
+        scene.prepare(now.with_edit(dataclasses.replace(now.edits[0], **{part: flat})))
+    np.testing.assert_array_equal(scene.render(looking).rgb, before)
+    turned = now.with_edit(dataclasses.replace(now.edits[0], posed=frozen_vertices(TWISTED.vertices)))
+    scene.prepare(turned)
+    expected = Deformer(field, BOX, coordinates="mean_value", resolution=16).pose(TWISTED).render(looking)
+    np.testing.assert_array_equal(scene.render(looking).rgb, expected.rgb)
+
+
+# -- Films
+
+
+def test_frames_are_those_of_deformers_at_their_times(field, tmp_path):
+    shown, told = moving(), []
+    assert export_film(shown, field, tmp_path / "frames", TINY, lambda share, text: told.append((share, text))) == 4
+    deformer = Deformer(field, BOX, coordinates="mean_value", resolution=16)
+    pictures = pictures_of(tmp_path / "frames")
+    for time, picture in zip(frame_times(shown.timeline), pictures, strict=True):
+        poses, view = state_at(shown, time)
+        frame = deformer.pose(BOX.with_vertices(poses[1])).render(camera(view, 40, 30), supersampling=1)
+        np.testing.assert_array_equal(picture, np.round(np.clip(frame.rgb, 0, 1) * 255).astype(np.uint8))
+    assert told == [(k / 4, f"frame {k + 1} of 4") for k in range(4)] + [(1.0, "writes the end")]
+    assert not np.array_equal(pictures[0], pictures[-1])
+
+
+def test_films_have_their_rate_and_their_frames(field, tmp_path):
+    shown = moving(loop="ping-pong")
+    assert export_film(shown, field, tmp_path / "film.mp4", TINY) == 6
+    assert export_film(shown, field, tmp_path / "film.gif", TINY) == 6
+    assert iio.improps(tmp_path / "film.mp4", plugin="pyav").shape == (6, 30, 40, 3)
+    assert iio.immeta(tmp_path / "film.mp4", plugin="pyav")["fps"] == 6.0
+    assert iio.imread(tmp_path / "film.gif").shape[:3] == (6, 30, 40)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.gif", "film.mp4"]
+
+
+def test_the_mode_of_the_session_does_not_change_its_film_and_still_moments_are_rendered_once(field, monkeypatch):
+    rendered = []
+    render = PosedScene.render
+    monkeypatch.setattr(PosedScene, "render", lambda *args, **options: rendered.append(1) or render(*args, **options))
+    still = document(length=1.0, fps=5.0)
+    at_rest = dataclasses.replace(still, settings=dataclasses.replace(SMALL, mode="rest"))
+    one, two = (list(film_pictures(shown, field, TINY)) for shown in (still, at_rest))
+    assert len(one) == len(two) == 6 and len(rendered) == 2
+    np.testing.assert_array_equal(one, two)
+
+
+def test_pictures_are_made_when_they_are_asked_for(field):
+    told = []
+    pictures = film_pictures(moving(length=1000.0), field, TINY, lambda share, text: told.append(text))
+    assert len(list(itertools.islice(pictures, 2))) == 2
+    assert told == ["frame 1 of 6001", "frame 2 of 6001"]
+
+
+@pytest.mark.parametrize("overlay", [False, True])
+def test_opacity_puts_a_film_before_any_background(field, overlay, tmp_path):
+    shown = document(length=0.0)
+    export_film(shown, field, tmp_path / "clear", Film(40, 30, overlay, transparent=True))
+    (clear,) = (picture / 255.0 for picture in pictures_of(tmp_path / "clear"))
+    assert clear.shape == (30, 40, 4) and clear[..., 3].min() == 0.0 and clear[..., 3].max() > 0.99
+    for colour in ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.2, 0.9, 0.4)):
+        solid = dataclasses.replace(shown, settings=dataclasses.replace(SMALL, background=colour))
+        (expected,) = film_pictures(solid, field, Film(40, 30, overlay))
+        composited = clear[..., :3] * clear[..., 3:] + (1.0 - clear[..., 3:]) * np.array(colour)
+        np.testing.assert_allclose(composited, expected, atol=2.1 / 255)
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "film.gif", "frames"])
+def test_a_cancelled_film_leaves_nothing(field, tmp_path, name):
+    (tmp_path / "film.gif").write_bytes(b"a film of before")
+
+    def work(progress):
+        def report(share, text):
+            if text.startswith("frame 3"):
+                jobs.cancel(number)
+            progress(share, text)
+
+        export_film(moving(), field, tmp_path / name, TINY, report)
+        return Outcome("not reached")
+
+    jobs = Jobs()
+    number = jobs.start("film", "export", work)
+    assert jobs.wait(60.0) and jobs.job(number).state == "cancelled"
+    assert [path.name for path in tmp_path.iterdir()] == ["film.gif"]
+    assert (tmp_path / "film.gif").read_bytes() == b"a film of before"
+
+
+def test_a_pose_between_keys_that_cannot_be_used_is_named_by_its_time(field, tmp_path):
+    keys = [Key(10 + k, float(k), "key", "linear", {1: frozen_vertices(BOX.vertices * [1, 1, 1 - k])}) for k in (0, 1)]
+    with pytest.raises(ValueError, match=r"at 1.000 s of the film: the posed cage of 'Cage' has"):
+        export_film(document(keys=keys, length=1.0, fps=2.0), field, tmp_path / "frames", TINY)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_with_something_in_them_stay_as_they_are(field, tmp_path):
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / "frame_0000.png").write_bytes(b"mine")
+    (tmp_path / "file").write_bytes(b"mine")
+    for name in ("frames", "file"):
+        with pytest.raises(ValueError, match="holds something already: give the name of a new folder"):
+            export_film(moving(), field, tmp_path / name, TINY)
+    with pytest.raises(ValueError, match="holds something already"), atomic_folder(tmp_path / "late") as folder:
+        (folder / "frame_0000.png").write_bytes(b"new")
+        (tmp_path / "late").mkdir()
+        (tmp_path / "late" / "theirs").write_bytes(b"theirs")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "frames", "late"]
+    assert [path.name for path in (tmp_path / "late").iterdir()] == ["theirs"]
+    (tmp_path / "empty").mkdir()
+    with atomic_folder(tmp_path / "empty") as folder:
+        (folder / "frame_0000.png").write_bytes(b"new")
+    assert (tmp_path / "empty" / "frame_0000.png").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize(
+    ("name", "film", "message"),
+    [
+        ("film.mov", TINY, "must end in .mp4 or .gif, or have no ending"),
+        ("film.mp4", Film(40, 30, transparent=True), "has no opacity: write a folder of PNG files"),
+    ],
+)
+def test_films_that_cannot_be_written(field, tmp_path, name, film, message):
+    with pytest.raises(ValueError, match=message):
+        export_film(moving(), field, tmp_path / name, film)
+    with pytest.raises(ValueError, match="the width of a film must be a whole number from 1 to 8192"):
+        Film(0, 10)
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- Cages, poses, fields
+
+
+@pytest.mark.parametrize("ending", [".obj", ".ply", ".glb"])
+def test_cages_are_written(tmp_path, ending):
+    for rest, expected in ((False, BENT), (True, BOX)):
+        export_cage(document(), 1, tmp_path / f"cage{ending}", rest=rest)
+        read = Cage.load(tmp_path / f"cage{ending}")
+        np.testing.assert_allclose(read.vertices, expected.vertices, atol=1e-6)
+        np.testing.assert_array_equal(read.faces, BOX.faces)
+    with pytest.raises(ValueError, match="must end in .obj, .ply, .glb"):
+        export_cage(document(), 1, tmp_path / "cage.stl")
+
+
+def test_poses_are_written(tmp_path):
+    export_poses(moving(), 1, tmp_path / "poses.json")
+    file = PoseFile.load(tmp_path / "poses.json")
+    assert file.times == {"rest": 0.0, "bent": 0.5} and file.easings == {"rest": "smooth", "bent": "linear"}
+    with pytest.raises(ValueError, match="must end in .json"):
+        export_poses(moving(), 1, tmp_path / "poses.txt")
+
+
+def test_a_baked_field_looks_like_the_posed_scene(field, tmp_path):
+    told = []
+    at_rest = dataclasses.replace(document(), settings=dataclasses.replace(SMALL, mode="rest"))
+    export_baked(at_rest, field, tmp_path / "baked.npz", lambda share, text: told.append(share))
+    scene, looking = PosedScene(field), camera(VIEW, 40, 30)
+    scene.prepare(document())
+    baked = VoxelField.load(tmp_path / "baked.npz", device="cpu")
+    shown = scene.render(looking).rgb
+    wrong, at_rest_wrong = (np.abs(other.render(looking).rgb - shown).mean() for other in (baked, field))
+    assert wrong < 0.25 * at_rest_wrong
+    assert told == sorted(told, key=lambda share: share or 0.0)
+    export_baked(dataclasses.replace(document(), edits=()), field, tmp_path / "plain.npz")
+    plain = VoxelField.load(tmp_path / "plain.npz", device="cpu")
+    np.testing.assert_allclose(plain.render(looking).rgb, field.render(looking).rgb, atol=1e-3)
+
+    def cancel(share, text):
+        if text.startswith("writes"):
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        export_baked(document(), field, tmp_path / "never.npz", cancel)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["baked.npz", "plain.npz"]
+
+
+# -- The same film without the editor
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory, field):
+    folder = tmp_path_factory.mktemp("a folder")
+    field.save(folder / "ball.npz")
+    write_session(folder / "ball.session.json", moving(loop="loop"), field, "ball.npz")
+    return folder
+
+
+@pytest.mark.parametrize(("overlay", "transparent"), [(False, False), (True, True)])
+def test_the_command_makes_the_film_of_the_editor_to_the_bit(saved, tmp_path, overlay, transparent, capsys):
+    film, field = Film(36, 24, overlay, transparent), VoxelField.load(saved / "ball.npz", device="cpu")
+    export_film(moving(loop="loop"), field, tmp_path / "of the editor", film)
+    output = str(tmp_path / "of a command")
+    command = export_command(saved / "ball.session.json", saved / "ball.npz", film, output=output)
+    words = shlex.split(command)
+    assert words[:2] == ["warpcage", "animate"] and "\n" not in command
+    assert main([*words[1:], "--device", "cpu", "--quiet"]) == 0
+    assert f"wrote {output}: 3 frames of 36x24" in capsys.readouterr().out
+    for one, two in zip(pictures_of(tmp_path / "of the editor"), pictures_of(tmp_path / "of a command"), strict=True):
+        assert one.tobytes() == two.tobytes() and one.shape == (24, 36, 4 if transparent else 3)
+
+
+def test_words_of_the_command_are_safe_for_a_shell():
+    command = export_command("it's; rm.session.json", "-field.npz", Film(8, 6), output="$(x).mp4", scene_scale=2 / 3)
+    assert shlex.split(command) == [
+        "warpcage", "animate", "./-field.npz", "--session", "it's; rm.session.json", "-o", "$(x).mp4",
+        "--size", "8", "6", "--scene-scale", repr(2 / 3),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--cage", "cage.obj", "--posed", "posed.obj"], "--session cannot be combined with --cage"),
+        (["--frames", "48"], "--session cannot be combined with --frames: the session decides that"),
+        (["--coordinates", "harmonic"], "--session cannot be combined with --coordinates"),
+        (["--resolution", "precise"], "--session cannot be combined with --resolution"),
+        (["--turn", "0"], "--session cannot be combined with --turn"),
+        (["--eye", "1", "2", "3"], "--session cannot be combined with --eye"),
+        (["--show", "rgb"], "--session cannot be combined with --show"),
+        (["--background", "white"], "--session cannot be combined with --background"),
+    ],
+)
+def test_what_a_session_decides_cannot_be_given(saved, capsys, tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    start = [
+        "animate",
+        str(saved / "ball.npz"),
+        "--session",
+        str(saved / "ball.session.json"),
+        "-o",
+        "film.mp4",
+        "--size",
+        "8",
+    ]
+    assert main([*start, *words]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+
+
+def test_sessions_that_are_not_there_and_of_other_fields(saved, tmp_path, capsys):
+    files = write_files(tmp_path)
+    for words, message in (
+        ([saved / "ball.npz", "--session", "nothing.json"], "session file 'nothing.json' is not there"),
+        ([files / "ball.npz", "--session", files / "text.txt"], "text.txt: not a session file"),
+        ([saved / "ball.npz", "--transparent"], "--transparent goes with --session"),
+    ):
+        assert main(["animate", *map(str, words), "-o", str(tmp_path / "film.mp4"), "--device", "cpu"]) == 2
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+    other = shiny_field("cpu", origin=(3, 0, 0))
+    other.save(tmp_path / "other.npz")
+    words = [tmp_path / "other.npz", "--session", saved / "ball.session.json", "-o", tmp_path / "film.mp4"]
+    assert main(["animate", *map(str, words), "--device", "cpu"]) == 2
+    assert "it belongs to another field, ball.npz, with other bounds" in capsys.readouterr().err
