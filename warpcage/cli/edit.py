@@ -35,13 +35,13 @@ def run(args: argparse.Namespace) -> None:
             print(f"the session that was there is now {set_aside(kept)}")
         elif cages:
             raise ValueError(
-                f"{str(kept)!r} holds a session of this field: leave --cage out to go on with it, or begin anew with --new"
+                f"{str(kept)!r} holds a session of this field: leave --cage out to go on with it, or give --new"
             )
     if args.demo and not kept.exists():
         cages = [Cage.load(demo_cage)]
     field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=device)
     options = {"host": args.host, "port": args.port, "allowed_hosts": args.allow_host}
-    with edit(field, cages or None, session=kept, field_name=pathlib.Path(args.field).name, **options) as editor:
+    with edit(field, cages or None, session=kept, field_path=args.field, **options) as editor:
         print(f"edit {args.field} at {editor.url}\n(Ctrl+C ends; the session is kept in {kept})", flush=True)
         if not args.no_browser and not _opened(editor.url):
             print("no browser could be opened here: open the address above", file=sys.stderr)

@@ -43,7 +43,8 @@ class Client:
     """
 
     def __init__(self, number: int, socket: web.WebSocketResponse):
-        self.number, self.size, self.sequence = number, None, 0
+        self.number, self.sequence = number, 0
+        self.size: tuple[int, int] | None = None
         self.mistakes = 0
         self._socket = socket
         self._sections: dict[str, Any] = {}

@@ -1,8 +1,8 @@
 """What a page may ask for that changes the document: one function per command, from document to document.
 
-Each takes the document and the message, a dictionary of JSON values that nobody has checked, and returns the name of the
-step for undo with the new document. Each raises ValueError in one line for what cannot be. Nothing else happens in them:
-they hold no lock and touch no file.
+Each takes the document and the message, a dictionary of JSON values that nobody has checked. It returns the name of the
+step for undo, and the new document. Each raises ValueError in one line for what cannot be. Nothing else happens here:
+no lock is held and no file touched.
 """
 
 from __future__ import annotations
@@ -17,25 +17,27 @@ from ..cage import poses
 from ..cage.cage import Cage
 from ..coordinates.deform import deform_points
 from ..deform.edits import MAX_EDITS
-from .document import (
-    EASINGS,
-    KINDS,
-    LOOPS,
+from .checked import (
     MAX_KEYS,
     MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
+    checked_between,
+    checked_choice,
+    checked_name,
+    checked_vertices,
+    frozen_vertices,
+)
+from .document import (
+    EASINGS,
+    KINDS,
+    LOOPS,
     Document,
     Edit,
     Key,
     Selection,
-    checked_between,
-    checked_choice,
-    checked_name,
     checked_selection,
     checked_settings,
-    checked_vertices,
-    frozen_vertices,
     new_edit,
 )
 
@@ -228,7 +230,7 @@ def replace_cage(document: Document, number: int, cage: Cage, label: str) -> Ste
         if np.array_equal(pose, edit.rest):
             return cage.vertices
         try:
-            return deform_points(cage.vertices, edit.rest_cage, Cage(pose, edit.faces), device="cpu")
+            return np.asarray(deform_points(cage.vertices, edit.rest_cage, Cage(pose, edit.faces), device="cpu"))
         except ValueError as error:
             raise ValueError(f"the pose cannot be carried over to the new cage: {error}") from None
 
@@ -363,9 +365,7 @@ def run_command(document: Document, message: Message) -> Step:
         raise ValueError(f"{message['do']}: a value has the wrong type: {error}") from None
 
 
-def _with_cage(
-    document: Document, edit: Edit, cage: Cage, posed: Callable[[np.ndarray], np.ndarray]
-) -> Document:
+def _with_cage(document: Document, edit: Edit, cage: Cage, posed: Callable[[np.ndarray], np.ndarray]) -> Document:
     """The document with another cage for an edit; posed: carries vertices of a pose over."""
     fresh = new_edit(edit.id, cage, edit.name, edit.kind, posed(edit.posed))
     document = document.with_edit(dataclasses.replace(fresh, visible=edit.visible))

@@ -9,12 +9,26 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import checked_number
 from ..core.names import COORDINATES, DENSITIES
 from ..deform.edits import MAX_EDITS, CageEdit
 from ..mesh.closed_mesh import ClosedMesh
 from ..view.backgrounds import parse_background
 from ..view.frame import MAX_SUPERSAMPLING
+from .checked import (
+    MAX_KEYS,
+    MAX_RATE,
+    MAX_SECONDS,
+    MAX_VERTICES,
+    RESOLUTIONS,
+    checked_between,
+    checked_choice,
+    checked_items,
+    checked_name,
+    checked_triple,
+    checked_vertices,
+    checked_whole,
+    frozen_vertices,
+)
 
 KINDS = ("move", "copy", "remove")
 SHOWN = ("rgb", "disparity", "alpha", "masks")
@@ -22,13 +36,6 @@ MODES = ("pose", "rest")
 PICKS = ("vertex", "edge", "face")
 EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")
 LOOPS = ("once", "loop", "ping-pong")
-
-#: Most vertices of a cage, letters of a name, keys of a timeline and seconds of a film: more is not a person's work.
-MAX_VERTICES, MAX_NAME, MAX_KEYS, MAX_SECONDS = 20_000, 100, 5_000, 3_600.0
-#: Frames per second that a film may have.
-MAX_RATE = 240.0
-#: Cells of a lattice along the longest side.
-RESOLUTIONS = (8, 512)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -262,29 +269,6 @@ def edit_json(edit: Edit) -> dict[str, Any]:
     }
 
 
-def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:
-    """Vertices as a document holds them.
-
-    Args:
-        vertices: (v, 3) numbers.
-        count: How many there must be. None takes any number.
-
-    Returns:
-        (v, 3) float64, read-only, an array of its own.
-
-    Raises:
-        ValueError: For another shape or number, or values that are not finite.
-    """
-    array = np.array(vertices, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1:] != (3,) or (count is not None and len(array) != count):
-        wanted = "(v, 3)" if count is None else f"({count}, 3)"
-        raise ValueError(f"vertices must be {wanted} numbers, got shape {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError("vertices must be finite")
-    array.setflags(write=False)
-    return array
-
-
 def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed: Any = None) -> Edit:
     """An edit around a cage.
 
@@ -302,41 +286,14 @@ def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed
         ValueError: For a kind or a name that cannot be, vertices that do not fit, or a cage beyond MAX_VERTICES.
     """
     if len(cage.vertices) > MAX_VERTICES:
-        raise ValueError(f"a cage of {len(cage.vertices)} vertices is too large to edit by hand: at most {MAX_VERTICES}")
+        raise ValueError(
+            f"a cage of {len(cage.vertices)} vertices is too large to edit by hand: at most {MAX_VERTICES}"
+        )
     rest = frozen_vertices(cage.vertices)
     faces = np.array(cage.faces, np.int32)
     faces.setflags(write=False)
     moved = rest if posed is None else frozen_vertices(posed, len(rest))
     return Edit(number, checked_name(name), checked_choice(kind, KINDS, "kind"), True, faces, rest, moved)
-
-
-def checked_name(name: Any) -> str:
-    """A name in one line. Raises ValueError for another type, an empty one, or a long one."""
-    if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME:
-        raise ValueError(f"a name must be 1 to {MAX_NAME} letters")
-    return " ".join(name.split())
-
-
-def checked_choice(value: Any, choices: Sequence[str], what: str) -> str:
-    """A value that is one of some words. Raises ValueError for another one."""
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{what} must be one of {', '.join(choices)}, got {str(value)[:40]!r}")
-    return value
-
-
-def checked_whole(value: Any, low: int, high: int, what: str) -> int:
-    """A whole number in a range. Raises ValueError for another one."""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ValueError(f"{what} must be a whole number from {low} to {high}, got {str(value)[:40]}")
-    return value
-
-
-def checked_between(value: Any, low: float, high: float, what: str) -> float:
-    """A number in a range. Raises ValueError for another one."""
-    number = checked_number(value, what)
-    if not low <= number <= high:
-        raise ValueError(f"{what} must be {low:g} to {high:g}, got {number:g}")
-    return number
 
 
 def checked_view(content: Any) -> View:
@@ -351,7 +308,7 @@ def checked_view(content: Any) -> View:
     Raises:
         ValueError: For values that are not finite, an eye at the target, or a direction that is zero.
     """
-    eye, target, up = (_triple(content[name], name) for name in ("eye", "target", "up"))
+    eye, target, up = (checked_triple(content[name], name) for name in ("eye", "target", "up"))
     length = float(np.linalg.norm(up))
     if not 1e-12 < length < 1e12:
         raise ValueError("a view needs a direction `up` that is not zero")
@@ -413,13 +370,6 @@ def _background(value: Any) -> str | tuple[float, float, float] | None:
     return r, g, b
 
 
-def _triple(values: Any, what: str) -> tuple[float, float, float]:
-    if isinstance(values, str | bytes) or len(values) != 3:
-        raise ValueError(f"{what} must be three numbers")
-    x, y, z = (checked_between(value, -1e12, 1e12, what) for value in values)
-    return x, y, z
-
-
 def _key_json(key: Key) -> dict[str, Any]:
     poses = None if key.poses is None else {str(number): array.tolist() for number, array in key.poses.items()}
     view = None if key.view is None else dataclasses.asdict(key.view)
@@ -429,10 +379,10 @@ def _key_json(key: Key) -> dict[str, Any]:
 def _document(content: Mapping[str, Any]) -> Document:
     if not isinstance(content, Mapping):
         raise ValueError(f"a session must be a dictionary, got {type(content).__name__}")
-    edits = tuple(_edit(one) for one in _items(content["edits"], MAX_EDITS, "edits"))
+    edits = tuple(_edit(one) for one in checked_items(content["edits"], MAX_EDITS, "edits"))
     sizes = {edit.id: len(edit.rest) for edit in edits}
     film = content["timeline"]
-    keys = tuple(_key(one, sizes) for one in _items(film["keys"], MAX_KEYS, "keys"))
+    keys = tuple(_key(one, sizes) for one in checked_items(film["keys"], MAX_KEYS, "keys"))
     numbers = [edit.id for edit in edits] + [key.id for key in keys]
     if len(set(numbers)) < len(numbers):
         raise ValueError("two edits or keys of the session have the same number")
@@ -475,28 +425,9 @@ def checked_selection(content: Mapping[str, Any], sizes: Mapping[int, int]) -> S
     )
 
 
-def checked_vertices(numbers: Any, count: int) -> tuple[int, ...]:
-    """Numbers of vertices, ascending, each once.
-
-    Args:
-        numbers: A list of whole numbers.
-        count: Vertices of the cage.
-
-    Returns:
-        The numbers.
-
-    Raises:
-        ValueError: For anything but whole numbers below `count`.
-    """
-    given = _items(numbers, MAX_VERTICES, "vertices")
-    if not all(type(number) is int and 0 <= number < count for number in given):
-        raise ValueError(f"vertices must be whole numbers from 0 to {count - 1}")
-    return tuple(sorted(set(given)))
-
-
 def _edit(content: Mapping[str, Any]) -> Edit:
-    vertices = _items(content["rest"], MAX_VERTICES, "rest")
-    cage = Cage(frozen_vertices(vertices), np.asarray(_items(content["faces"], 4 * MAX_VERTICES, "faces")))
+    vertices = checked_items(content["rest"], MAX_VERTICES, "rest")
+    cage = Cage(frozen_vertices(vertices), np.asarray(checked_items(content["faces"], 4 * MAX_VERTICES, "faces")))
     number = checked_whole(content["id"], 1, 2**31, "id")
     if type(content["visible"]) is not bool:
         raise ValueError("visible must be true or false")
@@ -516,9 +447,3 @@ def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
         poses,
         None if view is None else checked_view(view),
     )
-
-
-def _items(values: Any, most: int, what: str) -> list[Any]:
-    if not isinstance(values, list | tuple) or len(values) > most:
-        raise ValueError(f"{what} must be a list of at most {most}")
-    return list(values)

@@ -115,7 +115,7 @@ def edit(
     cage: Cage | Sequence[Cage] | None = None,
     *,
     session: PathLike | None = None,
-    field_name: str | None = None,
+    field_path: PathLike | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
     allowed_hosts: Sequence[str] = (),
@@ -127,7 +127,7 @@ def edit(
         cage: The cage at rest, or several, one per edit. None goes on with the session that is there, or begins
             without a cage.
         session: The session's file. None is the one beside the field's file; a field from memory is not kept.
-        field_name: What the page calls the field. None is the name of its file.
+        field_path: The file of a field that was loaded already, for the command line that the page offers.
         host: Address to listen on. The default is reached from this machine only.
         port: Port to listen on; 0 takes a free one.
         allowed_hosts: Further host names under which the page may be opened, such as that of a proxy.
@@ -142,7 +142,7 @@ def edit(
         OSError: If the port is taken.
         ImportError: If what `pip install warpcage[edit]` brings is not there.
     """
-    path = None if isinstance(field, VoxelField) else pathlib.Path(field)
+    path = pathlib.Path(field) if not isinstance(field, VoxelField) else None
     loaded = field if isinstance(field, VoxelField) else VoxelField.load(field)
     require_type(loaded, VoxelField, "the editor needs")
     cages = [] if cage is None else [cage] if isinstance(cage, Cage) else list(cage)
@@ -162,5 +162,5 @@ def edit(
         resolution = RESOLUTION_CPU if loaded.device.is_cpu else RESOLUTION_CUDA
         document = new_document(loaded, cages, resolution)
     folder = kept.parent if kept is not None else pathlib.Path.cwd()
-    held = Session(loaded, document, kept, field_name or (None if path is None else path.name))
+    held = Session(loaded, document, kept, field_path if path is None else path)
     return Editor(held, folder.resolve(), host, port, allowed_hosts)

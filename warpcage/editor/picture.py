@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.locks import device_turn
 from ..kernels.view import preview
@@ -62,11 +63,11 @@ def frame_pixels(frame: Frame, show: str, near: float, far: float, depths: int) 
     share = min(1.0, depths / max(width, height))
     columns, rows = max(1, round(width * share)), max(1, round(height * share))
     with device_turn(rgb.device):
-        sampled = wp.empty(rows * columns, dtype=wp.uint16, device=rgb.device)
+        sampled = empty_array(rows * columns, wp.uint16, rgb.device)
         inputs = [width, height, columns, rows, HIDING_ALPHA, near, far, frame.arrays["alpha"], frame.arrays["depth"]]
         launch(preview.sample_depths, rows * columns, inputs, [sampled], device=rgb.device)
         if show == "rgb":
-            packed = wp.empty((width * height, 3), dtype=wp.uint8, device=rgb.device)
+            packed = empty_array((width * height, 3), wp.uint8, rgb.device)
             launch(preview.pack_colours, width * height, [rgb], [packed], device=rgb.device)
             colours = packed.numpy().reshape(height, width, 3)
         else:

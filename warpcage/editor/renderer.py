@@ -18,15 +18,7 @@ from ..view.frame import Frame
 from ..view.frame_parts import mask_shares
 from .document import Document
 from .effort import COARSE_CELLS, Effort, Pace
-from .picture import (
-    DEPTHS_MOVING,
-    DEPTHS_SHARP,
-    Pixels,
-    band_camera,
-    frame_pixels,
-    joined_pixels,
-    packed_frame,
-)
+from .picture import DEPTHS_MOVING, DEPTHS_SHARP, Pixels, band_camera, frame_pixels, joined_pixels, packed_frame
 from .scene import PosedScene, camera
 
 #: How long the hand must rest before a sharp picture is begun, seconds; longer where its pose takes long.
@@ -152,9 +144,7 @@ class Renderer:
             effort = self._sharp_effort(request)
         else:
             posing = self._held is None or not same_pose(self._held[0], request.document)
-            effort = self.pace.moving(
-                request.width, request.height, settings.resolution, settings.coordinates, posing
-            )
+            effort = self.pace.moving(request.width, request.height, settings.resolution, settings.coordinates, posing)
         self._warm_up(request.document, effort)
         started = time.perf_counter()
         held, self._held = self._held, None

@@ -8,22 +8,19 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import dataclasses
-import hmac
-import ipaddress
 import json
 import pathlib
-import secrets
 import urllib.parse
-from collections.abc import Awaitable, Callable
 from typing import Any
 
-from aiohttp import WSMsgType, web
+from aiohttp import BodyPartReader, WSMsgType, web
 
 from . import timeline
+from .access import Access
+from .checked import MAX_SECONDS, checked_between, checked_name, checked_vertices, checked_whole
 from .clients import Client, unpacked_vertices
 from .commands import COMMANDS
-from .document import MAX_SECONDS, PICKS, checked_between, checked_name, checked_vertices, checked_view, checked_whole
+from .document import checked_view
 from .inspection import inspect
 from .jobs import Jobs
 from .renderer import Renderer, Request
@@ -44,16 +41,6 @@ SAVE_SECONDS, CHECK_SECONDS = 1.0, 0.3
 
 #: The shortest time between two pictures of a film that plays, seconds.
 PLAY_SECONDS = 1.0 / 60.0
-
-#: What a page may do: run our own modules, show pictures made of bytes, talk to us. It may be shown in a notebook.
-HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; "
-    "form-action 'none'; object-src 'none'; frame-ancestors 'self' http://localhost:* http://127.0.0.1:*",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cache-Control": "no-store",
-}
 
 
 class Server:
@@ -81,10 +68,12 @@ class Server:
         allowed_hosts: tuple[str, ...] = (),
     ):
         self.session, self.folder, self.host, self.port = session, folder, host, port
-        self.token = secrets.token_urlsafe(24)
+        self.access = Access(host, allowed_hosts)
+        self.token = self.access.token
         self.clients: dict[int, Client] = {}
-        self._allowed_hosts = {"localhost", "127.0.0.1", "::1", host.lower(), *map(str.lower, allowed_hosts)}
-        self._number, self._sizer, self._mover = 0, None, None
+        self._number = 0
+        self._sizer: Client | None = None
+        self._mover: Client | None = None
         self._changed: set[str] = set()
         self._flush: asyncio.Handle | None = None
         self._view_moves = False
@@ -98,10 +87,10 @@ class Server:
     async def start(self) -> str:
         """Begin to serve. Returns the address of the page; raises OSError where the port is taken."""
         self._loop = asyncio.get_running_loop()
-        self.jobs = Jobs(lambda: self._loop.call_soon_threadsafe(self._on_change, {"jobs"}))
+        self.jobs = Jobs(self._on_job)
         self.tasks = Tasks(self.session, self.jobs, self.folder, self._loop)
         self.session.listeners.append(self._on_change)
-        app = web.Application(middlewares=[self._guard], client_max_size=MAX_UPLOAD)
+        app = web.Application(middlewares=[self.access.guard], client_max_size=MAX_UPLOAD)
         app.router.add_get("/{token}", self._to_page)
         app.router.add_get("/{token}/", self._page_file)
         app.router.add_get("/{token}/socket", self._socket)
@@ -150,37 +139,10 @@ class Server:
         if self.session.unsaved:
             self.session.save(self.session.document)
 
-    # -- Who may come in
-
-    @web.middleware
-    async def _guard(
-        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
-    ) -> web.StreamResponse:
-        """Refuse requests without the token, under foreign names, or from pages of other origins."""
-        if not self._is_welcome(request):
-            raise web.HTTPForbidden(text="This needs the whole address that warpcage edit printed.", headers=HEADERS)
-        try:
-            response = await handler(request)
-        except web.HTTPException as error:
-            error.headers.update(HEADERS)
-            raise
-        if not response.prepared:
-            response.headers.update(HEADERS)
-        return response
-
-    def _is_welcome(self, request: web.Request) -> bool:
-        given = request.match_info.get("token", "").encode()
-        if not hmac.compare_digest(given, self.token.encode()):
-            return False
-        host = urllib.parse.urlsplit(f"//{request.host}").hostname or ""
-        if host not in self._allowed_hosts and not (self._listens_everywhere and _is_address(host)):
-            return False
-        origin = request.headers.get("Origin")
-        return origin is None or urllib.parse.urlsplit(origin).netloc == request.host
-
-    @property
-    def _listens_everywhere(self) -> bool:
-        return self.host in ("0.0.0.0", "::", "")
+    def _on_job(self) -> None:
+        """A job changed; called from its thread."""
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._on_change, {"jobs"})
 
     # -- Files
 
@@ -202,8 +164,8 @@ class Server:
         return web.FileResponse(path, headers={"Content-Disposition": f"attachment; filename*=UTF-8''{name}"})
 
     async def _upload(self, request: web.Request) -> web.StreamResponse:
-        part = await anext(aiter(await request.multipart()), None)
-        if part is None or not hasattr(part, "filename"):
+        part = await (await request.multipart()).next()
+        if not isinstance(part, BodyPartReader):
             raise web.HTTPBadRequest(text="an upload needs one file")
         content = bytearray()
         while chunk := await part.read_chunk(1 << 16):
@@ -297,14 +259,17 @@ class Server:
         """Carry out a page's command and return what its reply says."""
         do, session = message["do"], self.session
         if do == "size":
-            client.size = tuple(checked_whole(message[name], 1, 16384, name) for name in ("width", "height"))
+            client.size = (
+                checked_whole(message["width"], 1, 16384, "width"),
+                checked_whole(message["height"], 1, 16384, "height"),
+            )
             self._touched(client)
             self._on_change({"view"})
             return None
         if do == "seen":
             client.saw(checked_whole(message["frame"], 0, 2**53, "frame"))
             return None
-        if do in ("files", "job.cancel", "job.clear", "export", "export.command") or do in self.tasks.commands:
+        if do in self.tasks.commands:
             return await self.tasks.obey(message)
         self._touched(client)
         if do == "view":
@@ -414,7 +379,10 @@ class Server:
             field = session.field
             return {
                 "name": session.path.name if session.path is not None else "not kept",
-                "field": {"name": session.field_name or "field", "bounds": field.bounds.tolist()}
+                "field": {
+                    "name": session.field_path.name if session.field_path else "field",
+                    "bounds": field.bounds.tolist(),
+                }
                 | {"up": [float(x) for x in field.up], "voxels": int(field.voxel_count)},
                 "device": str(field.device),
                 "saved": session.saved,
@@ -493,12 +461,3 @@ class Server:
             if self.session.unsaved and not self.session.moving and self._playing is None:
                 await self._loop.run_in_executor(None, self.session.save, self.session.document)
                 self._on_change({"session"})
-
-
-def _is_address(host: str) -> bool:
-    """Whether a host is given by number: a name that somebody else owns could be made to lead here."""
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return True

@@ -16,7 +16,8 @@ from ..core.files import PathLike
 from ..field.voxel_field import VoxelField
 from ..view.camera import framing_orbit
 from . import commands, timeline
-from .document import Document, Edit, Selection, Settings, Timeline, View, edit_json, frozen_vertices, new_edit
+from .checked import frozen_vertices
+from .document import Document, Edit, Selection, Settings, Timeline, View, edit_json, new_edit
 from .history import History
 from .session_file import write_session
 
@@ -37,10 +38,11 @@ class Session:
         field: The field.
         document: The document to begin with.
         path: The session's file. None keeps nothing.
-        field_name: Name of the field's file, which the session's file repeats.
+        field_path: The field's file. None where it has none.
 
     Attributes:
         field: As given.
+        field_path: The field's file, or None.
         document: The newest document.
         history: Its history.
         path: The session's file, or None.
@@ -50,9 +52,10 @@ class Session:
     """
 
     def __init__(
-        self, field: VoxelField, document: Document, path: PathLike | None = None, field_name: str | None = None
+        self, field: VoxelField, document: Document, path: PathLike | None = None, field_path: PathLike | None = None
     ):
-        self.field, self.document, self.field_name = field, document, field_name
+        self.field, self.document = field, document
+        self.field_path = None if field_path is None else pathlib.Path(field_path)
         self.path = None if path is None else pathlib.Path(path)
         self.history = History()
         self.saved: str | None = None
@@ -223,7 +226,7 @@ class Session:
         try:
             if self._file_stamp() != self._stamp:
                 raise ValueError(f"{self.path.name} was changed by another program: not saved over it")
-            write_session(self.path, document, self.field, self.field_name)
+            write_session(self.path, document, self.field, self.field_path.name if self.field_path else None)
             self._stamp, self._on_disk, self.save_error = self._file_stamp(), document, None
             self.saved = datetime.datetime.now().isoformat(timespec="seconds")
         except (OSError, ValueError, MemoryError) as error:
@@ -276,9 +279,14 @@ def new_document(field: VoxelField, cages: Iterable[Cage] = (), resolution: int 
     up = np.asarray(field.up, np.float64)
     camera = framing_orbit(points, 1, up=up, elevation_degrees=ELEVATION, start_degrees=AZIMUTH, fov_degrees=FOV)[0]
     target = (low + high) / 2
-    view = View(*(tuple(map(float, vector)) for vector in (camera.centre, target, up / np.linalg.norm(up))), FOV)
+    view = View(_triple(camera.centre), _triple(target), _triple(up / np.linalg.norm(up)), FOV)
     selection = Selection(edits[0].id if edits else None)
     return Document(edits, selection, Settings(resolution=resolution), view, Timeline(), next_id=len(edits) + 1)
+
+
+def _triple(vector: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = map(float, vector)
+    return x, y, z
 
 
 def _same(one: Document, two: Document) -> bool:

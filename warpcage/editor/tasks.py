@@ -6,19 +6,31 @@ import asyncio
 import concurrent.futures
 import pathlib
 import re
+import urllib.parse
 from collections.abc import Callable
 from typing import Any
 
 from ..cage.cage import Cage
 from ..core.files import atomic_path
 from ..mesh.files.files import ENDINGS
-from . import commands, timeline
-from .document import Document, checked_choice, checked_whole
+from . import commands, exports, timeline
+from .checked import checked_choice, checked_whole
+from .document import Document
 from .jobs import Jobs, Outcome, Progress
 from .session import Session
 
 #: Endings of files that pages may load, and what is in them.
 LOADABLE = {**dict.fromkeys(ENDINGS, "cage"), ".json": "poses", ".npz": "field"}
+
+#: What can be exported, and the endings of its files.
+EXPORTS = {
+    "mp4": (".mp4",),
+    "gif": (".gif",),
+    "png": ("",),
+    "cage": exports.CAGE_ENDINGS,
+    "poses": (".json",),
+    "bake": (".npz",),
+}
 
 #: Files that are listed at most.
 MAX_FILES = 1000
@@ -41,6 +53,7 @@ class Tasks:
     def __init__(self, session: Session, jobs: Jobs, folder: pathlib.Path, loop: asyncio.AbstractEventLoop):
         self.session, self.jobs, self.folder, self.loop = session, jobs, folder, loop
         self.downloads: dict[str, pathlib.Path] = {}
+        self.field_path = session.field_path
         self.commands: dict[str, Callable[[dict[str, Any]], Any]] = {
             "files": self._files,
             "cage.generate": self._generate,
@@ -49,6 +62,8 @@ class Tasks:
             "pose.load": self._load_pose,
             "poses.load": self._load_poses,
             "poses.save": self._save_poses,
+            "export": self._export,
+            "export.command": self._export_command,
             "job.cancel": lambda message: self.jobs.cancel(message["id"]),
             "job.clear": lambda message: self.jobs.clear(message["id"]),
         }
@@ -182,9 +197,60 @@ class Tasks:
         await self._read(lambda: timeline.pose_file(document, number).save(path))
         return self._downloadable(path)
 
+    # -- Exports
+
+    def free_path(self, name: Any, endings: tuple[str, ...]) -> pathlib.Path:
+        """The path of a file or folder to write. What the editor did not write itself is never replaced."""
+        path = self.path_of(name)
+        if path.suffix.lower() not in endings:
+            raise ValueError(f"{path.name!r} must end in {' or '.join(endings) if any(endings) else 'no ending'}")
+        if path.exists() and path.name not in self.downloads:
+            raise ValueError(f"{path.name!r} is there already: give another name")
+        return path
+
+    def _export(self, message: dict[str, Any]) -> int:
+        """Write a film, a cage, poses or a baked field into the session's folder."""
+        document, what = self.session.document, checked_choice(message["what"], tuple(EXPORTS), "what")
+        path = self.free_path(message["file"], EXPORTS[what])
+        number = message.get("edit", document.selection.edit)
+        if what in ("cage", "poses"):
+            number = document.edit(number).id
+        film = _film(message) if what in ("mp4", "gif", "png") else None
+
+        def work(progress: Progress) -> Outcome:
+            if film is not None:
+                count = exports.export_film(document, self.session.field, path, film, progress)
+                text = f"{path.name}: {count} frames of {film.width}x{film.height}"
+            elif what == "bake":
+                baked = exports.export_baked(document, self.session.field, path, progress)
+                text = f"{path.name}: a field of {baked.voxel_count} voxels"
+            elif what == "cage":
+                exports.export_cage(document, number, path, rest=message.get("rest") is True)
+                text = f"{path.name}: a cage of {len(document.edit(number).rest)} vertices"
+            else:
+                exports.export_poses(document, number, path)
+                text = path.name
+            if path.is_dir():
+                return Outcome(f"{text}, in {path}")
+            self.downloads[path.name] = path
+            return Outcome(text, f"download/{urllib.parse.quote(path.name)}")
+
+        return self.jobs.start(f"Write {path.name}", "film" if film or what == "bake" else "file", work)
+
+    async def _export_command(self, message: dict[str, Any]) -> dict[str, str]:
+        """The command line that makes the film of the session as it is, which is saved for it."""
+        session = self.session
+        if session.path is None or self.field_path is None:
+            raise ValueError("a field without a file has no command line: export the film here")
+        await self._read(lambda: session.save(session.document))
+        if session.save_error:
+            raise ValueError(f"the session could not be saved: {session.save_error}")
+        output = str(message.get("file") or "film.mp4")
+        return {"command": exports.export_command(session.path, self.field_path, _film(message), output=output)}
+
     def _downloadable(self, path: pathlib.Path) -> dict[str, str]:
         self.downloads[path.name] = path
-        return {"download": f"download/{path.name}"}
+        return {"download": f"download/{urllib.parse.quote(path.name)}"}
 
     async def _read(self, read: Callable[[], Any]) -> Any:
         """Work with files, in another thread so that pages are served meanwhile."""
@@ -209,3 +275,11 @@ class Tasks:
 
         self.loop.call_soon_threadsafe(apply)
         done.result(timeout=60.0)
+
+
+def _film(message: dict[str, Any]) -> exports.Film:
+    """Size and kind of a film's pictures."""
+    options = {
+        name: message[name] for name in ("width", "height", "overlay", "transparent") if message.get(name) is not None
+    }
+    return exports.Film(**options)

@@ -13,7 +13,8 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..view.film import MAX_DENOMINATOR
-from .document import EASINGS, MAX_KEYS, MAX_NAME, MAX_SECONDS, Document, Key, Timeline, View, frozen_vertices
+from .checked import MAX_KEYS, MAX_NAME, MAX_SECONDS, frozen_vertices
+from .document import EASINGS, Document, Key, Timeline, View
 
 #: Fields of view, degrees: a smooth way may swing beyond those of its keys.
 LEAST_FOV, LARGEST_FOV = 1.0, 150.0
