@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+import warpcage
 
 
 @contextmanager
@@ -87,3 +93,91 @@ def press(driver: Any, *strokes: str) -> None:
             event["text"] = single
         driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyDown", **event})
         driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyUp", **event})
+
+
+#: Turns arguments into typed arrays and sets, results into lists.
+CALL = """
+const [module, name, args, done] = arguments;
+const read = (x) => {
+  if (Array.isArray(x)) return x.map(read);
+  if (x && typeof x === "object") {
+    if ("float64" in x) return Float64Array.from(x.float64);
+    if ("uint16" in x) return Uint16Array.from(x.uint16);
+    if ("int32" in x) return Int32Array.from(x.int32);
+    if ("set" in x) return new Set(x.set);
+    return Object.fromEntries(Object.entries(x).map(([key, value]) => [key, read(value)]));
+  }
+  return x;
+};
+const write = (x) => {
+  if (ArrayBuffer.isView(x) || x instanceof Set) return [...x];
+  if (Array.isArray(x)) return x.map(write);
+  if (!x || typeof x !== "object") return x;
+  return Object.fromEntries(Object.entries(x).map(([key, value]) => [key, write(value)]));
+};
+import("/" + module + ".js").then((found) => {
+  const what = name.split(".").reduce((at, part) => at[part], found);
+  done({ result: write(typeof what === "function" ? what(...read(args)) : what) });
+}).catch((error) => done({ error: String(error.stack ?? error) }));
+"""
+
+
+def flat(points: Any) -> dict[str, list[float]]:
+    """Points as the page has them: one Float64Array."""
+    return {"float64": [float(value) for value in np.asarray(points).ravel()]}
+
+
+def whole(numbers: Any) -> dict[str, list[int]]:
+    """Numbers as an Int32Array."""
+    return {"int32": [int(value) for value in np.asarray(numbers).ravel()]}
+
+
+class Modules:
+    """The page's modules in a browser, without the page.
+
+    Args:
+        driver: Of `chromium`, at an address of `page_files`.
+    """
+
+    def __init__(self, driver: Any) -> None:
+        self.driver = driver
+
+    def call(self, module: str, name: str, *args: Any) -> Any:
+        """What a function of a module gives; arrays and sets as lists."""
+        answer = self.driver.execute_async_script(CALL, module, name, list(args))
+        assert "error" not in answer, answer["error"]
+        return answer["result"]
+
+
+@contextmanager
+def page_files() -> Iterator[str]:
+    """Serves the page's files, and an empty page at `/`; gives the address."""
+    folder = Path(warpcage.__file__).parent / "editor" / "page"
+
+    class Handler(SimpleHTTPRequestHandler):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args, directory=str(folder))
+
+        def do_GET(self) -> None:
+            if self.path != "/":
+                return super().do_GET()
+            body = b"<!doctype html><html><head><link rel=icon href='data:,'></head><body><div id=toasts></div></body>"
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+            return None
+
+        def log_message(self, format: str, *args: Any) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_address[1]}/"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()

@@ -2,6 +2,8 @@
 
 import { add, bounds, cross, dot, length, perpendicular, rotate, subtract, times, unit } from "./vectors.js";
 
+const MARGIN = 1.15; // room around what is framed
+
 /** The camera of a view in a picture of this size (pixels; fov is vertical, in degrees). */
 export function makeCamera(view, width, height) {
   const forward = unit(subtract(view.target, view.eye));
@@ -104,8 +106,13 @@ export function frameAll(view, points, aspect) {
   if (!points.length) return view;
   const [lower, upper] = bounds(points);
   const target = times(add(lower, upper), 0.5);
-  const radius = Math.max(length(subtract(upper, lower)) / 2, 1e-6);
-  const half = Math.atan(Math.tan((view.fov * Math.PI) / 360) * Math.min(1, aspect));
-  const back = unit(subtract(view.eye, view.target));
-  return { ...view, target, eye: add(target, times(back, (1.05 * radius) / Math.sin(half))) };
+  const { right, up, forward, eye } = makeCamera(view, 1, 1);
+  const tall = Math.tan((view.fov * Math.PI) / 360);
+  let far = 1e-6;
+  for (let i = 0; i < points.length; i += 3) {
+    const p = subtract([points[i], points[i + 1], points[i + 2]], target);
+    const half = Math.max(Math.abs(dot(p, right)) / (tall * aspect), Math.abs(dot(p, up)) / tall);
+    far = Math.max(far, half * MARGIN - dot(p, forward));
+  }
+  return { ...view, target, eye: add(target, times(unit(subtract(eye, view.target)), far)) };
 }
