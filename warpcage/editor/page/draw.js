@@ -18,7 +18,7 @@ const INK = {
   other: "rgba(190, 205, 225, 0.5)",
   selected: "#ff9a1f",
   selectedFaint: "rgba(255, 154, 31, 0.55)",
-  selectedFace: "rgba(255, 154, 31, 0.25)",
+  selectedFace: "rgba(255, 154, 31, 0.4)",
   active: "#ffffff",
   hover: "#ffe9a8",
   crossing: "rgba(255, 45, 70, 0.45)",
@@ -153,7 +153,7 @@ export function drawCage(context, camera, cage, points, look) {
   stroke(context, paths.seen, INK.line, 1.3);
   stroke(context, paths.chosen, INK.rim, 3.6);
   stroke(context, paths.chosen, INK.selected, 2);
-  if (hover?.mode === "face") fillFaces(context, cage, screen, [hover.number], "rgba(255, 233, 168, 0.25)");
+  if (hover?.mode === "face") fillFaces(context, cage, screen, [hover.number], "rgba(255, 233, 168, 0.32)");
   if (hover?.mode === "edge") {
     const [a, b] = hover.vertices;
     const path = new Path2D();

@@ -79,7 +79,8 @@ function beginTransform(event, at, handle) {
 function decide(event, at) {
   const { element, way } = gesture;
   const isSelected = element && element.cage === C.activeCage() && element.vertices.every((i) => C.selected().has(i));
-  const isThin = element && element.mode === "vertex"; // an unselected face is ground to draw a rectangle on
+  // An unselected face is ground to draw a rectangle on; beneath a finger, what is not selected is ground to turn on
+  const isThin = element?.mode === "vertex" && event.pointerType !== "touch";
   if (element && way !== "remove" && (isSelected || (isThin && way === "replace"))) {
     if (!isSelected) S.clicked(element, "replace");
     beginTransform(event, gesture.at, { kind: "move", allowed: [true, true, true] });
