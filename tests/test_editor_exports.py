@@ -41,9 +41,9 @@ SMALL = Settings(coordinates="mean_value", resolution=16)
 TINY = Film(40, 30)
 
 
-@pytest.fixture(scope="module")
-def field():
-    return shiny_field("cpu")
+@pytest.fixture
+def field(device):
+    return shiny_field(device)
 
 
 def document(*edits, keys=(), settings=SMALL, **film):
@@ -311,13 +311,13 @@ def test_a_baked_field_looks_like_the_posed_scene(field, tmp_path):
     export_baked(at_rest, field, tmp_path / "baked.npz", lambda share, text: told.append(share))
     scene, looking = PosedScene(field), camera(VIEW, 40, 30)
     scene.prepare(document())
-    baked = VoxelField.load(tmp_path / "baked.npz", device="cpu")
+    baked = VoxelField.load(tmp_path / "baked.npz", device=field.device)
     shown = scene.render(looking).rgb
     wrong, at_rest_wrong = (np.abs(other.render(looking).rgb - shown).mean() for other in (baked, field))
     assert wrong < 0.25 * at_rest_wrong
     assert told == sorted(told, key=lambda share: share or 0.0)
     export_baked(dataclasses.replace(document(), edits=()), field, tmp_path / "plain.npz")
-    plain = VoxelField.load(tmp_path / "plain.npz", device="cpu")
+    plain = VoxelField.load(tmp_path / "plain.npz", device=field.device)
     np.testing.assert_allclose(plain.render(looking).rgb, field.render(looking).rgb, atol=1e-3)
 
     def cancel(share, text):
@@ -332,23 +332,24 @@ def test_a_baked_field_looks_like_the_posed_scene(field, tmp_path):
 # -- The same film without the editor
 
 
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory, field):
-    folder = tmp_path_factory.mktemp("a folder")
+@pytest.fixture
+def saved(tmp_path, field):
+    folder = tmp_path / "a folder"
+    folder.mkdir()
     field.save(folder / "ball.npz")
     write_session(folder / "ball.session.json", moving(loop="loop"), field, "ball.npz")
     return folder
 
 
 @pytest.mark.parametrize(("overlay", "transparent"), [(False, False), (True, True)])
-def test_the_command_makes_the_film_of_the_editor_to_the_bit(saved, tmp_path, overlay, transparent, capsys):
-    film, field = Film(36, 24, overlay, transparent), VoxelField.load(saved / "ball.npz", device="cpu")
+def test_the_command_makes_the_film_of_the_editor_to_the_bit(saved, device, tmp_path, overlay, transparent, capsys):
+    film, field = Film(36, 24, overlay, transparent), VoxelField.load(saved / "ball.npz", device=device)
     export_film(moving(loop="loop"), field, tmp_path / "of the editor", film)
     output = str(tmp_path / "of a command")
     command = export_command(saved / "ball.session.json", saved / "ball.npz", film, output=output)
     words = shlex.split(command)
     assert words[:2] == ["warpcage", "animate"] and "\n" not in command
-    assert main([*words[1:], "--device", "cpu", "--quiet"]) == 0
+    assert main([*words[1:], "--device", device, "--quiet"]) == 0
     assert f"wrote {output}: 3 frames of 36x24" in capsys.readouterr().out
     for one, two in zip(pictures_of(tmp_path / "of the editor"), pictures_of(tmp_path / "of a command"), strict=True):
         assert one.tobytes() == two.tobytes() and one.shape == (24, 36, 4 if transparent else 3)

@@ -15,9 +15,9 @@ VIEW = View((3.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
 ALL_IS_WELL = ["All is well: the cage holds all that is visible, and nothing folds."]
 
 
-@pytest.fixture(scope="module")
-def field():
-    return make_field(ellipsoid, plain((0.6, 0.4, 0.2)), device="cpu")
+@pytest.fixture
+def field(device):
+    return make_field(ellipsoid, plain((0.6, 0.4, 0.2)), device=device)
 
 
 def checked(field, rest, posed=None, kind="move", **settings):
