@@ -100,9 +100,10 @@ function guarded(input, read, write) {
   };
 }
 
-/** A number to type. {id, label, title, min, max, step, unit, value, onChange(value)} */
-export function number({ id, label, title, min, max, step = "any", unit = "", value = "", bare = false, onChange }) {
-  const input = el("input", { id, type: "number", min, max, step, inputmode: "decimal", title, autocomplete: "off" });
+/** A number to type. {id, label, title, min, max, step, unit, value, onChange(value)?} */
+export function number({ id, label, title, min, max, step = 0.1, unit = "", value = "", bare = false, onChange }) {
+  // any number may be typed; `step` is what the arrow keys add
+  const input = el("input", { id, type: "number", min, max, step: "any", inputmode: "decimal", title, autocomplete: "off" });
   if (bare) input.setAttribute("aria-label", label);
   let last = value;
   const write = (content) => {
@@ -111,16 +112,21 @@ export function number({ id, label, title, min, max, step = "any", unit = "", va
   };
   write(value);
   const guard = guarded(input, () => last, write);
-  input.addEventListener("change", () => {
-    const typed = input.valueAsNumber;
+  const take = (typed) => {
     guard.release();
     if (!Number.isFinite(typed)) return write(last);
     const kept = Math.min(max ?? Infinity, Math.max(min ?? -Infinity, typed));
     write(kept);
     onChange?.(kept);
-  });
+  };
+  if (onChange) input.addEventListener("change", () => take(input.valueAsNumber));
   input.addEventListener("keydown", (event) => {
-    if (event.key !== "Escape") return;
+    const way = { ArrowUp: 1, ArrowDown: -1 }[event.key];
+    if (way) {
+      event.preventDefault();
+      take((input.valueAsNumber || 0) + way * step * (event.shiftKey ? 10 : 1));
+    }
+    if (event.key !== "Escape" || !onChange) return;
     guard.release();
     write(last);
     input.blur();
@@ -138,12 +144,13 @@ export function text({ id, label, title, value = "", maxlength = 80, bare = fals
   let last = value;
   const write = (content) => (last = input.value = content);
   const guard = guarded(input, () => last, write);
+  if (!onChange) return { root: bare ? input : labelled(label, id, title, input), input };
   input.addEventListener("change", () => {
     const typed = input.value.trim();
     guard.release();
     if (!typed) return write(last);
     last = typed;
-    onChange?.(typed);
+    return onChange(typed);
   });
   input.addEventListener("keydown", (event) => {
     if (event.key === "Enter") input.blur();
@@ -207,7 +214,7 @@ export function group(id, label, open, ...children) {
   const root = el("details", { id: `group-${id}`, class: "group" });
   root.open = folded()[id] === undefined ? open : !folded()[id];
   const note = el("span", { class: "group-note", id: `group-${id}-note` });
-  root.append(el("summary", { title: `${label}: fold or unfold (Enter)` }, el("span", {}, label), note));
+  root.append(el("summary", { id: `group-${id}-fold`, title: `${label}: fold or unfold (Enter)` }, el("span", {}, label), note));
   root.append(el("div", { class: "group-body" }, ...children));
   root.addEventListener("toggle", () => {
     try {

@@ -44,10 +44,17 @@ function open(title, content, buttons, { wide = false, onClosed } = {}) {
   return { dialog, form, close };
 }
 
+/** Choices as [value, label]; a value may be a number or null, and comes back as such. */
+const pairsOf = (choices) => choices.map((one) => (Array.isArray(one) ? one : [one, one]));
+
 function fieldOf({ type, name, choices, ...given }) {
   const options = { ...given, id: `ask-${name}`, title: given.help ?? given.label };
   if (type === "number") return number(options);
-  if (type === "choice") return choice({ ...options, options: choices.map((one) => (Array.isArray(one) ? one : [one, one])) });
+  if (type === "choice") {
+    const pairs = pairsOf(choices);
+    const at = Math.max(0, pairs.findIndex(([value]) => value === given.value));
+    return choice({ ...options, value: String(at), options: pairs.map(([, label], i) => [String(i), label]) });
+  }
   if (type === "check") return check(options);
   return text({ ...options, maxlength: 200 });
 }
@@ -55,9 +62,7 @@ function fieldOf({ type, name, choices, ...given }) {
 function contentOf({ input }, { type, choices }) {
   if (type === "check") return input.checked;
   if (type === "number") return input.value === "" ? null : input.valueAsNumber;
-  if (type !== "choice") return input.value.trim();
-  const one = choices[input.selectedIndex]; // a choice may be a number or null: its own type comes back
-  return Array.isArray(one) ? one[0] : one;
+  return type === "choice" ? pairsOf(choices)[input.selectedIndex][0] : input.value.trim();
 }
 
 /**
@@ -83,6 +88,12 @@ export function askFor({ title, text: intro, fields, confirm = "OK" }) {
     const { form, close } = open(title, body, [no, yes], { onClosed: () => resolve(result) });
     form.addEventListener("submit", () => {
       result = Object.fromEntries(fields.map((field, index) => [field.name, contentOf(controls[index], field)]));
+    });
+    form.addEventListener("keydown", (event) => {
+      // fields of text do so by themselves
+      if (event.key !== "Enter" || !event.target.matches("select, [type=checkbox]")) return;
+      event.preventDefault();
+      form.requestSubmit(yes);
     });
     (controls[0]?.input ?? yes).focus();
     controls[0]?.input.select?.();
@@ -129,8 +140,19 @@ const MOUSE = [
   ["Number while moving", "Exact amount; Enter keeps it, Escape goes back"],
 ];
 
+const TIMELINE = [
+  [["←", "→"], "A frame back or on; with Shift ten"],
+  [["↑", "↓"], "Key before, next key"],
+  [["Alt+←", "Alt+→"], "Move the chosen key in time"],
+  [["Home", "End"], "Start and end of the film"],
+  [["Enter"], "Key of pose and camera"],
+  [["Delete"], "Delete the chosen key"],
+];
+const SIGNS = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓" };
+
 function keyRow(keys, label) {
-  const shown = keys.flatMap((key, index) => (index ? [" ", el("kbd", {}, key)] : [el("kbd", {}, key)]));
+  const named = keys.map((key) => key.replace(/Arrow(Left|Right|Up|Down)/, (sign) => SIGNS[sign]));
+  const shown = named.flatMap((key, index) => (index ? [" ", el("kbd", {}, key)] : [el("kbd", {}, key)]));
   return el("div", { class: "key-row" }, el("dt", {}, ...shown), el("dd", {}, label));
 }
 
@@ -144,7 +166,8 @@ export function showHelp() {
   }
   const body = el("div", { class: "dialog-body help-groups", tabindex: "0", "aria-label": "Keys by group" });
   const mouse = MOUSE.map(([what, label]) => keyRow([what], label));
-  for (const [name, list] of [["Mouse and touch", mouse], ...groups]) {
+  const timeline = TIMELINE.map(([keys, label]) => keyRow(keys, label));
+  for (const [name, list] of [["Mouse and touch", mouse], ...groups, ["Timeline, when it has the focus", timeline]]) {
     body.append(el("section", {}, el("h3", {}, name), el("dl", {}, ...list)));
   }
   const done = button({ id: "dialog-close", label: "Close", title: "Close (Escape)", onClick: () => opened.close() });

@@ -14,7 +14,7 @@ export const EASINGS = [
 export const LOOPS = [
   ["once", "Once"],
   ["loop", "Loop"],
-  ["ping-pong", "There and back"],
+  ["ping-pong", "Ping-pong"],
 ];
 
 let chosen = null;
@@ -23,20 +23,27 @@ const listeners = new Set();
 /** The film as the server has it, or an empty one. */
 export const film = () => store.sections.timeline ?? { keys: [], length: 1, fps: 24, loop: "once" };
 
-/** The present time in seconds. */
-export const now = () => store.sections.playback?.time ?? 0;
+const SETTLES = 500; // milliseconds in which what the server says of the time may be older than what was asked for
+
+let asked = { time: 0, until: 0 }; // where the head was put in this page, and until when that counts
+let timer = 0;
+
+/** The present time in seconds; while the head is moved here, where it was put. */
+export const now = () => (performance.now() < asked.until ? asked.time : (store.sections.playback?.time ?? 0));
 
 /** The chosen key, or null. */
 export const chosenKey = () => film().keys.find(({ id }) => id === chosen) ?? null;
 
-/** Calls listener() when another key is chosen. */
+const tell = () => listeners.forEach((listener) => listener());
+
+/** Calls listener() when another key is chosen, or the head stands still again. */
 export const onChosen = (listener) => listeners.add(listener);
 
 /** Chooses a key by its number, or none (null). */
 export function choose(id) {
   if (id === chosen) return;
   chosen = id;
-  for (const listener of listeners) listener();
+  tell();
 }
 
 /** The key at a time, or null. */
@@ -57,6 +64,9 @@ const sendTime = perPicture((time) => send({ do: "time", time }));
 export function goTo(time) {
   const to = Math.min(film().length, Math.max(0, time));
   if (store.sections.playback?.playing) send({ do: "play", on: false });
+  asked = { time: to, until: performance.now() + SETTLES };
+  clearTimeout(timer);
+  timer = setTimeout(tell, SETTLES + 20);
   store.set("playback", { ...store.sections.playback, time: to, playing: false });
   choose(keyAt(to)?.id ?? null);
   sendTime(to);
@@ -69,7 +79,9 @@ export const step = (frames) => goTo(onFrame(now() + frames / film().fps));
 export function jump(by) {
   const { keys, fps } = film();
   const near = 0.25 / fps;
-  const next = by > 0 ? keys.find(({ time }) => time > now() + near) : keys.findLast(({ time }) => time < now() - near);
+  const here = keys.findIndex(({ id, time }) => id === chosen && Math.abs(time - now()) <= near); // several may share a time
+  const later = by > 0 ? keys.find(({ time }) => time > now() + near) : keys.findLast(({ time }) => time < now() - near);
+  const next = here < 0 ? later : keys[here + by];
   if (!next) return;
   goTo(next.time);
   choose(next.id);

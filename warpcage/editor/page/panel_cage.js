@@ -3,7 +3,7 @@
 import { store } from "./store.js";
 import { ask, attempt } from "./connection.js";
 import { askFor, toast } from "./dialogs.js";
-import { activeEdit, button, el, group, percent, row, setText } from "./controls.js";
+import { activeEdit, button, el, group, setText } from "./controls.js";
 
 const METHODS = [
   ["auto", "Whichever fits better"],
@@ -11,10 +11,7 @@ const METHODS = [
   ["voxel", "Voxels: sturdy, for any matter"],
 ];
 
-const where = (edit) => [
-  ["new", "A new edit"],
-  ...(edit ? [[edit.id, `"${edit.name}": another cage, its pose follows`]] : []),
-];
+const where = (edit) => [["new", "A new edit"], ...(edit ? [[edit.id, `"${edit.name}", in place of its cage`]] : [])];
 
 /** Asks for the cage and has it made; the list of jobs shows how far it is. */
 async function generate() {
@@ -24,13 +21,13 @@ async function generate() {
     fields: [
       { name: "edit", label: "For", type: "choice", value: edit ? edit.id : "new", choices: where(edit) },
       { name: "count", label: "Vertices", type: "number", value: 100, min: 8, max: 2000, step: 1, help: "About so many. Few are easy to pose, many follow details." },
-      { name: "margin", label: "Margin", type: "number", value: null, min: 0, max: 100, step: "any", unit: "voxels", optional: true, help: "Room between matter and cage. Empty: chosen for you." },
+      { name: "margin", label: "Margin", type: "number", value: null, min: 0, max: 100, step: 0.5, unit: "voxels", optional: true, help: "Room between matter and cage. Empty: chosen for you." },
       { name: "method", label: "Method", type: "choice", value: "auto", choices: METHODS },
       {
         name: "symmetry",
         label: "Symmetry",
         type: "choice",
-        value: "",
+        value: null,
         choices: [
           [null, "None"],
           ["x", "Left and right alike (x)"],
@@ -68,14 +65,27 @@ async function box(edit) {
   if (given) attempt(ask({ do: "cage.box", edit: edit.id, vertices, margin: given.margin / 100 }));
 }
 
+/** For which edit a file is: nothing to ask where there is none. */
+const editField = (edit) => (edit ? [{ name: "edit", label: "For", type: "choice", value: edit.id, choices: where(edit) }] : []);
+
+const KINDS = { cage: "cages", poses: "pose files" };
+
 /** Lets one of the files of a kind in the session's folder be chosen, and loads it. */
-export async function loadFrom(kind, title, command) {
+export async function loadFrom(kind, title, command, fields = []) {
   const result = await attempt(ask({ do: "files" }));
   if (!result) return;
   const names = result.files.filter((file) => file.kind === kind).map(({ name }) => name);
-  if (!names.length) return toast(`The session's folder has no ${kind === "cage" ? "cages" : "pose files"}; upload one.`, "warning");
-  const given = await askFor({ title, fields: [{ name: "file", label: "File", type: "choice", value: names[0], choices: names }], confirm: "Load" });
-  if (given) await attempt(ask({ do: command, file: given.file }));
+  if (!names.length) return toast(`The session's folder has no ${KINDS[kind]}; upload one.`, "warning");
+  const file = { name: "file", label: "File", type: "choice", value: names[0], choices: names };
+  const given = await askFor({ title, fields: [file, ...fields], confirm: "Load" });
+  if (given) await attempt(ask({ do: command, ...given, ...(given.edit === "new" ? { edit: null } : {}) }));
+}
+
+/** Loads a cage that was uploaded, for an edit or a new one. */
+async function loadCage(file) {
+  const edit = activeEdit();
+  const given = edit ? await askFor({ title: `Load ${file}`, fields: editField(edit), confirm: "Load" }) : { edit: "new" };
+  if (given) await attempt(ask({ do: "cage.load", file, edit: given.edit === "new" ? null : given.edit }));
 }
 
 /** Sends a file into the session's folder; its name there, or throws Error(one line). */
@@ -88,36 +98,26 @@ async function uploaded(file) {
   return JSON.parse(content).file;
 }
 
-/** A hidden file field, which opens the browser's own dialog: upload(accept, command) of the chosen file. */
-export function uploadField(id, label, accept, command) {
+/** A hidden file field, which opens the browser's own dialog; load(name) is called when the file has arrived. */
+export function uploadField(id, label, accept, load) {
   const input = el("input", { id, type: "file", accept, class: "hidden-file", tabindex: "-1", "aria-label": label });
   input.addEventListener("change", async () => {
     const [file] = input.files;
     input.value = "";
     if (!file) return;
     const name = await attempt(uploaded(file));
-    if (name) await attempt(ask({ do: command, file: name }));
+    if (name) await load(name);
   });
   return input;
 }
 
-/** What the check found, in sentences. */
-function sentences(check) {
-  if (!check || check.edit === null) return [];
-  const { problem, lines = [], crossing_faces: crossing = [], folded_share: folded, leaking_faces: leaking = [], outside_share: outside } = check;
-  const told = [...(problem ? [problem] : []), ...lines];
-  if (told.length) return [...new Set(told)];
-  if (crossing.length) told.push(`${crossing.length} faces cross each other: move their vertices apart.`);
-  if (folded > 0) told.push(`${percent(folded)} of the space in the cage folds over itself: pose less strongly there.`);
-  if (leaking.length || outside > 0) told.push(`${percent(outside ?? 0)} of the matter is outside the cage: it stays where it was.`);
-  return told;
+/** How the check ended: "good", "warn" for what may be meant, "bad" for what tears the picture. */
+function verdictOf({ problem, crossing_faces: crossing = [], folded_share: folded, leaking_faces: leaking = [], outside_share: outside }) {
+  if (problem || crossing.length || folded > 0) return "bad";
+  return leaking.length || outside > 0 ? "warn" : "good";
 }
 
-function isBad(check) {
-  if (!check || check.edit === null) return false;
-  const { problem, crossing_faces: crossing = [], folded_share: folded, leaking_faces: leaking = [], outside_share: outside } = check;
-  return Boolean(problem) || crossing.length > 0 || folded > 0 || leaking.length > 0 || outside > 0.001;
-}
+const VERDICTS = { pending: "Checking…", good: "Check: all well", warn: "Check: is this meant?", bad: "Check: mend this" };
 
 /** The group of the cage: {root, start()}. */
 export function cageGroup() {
@@ -125,9 +125,11 @@ export function cageGroup() {
     const edit = activeEdit();
     if (edit) work(edit);
   };
-  const upload = uploadField("cage-upload-file", "Cage file", ".obj,.ply,.off,.stl,.glb,.gltf,.npz", "cage.load");
+  const upload = uploadField("cage-upload-file", "Cage file", ".obj,.ply,.off,.glb,.gltf", loadCage);
   const size = el("p", { id: "cage-size", class: "note" });
-  const refine = row(
+  const refine = el(
+    "div",
+    { class: "grid thirds" },
     button({ id: "cage-subdivide", label: "Subdivide", title: "Cut each face of the cage into four; the shape and the pose stay", onClick: act((edit) => attempt(ask({ do: "cage.subdivide", edit: edit.id }))) }),
     button({ id: "cage-simplify", label: "Simplify…", title: "Fewer vertices, about the same shape", onClick: act(simplify) }),
     button({ id: "cage-box", label: "Box…", title: "A new edit: a box around the selected vertices", onClick: act(box) }),
@@ -140,9 +142,11 @@ export function cageGroup() {
     "Cage",
     true,
     size,
-    row(
+    el(
+      "div",
+      { class: "grid thirds" },
       button({ id: "cage-generate", label: "Generate…", kind: "primary", title: "Make a cage around the scene's matter", onClick: generate }),
-      button({ id: "cage-load", label: "Load…", title: "Load a cage file of the session's folder", onClick: () => loadFrom("cage", "Load a cage", "cage.load") }),
+      button({ id: "cage-load", label: "Load…", title: "Load a cage file of the session's folder", onClick: () => loadFrom("cage", "Load a cage", "cage.load", editField(activeEdit())) }),
       button({ id: "cage-upload", label: "Upload…", title: "Send a cage file (OBJ, PLY, GLB ...) from this computer", onClick: () => upload.click() }),
     ),
     upload,
@@ -161,14 +165,12 @@ export function cageGroup() {
     const isOfEdit = content && content.edit !== null && content.edit === store.sections.selection?.edit;
     check.hidden = !isOfEdit;
     if (!isOfEdit) return setText(made.note, "");
-    const told = sentences(content);
-    const bad = isBad(content);
-    const state = content.pending ? "pending" : bad ? "bad" : "good";
+    const state = content.pending ? "pending" : verdictOf(content);
     check.dataset.state = state;
     made.note.dataset.state = state;
-    setText(made.note, bad ? "!" : "");
-    setText(verdict, content.pending ? "Checking…" : bad ? "Check: look here" : "Check: all well");
-    const lines = told.length ? told : content.pending ? [] : ["Nothing folds, crosses or leaks."];
+    setText(made.note, state === "bad" || state === "warn" ? "!" : "");
+    setText(verdict, VERDICTS[state]);
+    const lines = content.lines ?? [];
     const texts = [...found.children].map((line) => line.textContent);
     if (texts.join("\n") !== lines.join("\n")) found.replaceChildren(...lines.map((line) => el("li", {}, line)));
   };

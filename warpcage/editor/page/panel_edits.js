@@ -3,7 +3,7 @@
 import { store } from "./store.js";
 import { ask, attempt } from "./connection.js";
 import { askFor, confirmThat } from "./dialogs.js";
-import { activeEdit, button, choice, el, group, icon, row, rows, setIcon, setText, short, text } from "./controls.js";
+import { activeEdit, button, choice, el, group, icon, rows, setIcon, setText, text } from "./controls.js";
 
 const KINDS = [
   ["move", "Move"],
@@ -117,13 +117,6 @@ function onListKey(event) {
   ways[event.key]();
 }
 
-/** Where the middle of the selection is, to be read and typed. */
-export function middleOf(vertices, chosen) {
-  const sum = [0, 0, 0];
-  for (const vertex of chosen) vertices[vertex]?.forEach((value, i) => (sum[i] += value));
-  return sum.map((value) => short(value / Math.max(1, chosen.length), 4));
-}
-
 /** The group of the edits: {root, start()}. */
 export function editsGroup() {
   const list = el("ul", {
@@ -150,7 +143,9 @@ export function editsGroup() {
   } });
   const meaning = el("p", { class: "note", id: "edit-meaning" });
   const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Whether the active edit acts on the picture", onClick: act((edit) => change(edit.id, { visible: !edit.visible })) });
-  const tools = row(
+  const tools = el(
+    "div",
+    { class: "row tight" },
     button({ id: "edit-add", label: "Add", icon: "plus", keep: true, title: "Add an edit with a simple cage", onClick: add }),
     el("span", { class: "spring" }),
     shown,
@@ -158,7 +153,7 @@ export function editsGroup() {
     button({ id: "edit-down", label: "Later", icon: "down", title: "Move the active edit down (Alt+Down in the list)", onClick: act((edit) => shift(edit.id, 1)) }),
     button({ id: "edit-delete", label: "Delete", icon: "delete", title: "Delete the active edit (Delete in the list)", onClick: act(remove) }),
   );
-  const details = el("div", {}, name.root, kind.root, meaning);
+  const details = el("div", { class: "stack" }, name.root, kind.root, meaning);
   const made = group("edits", "Edits", true, list, empty, tools, details);
   const showRows = rows(list, makeRow);
   const show = () => {

@@ -2,7 +2,7 @@
 
 import { store } from "./store.js";
 import { ask, attempt } from "./connection.js";
-import { askFor, showText, toast } from "./dialogs.js";
+import { askFor, showText } from "./dialogs.js";
 import { titleOf, button, choice, el, group, icon, number, row, rows, setText, text } from "./controls.js";
 import { loadFrom, uploadField } from "./panel_cage.js";
 import { EASINGS, LOOPS, add, change, choose, chosenKey, film, goTo, holds, jump, onChosen, remove, seconds } from "./keys.js";
@@ -56,7 +56,7 @@ export function keysGroup() {
   const easing = choice({ id: "key-easing", label: "Easing", title: "How the way to the next key goes", options: EASINGS, onChange: (to) => change({ easing: to }) });
   const details = el(
     "div",
-    { id: "key-details" },
+    { id: "key-details", class: "stack" },
     name.root,
     time.root,
     easing.root,
@@ -97,11 +97,12 @@ export function keysGroup() {
 }
 
 const sizes = () => {
-  const { width = 800, height = 600 } = store.status.frame ?? {};
+  const { width = 800, height = 600, scale = 1 } = store.status.frame ?? {};
   const even = (value) => 2 * Math.round(value / 2);
+  const full = Math.max(640, width / scale); // pictures are smaller while something moves
   return [
-    { name: "width", label: "Width", type: "number", value: even(Math.max(640, width)), min: 16, max: 4096, step: 2, unit: "pixels" },
-    { name: "height", label: "Height", type: "number", value: even((Math.max(640, width) * height) / width), min: 16, max: 4096, step: 2, unit: "pixels" },
+    { name: "width", label: "Width", type: "number", value: even(full), min: 16, max: 4096, step: 2, unit: "pixels" },
+    { name: "height", label: "Height", type: "number", value: even((full * height) / width), min: 16, max: 4096, step: 2, unit: "pixels" },
   ];
 };
 const overlay = { name: "overlay", label: "Draw the cage", type: "check", value: false };
@@ -122,16 +123,21 @@ const shape = {
 const EXPORTS = [
   ["mp4", "MP4 film", "The film as MP4", "film.mp4", () => [...sizes(), overlay]],
   ["gif", "GIF", "The film as GIF", "film.gif", () => [...sizes(), overlay]],
-  ["png", "PNG pictures", "The film as numbered PNG pictures, with alpha", "film.zip", () => [...sizes(), transparent, overlay]],
+  ["png", "PNG pictures", "The film as numbered PNG pictures with alpha, in a folder", "film", () => [...sizes(), transparent, overlay]],
   ["cage", "Posed cage", "The posed cage as a mesh", "posed", () => [shape]],
-  ["poses", "Poses", "All poses of the active edit in one file", "poses.json", () => []],
+  ["poses", "Poses", "The keys' poses of the active edit in one file", "poses.json", () => []],
   ["bake", "Baked field", "The deformed scene as a field of its own", "bent.npz", () => []],
 ];
+
+const HELP = {
+  file: "Is written into the session's folder; the group Jobs offers it for download.",
+  png: "A new folder for the pictures, in the session's folder.",
+};
 
 async function exportAs([what, label, , file, fields]) {
   const given = await askFor({
     title: `Export: ${label}`,
-    fields: [{ name: "file", label: "File", type: "text", value: file, help: "Goes into the session's folder; the group Jobs offers it for download." }, ...fields()],
+    fields: [{ name: "file", label: what === "png" ? "Folder" : "File", type: "text", value: file, help: HELP[what] ?? HELP.file }, ...fields()],
     confirm: "Export",
   });
   if (!given) return;
@@ -141,14 +147,13 @@ async function exportAs([what, label, , file, fields]) {
   await attempt(ask({ do: "export", what, ...given }));
 }
 
-async function savePoses() {
-  const given = await askFor({ title: "Save the poses", fields: [{ name: "file", label: "File", type: "text", value: "poses.json" }], confirm: "Save" });
-  if (!given) return;
-  if ((await attempt(ask({ do: "poses.save", file: given.file }))) !== undefined) toast(`Saved ${given.file}.`);
-}
-
 async function showCommand() {
-  const result = await attempt(ask({ do: "export.command" }));
+  const given = await askFor({
+    title: "Command line of the film",
+    fields: [{ name: "file", label: "File", type: "text", value: "film.mp4", help: "What the command writes." }, ...sizes(), overlay],
+    confirm: "Show",
+  });
+  const result = given && (await attempt(ask({ do: "export.command", ...given })));
   if (result) showText("Command line", "This makes the same film without the editor:", result.command);
 }
 
@@ -160,11 +165,10 @@ export function filmGroup() {
   const grid = el("div", { class: "grid" });
   for (const one of EXPORTS) grid.append(button({ id: `export-${one[0]}`, label: `${one[1]}…`, title: one[2], onClick: () => exportAs(one) }));
   const command = button({ id: "export-command", label: "Command line…", title: "The warpcage command that makes the same film without the editor", onClick: showCommand });
-  const upload = uploadField("poses-upload-file", "Pose file", ".json", "poses.load");
+  const upload = uploadField("poses-upload-file", "Pose file", ".json", (file) => attempt(ask({ do: "poses.load", file })));
   const poses = row(
     button({ id: "poses-load", label: "Load…", title: "Load a pose file of the session's folder into the timeline", onClick: () => loadFrom("poses", "Load poses", "poses.load") }),
     button({ id: "poses-upload", label: "Upload…", title: "Send a pose file from this computer", onClick: () => upload.click() }),
-    button({ id: "poses-save", label: "Save…", title: "Save the keys' poses of the active edit as a pose file", onClick: savePoses }),
   );
   const made = group("film", "Film", false, length.root, fps.root, loop.root, el("h3", {}, "Export"), grid, command, el("h3", {}, "Pose files"), poses, upload);
   const show = () => {

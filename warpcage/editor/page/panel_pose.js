@@ -6,7 +6,8 @@ import { ask, attempt, send, sendVertices } from "./connection.js";
 import { toast } from "./dialogs.js";
 import { actions, run } from "./actions.js";
 import { activeEdit, button, choice, el, group, number, perPicture, row, segments, setText, short, titleOf } from "./controls.js";
-import { middleOf } from "./panel_edits.js";
+import { loadFrom } from "./panel_cage.js";
+import { activeCage, places, placesName, whenChanged } from "./cages.js";
 
 const AXES = ["x", "y", "z"];
 const degrees = { neutral: 0, read: (place) => Math.round(place), place: (amount) => amount, tell: (amount) => `${short(amount, 1)}°` };
@@ -108,6 +109,13 @@ function presetRow(preset) {
   return el("div", { class: "preset" }, name_, slider, el("span", { class: "value" }, typed.input, shown, el("span", { class: "unit" }, unit)));
 }
 
+/** The middle of chosen vertices in a flat list of points. */
+function middleOf(points, chosen) {
+  const sum = [0, 0, 0];
+  for (const vertex of chosen) sum.forEach((_, i) => (sum[i] += points[3 * vertex + i]));
+  return sum.map((value) => value / chosen.length);
+}
+
 /** Where the middle of the selection is: three numbers that can be typed. */
 function placeFields() {
   const fields = AXES.map((axis, i) =>
@@ -120,10 +128,9 @@ function placeFields() {
         const edit = activeEdit();
         const { vertices = [] } = store.sections.selection ?? {};
         if (!edit || !vertices.length) return;
-        const isRest = store.sections.settings?.mode === "rest";
-        const places = isRest ? edit.rest : edit.posed;
-        const by = value - vertices.reduce((sum, vertex) => sum + places[vertex][i], 0) / vertices.length;
-        const moved = Float64Array.from(places.flat());
+        const isRest = placesName() === "rest";
+        const moved = Float64Array.from(places(activeCage()));
+        const by = value - middleOf(moved, vertices)[i];
         for (const vertex of vertices) moved[3 * vertex + i] += by;
         attempt(ask({ do: "drag.begin", edit: edit.id, label: `move to ${axis} ${short(value)}`, rest: isRest }));
         sendVertices(isRest ? 3 : 2, edit.id, moved);
@@ -134,16 +141,15 @@ function placeFields() {
   const count = el("span", { id: "selection-count", class: "note" });
   const root = el("div", { class: "place", role: "group", "aria-label": "Middle of the selection" });
   AXES.forEach((axis, i) => root.append(el("label", { for: `place-${axis}` }, axis), fields[i].input));
-  const show = () => {
+  const show = perPicture(() => {
     const edit = activeEdit();
     const { vertices = [] } = store.sections.selection ?? {};
-    setText(count, vertices.length ? `${vertices.length} of ${edit?.rest.length ?? 0} vertices are selected; their middle:` : "Nothing is selected.");
+    setText(count, vertices.length ? `${vertices.length} of ${edit?.rest.length ?? 0} selected; their middle:` : "Nothing is selected.");
     root.hidden = !edit || !vertices.length;
     if (root.hidden) return;
-    const isRest = store.sections.settings?.mode === "rest";
-    const middle = middleOf(isRest ? edit.rest : edit.posed, vertices);
-    fields.forEach((field, i) => field.set(Number(middle[i])));
-  };
+    const middle = middleOf(places(activeCage()), vertices);
+    fields.forEach((field, i) => field.set(Number(short(middle[i], 4))));
+  });
   return { nodes: [count, root], show };
 }
 
@@ -218,6 +224,7 @@ export function poseGroup() {
   const resets = row(
     button({ id: "reset-selection", label: "Reset selection", title: titleOf("Bring the selected vertices back to the rest cage", "pose.reset"), onClick: () => reset(false) }),
     button({ id: "reset-all", label: "Reset all", title: titleOf("Bring the whole cage back to rest", "pose.reset.all"), onClick: () => reset(true) }),
+    button({ id: "pose-load", label: "Load…", title: "Load a posed cage, with the faces of this one, from the session's folder", onClick: () => loadFrom("cage", "Load a pose", "pose.load") }),
   );
   const made = group("pose", "Pose", true, el("div", { class: "field" }, el("span", { class: "label" }, "Acts on"), on.root), ...PRESETS.map(presetRow), axis.root, towards.root, between, ...place.nodes, resets);
   const show = () => {
@@ -226,7 +233,7 @@ export function poseGroup() {
     document.getElementById("reset-selection").disabled = !store.sections.selection?.vertices?.length;
   };
   const start = () => {
-    for (const name of ["edits", "selection", "settings"]) store.on(name, show);
+    whenChanged(show);
     store.on("session", ({ field }) => {
       if (ways.isAxisChosen || !field?.up) return;
       const sizes = field.up.map(Math.abs);

@@ -3,7 +3,7 @@
 import { store } from "./store.js";
 import { ask, attempt } from "./connection.js";
 import { actions, run } from "./actions.js";
-import { button, check, choice, el, group, percent, perPicture, row, segments, setText, titleOf } from "./controls.js";
+import { button, check, choice, el, group, percent, perPicture, segments, setText, titleOf } from "./controls.js";
 
 const RESOLUTIONS = [16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512];
 const VIEWS = [
@@ -53,9 +53,9 @@ function backgroundField() {
 /** What the colours of the masks mean, and how much of the picture they cover. */
 function legend() {
   const kinds = [
-    ["fold", "Folded: the scene is there more than once"],
-    ["reveal", "Uncovered: nobody has seen what is there"],
-    ["outside", "Left the cage: it stays where it was"],
+    ["fold", "Folded: turned inside out"],
+    ["reveal", "Uncovered: no camera saw it"],
+    ["outside", "Lost: leads out of the cage"],
   ];
   const shares = new Map();
   const root = el("ul", { id: "mask-legend", class: "legend", "aria-label": "Colours of the masks" });
@@ -130,7 +130,7 @@ export function viewGroup() {
     value: store.tools.cage,
     onChange: (on) => store.setTool("cage", on),
   });
-  const views = row();
+  const views = el("div", { class: "grid quarters", role: "group", "aria-label": "Look from" });
   const made = group("view", "Picture", false, shown.root, masks.root, overlay.root, coordinates.root, resolution.root, density.root, background.root, supersampling.root, views);
   const show = () => {
     const { settings } = store.sections;

@@ -2,7 +2,7 @@
 
 import { store } from "./store.js";
 import { ask, attempt } from "./connection.js";
-import { run } from "./actions.js";
+import { register, run } from "./actions.js";
 import { button, choice, el, number, rows, setIcon, setText, short, titleOf } from "./controls.js";
 import { EASINGS, LOOPS, add, change, choose, chosenKey, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, seconds, step } from "./keys.js";
 
@@ -127,7 +127,7 @@ function onTrackKey(event) {
 
 function bar() {
   const play = button({ id: "play", label: "Play", icon: "play", title: titleOf("Play", "play"), onClick: () => run("play") });
-  const time = number({ id: "time", label: "Present time in seconds", title: "Present time: type seconds and press Enter", min: 0, max: 3600, step: "any", bare: true, onChange: goTo });
+  const time = number({ id: "time", label: "Present time in seconds", title: "Present time: type seconds and press Enter", min: 0, max: 3600, bare: true, onChange: goTo });
   const length = el("span", { class: "unit", id: "time-length" });
   const loop = choice({ id: "time-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, bare: true, onChange: (value) => attempt(ask({ do: "timeline", loop: value })) });
   const easing = choice({ id: "time-easing", label: "Easing of the chosen key", title: "How the way from the chosen key to the next goes", options: EASINGS, bare: true, onChange: (value) => change({ easing: value }) });
@@ -167,6 +167,7 @@ function bar() {
 
 /** Builds the timeline. Call it once. */
 export function start() {
+  register("key.insert", { label: "Key of pose and camera at the present time", keys: ["K"], group: "Timeline", run: () => add(true, true) });
   const { root: top, show: showBar } = bar();
   const ruler = el("div", { class: "ruler" });
   const poses = el("div", { class: "lane" });

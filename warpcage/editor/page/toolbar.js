@@ -214,10 +214,19 @@ function connectionText() {
   return ["good", "Saved", `Saved at ${clock(saved)}; the session is saved by itself, beside the field`];
 }
 
+let lastFrame = null;
+let restTimer = 0;
+
 const showStatus = perPicture(() => {
   const { connected, fps, latency, frame } = store.status;
   const speed = document.getElementById("speed");
-  const parts = connected && fps ? [`${Math.round(fps)} fps`] : [];
+  if (frame !== lastFrame) {
+    lastFrame = frame;
+    clearTimeout(restTimer);
+    restTimer = setTimeout(() => ((restTimer = 0), showStatus()), 1200);
+  }
+  // pictures come when something changes: where nothing does, none a second is no fault
+  const parts = connected && frame ? [restTimer && fps > 1 ? `${Math.round(fps)} fps` : "at rest"] : [];
   if (connected && latency) parts.push(`${Math.round(latency)} ms`);
   setText(speed, parts.join(" · "));
   if (frame) {
@@ -225,6 +234,7 @@ const showStatus = perPicture(() => {
     const made = ms ? `, made in ${Math.round(ms.all)} ms (pose ${Math.round(ms.pose)}, picture ${Math.round(ms.render)})` : "";
     speed.title = `Pictures a second, and time from the hand to the picture. This one: ${width} x ${height}${made}`;
   }
+  document.body.classList.toggle("lost", !connected);
   const [state, text, title] = connectionText();
   const place = document.getElementById("connection");
   place.dataset.state = state;
