@@ -161,7 +161,8 @@ def page_files() -> Iterator[str]:
         def do_GET(self) -> None:
             if self.path != "/":
                 return super().do_GET()
-            body = b"<!doctype html><html><head><link rel=icon href='data:,'></head><body><div id=toasts></div></body>"
+            head = b"<!doctype html><html><head><link rel=icon href='data:,'></head>"
+            body = head + b"<body><div id=toasts popover=manual></div></body></html>"
             self.send_response(200)
             self.send_header("Content-Type", "text/html")
             self.send_header("Content-Length", str(len(body)))

@@ -520,6 +520,20 @@ def test_keys_have_the_names_of_actions(page: Modules, event: dict[str, Any], na
     assert page.call("actions", "keyName", event) == name
 
 
+def test_no_key_has_two_actions(page: Modules) -> None:
+    script = """
+    const [done] = arguments;
+    Promise.all([import("/actions.js"), import("/selecting.js")]).then(([{ actions }]) =>
+      done([...actions].map(([name, { label, keys, group }]) => ({ name, label, keys, group }))));
+    """
+    found = page.driver.execute_async_script(script)
+    keys = [key for action in found for key in action["keys"]]
+    assert len(keys) == len(set(keys)) > 40
+    assert all(action["label"] and action["group"] for action in found)
+    wanted = {"G": "transform.move", "Ctrl+I": "select.invert", "Ctrl++": "select.grow", "O": "proportional"}
+    assert {key: action["name"] for action in found for key in action["keys"] if key in wanted} == wanted
+
+
 #: A socket of the test's own instead of the browser's, the edit it tells of, and a drag with the connection broken.
 BROKEN = """
 const [theirs, isLate, done] = arguments;

@@ -8,9 +8,12 @@ import { add, bounds, point, times } from "./vectors.js";
 const PIECES = 12; // of an edge, each seen or hidden
 const MOST_PIECES = 40000;
 const TOLERANCE = 0.015; // share of the cage's size: the cage lies outside the object, hidden means behind matter
+const LARGE = 4000; // edges: cages with more are drawn plainer, so that they follow the hand
+const LEVELS = 5; // of weights of proportional editing that are told apart by colour
 
 const INK = {
   rim: "rgba(0, 0, 0, 0.5)",
+  plain: "rgba(150, 165, 185, 0.9)",
   softRim: "rgba(0, 0, 0, 0.22)",
   line: "rgba(244, 247, 252, 0.95)",
   back: "rgba(240, 244, 250, 0.5)",
@@ -106,12 +109,17 @@ function fillFaces(context, cage, screen, numbers, colour) {
 
 function dots(context, screen, numbers, radius, colour, rim) {
   context.beginPath();
+  context.fillStyle = colour;
+  if (radius < 2) {
+    for (const i of numbers) context.rect(screen[3 * i] - radius, screen[3 * i + 1] - radius, 2 * radius, 2 * radius);
+    context.fill();
+    return;
+  }
   for (const i of numbers) {
     if (screen[3 * i + 2] <= 0) continue;
     context.moveTo(screen[3 * i] + radius, screen[3 * i + 1]);
     context.arc(screen[3 * i], screen[3 * i + 1], radius, 0, 2 * Math.PI);
   }
-  context.fillStyle = colour;
   context.fill();
   if (!rim) return;
   context.strokeStyle = rim;
@@ -133,7 +141,26 @@ export function drawOther(context, camera, cage, points) {
   stroke(context, path, INK.other, 1);
 }
 
-/** The cage that is worked on, with `look` = {screen, hidden, selected, active, mode, hover, check}. */
+function drawRich(context, paths) {
+  stroke(context, paths.behind, INK.softRim, 2, [3, 4]);
+  stroke(context, paths.behind, INK.faint, 1, [3, 4]);
+  stroke(context, paths.chosenBehind, INK.selectedFaint, 1.4, [3, 4]);
+  stroke(context, paths.back, INK.softRim, 2);
+  stroke(context, paths.back, INK.back, 1);
+  stroke(context, paths.seen, INK.rim, 2.6);
+  stroke(context, paths.seen, INK.line, 1.3);
+  stroke(context, paths.chosen, INK.rim, 3.6);
+  stroke(context, paths.chosen, INK.selected, 2);
+}
+
+/** Without rims and dashes, which cost most, and without what is far from the eye. */
+function drawPlain(context, paths) {
+  stroke(context, paths.seen, INK.plain, 1);
+  stroke(context, paths.chosenBehind, INK.selectedFaint, 1);
+  stroke(context, paths.chosen, INK.selected, 1);
+}
+
+/** The cage that is worked on, with `look` = {screen, hidden, selected, active, mode, hover, check, weights}. */
 export function drawCage(context, camera, cage, points, look) {
   const { screen, hidden, selected, mode, hover, check } = look;
   const isSelected = (i) => selected.has(i);
@@ -144,15 +171,8 @@ export function drawCage(context, camera, cage, points, look) {
   if (mode === "face") fillFaces(context, cage, screen, facesWithin(cage.faces, selected), INK.selectedFace);
   const front = facing(cage.topology, points, camera.eye, cage.sense);
   const paths = edgePaths(camera, cage, points, screen, hidden, front, isSelected);
-  stroke(context, paths.behind, INK.softRim, 2, [3, 4]);
-  stroke(context, paths.behind, INK.faint, 1, [3, 4]);
-  stroke(context, paths.chosenBehind, INK.selectedFaint, 1.4, [3, 4]);
-  stroke(context, paths.back, INK.softRim, 2);
-  stroke(context, paths.back, INK.back, 1);
-  stroke(context, paths.seen, INK.rim, 2.6);
-  stroke(context, paths.seen, INK.line, 1.3);
-  stroke(context, paths.chosen, INK.rim, 3.6);
-  stroke(context, paths.chosen, INK.selected, 2);
+  if (cage.topology.edges.length / 2 > LARGE) drawPlain(context, paths);
+  else drawRich(context, paths);
   if (hover?.mode === "face") fillFaces(context, cage, screen, [hover.number], "rgba(255, 233, 168, 0.32)");
   if (hover?.mode === "edge") {
     const [a, b] = hover.vertices;
@@ -166,13 +186,21 @@ export function drawCage(context, camera, cage, points, look) {
     const [near, far] = selected.has(i) ? ["chosen", "chosenBehind"] : [front.vertices[i] ? "seen" : "back", "behind"];
     groups[hidden.vertices[i] ? far : near].push(i);
   }
-  const size = mode === "vertex" ? 1 : 0.7;
+  const isLarge = cage.topology.edges.length / 2 > LARGE;
+  const size = isLarge ? 0.5 : mode === "vertex" ? 1 : 0.7;
+  const rim = isLarge ? null : INK.rim;
+  if (isLarge) groups.behind = groups.back = [];
   dots(context, screen, groups.behind, 2.2 * size, INK.faint);
-  dots(context, screen, groups.back, 2.8 * size, INK.back, INK.softRim);
-  dots(context, screen, groups.seen, 3.4 * size, INK.line, INK.rim);
-  dots(context, screen, groups.chosenBehind, 4 * size, INK.selectedFaint, INK.rim);
-  dots(context, screen, groups.chosen, 5 * size, INK.selected, INK.rim);
+  dots(context, screen, groups.back, 2.8 * size, INK.back, rim && INK.softRim);
+  dots(context, screen, groups.seen, 3.4 * size, INK.line, rim);
+  dots(context, screen, groups.chosenBehind, 4 * size, INK.selectedFaint, rim);
+  dots(context, screen, groups.chosen, 5 * size, INK.selected, rim);
   if (hover?.mode === "vertex") dots(context, screen, hover.vertices, 6, INK.hover, INK.rim);
+  for (let level = 1; look.weights && level <= LEVELS; level += 1) {
+    const share = (i) => Math.ceil(look.weights[i] * LEVELS) === level && !selected.has(i);
+    const some = Array.from(hidden.vertices.keys()).filter(share);
+    dots(context, screen, some, 4 * size, `rgba(255, 154, 31, ${level / LEVELS})`);
+  }
   if (look.active >= 0) {
     dots(context, screen, [look.active], 4.5, INK.active, INK.rim);
     dots(context, screen, [look.active], 2.5, INK.selected);

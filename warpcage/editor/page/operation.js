@@ -44,7 +44,7 @@ export function begin(kind, { camera, at, allowed = [true, true, true], way = st
   const from = at ?? [x + 60, y];
   operation = {
     ...{ kind, cage, start, chosen, pivot, mirror, side, source, camera, allowed, way },
-    ...{ from, pointer: from, seen: from, angle: 0, time: performance.now(), dirty: false, weights: null },
+    ...{ from, pointer: from, seen: at, angle: 0, time: performance.now(), dirty: false, weights: null },
     typed: null,
     text: "",
     offset: [0, 0, 0],
@@ -70,6 +70,10 @@ store.on("tools", () => operation && weigh());
 /** Takes where the pointer is now; `slow`: a tenth of its way counts, `flip`: steps are the other way about. */
 export function follow(at, { slow = false, flip = false, time = performance.now() } = {}) {
   const { seen, pointer, kind, camera, pivot } = operation;
+  if (!seen) {
+    operation.seen = at; // begun by a key with the pointer elsewhere: it leads from where it comes in
+    return;
+  }
   const share = slow ? 0.1 : 1;
   const next = [pointer[0] + (at[0] - seen[0]) * share, pointer[1] + (at[1] - seen[1]) * share];
   if (kind === "rotate") operation.angle += angleOf(camera, pivot, seen, at, turningAxis()) * share;

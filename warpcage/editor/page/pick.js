@@ -1,7 +1,6 @@
 // What is under the pointer, in a rectangle or in a lasso, and what is hidden. Screen points are flat: x, y, distance.
 
-import { distance, point } from "./vectors.js";
-import { project } from "./camera.js";
+import { projectAll } from "./camera.js";
 
 const everything = () => true;
 
@@ -122,16 +121,16 @@ export function depthAt(map, x, y) {
   return value === 0 ? Infinity : map.near * (map.far / map.near) ** ((value - 1) / 65534);
 }
 
-/** Whether a point lies behind matter, by a depth map and its camera (of the map's own size), with a tolerance. */
-export function isHidden(map, camera, p, tolerance) {
-  if (!map) return false;
-  const [x, y, z] = project(camera, p);
-  return z > 0 && distance(p, camera.eye) > depthAt(map, x, y) + tolerance;
-}
-
-/** Whether each of the flat points lies behind matter. */
+/** Whether each of the flat points lies behind matter, by a depth map and its camera (of its size), with a tolerance. */
 export function hiddenPoints(map, camera, points, tolerance) {
   const out = new Uint8Array(points.length / 3);
-  if (map) for (let i = 0; i < out.length; i += 1) out[i] = isHidden(map, camera, point(points, i), tolerance);
+  if (!map) return out;
+  const screen = projectAll(camera, points);
+  const [x, y, z] = camera.eye;
+  for (let i = 0; i < points.length; i += 3) {
+    if (screen[i + 2] <= 0) continue;
+    const away = Math.hypot(points[i] - x, points[i + 1] - y, points[i + 2] - z);
+    if (away > depthAt(map, screen[i], screen[i + 1]) + tolerance) out[i / 3] = 1;
+  }
   return out;
 }

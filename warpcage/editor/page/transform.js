@@ -1,6 +1,6 @@
 // Moves, rotations and scalings of a cage's vertices: proportional, in mirror image, in steps, by typed numbers.
 
-import { add, bounds, cross, dot, perpendicular, point, rotate, subtract, times, unit } from "./vectors.js";
+import { add, bounds, cross, distance, dot, perpendicular, point, rotate, subtract, times, unit } from "./vectors.js";
 
 /** How much of a transform a vertex takes at a share t (0 to 1) of the radius. */
 export const falloffs = {
@@ -16,10 +16,12 @@ export function weightsOf(points, selected, radius = 0, falloff = "smooth") {
   const weights = new Float64Array(points.length / 3);
   const numbers = [...selected];
   if (radius > 0 && numbers.length) {
+    const group = Float64Array.from(numbers.flatMap((j) => point(points, j)));
     for (let i = 0; i < weights.length; i += 1) {
+      const [px, py, pz] = [points[3 * i], points[3 * i + 1], points[3 * i + 2]];
       let least = Infinity;
-      for (const j of numbers) {
-        const [x, y, z] = [0, 1, 2].map((k) => points[3 * i + k] - points[3 * j + k]);
+      for (let j = 0; j < group.length; j += 3) {
+        const [x, y, z] = [px - group[j], py - group[j + 1], pz - group[j + 2]];
         least = Math.min(least, x * x + y * y + z * z);
       }
       const t = Math.sqrt(least) / radius;
@@ -60,16 +62,21 @@ export function mirrorOf(rest, axis, tolerance = 1e-3) {
   const plane = (lower[axis] + upper[axis]) / 2;
   const near = tolerance * Math.hypot(...subtract(upper, lower));
   const partners = new Int32Array(rest.length / 3).fill(-1);
-  for (let i = 0; i < partners.length; i += 1) {
+  const other = (axis + 1) % 3; // partners have the same place along another axis: look among those alone
+  const order = Array.from(partners.keys()).sort((i, j) => rest[3 * i + other] - rest[3 * j + other]);
+  let first = 0;
+  for (const i of order) {
     const wanted = point(rest, i);
     if (Math.abs(wanted[axis] - plane) <= near) {
       partners[i] = i;
       continue;
     }
     wanted[axis] = 2 * plane - wanted[axis];
+    while (rest[3 * order[first] + other] < wanted[other] - near) first += 1;
     let least = near;
-    for (let j = 0; j < partners.length; j += 1) {
-      const away = Math.hypot(...[0, 1, 2].map((k) => rest[3 * j + k] - wanted[k]));
+    for (let n = first; n < order.length && rest[3 * order[n] + other] <= wanted[other] + near; n += 1) {
+      const j = order[n];
+      const away = distance(point(rest, j), wanted);
       if (away <= least && j !== i) [partners[i], least] = [j, away];
     }
   }

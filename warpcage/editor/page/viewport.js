@@ -169,6 +169,7 @@ function drawCages(now) {
     mode: C.pickMode(),
     hover: overlay.hover?.cage === current ? overlay.hover : null,
     check: store.sections.check,
+    weights: operation.current()?.weights,
   });
   drawGizmo(context, gizmo(), overlay.handle);
 }
