@@ -92,10 +92,12 @@ function guarded(input, read, write) {
       if (held) waiting = value;
       else if (read() !== value) write(value);
     },
-    /** The value is on its way to the server; what comes back is shown again. */
+    /** The field is let go; returns what came meanwhile, if anything. */
     release() {
+      const came = waiting;
       held = false;
       waiting = undefined;
+      return came;
     },
   };
 }
@@ -127,8 +129,7 @@ export function number({ id, label, title, min, max, step = 0.1, unit = "", valu
       take((input.valueAsNumber || 0) + way * step * (event.shiftKey ? 10 : 1));
     }
     if (event.key !== "Escape" || !onChange) return;
-    guard.release();
-    write(last);
+    write(guard.release() ?? last);
     input.blur();
   });
   const unitText = unit ? el("span", { class: "unit" }, unit) : null;
@@ -155,8 +156,7 @@ export function text({ id, label, title, value = "", maxlength = 80, bare = fals
   input.addEventListener("keydown", (event) => {
     if (event.key === "Enter") input.blur();
     if (event.key !== "Escape") return;
-    guard.release();
-    write(last);
+    write(guard.release() ?? last);
     input.blur();
   });
   return { root: bare ? input : labelled(label, id, title, input), input, set: guard.set };

@@ -22,6 +22,8 @@ export function toast(message, level = "info") {
   item.addEventListener("pointerleave", leave);
   list.append(item);
   while (list.children.length > MOST) list.firstChild.remove();
+  list.hidePopover();
+  list.showPopover(); // above a dialog that is open
   leave();
 }
 
@@ -107,7 +109,7 @@ export async function confirmThat(title, question, confirm) {
 
 /** Shows a text that can be copied. */
 export function showText(title, intro, content) {
-  const area = el("textarea", { id: "dialog-text", readonly: true, rows: 6, "aria-label": title, spellcheck: "false" });
+  const area = el("textarea", { id: "dialog-text", readonly: true, rows: 4, "aria-label": title, spellcheck: "false" });
   area.value = content;
   const copy = button({
     id: "dialog-copy",
@@ -132,14 +134,21 @@ export function showText(title, intro, content) {
 }
 
 const MOUSE = [
-  ["Click, Shift+click", "Select a vertex, edge or face; add or take away"],
-  ["Drag on empty space", "Rectangle or lasso; Shift adds, Ctrl takes away"],
-  ["Drag a selected vertex", "Move the selection in the plane of the view"],
-  ["Drag with the middle or right button", "Turn the view; with Shift pan it"],
-  ["Wheel, pinch", "Zoom"],
-  ["Number while moving", "Exact amount; Enter keeps it, Escape goes back"],
+  ["Click", "Select; with Shift add or take away"],
+  ["Drag beside it", "Rectangle or lasso; Shift adds, Ctrl takes away"],
+  ["Drag a vertex", "Move it, or the selection that it belongs to"],
+  ["Middle button, Alt+drag", "Turn the view; with Shift pan, with Ctrl zoom"],
+  ["Wheel", "Zoom; while moving: the radius of proportional editing"],
+  ["One finger, two", "Turn the view; pan and zoom"],
 ];
-
+const MOVING = [
+  [["X", "Y", "Z"], "Along one axis; again: other axes, none"],
+  [["Shift+X"], "Across that axis"],
+  [["0–9"], "Exact amount; Tab: the next number"],
+  [["Shift"], "Slow"],
+  [["Ctrl"], "Steps, or none"],
+  [["Enter", "Escape"], "Keep, take back"],
+];
 const TIMELINE = [
   [["←", "→"], "A frame back or on; with Shift ten"],
   [["↑", "↓"], "Key before, next key"],
@@ -166,8 +175,9 @@ export function showHelp() {
   }
   const body = el("div", { class: "dialog-body help-groups", tabindex: "0", "aria-label": "Keys by group" });
   const mouse = MOUSE.map(([what, label]) => keyRow([what], label));
+  const moving = MOVING.map(([keys, label]) => keyRow(keys, label));
   const timeline = TIMELINE.map(([keys, label]) => keyRow(keys, label));
-  for (const [name, list] of [["Mouse and touch", mouse], ...groups, ["Timeline, when it has the focus", timeline]]) {
+  for (const [name, list] of [["Mouse and touch", mouse], ["While moving", moving], ...groups, ["Timeline, when it has the focus", timeline]]) {
     body.append(el("section", {}, el("h3", {}, name), el("dl", {}, ...list)));
   }
   const done = button({ id: "dialog-close", label: "Close", title: "Close (Escape)", onClick: () => opened.close() });

@@ -191,7 +191,7 @@ function makeJobRow({ id }) {
   const cancel = button({ label: "Cancel", title: "Stop this work", kind: "flat", onClick: () => attempt(ask({ do: "job.cancel", id })) });
   const clear = button({ label: "Take off the list", icon: "close", kind: "flat", onClick: () => attempt(ask({ do: "job.clear", id })) });
   const download = el("a", { class: "button primary", download: true }, icon("download"), el("span", {}, "Download"));
-  const root = el("li", { id: `job-${id}`, class: "job" }, el("div", { class: "row" }, name, download, cancel, clear), bar, note);
+  const root = el("li", { id: `job-${id}`, class: "job" }, el("div", { class: "row" }, name, cancel, clear), bar, note, download);
   const update = (job) => {
     root.dataset.state = job.state;
     setText(name, job.name);

@@ -2,7 +2,7 @@
 // while it is dragged, makes one undo step when it is let go, and goes back to the middle for the next one.
 
 import { store } from "./store.js";
-import { ask, attempt, send, sendVertices } from "./connection.js";
+import { ask, attempt, sendVertices } from "./connection.js";
 import { toast } from "./dialogs.js";
 import { actions, run } from "./actions.js";
 import { activeEdit, button, choice, el, group, number, perPicture, row, segments, setText, short, titleOf } from "./controls.js";
@@ -22,8 +22,17 @@ const PRESETS = [
 /** What all sliders share: which vertices, along which axis, between which limits. */
 const ways = { on: "all", axis: "z", towards: "x", limits: [0, 1], isAxisChosen: false };
 let opened = null; // the preset whose slider is out of the middle
+let refused = false; // whether the slider that is held cannot pose: it says so once
 
 const message = ({ name }, amount) => ({ do: "preset.set", preset: name, amount, axis: ways.axis, towards: ways.towards, limits: ways.limits });
+
+/** Whether the vertices that sliders act on lie in one plane across the axis: no slider can tell them apart. */
+function isFlat(vertices) {
+  const cage = activeCage();
+  const chosen = ways.on === "selection" ? vertices : [...Array(places(cage).length / 3).keys()];
+  const along = chosen.map((vertex) => places(cage)[3 * vertex + AXES.indexOf(ways.axis)]);
+  return Math.max(...along) - Math.min(...along) <= 1e-9 * cage.size;
+}
 
 /** Begins a preset; false, and a word about it, where it has nothing to act on. */
 function begin(preset) {
@@ -32,6 +41,7 @@ function begin(preset) {
   if (!edit) toast("There is no cage to pose: generate one first.", "warning");
   else if (store.sections.settings?.mode === "rest") toast("Sliders pose the cage: change to Pose first (Q).", "warning");
   else if (ways.on === "selection" && !vertices.length) toast("Nothing is selected: select vertices, or let the slider act on all.", "warning");
+  else if (isFlat(vertices)) toast(`What is selected is flat along ${ways.axis}: select more vertices, or choose another axis.`, "warning");
   else {
     opened = preset;
     attempt(ask({ do: "preset.begin", edit: edit.id, vertices: ways.on === "selection" ? vertices : null }));
@@ -40,7 +50,18 @@ function begin(preset) {
   return false;
 }
 
-const sendAmount = perPicture((preset, amount) => opened === preset && send(message(preset, amount)));
+/** Poses live; what the server refuses is told once, and the step is taken back. */
+const sendAmount = perPicture(async (preset, amount) => {
+  if (opened !== preset) return;
+  try {
+    await ask(message(preset, amount));
+  } catch (error) {
+    if (opened !== preset) return;
+    refused = true;
+    toast(error.message, "error");
+    end(amount, true);
+  }
+});
 
 /** Ends what is open as one undo step, or takes it back. */
 async function end(amount, cancel) {
@@ -66,13 +87,16 @@ function presetRow(preset) {
     shown.hidden = true;
   };
   const finish = (cancel) => {
-    isDragged = false;
+    isDragged = refused = false;
     if (opened === preset) end(amountNow(), cancel || amountNow() === neutral);
     rest();
   };
   slider.addEventListener("pointerdown", () => (isDragged = true));
   slider.addEventListener("input", () => {
-    if (opened !== preset && !begin(preset)) return rest();
+    if (opened !== preset && (refused || !begin(preset))) {
+      refused = true;
+      return rest();
+    }
     const amount = amountNow();
     slider.setAttribute("aria-valuetext", preset.tell(amount));
     setText(shown, preset.tell(amount));
@@ -89,7 +113,9 @@ function presetRow(preset) {
     if (event.key !== "Enter" && event.key !== "Escape") return;
     event.preventDefault();
     event.stopPropagation();
+    const isHeld = isDragged;
     finish(event.key === "Escape");
+    isDragged = refused = isHeld; // until it is let go
   });
   const typed = number({
     id: `${id}-amount`,
