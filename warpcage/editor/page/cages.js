@@ -1,7 +1,8 @@
 // The cages and the selection as the page has them now, which may be ahead of the server while the hand moves them.
 
 import { store } from "./store.js";
-import { send, when } from "./connection.js";
+import { ask, guard, when } from "./connection.js";
+import { toast } from "./dialogs.js";
 import { makeTopology, signedVolume } from "./topology.js";
 import { bounds, distance } from "./vectors.js";
 
@@ -10,6 +11,9 @@ export const cages = new Map();
 const listeners = [];
 let held = null; // {id, places}: the hand moves this edit's places (name), the server's are kept for later
 let chosen = { of: null, vertices: new Set() };
+let unanswered = 0; // selections that the server has not answered
+let unsaid = null; // a selection made without a connection
+let theirs = null; // the last selection that the server told of
 let active = { edit: null, vertex: -1 }; // the vertex that was picked last
 
 /** Calls listener() whenever cages or selection change. */
@@ -47,8 +51,31 @@ export function select(edit, vertices, { mode = pickMode(), active: vertex = act
   const isSame = before?.edit === edit && before.mode === mode && String(before.vertices) === String(numbers);
   if (isSame) return changed();
   store.set("selection", { edit, mode, vertices: numbers });
-  send({ do: "select", edit, mode, vertices: numbers });
+  unanswered += 1;
+  ask({ do: "select", edit, mode, vertices: numbers })
+    .catch((error) => {
+      if (error.isLost) {
+        unsaid = { edit, mode, vertices: numbers };
+        return;
+      }
+      if (unanswered === 1) store.set("selection", theirs ?? before ?? null);
+      toast(error.message, "error");
+    })
+    .finally(() => (unanswered -= 1));
 }
+
+when("hello", () => {
+  const { edit, mode, vertices } = unsaid ?? {};
+  unsaid = null;
+  const cage = cages.get(edit);
+  if (cage && vertices.every((i) => i < cage.topology.count)) select(edit, vertices, { mode });
+});
+
+// What the server says of a selection before it has heard of the last one is old
+guard("selection", (content) => {
+  theirs = content;
+  return unanswered > 0;
+});
 
 /** A cage whose places the hand has changed. */
 export function setPlaces(cage, name, points) {
@@ -125,10 +152,24 @@ store.on("selection", changed);
 store.on("settings", changed);
 store.on("check", changed);
 
-when("vertices", (kind, id, points) => {
+const coming = new Map(); // edit -> posed vertices of the film's next picture
+
+function takePlaces(id, name, points) {
   const cage = cages.get(id);
-  const name = kind === 3 ? "rest" : "posed";
   if (cage?.[name].length !== points.length) return;
   if (held?.id === id && held.name === name) held.heard = points;
   else setPlaces(cage, name, points);
+}
+
+when("vertices", (kind, id, points) => {
+  // While the film plays, cages go with its pictures; each comes after its vertices
+  if (kind === 2 && store.sections.playback?.playing) coming.set(id, points);
+  else takePlaces(id, kind === 3 ? "rest" : "posed", points);
 });
+
+function takeComing() {
+  for (const [id, points] of coming) takePlaces(id, "posed", points);
+  coming.clear();
+}
+when("frame", takeComing);
+store.on("playback", ({ playing }) => playing || takeComing());

@@ -25,6 +25,11 @@ export function when(event, handler) {
 
 const emit = (event, ...content) => handlers[event].forEach((handler) => handler(...content));
 
+const guards = new Map(); // section -> function
+
+/** Leaves a section's new content out of the store where `isOlder(content)`: the page knows better for the moment. */
+export const guard = (section, isOlder) => guards.set(section, isOlder);
+
 export const isConnected = () => store.status.connected;
 
 /** Sends a command, {do: ..., ...}, without waiting; false where there is no connection. */
@@ -39,7 +44,8 @@ export function ask(command) {
   return new Promise((resolve, reject) => {
     number += 1;
     if (!send({ ...command, n: number })) {
-      reject(new Error("There is no connection to the editor's server; it is being sought."));
+      const error = new Error("There is no connection to the editor's server; it is being sought.");
+      reject(Object.assign(error, { isLost: true }));
       return;
     }
     replies.set(number, { resolve, reject });
@@ -136,7 +142,9 @@ function onText(message) {
     for (const [name, content] of Object.entries(message.sections)) store.set(name, content);
     emit("hello", message);
   } else if (message.type === "state") {
-    for (const [name, content] of Object.entries(message.sections)) store.set(name, content);
+    for (const [name, content] of Object.entries(message.sections)) {
+      if (!guards.get(name)?.(content)) store.set(name, content);
+    }
   }
 }
 

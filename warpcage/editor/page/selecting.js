@@ -55,7 +55,7 @@ export function elementAt(x, y, reach) {
   return null;
 }
 
-/** Selects what was clicked: alone, added ("add") or taken away ("remove"); nothing clicked empties the selection. */
+/** Selects what was clicked: alone, added or, where it is selected, taken away ("add"), taken away ("remove"). */
 export function clicked(element, way) {
   const current = C.activeCage();
   if (!element) {
@@ -64,11 +64,12 @@ export function clicked(element, way) {
   }
   const isOther = element.cage !== current;
   const chosen = new Set(way === "replace" || isOther ? [] : C.selected());
+  const isTaken = way === "remove" || (way === "add" && element.vertices.every((i) => chosen.has(i)));
   for (const i of element.vertices) {
-    if (way === "remove") chosen.delete(i);
+    if (isTaken) chosen.delete(i);
     else chosen.add(i);
   }
-  C.select(element.cage.id, chosen, { active: way === "remove" ? -1 : element.vertices[0] });
+  C.select(element.cage.id, chosen, { active: isTaken ? -1 : element.vertices[0] });
 }
 
 /** The selection that a rectangle or lasso would make of the active cage. */
@@ -231,8 +232,9 @@ registerSelect("next", "Next vertex by number", ["]"], () => count(1), hasCage, 
 registerSelect("previous", "Vertex before by number", ["["], () => count(-1), hasCage, true);
 for (const [name, dx, dy] of [["Left", -1, 0], ["Right", 1, 0], ["Up", 0, -1], ["Down", 0, 1]]) {
   const side = name.toLowerCase();
-  registerSelect(`step.${side}`, `Vertex to the ${side}`, [`Ctrl+Arrow${name}`], () => step(dx, dy, false), hasCage, true);
-  registerSelect(`add.${side}`, `Add the vertex to the ${side}`, [`Ctrl+Shift+Arrow${name}`], () => step(dx, dy, true), hasCage, true);
+  const there = { up: "above", down: "below" }[side] ?? `to the ${side}`;
+  registerSelect(`step.${side}`, `Vertex ${there}`, [`Ctrl+Arrow${name}`], () => step(dx, dy, false), hasCage, true);
+  registerSelect(`add.${side}`, `Add the vertex ${there}`, [`Ctrl+Shift+Arrow${name}`], () => step(dx, dy, true), hasCage, true);
   const view = { group: "View", repeat: true };
   const angle = Math.PI / 36;
   register(`view.turn.${side}`, { ...view, label: `Turn ${side}`, keys: [`Arrow${name}`], run: () => turnBy(dx * angle, dy * -angle) });
