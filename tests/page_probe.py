@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 import warpcage
 
@@ -162,7 +163,9 @@ def page_files() -> Iterator[str]:
             if self.path != "/":
                 return super().do_GET()
             head = b"<!doctype html><html><head><link rel=icon href='data:,'></head>"
-            body = head + b"<body><div id=toasts popover=manual></div></body></html>"
+            body = (
+                head + b"<body><canvas id=view tabindex=0></canvas><div id=toasts popover=manual></div></body></html>"
+            )
             self.send_response(200)
             self.send_header("Content-Type", "text/html")
             self.send_header("Content-Length", str(len(body)))
@@ -182,3 +185,43 @@ def page_files() -> Iterator[str]:
         server.shutdown()
         thread.join()
         server.server_close()
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Modules]:
+    """The page's modules; at the end, nothing severe may stand in the console."""
+    with page_files() as address, chromium() as driver:
+        driver.get(address)
+        yield Modules(driver)
+        assert [entry for entry in driver.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+VIEW = {"eye": [2.0, -4.0, 1.5], "target": [0.1, 0.2, -0.1], "up": [0.0, 0.1, 1.0], "fov": 37.0}
+WIDTH, HEIGHT = 640.0, 400.0
+
+
+def looked(view: dict[str, Any]) -> np.ndarray:
+    """Rows right, up, back of a view."""
+    back = np.subtract(view["eye"], view["target"])
+    back = back / np.linalg.norm(back)
+    right = np.cross(view["up"], back)
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(back, right), back])
+
+
+def projected(view: dict[str, Any], points: np.ndarray, width: float = WIDTH, height: float = HEIGHT) -> np.ndarray:
+    """Pixels and distances along the axis, by matrices."""
+    local = (np.asarray(points) - view["eye"]) @ looked(view).T
+    half = np.tan(np.radians(view["fov"]) / 2)
+    x, y = local[..., 0] / -local[..., 2] / (half * width / height), local[..., 1] / -local[..., 2] / half
+    return np.stack([(1 + x) / 2 * width, (1 - y) / 2 * height, -local[..., 2]], axis=-1)
+
+
+def camera(page: Modules, view: dict[str, Any] = VIEW, width: float = WIDTH, height: float = HEIGHT) -> Any:
+    return page.call("camera", "makeCamera", view, width, height)
+
+
+def hull(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    return points, ConvexHull(points).simplices.astype(int)

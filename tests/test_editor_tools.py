@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import struct
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from page_probe import Modules, chromium, flat, page_files, whole
+from page_probe import HEIGHT, VIEW, WIDTH, Modules, camera, flat, hull, looked, page, projected, whole
 from scipy.optimize import minimize_scalar
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -18,52 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from warpcage.cage.poses import move
 
+__all__ = ["page"]  # a fixture
 pytestmark = pytest.mark.xdist_group("chromium")
-
-
-@pytest.fixture(scope="module")
-def page() -> Iterator[Modules]:
-    with page_files() as address, chromium() as driver:
-        driver.get(address)
-        yield Modules(driver)
-        severe = [entry for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
-        assert severe == []
 
 
 @pytest.fixture(scope="module")
 def points() -> np.ndarray:
     return np.random.default_rng(3).normal(size=(40, 3))
-
-
-VIEW = {"eye": [2.0, -4.0, 1.5], "target": [0.1, 0.2, -0.1], "up": [0.0, 0.1, 1.0], "fov": 37.0}
-WIDTH, HEIGHT = 640.0, 400.0
-
-
-def looked(view: dict[str, Any]) -> np.ndarray:
-    """Rows right, up, back of a view."""
-    back = np.subtract(view["eye"], view["target"])
-    back = back / np.linalg.norm(back)
-    right = np.cross(view["up"], back)
-    right = right / np.linalg.norm(right)
-    return np.stack([right, np.cross(back, right), back])
-
-
-def projected(view: dict[str, Any], points: np.ndarray, width: float = WIDTH, height: float = HEIGHT) -> np.ndarray:
-    """Pixels and distances along the axis, by matrices."""
-    local = (np.asarray(points) - view["eye"]) @ looked(view).T
-    half = np.tan(np.radians(view["fov"]) / 2)
-    x, y = local[..., 0] / -local[..., 2] / (half * width / height), local[..., 1] / -local[..., 2] / half
-    return np.stack([(1 + x) / 2 * width, (1 - y) / 2 * height, -local[..., 2]], axis=-1)
-
-
-def camera(page: Modules, view: dict[str, Any] = VIEW, width: float = WIDTH, height: float = HEIGHT) -> Any:
-    return page.call("camera", "makeCamera", view, width, height)
-
-
-def hull(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    points = np.random.default_rng(seed).normal(size=(count, 3))
-    points /= np.linalg.norm(points, axis=1)[:, None]
-    return points, ConvexHull(points).simplices.astype(int)
 
 
 # cameras -----------------------------------------------------------------------------------------------------------
@@ -479,115 +437,3 @@ def test_a_scaling_follows_the_pointer(page: Modules) -> None:
         end = at(PIVOT) + np.multiply([30, 40], factor)
         args = (PIVOT.tolist(), start.tolist(), end.tolist())
         assert np.isclose(page.call("hand", "factorOf", camera(page), *args), factor)
-
-
-# the wire ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("padded", [True, False])
-def test_frames_are_taken_apart(page: Modules, padded: bool) -> None:
-    header = json.dumps({"frame": 7, "width": 3}).encode()
-    whole_header = header + b" " * (-len(header) % 8)
-    jpeg, depth = bytes(range(13)), np.arange(6, dtype="<u2") * 9000
-    sizes = (10, len(whole_header), len(jpeg) + 3 * padded, depth.nbytes)
-    message = struct.pack("<4I", *sizes) + whole_header + jpeg + b"\0" * 3 + depth.tobytes()
-    script = """
-    const [bytes, done] = arguments;
-    import("/connection.js").then(({ parseFrame }) => {
-      const { header, jpeg, depth } = parseFrame(Uint8Array.from(bytes).buffer);
-      done([header, [...jpeg], [...depth]]);
-    });
-    """
-    found = page.driver.execute_async_script(script, list(message))
-    assert found[0] == {"frame": 7, "width": 3} and found[1][:13] == list(jpeg) and found[2] == depth.tolist()
-
-
-@pytest.mark.parametrize(
-    ("event", "name"),
-    [
-        ({"key": "g", "code": "KeyG"}, "G"),
-        ({"key": "Z", "code": "KeyZ", "ctrlKey": True, "shiftKey": True}, "Ctrl+Shift+Z"),
-        ({"key": "z", "code": "KeyZ", "metaKey": True}, "Ctrl+Z"),
-        ({"key": "!", "code": "Digit1", "shiftKey": True}, "Shift+1"),
-        ({"key": "?", "code": "Slash", "shiftKey": True}, "?"),
-        ({"key": "+", "code": "Equal", "ctrlKey": True, "shiftKey": True}, "Ctrl++"),
-        ({"key": "å", "code": "KeyA", "altKey": True}, "Alt+A"),
-        ({"key": " ", "code": "Space"}, "Space"),
-        ({"key": "ArrowUp", "code": "ArrowUp", "ctrlKey": True}, "Ctrl+ArrowUp"),
-    ],
-)
-def test_keys_have_the_names_of_actions(page: Modules, event: dict[str, Any], name: str) -> None:
-    assert page.call("actions", "keyName", event) == name
-
-
-def test_no_key_has_two_actions(page: Modules) -> None:
-    script = """
-    const [done] = arguments;
-    Promise.all([import("/actions.js"), import("/selecting.js")]).then(([{ actions }]) =>
-      done([...actions].map(([name, { label, keys, group }]) => ({ name, label, keys, group }))));
-    """
-    found = page.driver.execute_async_script(script)
-    keys = [key for action in found for key in action["keys"]]
-    assert len(keys) == len(set(keys)) > 40
-    assert all(action["label"] and action["group"] for action in found)
-    wanted = {"G": "transform.move", "Ctrl+I": "select.invert", "Ctrl++": "select.grow", "O": "proportional"}
-    assert {key: action["name"] for action in found for key in action["keys"] if key in wanted} == wanted
-
-
-#: A socket of the test's own instead of the browser's, the edit it tells of, and a drag with the connection broken.
-BROKEN = """
-const [theirs, isLate, done] = arguments;
-const sockets = [];
-class Socket {
-  constructor() { this.sent = []; this.bufferedAmount = 0; sockets.push(this); }
-  send(data) { this.sent.push(typeof data === "string" ? JSON.parse(data) : new Float64Array(data, 16)[0]); }
-  hear(message) { this.onmessage({ data: JSON.stringify(message) }); }
-}
-window.WebSocket = Socket;
-const rest = [[0, 0, 0], [1, 0, 0], [0, 1, 0]];
-const hello = (posed) => ({ type: "hello", client: sockets.length, session: {}, sections: {
-  edits: [{ id: 4, name: "a", kind: "move", visible: true, faces: [[0, 1, 2]], rest, posed }],
-  selection: { edit: 4, mode: "vertex", vertices: [0] }, settings: { mode: "pose" } } });
-const until = async (test) => { while (!test()) await new Promise((next) => setTimeout(next, 10)); };
-(async () => {
-  const names = ["connection", "drag", "cages"];
-  const [connection, drag, { cages }] = await Promise.all(names.map((name) => import(`/${name}.js`)));
-  connection.connect();
-  sockets[0].hear(hello(rest));
-  drag.begin(cages.get(4), "Move a vertex");
-  const moved = (x) => Float64Array.from([x, 0, 0, 1, 0, 0, 0, 1, 0]);
-  drag.update(moved(0.25), 0);
-  drag.flush();
-  sockets[0].onclose();
-  drag.update(moved(0.5), 0);
-  drag.flush();
-  const end = () => drag.end();
-  if (!isLate) end();
-  await until(() => sockets.length === 2);
-  sockets[1].hear(hello(theirs));
-  if (isLate) { drag.flush(); end(); }
-  const kept = cages.get(4).posed[0];
-  const sent = sockets[1].sent.map((it) => (it.do ? { do: it.do, label: it.label, vertices: it.vertices } : it));
-  const toasts = document.getElementById("toasts").textContent;
-  done({ first: sockets[0].sent.map((it) => it.do ?? it), sent, kept, toasts });
-})().catch((error) => done({ error: String(error.stack) }));
-"""
-
-
-@pytest.mark.parametrize("late", [False, True], ids=["ended while broken", "ends afterwards"])
-@pytest.mark.parametrize("x", [0.0, 0.25, 0.1], ids=["as it began", "as it was sent", "changed elsewhere"])
-def test_a_drag_survives_a_broken_connection(page: Modules, x: float, late: bool) -> None:
-    page.driver.refresh()
-    found = page.driver.execute_async_script(BROKEN, [[x, 0, 0], [1, 0, 0], [0, 1, 0]], late)
-    assert "error" not in found, found
-    assert found["first"] == ["drag.begin", 0.25]
-    commands = [it["do"] if isinstance(it, dict) else it for it in found["sent"]]
-    if x == 0.1:
-        assert found["sent"] == [] and found["kept"] == 0.1 and "changed elsewhere" in found["toasts"]
-    elif late:
-        assert commands == ["drag.begin", 0.5, "drag.end"] and found["kept"] == 0.5
-    else:
-        vertices = [[0.5, 0, 0], [1, 0, 0], [0, 1, 0]]
-        assert found["sent"] == [{"do": "pose.set", "label": "Move a vertex", "vertices": vertices}]
-        assert found["kept"] == 0.5
-    page.driver.refresh()

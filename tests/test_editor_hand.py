@@ -1,0 +1,442 @@
+"""The hand on the editor's page, in a headless Chromium: pointer, keys, what is sent, broken connections."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from page_probe import VIEW, Modules, drag, hull, page, pointer, press, projected
+from scipy.spatial.transform import Rotation
+
+from warpcage.cage.poses import move
+
+__all__ = ["page"]  # a fixture
+pytestmark = pytest.mark.xdist_group("chromium")
+
+
+# the wire ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("padded", [True, False])
+def test_frames_are_taken_apart(page: Modules, padded: bool) -> None:
+    header = json.dumps({"frame": 7, "width": 3}).encode()
+    whole_header = header + b" " * (-len(header) % 8)
+    jpeg, depth = bytes(range(13)), np.arange(6, dtype="<u2") * 9000
+    sizes = (10, len(whole_header), len(jpeg) + 3 * padded, depth.nbytes)
+    message = struct.pack("<4I", *sizes) + whole_header + jpeg + b"\0" * 3 + depth.tobytes()
+    script = """
+    const [bytes, done] = arguments;
+    import("/connection.js").then(({ parseFrame }) => {
+      const { header, jpeg, depth } = parseFrame(Uint8Array.from(bytes).buffer);
+      done([header, [...jpeg], [...depth]]);
+    });
+    """
+    found = page.driver.execute_async_script(script, list(message))
+    assert found[0] == {"frame": 7, "width": 3} and found[1][:13] == list(jpeg) and found[2] == depth.tolist()
+
+
+@pytest.mark.parametrize(
+    ("event", "name"),
+    [
+        ({"key": "g", "code": "KeyG"}, "G"),
+        ({"key": "Z", "code": "KeyZ", "ctrlKey": True, "shiftKey": True}, "Ctrl+Shift+Z"),
+        ({"key": "z", "code": "KeyZ", "metaKey": True}, "Ctrl+Z"),
+        ({"key": "!", "code": "Digit1", "shiftKey": True}, "Shift+1"),
+        ({"key": "?", "code": "Slash", "shiftKey": True}, "?"),
+        ({"key": "+", "code": "Equal", "ctrlKey": True, "shiftKey": True}, "Ctrl++"),
+        ({"key": "å", "code": "KeyA", "altKey": True}, "Alt+A"),
+        ({"key": " ", "code": "Space"}, "Space"),
+        ({"key": "ArrowUp", "code": "ArrowUp", "ctrlKey": True}, "Ctrl+ArrowUp"),
+    ],
+)
+def test_keys_have_the_names_of_actions(page: Modules, event: dict[str, Any], name: str) -> None:
+    assert page.call("actions", "keyName", event) == name
+
+
+def test_no_key_has_two_actions(page: Modules) -> None:
+    script = """
+    const [done] = arguments;
+    Promise.all([import("/actions.js"), import("/selecting.js")]).then(([{ actions }]) =>
+      done([...actions].map(([name, { label, keys, group }]) => ({ name, label, keys, group }))));
+    """
+    found = page.driver.execute_async_script(script)
+    keys = [key for action in found for key in action["keys"]]
+    assert len(keys) == len(set(keys)) > 40
+    assert all(action["label"] and action["group"] for action in found)
+    wanted = {"G": "transform.move", "Ctrl+I": "select.invert", "Ctrl++": "select.grow", "O": "proportional"}
+    assert {key: action["name"] for action in found for key in action["keys"] if key in wanted} == wanted
+
+
+#: A socket of the test's own instead of the browser's, the edit it tells of, and a drag with the connection broken.
+BROKEN = """
+const [theirs, isLate, done] = arguments;
+const sockets = [];
+class Socket {
+  constructor() { this.sent = []; this.bufferedAmount = 0; sockets.push(this); }
+  send(data) { this.sent.push(typeof data === "string" ? JSON.parse(data) : new Float64Array(data, 16)[0]); }
+  hear(message) { this.onmessage({ data: JSON.stringify(message) }); }
+}
+window.WebSocket = Socket;
+const rest = [[0, 0, 0], [1, 0, 0], [0, 1, 0]];
+const hello = (posed) => ({ type: "hello", client: sockets.length, session: {}, sections: {
+  edits: [{ id: 4, name: "a", kind: "move", visible: true, faces: [[0, 1, 2]], rest, posed }],
+  selection: { edit: 4, mode: "vertex", vertices: [0] }, settings: { mode: "pose" } } });
+const until = async (test) => { while (!test()) await new Promise((next) => setTimeout(next, 10)); };
+(async () => {
+  const names = ["connection", "drag", "cages"];
+  const [connection, drag, { cages }] = await Promise.all(names.map((name) => import(`/${name}.js`)));
+  connection.connect();
+  sockets[0].hear(hello(rest));
+  drag.begin(cages.get(4), "Move a vertex");
+  const moved = (x) => Float64Array.from([x, 0, 0, 1, 0, 0, 0, 1, 0]);
+  drag.update(moved(0.25), 0);
+  drag.flush();
+  sockets[0].onclose();
+  drag.update(moved(0.5), 0);
+  drag.flush();
+  const end = () => drag.end();
+  if (!isLate) end();
+  await until(() => sockets.length === 2);
+  sockets[1].hear(hello(theirs));
+  if (isLate) { drag.flush(); end(); }
+  const kept = cages.get(4).posed[0];
+  const sent = sockets[1].sent.map((it) => (it.do ? { do: it.do, label: it.label, vertices: it.vertices } : it));
+  const toasts = document.getElementById("toasts").textContent;
+  done({ first: sockets[0].sent.map((it) => it.do ?? it), sent, kept, toasts });
+})().catch((error) => done({ error: String(error.stack) }));
+"""
+
+
+@pytest.mark.parametrize("late", [False, True], ids=["ended while broken", "ends afterwards"])
+@pytest.mark.parametrize("x", [0.0, 0.25, 0.1], ids=["as it began", "as it was sent", "changed elsewhere"])
+def test_a_drag_survives_a_broken_connection(page: Modules, x: float, late: bool) -> None:
+    page.driver.refresh()
+    found = page.driver.execute_async_script(BROKEN, [[x, 0, 0], [1, 0, 0], [0, 1, 0]], late)
+    assert "error" not in found, found
+    assert found["first"] == ["drag.begin", 0.25]
+    commands = [it["do"] if isinstance(it, dict) else it for it in found["sent"]]
+    if x == 0.1:
+        assert found["sent"] == [] and found["kept"] == 0.1 and "changed elsewhere" in found["toasts"]
+    elif late:
+        assert commands == ["drag.begin", 0.5, "drag.end"] and found["kept"] == 0.5
+    else:
+        vertices = [[0.5, 0, 0], [1, 0, 0], [0, 1, 0]]
+        assert found["sent"] == [{"do": "pose.set", "label": "Move a vertex", "vertices": vertices}]
+        assert found["kept"] == 0.5
+    page.driver.refresh()
+
+
+# gestures ----------------------------------------------------------------------------------------------------------
+
+#: The viewport on a canvas of 640 x 400, with a socket of the test's own that answers every command.
+STAGE = """
+const [edits, view, done] = arguments;
+localStorage.clear();
+window.sent = [];
+class Socket {
+  constructor() { this.bufferedAmount = 0; window.socket = this; }
+  send(data) {
+    if (typeof data !== "string") {
+      const [kind, seq, edit] = new Uint32Array(data, 0, 4);
+      window.sent.push({ do: "drag", kind, seq, edit, vertices: [...new Float64Array(data, 16)] });
+      return;
+    }
+    const command = JSON.parse(data);
+    window.sent.push(command);
+    if ("n" in command) setTimeout(() => this.hear({ type: "reply", n: command.n, result: null }));
+  }
+  hear(message) { this.onmessage({ data: JSON.stringify(message) }); }
+}
+window.WebSocket = Socket;
+const canvas = document.getElementById("view");
+Object.assign(canvas.style, { position: "fixed", left: "0", top: "0", width: "640px", height: "400px" });
+(async () => {
+  const names = ["actions", "selecting", "viewport", "pointer", "connection", "store"];
+  const [actions, , viewport, pointer, connection, { store }] = await Promise.all(names.map((n) => import(`/${n}.js`)));
+  viewport.start(canvas);
+  pointer.start(canvas);
+  actions.listenToKeys();
+  connection.connect();
+  socket.hear({ type: "hello", client: 9, session: {}, sections: { edits, view, settings: { mode: "pose" },
+    selection: { edit: 1, mode: "vertex", vertices: [] }, session: { field: { up: [0, 0, 1] } } } });
+  window.warpcage = { store, viewport: viewport.viewport, run: actions.run };
+  canvas.focus();
+  requestAnimationFrame(() => requestAnimationFrame(() => done(true)));
+})().catch((error) => done(String(error.stack)));
+"""
+
+
+class Stage:
+    """A viewport with a cage of 20 vertices; the picture covers 640 x 400 CSS pixels."""
+
+    def __init__(self, page: Modules) -> None:
+        self.driver = page.driver
+        self.driver.refresh()
+        self.points, self.faces = hull(20, 8)
+        points = self.points.tolist()
+        edit = {"id": 1, "name": "a", "kind": "move", "visible": True, "faces": self.faces.tolist()}
+        started = self.driver.execute_async_script(STAGE, [{**edit, "rest": points, "posed": points}], VIEW)
+        assert started is True, started
+        self.size = float(np.linalg.norm(np.ptp(self.points, axis=0)))
+        self.pixels = projected(VIEW, self.points)[:, :2]
+        # A vertex that no other one is near to, and the next such
+        apart = np.linalg.norm(self.pixels[:, None] - self.pixels[None], axis=2) + 1e3 * np.eye(20)
+        self.clear = [int(i) for i in np.argsort(-apart.min(axis=1))]
+
+    def do(self, script: str) -> Any:
+        return self.driver.execute_script(script)
+
+    def settle(self) -> None:
+        """Waits until what was done was drawn, sent and answered."""
+        script = (
+            "const [done] = arguments; requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 20)))"
+        )
+        self.driver.execute_async_script(script)
+
+    def set(self, name: str, value: Any) -> None:
+        self.driver.execute_script("warpcage.store.setTool(arguments[0], arguments[1])", name, value)
+
+    def sent(self, *kinds: str) -> list[dict[str, Any]]:
+        self.settle()
+        return [it for it in self.do("return sent") if it["do"] in kinds]
+
+    def selected(self) -> list[int]:
+        self.settle()
+        chosen = self.do("return warpcage.store.sections.selection.vertices")
+        told = [it["vertices"] for it in self.do("return sent") if it["do"] == "select"]
+        assert not told or told[-1] == chosen  # the server knows
+        return chosen
+
+    def click(self, place: Any, keys: int = 0) -> None:
+        drag(self.driver, [(float(place[0]), float(place[1]))] * 2, keys=keys)
+
+    def posed(self) -> np.ndarray:
+        """The newest vertices that were sent."""
+        return np.reshape(self.sent("drag")[-1]["vertices"], (-1, 3))
+
+
+@pytest.fixture
+def stage(page: Modules) -> Stage:
+    return Stage(page)
+
+
+def test_clicks_select_add_and_remove(stage: Stage) -> None:
+    first, second = stage.clear[:2]
+    stage.click(stage.pixels[first])
+    assert stage.selected() == [first]
+    stage.click(stage.pixels[second], keys=8)
+    assert stage.selected() == sorted([first, second])
+    stage.click(stage.pixels[first], keys=2)
+    assert stage.selected() == [second]
+    stage.click((5, 395))
+    assert stage.selected() == []
+
+
+@pytest.mark.parametrize("shape", ["rectangle", "lasso"])
+def test_drags_beside_the_cage_draw_a_region(stage: Stage, shape: str) -> None:
+    stage.set("pick", shape)
+    middle = stage.pixels.mean(axis=0)
+    path = [(10.0, 10.0), (middle[0], 12.0), (middle[0] + 5, middle[1] + 10), (12.0, middle[1])]
+    drag(stage.driver, [(float(x), float(y)) for x, y in path])
+    if shape == "rectangle":
+        low, high = np.minimum(path[0], path[-1]), np.maximum(path[0], path[-1])
+        inside = ((stage.pixels >= low) & (stage.pixels <= high)).all(axis=1)
+    else:
+        corners = np.array(path)
+        edges = np.roll(corners, -1, axis=0) - corners
+        away = stage.pixels[:, None] - corners[None]
+        sides = edges[None, :, 0] * away[..., 1] - edges[None, :, 1] * away[..., 0]
+        inside = (sides > 0).all(axis=1)  # the path is convex
+        assert 0 < inside.sum() < 20
+    assert stage.selected() == np.flatnonzero(inside).tolist()
+
+
+def test_a_drag_of_a_vertex_selects_and_moves_it_in_the_view_plane(stage: Stage) -> None:
+    vertex = stage.clear[0]
+    start = stage.pixels[vertex]
+    drag(stage.driver, [tuple(start), tuple(start + [10, 5]), tuple(start + [50, 20])])
+    assert stage.selected() == [vertex]
+    posed = stage.posed()
+    pixels = projected(VIEW, posed[vertex])
+    np.testing.assert_allclose(pixels[:2], start + [50, 20], atol=0.6)
+    assert np.isclose(pixels[2], projected(VIEW, stage.points[vertex])[2])
+    assert np.array_equal(np.delete(posed, vertex, 0), np.delete(stage.points, vertex, 0))
+    steps = stage.sent("drag.begin", "drag.end")
+    assert [it["do"] for it in steps] == ["drag.begin", "drag.end"] and steps[1]["cancel"] is False
+    assert steps[0]["label"] == "Move a vertex"
+
+
+def test_escape_takes_a_drag_back(stage: Stage) -> None:
+    x, y = map(float, stage.pixels[stage.clear[0]])
+    pointer(stage.driver, "mousePressed", x, y, button="left")
+    pointer(stage.driver, "mouseMoved", x + 40, y, button="left")
+    stage.settle()
+    press(stage.driver, "Escape")
+    pointer(stage.driver, "mouseReleased", x + 40, y, button="left")
+    assert stage.sent("drag.end")[-1]["cancel"] is True
+    assert np.array_equal(stage.posed(), stage.points)
+
+
+def test_the_keyboard_alone_selects_and_moves_by_numbers(stage: Stage) -> None:
+    press(stage.driver, "Ctrl+ArrowRight")
+    (first,) = stage.selected()
+    press(stage.driver, "Ctrl+ArrowRight", "Ctrl+ArrowRight", "Ctrl+ArrowRight", "Ctrl+ArrowRight", "Ctrl+ArrowRight")
+    (last,) = stage.selected()
+    assert stage.pixels[last, 0] > stage.pixels[first, 0]
+    press(stage.driver, "Ctrl+Shift+ArrowLeft")
+    chosen = stage.selected()
+    assert len(chosen) == 2
+    press(stage.driver, "G", "X", "0", ".", "2", "5", "Enter")
+    expected = stage.points.copy()
+    expected[chosen, 0] += 0.25
+    np.testing.assert_allclose(stage.posed(), expected, atol=1e-15)
+    press(stage.driver, "R", "Z", "9", "0", "Enter")
+    pivot = expected[chosen].mean(axis=0)
+    expected[chosen] = pivot + Rotation.from_euler("z", 90, degrees=True).apply(expected[chosen] - pivot)
+    np.testing.assert_allclose(stage.posed(), expected, atol=1e-12)
+    press(stage.driver, "S", "Shift+Z", "2", "Enter")  # in the plane across Z
+    pivot = expected[chosen].mean(axis=0)
+    expected[chosen] = pivot + (expected[chosen] - pivot) * [2, 2, 1]
+    np.testing.assert_allclose(stage.posed(), expected, atol=1e-12)
+
+
+def test_proportional_editing_is_the_librarys_move(stage: Stage) -> None:
+    group = stage.clear[0]
+    stage.click(stage.pixels[group])
+    press(stage.driver, "O", "G", "Z", "0", ".", "1", "Enter")
+    expected = move(stage.points, [0, 0, 0.1], group=[group], radius=0.3 * stage.size)
+    assert np.count_nonzero(expected[:, 2] != stage.points[:, 2]) > 1
+    np.testing.assert_allclose(stage.posed(), expected, atol=1e-14)
+
+
+def test_a_handle_of_the_gizmo_moves_along_its_axis(stage: Stage) -> None:
+    vertex = stage.clear[0]
+    stage.click(stage.pixels[vertex])
+    press(stage.driver, "Shift+G")
+    handles = {it["name"]: it for it in stage.do("return warpcage.viewport.handles()")}
+    start, end = np.array(handles["z"]["line"])
+    assert 50 < np.linalg.norm(end - start) < 90  # the same on the screen at any distance
+    way = (end - start) / np.linalg.norm(end - start)
+    drag(stage.driver, [tuple(end - 5 * way), tuple(end + 20 * way)])
+    step = stage.posed()[vertex] - stage.points[vertex]
+    assert step[2] > 0 and np.allclose(step[:2], 0)
+
+
+def test_one_pose_is_sent_a_frame_and_the_newest_only_where_the_socket_is_full(stage: Stage) -> None:
+    vertex = stage.clear[0]
+    x, y = map(float, stage.pixels[vertex])
+    moves = """
+    const [x, y] = arguments;
+    const event = (name, dx) => document.getElementById("view").dispatchEvent(new PointerEvent(name, { bubbles: true,
+      clientX: x + dx, clientY: y, button: name === "pointermove" ? -1 : 0, buttons: 1, pointerId: 1 }));
+    if (arguments[2]) event("pointerdown", 0);
+    for (let i = 0; i <= 100; i += 1) event("pointermove", i);
+    """
+    stage.driver.execute_script(moves, x, y, True)
+    assert 1 <= len(stage.sent("drag")) <= 2
+    stage.do("socket.bufferedAmount = 1e9; sent.length = 0")
+    stage.driver.execute_script(moves, x, y, False)
+    assert stage.sent("drag") == []
+    stage.do("socket.bufferedAmount = 0")
+    assert len(stage.sent("drag")) == 1
+    np.testing.assert_allclose(projected(VIEW, stage.posed()[vertex])[:2], [x + 100, y], atol=0.1)
+    press(stage.driver, "Escape")
+
+
+def frame(number: int, applied: int, depth: float) -> list[int]:
+    """The bytes of a grey picture whose matter is everywhere at a depth."""
+    simplejpeg = pytest.importorskip("simplejpeg")
+    jpeg = simplejpeg.encode_jpeg(np.full((10, 16, 3), 128, np.uint8), quality=50)
+    near, far = 0.1, 100.0
+    value = round(1 + 65534 * np.log(depth / near) / np.log(far / near))
+    depths = np.full((10, 16), value, "<u2").tobytes()
+    map_ = {"width": 16, "height": 10, "near": near, "far": far}
+    content = {"frame": number, "applied": {"9": applied}, "width": 16, "height": 10, "view": VIEW, "depth": map_}
+    header = json.dumps(content).encode()
+    header += b" " * (-len(header) % 8)
+    sizes = struct.pack("<4I", 10, len(header), len(jpeg), len(depths))
+    return list(sizes + header + jpeg + b"\0" * (-len(jpeg) % 8) + depths)
+
+
+HEAR = "for (const bytes of arguments[0]) socket.onmessage({ data: Uint8Array.from(bytes).buffer })"
+
+
+def test_pictures_are_shown_newest_only_and_answered_for(stage: Stage) -> None:
+    x, y = map(float, stage.pixels[stage.clear[0]])
+    pointer(stage.driver, "mousePressed", x, y, button="left")
+    pointer(stage.driver, "mouseMoved", x + 30, y, button="left")
+    seq = stage.sent("drag")[-1]["seq"]
+    stage.driver.execute_script(HEAR, [frame(n, seq if n == 5 else 0, 5.0) for n in range(1, 6)])
+    for _ in range(20):
+        seen = [it["frame"] for it in stage.sent("seen")]
+        if seen and seen[-1] == 5:
+            break
+    assert seen[-1] == 5 and len(seen) < 5 and seen == sorted(seen)
+    latencies = stage.do("return warpcage.viewport.latencies")
+    assert len(latencies) >= 1 and min(latencies) > 0
+    assert stage.do("return warpcage.store.status.frame.frame") == 5
+    pointer(stage.driver, "mouseReleased", x + 30, y, button="left")
+
+
+def test_what_is_hidden_is_picked_only_through(stage: Stage) -> None:
+    depth = 4.5  # the middle of the cage
+    stage.driver.execute_script(HEAR, [frame(1, 0, depth)])
+    while not stage.sent("seen"):
+        pass
+    distance = np.linalg.norm(stage.points - VIEW["eye"], axis=1)
+    hidden = distance > depth + 0.015 * stage.size
+    sure = np.abs(distance - depth - 0.015 * stage.size) > 1e-2
+    assert 3 < hidden.sum() < 17
+    assert np.array_equal(np.array(stage.do("return warpcage.viewport.hidden(1)"), bool)[sure], hidden[sure])
+    for through in (True, False):
+        stage.set("through", through)
+        drag(stage.driver, [(2, 2), (300, 200), (638, 398)])
+        chosen = np.isin(np.arange(20), stage.selected())
+        assert np.array_equal(chosen[sure], (~hidden | through)[sure])
+
+
+def test_fingers_turn_zoom_and_pan(stage: Stage) -> None:
+    def touch(kind: str, *places: tuple[float, float]) -> None:
+        points = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(places)]
+        stage.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    before = stage.do("return warpcage.viewport.view")
+    touch("touchStart", (20, 380))
+    for x in (40, 60, 80):
+        touch("touchMove", (x, 380))
+    touch("touchEnd")
+    stage.settle()
+    after = stage.do("return warpcage.viewport.view")
+    assert after["target"] == before["target"] and not np.allclose(after["eye"], before["eye"])
+    away = [np.linalg.norm(np.subtract(it["eye"], it["target"])) for it in (before, after)]
+    assert np.isclose(*away)
+    touch("touchStart", (300, 200))
+    touch("touchStart", (300, 200), (340, 200))
+    touch("touchMove", (290, 200), (350, 200))
+    touch("touchMove", (280, 200), (360, 200))
+    touch("touchEnd")
+    stage.settle()
+    nearer = stage.do("return warpcage.viewport.view")
+    assert np.isclose(np.linalg.norm(np.subtract(nearer["eye"], nearer["target"])), away[0] / 2, rtol=0.02)
+    assert [it["moving"] for it in stage.sent("view")][0] is True
+
+
+def test_wheel_middle_button_and_keys_move_the_view(stage: Stage) -> None:
+    eyes = []
+    for do in (
+        lambda: pointer(stage.driver, "mouseWheel", 300, 200, deltaX=0, deltaY=120),
+        lambda: drag(stage.driver, [(300, 200), (340, 220)], button="middle"),
+        lambda: drag(stage.driver, [(300, 200), (340, 220)], button="middle", keys=8),
+        lambda: drag(stage.driver, [(5, 200), (45, 220)], keys=1),
+        lambda: press(stage.driver, "Shift+1"),
+        lambda: press(stage.driver, "Home"),
+    ):
+        do()
+        stage.settle()
+        eyes.append(stage.do("return warpcage.viewport.view.eye"))
+        assert not any(np.allclose(eyes[-1], other) for other in [VIEW["eye"], *eyes[:-1]])
+    assert stage.sent("select") == [] and stage.sent("drag.begin") == []
+    assert np.allclose(np.array(eyes[-1])[:1], stage.do("return warpcage.viewport.view.target")[0])  # from the front
