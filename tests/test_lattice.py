@@ -7,8 +7,9 @@ import trimesh
 from test_containment import reference_distance
 
 from warpcage.cage.cage import Cage
-from warpcage.lattice import lattice as lattices
-from warpcage.lattice.lattice import BLOCK_FACES, LINE_CAPACITY, CageLattice
+from warpcage.lattice import block_faces
+from warpcage.lattice.block_faces import BLOCK_FACES
+from warpcage.lattice.lattice import LINE_CAPACITY, CageLattice
 
 
 def nodes_of(lattice):
@@ -121,11 +122,11 @@ def test_blocks_list_the_faces_near_them_however_many_there_are(device, monkeypa
     sphere = trimesh.creation.icosphere(subdivisions=3)
     cage = Cage(sphere.vertices * [1.0, 1.3, 0.8], sphere.faces)
     lattice = CageLattice(cage, 24, device=device).measure()
-    counts, near = lattice.block_faces
+    counts, near = lattice.block_faces.counts, lattice.block_faces.near
     # a block near more faces than are listed looks at all of them for each of its nodes
     assert BLOCK_FACES < counts.numpy().max() <= near.shape[1] < len(cage.faces) / 2
-    monkeypatch.setattr(lattices, "LIST_BYTES", 0)
+    monkeypatch.setattr(block_faces, "LIST_BYTES", 0)
     short = CageLattice(cage, 24, device=device).measure()
-    assert short.block_faces[1].shape[1] == BLOCK_FACES
+    assert short.block_faces.near.shape[1] == BLOCK_FACES
     np.testing.assert_array_equal(lattice.distance.numpy(), short.distance.numpy())
-    assert lattices.listed_faces(Cage(*oracles.cage("icosphere")), (70, 70, 70), 0.03) == BLOCK_FACES
+    assert block_faces.listed_faces(Cage(*oracles.cage("icosphere")), (70, 70, 70), 0.03) == BLOCK_FACES
