@@ -130,3 +130,71 @@ def test_blocks_list_the_faces_near_them_however_many_there_are(device, monkeypa
     assert short.block_faces.near.shape[1] == BLOCK_FACES
     np.testing.assert_array_equal(lattice.distance.numpy(), short.distance.numpy())
     assert block_faces.listed_faces(Cage(*oracles.cage("icosphere")), (70, 70, 70), 0.03) == BLOCK_FACES
+
+
+def cages_of_many_faces():
+    sphere = trimesh.creation.icosphere(subdivisions=3)
+    noise = np.random.default_rng(3).normal(0, 0.03, sphere.vertices.shape)
+    fine = Cage(sphere.vertices, sphere.faces)
+    concave = trimesh.Trimesh(*oracles.cage("concave")).subdivide().subdivide().subdivide()
+    return {
+        "noisy": Cage(sphere.vertices + noise, sphere.faces),
+        "long": fine.stretch(5).bend(120),
+        "far": Cage(sphere.vertices * 3 + [1e3, -2e3, 500], sphere.faces),
+        "concave": Cage(concave.vertices, concave.faces),
+    }
+
+
+def block_middles(lattice):
+    """(blocks, 3) middles of blocks of 4 x 4 x 4 nodes, node units, and their (blocks, 3) indices."""
+    sides = [np.arange(-(-side // 4)) for side in lattice.shape]
+    index = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    return 4.0 * index + 1.5, index
+
+
+@pytest.mark.parametrize("side", [2, 4, 8])
+@pytest.mark.parametrize("name", ["noisy", "long", "far", "concave"])
+def test_groups_of_blocks_find_every_face_near_them_and_few_others(name, side, device, monkeypatch):
+    monkeypatch.setattr(block_faces, "GROUP_SIDE", side)
+    cage = cages_of_many_faces()[name]
+    assert len(cage.faces) >= block_faces.MANY_FACES
+    lattice = CageLattice(cage, 40, device=device).measure()
+    bits = lattice.block_faces.candidates.numpy().view(np.uint8)
+    found = np.unpackbits(bits, axis=1, bitorder="little").astype(bool)
+    assert not found[:, len(cage.faces) :].any()
+    middles, index = block_middles(lattice)
+    groups = -(-np.array([index[:, axis].max() + 1 for axis in range(3)]) // side)
+    assert len(found) == groups.prod()
+    group = np.ravel_multi_index((index // side).T, groups)
+    corners = ((cage.vertices - lattice.lower) / lattice.spacing)[cage.faces]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    near = np.zeros_like(found)
+    for middle, own in zip(middles, group, strict=True):
+        gap = np.maximum(np.maximum(low - middle, middle - high), 0.0)
+        near[own, : len(low)] |= np.linalg.norm(gap, axis=1) <= 6.0 + 2.5981  # CLEARANCE + HALF_DIAGONAL
+    assert not (near & ~found).any()
+    assert found.sum() < 2.0 * near.sum()  # the space between the blocks of a group
+    assert side > 4 or found.mean() < 0.4  # of a lattice of 40 cells
+
+
+@pytest.mark.parametrize("name", ["noisy", "long", "far", "concave"])
+def test_faces_near_blocks_are_those_of_a_search_through_all(name, device, monkeypatch):
+    cage = cages_of_many_faces()[name]
+    lattice = CageLattice(cage, 40, device=device).measure()
+    monkeypatch.setattr(block_faces, "MANY_FACES", 1 << 30)
+    plain = CageLattice(cage, 40, device=device).measure()
+    assert len(plain.block_faces.candidates) == len(plain.block_faces.boxes) == 0 < len(lattice.block_faces.candidates)
+    counts = lattice.block_faces.counts.numpy()
+    np.testing.assert_array_equal(counts, plain.block_faces.counts.numpy())
+    held = np.arange(lattice.block_faces.near.shape[1]) < counts[:, None]
+    np.testing.assert_array_equal(lattice.block_faces.near.numpy()[held], plain.block_faces.near.numpy()[held])
+    np.testing.assert_array_equal(lattice.block_faces.clear_octants.numpy(), plain.block_faces.clear_octants.numpy())
+    np.testing.assert_array_equal(lattice.distance.numpy(), plain.distance.numpy())
+
+
+def test_bits_of_faces_take_little_beside_the_nodes():
+    for face_count in (512, 5_120, 82_000, 1_000_000):
+        side = block_faces.group_side(face_count)
+        assert side >= 4 and 4 * block_faces.word_count(face_count) <= block_faces.GROUP_BYTES * (4 * side) ** 3
+    assert block_faces.group_side(5_120) == 4 < block_faces.group_side(1_000_000)
+    assert block_faces.block_count((17, 16, 1)) == 5 * 4 and block_faces.block_count((17, 16, 1), 4) == 2
