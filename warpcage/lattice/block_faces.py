@@ -37,6 +37,9 @@ MANY_FACES = 512
 #: Blocks along each side of a group at least, and the most bytes a node that the bits of all faces take there.
 GROUP_SIDE, GROUP_BYTES = 4, 2
 
+#: Most threads that set these bits on a GPU, half of what their 32-bit numbers count.
+MOST_THREADS = 1 << 30
+
 #: Bytes of a face's box, and of a word of bits.
 BOX_BYTES, WORD_BYTES = 24, 4
 
@@ -67,7 +70,7 @@ class BlockFaces:
         self._counts, self._near, self._clear = (buffers.buffer(wp.int32) for _ in range(3))
         self._boxes, self._candidates = buffers.buffer(wp.vec3), buffers.buffer(wp.int32)
         self._listed = listed_faces(cage, shape, spacing)
-        self.group_side = group_side(len(cage.faces))
+        self.group_side = group_side(len(cage.faces), max(shape))
         self.counts, self.near, self.clear_octants = self._counts.take(0), self._near.take((0, 0)), self._clear.take(0)
         self.boxes, self.candidates = self._boxes.take((0, 2)), self._candidates.take((0, 0))
 
@@ -129,21 +132,25 @@ def more_list_bytes(cage: ClosedMesh, shape: tuple[int, int, int], spacing: floa
     total = 4 * block_count(shape) * (listed_faces(cage, shape, spacing) - BLOCK_FACES)
     if face_count >= MANY_FACES:
         total += BOX_BYTES * face_count
-        total += WORD_BYTES * word_count(face_count) * block_count(shape, group_side(face_count))
+        total += WORD_BYTES * word_count(face_count) * block_count(shape, group_side(face_count, max(shape)))
     return total
 
 
-def group_side(face_count: int) -> int:
+def group_side(face_count: int, longest: int) -> int:
     """Blocks along each side of a group that faces are looked through for.
 
     Args:
         face_count: Faces of the cage.
+        longest: Nodes along the longest side of the lattice. The other sides of another pose may be as long.
 
     Returns:
         GROUP_SIDE, or that times a power of two where more nodes have to share the bits of so many faces.
     """
-    side = GROUP_SIDE
-    while WORD_BYTES * word_count(face_count) > GROUP_BYTES * (int(BLOCK) * side) ** 3:
+    side, words = GROUP_SIDE, word_count(face_count)
+    while (
+        WORD_BYTES * words > GROUP_BYTES * (int(BLOCK) * side) ** 3
+        or int(WORD_FACES) * words * block_count((longest, longest, longest), side) > MOST_THREADS
+    ):
         side *= 2
     return side
 
