@@ -181,7 +181,8 @@ def test_groups_of_blocks_find_every_face_near_them_and_few_others(name, side, d
 def test_faces_near_blocks_are_those_of_a_search_through_all(name, device, monkeypatch):
     cage = cages_of_many_faces()[name]
     lattice = CageLattice(cage, 40, device=device).measure()
-    monkeypatch.setattr(block_faces, "MANY_FACES", 1 << 30)
+    for limit in ("MANY_FACES", "MANY_FACES_CPU"):
+        monkeypatch.setattr(block_faces, limit, 1 << 30)
     plain = CageLattice(cage, 40, device=device).measure()
     assert len(plain.block_faces.candidates) == len(plain.block_faces.boxes) == 0 < len(lattice.block_faces.candidates)
     counts = lattice.block_faces.counts.numpy()

@@ -164,14 +164,15 @@ def test_posing_again_gives_what_a_new_map_gives(kind, device):
 
 
 @pytest.mark.parametrize(
-    ("kind", "many_faces"), [*((kind, block_faces.MANY_FACES) for kind in KINDS), ("mean_value", 1)]
+    ("kind", "many_faces"), [*((kind, 1 << 30) for kind in KINDS), ("mean_value", 1)]
 )
 def test_replayed_poses_are_the_same(kind, many_faces, device, monkeypatch):
     """The launches of a pose as a CUDA graph has them, with room for other poses; on the CPU they run one by one.
 
     With many_faces = 1 faces are looked through for groups of blocks, as they are for large cages.
     """
-    monkeypatch.setattr(block_faces, "MANY_FACES", many_faces)
+    for limit in ("MANY_FACES", "MANY_FACES_CPU"):
+        monkeypatch.setattr(block_faces, limit, many_faces)
     rest = cage_named("icosphere")
     options = dict(coordinates=kind, resolution=16, device=device)
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))

@@ -31,8 +31,9 @@ BAND_REACH = float(BAND) + float(HALF_DIAGONAL)
 #: Room in these lists over what an even cage needs.
 LIST_ROOM = 3.0
 
-#: Fewest faces of a cage that are looked through for groups of blocks first: two launches more on a GPU.
-MANY_FACES = 512
+#: Fewest faces of a cage that are looked through for groups of blocks first, on a GPU, where that is two launches more,
+#: and on a CPU.
+MANY_FACES, MANY_FACES_CPU = 512, 64
 
 #: Blocks along each side of a group at least, and the most bytes a node that the bits of all faces take there.
 GROUP_SIDE, GROUP_BYTES = 4, 2
@@ -84,7 +85,7 @@ class BlockFaces:
             faces: (f,) vec3i.
         """
         lanes, device = lane_count(self._device), self._device
-        if faces.size >= MANY_FACES:
+        if faces.size >= (MANY_FACES_CPU if device.is_cpu else MANY_FACES):
             words = word_count(faces.size)
             self.boxes = self._boxes.take((faces.size, 2))
             self.candidates = self._candidates.take((sizes.groups, words))
@@ -130,7 +131,7 @@ def more_list_bytes(cage: ClosedMesh, shape: tuple[int, int, int], spacing: floa
     """
     face_count = len(cage.faces)
     total = 4 * block_count(shape) * (listed_faces(cage, shape, spacing) - BLOCK_FACES)
-    if face_count >= MANY_FACES:
+    if face_count >= min(MANY_FACES, MANY_FACES_CPU):
         total += BOX_BYTES * face_count
         total += WORD_BYTES * word_count(face_count) * block_count(shape, group_side(face_count, max(shape)))
     return total
