@@ -17,6 +17,7 @@ import importlib
 import sys
 
 import numpy as np
+import trimesh
 import warp as wp
 from soak import ball_field
 
@@ -151,12 +152,14 @@ def coordinates(device) -> None:
             for pose in (POSE, CAGE.bend(80), POSE):  # the first captures graphs, the others replay them
                 position_map.pose(pose)
         PositionMap(slotted(0.5), coordinates=kind, resolution=16, device=device).pose(slotted(0.03))
+    sphere = trimesh.creation.icosphere(subdivisions=3)  # faces enough to be looked through for groups of blocks
+    fine = warpcage.Cage(sphere.vertices, sphere.faces)
+    for kind in ("harmonic", "mean_value"):
+        PositionMap(fine, coordinates=kind, resolution=12, device=device).pose(fine.twist(50)).pose(fine.bend(60))
 
 
 def slotted(width: float) -> warpcage.Cage:
     """A block with a slot, whose walls are `width` apart."""
-    import trimesh
-
     outline = [(-1, -1), (1, -1), (1, 1), (width / 2, 1), (width / 2, 0), (-width / 2, 0), (-width / 2, 1), (-1, 1)]
     triangles = [(0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4), (0, 5, 6), (0, 6, 7)]
     mesh = trimesh.creation.extrude_triangulation(np.array(outline, float), np.array(triangles), height=1.0)

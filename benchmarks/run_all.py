@@ -4,8 +4,9 @@
     python benchmarks/run_all.py --device cuda:0 --data ../shared/data/lego_800 --cage lego_42.obj --out results
 
 Each benchmark is a separate process. Its JSON file and its output go to --out (default: a temporary folder). The exit
-status is 1 if one of them fails. Left out are blender_round_trip.py, which needs Blender, and with --quick those whose
-figures mean nothing at a small size (fit_profile.py: CUDA events).
+status is 1 if one of them fails. Left out are blender_round_trip.py, which needs Blender, editor_servers.py, which
+needs servers that warpcage does not use, and with --quick those whose figures mean nothing at a small size
+(fit_profile.py: CUDA events).
 """
 
 from __future__ import annotations
@@ -113,6 +114,8 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
         "table1": ["--quick", "--json", out / "table1.json", "--figure", out / "table1.jpg"],
         "ground_truth": ["--quick", "--poses", "bend", "--json", out / "ground_truth.json", "--figures", out],
         "compile": ["--device", "cpu", "--warm-runs", 1, "--json", out / "compile.json"],
+        "every_kernel": ["--device", "cpu"],
+        "soak": ["--poses", 20, "--fits", 4, "--refused", 200, "--json", out / "soak.json"],
         "page": ["--results", out, "--page", out / "page.md"],
     }
 
@@ -125,6 +128,8 @@ def full_runs(args, out: pathlib.Path) -> dict[str, list]:
         "convergence": ["--device", args.device, "--json", out / "convergence.json"],
         "table1": [*scene, "--device", args.device, "--json", out / "table1.json", "--figure", out / "table1.jpg"],
         "ground_truth": ["--device", args.device, "--json", out / "ground_truth.json", "--figures", out],
+        "every_kernel": ["--device", args.device],
+        "soak": ["--device", args.device, "--json", out / "soak.json", "--figure", out / "soak.svg"],
     }
     if args.data:
         runs["fit_curve"] = ["--data", args.data, "--device", args.device, "--json", out / "fit_curve.json"]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import pathlib
 import re
 import textwrap
 
@@ -130,3 +131,22 @@ def test_sections_are_told_apart():
     )
     parts = sections(text)
     assert entries(parts["Args"]) == ["one", "options"] and list(parts) == ["", "Args", "Returns"]
+
+
+PAGES = sorted((pathlib.Path(__file__).parent.parent / "docs").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_tests_that_pages_name_exist(page):
+    """Promises name the tests that hold them: `test_file` or `test_file::test_name`."""
+    folder = pathlib.Path(__file__).parent
+    for file, _, test in re.findall(r"`(test_\w+)(\.py)?(?:::(test_\w+))?`", page.read_text(encoding="utf-8")):
+        source = folder / f"{file}.py"
+        assert source.is_file(), f"{page.name} names {file}.py"
+        if test:
+            assert f"def {test}(" in source.read_text(encoding="utf-8"), f"{page.name} names {file}::{test}"
+
+
+def test_the_page_of_promises_names_tests():
+    page = next(page for page in PAGES if page.name == "reliability.md")
+    assert len(re.findall(r"`test_\w+(?:::test_\w+)?`", page.read_text(encoding="utf-8"))) > 20

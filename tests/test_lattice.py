@@ -7,8 +7,9 @@ import trimesh
 from test_containment import reference_distance
 
 from warpcage.cage.cage import Cage
-from warpcage.lattice import lattice as lattices
-from warpcage.lattice.lattice import BLOCK_FACES, LINE_CAPACITY, CageLattice
+from warpcage.lattice import block_faces
+from warpcage.lattice.block_faces import BLOCK_FACES
+from warpcage.lattice.lattice import LINE_CAPACITY, CageLattice
 
 
 def nodes_of(lattice):
@@ -121,11 +122,87 @@ def test_blocks_list_the_faces_near_them_however_many_there_are(device, monkeypa
     sphere = trimesh.creation.icosphere(subdivisions=3)
     cage = Cage(sphere.vertices * [1.0, 1.3, 0.8], sphere.faces)
     lattice = CageLattice(cage, 24, device=device).measure()
-    counts, near = lattice.block_faces
+    counts, near = lattice.block_faces.counts, lattice.block_faces.near
     # a block near more faces than are listed looks at all of them for each of its nodes
     assert BLOCK_FACES < counts.numpy().max() <= near.shape[1] < len(cage.faces) / 2
-    monkeypatch.setattr(lattices, "LIST_BYTES", 0)
+    monkeypatch.setattr(block_faces, "LIST_BYTES", 0)
     short = CageLattice(cage, 24, device=device).measure()
-    assert short.block_faces[1].shape[1] == BLOCK_FACES
+    assert short.block_faces.near.shape[1] == BLOCK_FACES
     np.testing.assert_array_equal(lattice.distance.numpy(), short.distance.numpy())
-    assert lattices.listed_faces(Cage(*oracles.cage("icosphere")), (70, 70, 70), 0.03) == BLOCK_FACES
+    assert block_faces.listed_faces(Cage(*oracles.cage("icosphere")), (70, 70, 70), 0.03) == BLOCK_FACES
+
+
+def cages_of_many_faces():
+    sphere = trimesh.creation.icosphere(subdivisions=3)
+    noise = np.random.default_rng(3).normal(0, 0.03, sphere.vertices.shape)
+    fine = Cage(sphere.vertices, sphere.faces)
+    concave = trimesh.Trimesh(*oracles.cage("concave")).subdivide().subdivide().subdivide()
+    return {
+        "noisy": Cage(sphere.vertices + noise, sphere.faces),
+        "long": fine.stretch(5).bend(120),
+        "far": Cage(sphere.vertices * 3 + [1e3, -2e3, 500], sphere.faces),
+        "concave": Cage(concave.vertices, concave.faces),
+    }
+
+
+def block_middles(lattice):
+    """(blocks, 3) middles of blocks of 4 x 4 x 4 nodes, node units, and their (blocks, 3) indices."""
+    sides = [np.arange(-(-side // 4)) for side in lattice.shape]
+    index = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    return 4.0 * index + 1.5, index
+
+
+@pytest.mark.parametrize("side", [2, 4, 8])
+@pytest.mark.parametrize("name", ["noisy", "long", "far", "concave"])
+def test_groups_of_blocks_find_every_face_near_them_and_few_others(name, side, device, monkeypatch):
+    monkeypatch.setattr(block_faces, "GROUP_SIDE", side)
+    cage = cages_of_many_faces()[name]
+    assert len(cage.faces) >= block_faces.MANY_FACES
+    lattice = CageLattice(cage, 40, device=device).measure()
+    bits = lattice.block_faces.candidates.numpy().view(np.uint8)
+    found = np.unpackbits(bits, axis=1, bitorder="little").astype(bool)
+    assert not found[:, len(cage.faces) :].any()
+    middles, index = block_middles(lattice)
+    groups = -(-np.array([index[:, axis].max() + 1 for axis in range(3)]) // side)
+    assert len(found) == groups.prod()
+    group = np.ravel_multi_index((index // side).T, groups)
+    corners = ((cage.vertices - lattice.lower) / lattice.spacing)[cage.faces]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    near = np.zeros_like(found)
+    for middle, own in zip(middles, group, strict=True):
+        gap = np.maximum(np.maximum(low - middle, middle - high), 0.0)
+        near[own, : len(low)] |= np.linalg.norm(gap, axis=1) <= 6.0 + 2.5981  # CLEARANCE + HALF_DIAGONAL
+    assert not (near & ~found).any()
+    assert found.sum() < 2.0 * near.sum()  # the space between the blocks of a group
+    assert side > 4 or found.mean() < 0.4  # of a lattice of 40 cells
+
+
+@pytest.mark.parametrize("name", ["noisy", "long", "far", "concave"])
+def test_faces_near_blocks_are_those_of_a_search_through_all(name, device, monkeypatch):
+    cage = cages_of_many_faces()[name]
+    lattice = CageLattice(cage, 40, device=device).measure()
+    for limit in ("MANY_FACES", "MANY_FACES_CPU"):
+        monkeypatch.setattr(block_faces, limit, 1 << 30)
+    plain = CageLattice(cage, 40, device=device).measure()
+    assert len(plain.block_faces.candidates) == len(plain.block_faces.boxes) == 0 < len(lattice.block_faces.candidates)
+    counts = lattice.block_faces.counts.numpy()
+    np.testing.assert_array_equal(counts, plain.block_faces.counts.numpy())
+    held = np.arange(lattice.block_faces.near.shape[1]) < counts[:, None]
+    np.testing.assert_array_equal(lattice.block_faces.near.numpy()[held], plain.block_faces.near.numpy()[held])
+    np.testing.assert_array_equal(lattice.block_faces.clear_octants.numpy(), plain.block_faces.clear_octants.numpy())
+    np.testing.assert_array_equal(lattice.distance.numpy(), plain.distance.numpy())
+
+
+@pytest.mark.parametrize("longest", [16, 71, 1031])
+@pytest.mark.parametrize("face_count", [512, 5_120, 82_000, 1_000_000])
+def test_bits_of_faces_take_little_beside_the_nodes_and_can_be_numbered(face_count, longest):
+    side = block_faces.group_side(face_count, longest)
+    words, groups = block_faces.word_count(face_count), block_faces.block_count((longest, longest, longest), side)
+    assert side >= block_faces.GROUP_SIDE and 32 * words >= face_count
+    assert 4 * words <= block_faces.GROUP_BYTES * (4 * side) ** 3
+    assert 32 * words * groups <= 1 << 30
+
+
+def test_blocks_and_groups_are_counted():
+    assert block_faces.block_count((17, 16, 1)) == 5 * 4 and block_faces.block_count((17, 16, 1), 4) == 2
+    assert block_faces.group_side(5_120, 71) == 4 < block_faces.group_side(1_000_000, 71)

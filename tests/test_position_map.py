@@ -3,6 +3,7 @@
 import numpy as np
 import oracles
 import pytest
+import trimesh
 import warp as wp
 
 from warpcage.cage.cage import Cage
@@ -11,6 +12,7 @@ from warpcage.coordinates.harmonic import harmonic_weights
 from warpcage.core import memory
 from warpcage.core.devices import launch
 from warpcage.kernels.lattice.cage_map import sample_map
+from warpcage.lattice import block_faces
 from warpcage.lattice.graph import PoseGraph
 from warpcage.lattice.position_map import PositionMap, fit_affine
 
@@ -161,9 +163,16 @@ def test_posing_again_gives_what_a_new_map_gives(kind, device):
         assert np.array_equal(positions, fresh[0]) and np.array_equal(distance, fresh[1])
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_replayed_poses_are_the_same(kind, device, monkeypatch):
-    """The launches of a pose as a CUDA graph has them, with room for other poses; on the CPU they run one by one."""
+@pytest.mark.parametrize(
+    ("kind", "many_faces"), [*((kind, 1 << 30) for kind in KINDS), ("mean_value", 1)]
+)
+def test_replayed_poses_are_the_same(kind, many_faces, device, monkeypatch):
+    """The launches of a pose as a CUDA graph has them, with room for other poses; on the CPU they run one by one.
+
+    With many_faces = 1 faces are looked through for groups of blocks, as they are for large cages.
+    """
+    for limit in ("MANY_FACES", "MANY_FACES_CPU"):
+        monkeypatch.setattr(block_faces, limit, many_faces)
     rest = cage_named("icosphere")
     options = dict(coordinates=kind, resolution=16, device=device)
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
@@ -281,6 +290,11 @@ def test_memory_is_foreseen_and_refused(device, monkeypatch):
             if store == "weights":
                 held += sum(a.capacity for block in position_map.weights.blocks for a in block[1:] if a is not None)
             assert held <= position_map.memory_bytes(rest) < 2.5 * held
+    sphere = trimesh.creation.icosphere(subdivisions=4)
+    fine = PositionMap(Cage(sphere.vertices, sphere.faces), resolution=24, device=device)
+    before = fine.memory_bytes()
+    held = fine.pose(fine.rest).lattice.buffers.bytes
+    assert held <= before < 2.5 * held
     monkeypatch.setattr(memory, "free_bytes", lambda device: 1 << 20)
     with pytest.raises(ValueError, match='resolution 40 needs .* GiB free: take a lower resolution or store="map"'):
         PositionMap(rest, resolution=40, store="weights", device=device).pose(rest)

@@ -96,6 +96,7 @@ def misfit(
     near: wp.array2d(dtype=int),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    boxes: wp.array2d(dtype=wp.vec3),
     vertex_values: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
     node: int,
@@ -106,7 +107,7 @@ def misfit(
     shape = levels.shapes[0]
     block = ((p[0] / BLOCK) * block_count(shape[1]) + p[1] / BLOCK) * block_count(shape[2]) + p[2] / BLOCK
     node_at = wp.vec3(float(p[0]), float(p[1]), float(p[2]))
-    _apart, f = nearest_face(node_at, block, counts, near, vertices, faces)
+    _apart, f = nearest_face(node_at, block, counts, near, vertices, faces, boxes)
     if f < 0:
         return wp.vec3(0.0, 0.0, 0.0)
     face = faces[f]
@@ -142,13 +143,14 @@ def measure_corrections(
     near: wp.array2d(dtype=int),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    boxes: wp.array2d(dtype=wp.vec3),
     vertex_values: wp.array(dtype=wp.vec3),
     values: wp.array(dtype=wp.vec3),
     corrections: wp.array(dtype=wp.vec3),
 ):
     """corrections (cut nodes and rings 0 and 1,): what is to be added to the values (nodes,) of a map that takes
-    vertex_values (v,) at the cage's vertices and is linear on its faces. vertices (v,) in node units; counts, near: see
-    list_block_faces. One item per node; one level."""
+    vertex_values (v,) at the cage's vertices and is linear on its faces. vertices (v,) in node units; counts, near,
+    boxes: see list_block_faces. One item per node; one level."""
     n = first + wp.tid()
     if n >= levels.starts[RING_SECTION + 2] - levels.starts[CUT_SECTION]:
         return
@@ -158,7 +160,7 @@ def measure_corrections(
         for axis in range(3):
             correction -= second_difference(levels, rows, faces, vertex_values, values, node, axis) / 16.0
     elif not is_between(levels, node):
-        correction = MISFIT_SHARE * misfit(levels, counts, near, vertices, faces, vertex_values, values, node)
+        correction = MISFIT_SHARE * misfit(levels, counts, near, vertices, faces, boxes, vertex_values, values, node)
     corrections[n] = correction
 
 

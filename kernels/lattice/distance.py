@@ -2,8 +2,8 @@
 
 The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
 the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Which octants of a block
-are CLEARANCE cells and more from the cage is kept as well. Units: node units (see crossings.py) for vertices, world
-units for the result.
+are CLEARANCE cells and more from the cage is kept as well. A cage of many faces has them looked through for groups of
+blocks first, by their bounding boxes. Units: node units (see crossings.py) for vertices, world units for the result.
 Needs: core/lanes, lattice/crossings, mesh/containment.
 """
 
@@ -37,19 +37,115 @@ _Octants = wp.types.vector(length=8, dtype=float)
 CLEARANCE = wp.constant(6.0)
 
 
+#: Faces that share a word of bits.
+WORD_FACES = wp.constant(32)
+
+#: Room for rounding when faces are looked through for a group of blocks, cells.
+GROUP_SLACK = wp.constant(0.01)
+
+
 @wp.func
-def box_gap_squared(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Squared distance from x to the bounding box of triangle abc."""
-    below = wp.min(wp.min(a, b), c) - x
-    above = x - wp.max(wp.max(a, b), c)
-    gap = wp.max(wp.max(below, above), wp.vec3(0.0, 0.0, 0.0))
+def box_gap_squared(x: wp.vec3, low: wp.vec3, high: wp.vec3):
+    """Squared distance from x to the box between two corners."""
+    gap = wp.max(wp.max(low - x, x - high), wp.vec3(0.0, 0.0, 0.0))
     return wp.dot(gap, gap)
+
+
+@wp.func
+def face_gap_squared(
+    x: wp.vec3,
+    f: int,
+    boxes: wp.array2d(dtype=wp.vec3),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+):
+    """Squared distance from x to the bounding box of a face, which is worked out where no boxes are kept."""
+    if boxes.shape[0] > 0:
+        return box_gap_squared(x, boxes[f, 0], boxes[f, 1])
+    face = faces[f]
+    a = vertices[face[0]]
+    b = vertices[face[1]]
+    c = vertices[face[2]]
+    return box_gap_squared(x, wp.min(wp.min(a, b), c), wp.max(wp.max(a, b), c))
+
+
+@wp.func
+def face_distance_squared(x: wp.vec3, f: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i)):
+    """Squared distance from x to a face."""
+    face = faces[f]
+    return triangle_distance_squared(x, vertices[face[0]], vertices[face[1]], vertices[face[2]])
 
 
 @wp.func
 def block_count(side: int):
     """Blocks that cover a side of `side` nodes."""
     return (side + BLOCK - 1) / BLOCK
+
+
+@wp.func
+def word_count(face_count: int):
+    """Words that have a bit for each face."""
+    return (face_count + WORD_FACES - 1) / WORD_FACES
+
+
+@wp.func
+def candidate_bits(candidates: wp.array2d(dtype=int), group: int, word: int, face_count: int):
+    """Which of the faces of a word a group's blocks look at: all where no group looked through them."""
+    if candidates.shape[0] > 0:
+        return candidates[group, word]
+    left = face_count - word * WORD_FACES
+    return wp.where(left < WORD_FACES, (1 << wp.min(left, WORD_FACES - 1)) - 1, -1)
+
+
+@wp.kernel
+def box_faces(
+    first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: wp.array2d(dtype=wp.vec3)
+):
+    """boxes (f, 2): lowest and highest corner of each face's bounding box. One item per face."""
+    f = first + wp.tid()
+    face = faces[f]
+    a = vertices[face[0]]
+    b = vertices[face[1]]
+    c = vertices[face[2]]
+    boxes[f, 0] = wp.min(wp.min(a, b), c)
+    boxes[f, 1] = wp.max(wp.max(a, b), c)
+
+
+@wp.kernel
+def find_candidates(
+    first: int,
+    shapes: wp.array(dtype=wp.vec3i),
+    boxes: wp.array2d(dtype=wp.vec3),
+    group_side: int,
+    candidates: wp.array2d(dtype=int),
+):
+    """candidates (groups, words): bit b of word w is set where face 32 w + b may come within CLEARANCE cells of a block
+    of the group, which are group_side blocks along each axis. One group of lanes per word, one lane per face."""
+    item = first + wp.tid()
+    lanes = lane_count()
+    lane = item % lanes
+    words = word_count(boxes.shape[0])
+    word = (item / lanes) % words
+    group = item / lanes / words
+    shape = shapes[0]
+    ny = (block_count(shape[1]) + group_side - 1) / group_side
+    nz = (block_count(shape[2]) + group_side - 1) / group_side
+    if group >= (block_count(shape[0]) + group_side - 1) / group_side * ny * nz:
+        return
+    side = float(BLOCK * group_side)
+    centre = wp.vec3(float(group / (ny * nz)), float((group / nz) % ny), float(group % nz)) * side
+    centre += wp.vec3(1.0, 1.0, 1.0) * (0.5 * side - 0.5)
+    # from this middle to those of the outermost blocks
+    half = wp.vec3(1.0, 1.0, 1.0) * (0.5 * float(BLOCK * (group_side - 1)))
+    reach = CLEARANCE + HALF_DIAGONAL + GROUP_SLACK
+    bits = int(0)
+    for bit in range(lane, WORD_FACES, lanes):
+        f = word * WORD_FACES + bit
+        if f < boxes.shape[0] and box_gap_squared(centre, boxes[f, 0] - half, boxes[f, 1] + half) <= reach * reach:
+            bits = bits | (1 << bit)
+    bits = union_of_lanes(bits)
+    if lane == 0:
+        candidates[group, word] = bits
 
 
 @wp.func
@@ -60,7 +156,14 @@ def octant_centre(centre: wp.vec3, octant: int):
 
 @wp.func
 def clear_octant_bits(
-    centre: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), lane: int, lanes: int
+    centre: wp.vec3,
+    group: int,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    boxes: wp.array2d(dtype=wp.vec3),
+    candidates: wp.array2d(dtype=int),
+    lane: int,
+    lanes: int,
 ):
     """Bit o is set where the nodes of octant o are CLEARANCE cells and more from the cage. The lanes look at as many
     faces at once, and then each at its octants where a face is near. All lanes."""
@@ -68,22 +171,26 @@ def clear_octant_bits(
     for octant in range(lane, 8, lanes):
         apart[octant] = (CLEARANCE + OCTANT_DIAGONAL) * (CLEARANCE + OCTANT_DIAGONAL)
     reach = CLEARANCE + HALF_DIAGONAL
-    for f in range(0, faces.shape[0], lanes):
-        own = faces[wp.min(f + lane, faces.shape[0] - 1)]
-        gap = box_gap_squared(centre, vertices[own[0]], vertices[own[1]], vertices[own[2]])
-        near = ballot(wp.where(f + lane < faces.shape[0] and gap < reach * reach, 1, 0))
-        while near != 0:
-            face = faces[f + lowest_bit(near)]
-            near = without_lowest_bit(near)
-            for octant in range(lane, 8, lanes):
-                x = octant_centre(centre, octant)
-                found = triangle_distance_squared(x, vertices[face[0]], vertices[face[1]], vertices[face[2]])
-                apart[octant] = wp.min(apart[octant], found)
-    bits = int(0)
+    for word in range(word_count(faces.shape[0])):
+        bits = candidate_bits(candidates, group, word, faces.shape[0])
+        for bit in range(lane, wp.where(bits == 0, 0, WORD_FACES), lanes):
+            f = word * WORD_FACES + bit
+            is_near = int(0)
+            if (bits >> bit) & 1 == 1:
+                is_near = wp.where(face_gap_squared(centre, f, boxes, vertices, faces) < reach * reach, 1, 0)
+            near = ballot(is_near)
+            while near != 0:
+                face = faces[f - lane + lowest_bit(near)]
+                near = without_lowest_bit(near)
+                for octant in range(lane, 8, lanes):
+                    x = octant_centre(centre, octant)
+                    found = triangle_distance_squared(x, vertices[face[0]], vertices[face[1]], vertices[face[2]])
+                    apart[octant] = wp.min(apart[octant], found)
+    clear = int(0)
     for octant in range(lane, 8, lanes):
         if apart[octant] >= (CLEARANCE + OCTANT_DIAGONAL) * (CLEARANCE + OCTANT_DIAGONAL):
-            bits = bits | (1 << octant)
-    return union_of_lanes(bits)
+            clear = clear | (1 << octant)
+    return union_of_lanes(clear)
 
 
 @wp.kernel
@@ -92,12 +199,16 @@ def list_block_faces(
     shapes: wp.array(dtype=wp.vec3i),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    boxes: wp.array2d(dtype=wp.vec3),
+    group_side: int,
+    candidates: wp.array2d(dtype=int),
     counts: wp.array(dtype=int),
     near: wp.array2d(dtype=int),
     clear_octants: wp.array(dtype=int),
 ):
-    """shapes: as in LineCrossings. near (blocks, m): faces within BAND cells of a block's nodes; counts (blocks,): how
-    many, also beyond m;
+    """shapes: as in LineCrossings. boxes: see box_faces; group_side, candidates: see find_candidates; both empty where
+    every block looks at all faces. near (blocks, m): faces within BAND cells of a block's nodes, ascending; counts
+    (blocks,): how many, also beyond m;
     clear_octants (blocks,): bit o is set where the nodes of octant o are at least CLEARANCE cells from the cage; bits
     0, 1, 2 of o: its upper half along the axes. One group of lanes per block, one lane per face."""
     item = first + wp.tid()
@@ -109,33 +220,36 @@ def list_block_faces(
     nz = block_count(shape[2])
     if block >= block_count(shape[0]) * ny * nz:
         return
+    i = block / (ny * nz)
+    j = (block / nz) % ny
+    k = block % nz
+    group = (i / group_side * ((ny + group_side - 1) / group_side) + j / group_side) * (
+        (nz + group_side - 1) / group_side
+    ) + k / group_side
     half = 0.5 * float(BLOCK - 1)
-    centre = wp.vec3(
-        float((block / (ny * nz)) * BLOCK) + half, float(((block / nz) % ny) * BLOCK) + half,
-        float((block % nz) * BLOCK) + half,
-    )  # fmt: skip
+    centre = wp.vec3(float(i * BLOCK) + half, float(j * BLOCK) + half, float(k * BLOCK) + half)
     reach = BAND + HALF_DIAGONAL
     nearest = (CLEARANCE + HALF_DIAGONAL) * (CLEARANCE + HALF_DIAGONAL)
     count = int(0)
-    for f in range(lane, (faces.shape[0] + lanes - 1) / lanes * lanes, lanes):
-        face = faces[wp.min(f, faces.shape[0] - 1)]
-        a = vertices[face[0]]
-        b = vertices[face[1]]
-        c = vertices[face[2]]
-        is_near = int(0)
-        if f < faces.shape[0] and box_gap_squared(centre, a, b, c) <= wp.max(nearest, reach * reach):
-            apart = triangle_distance_squared(centre, a, b, c)
-            nearest = wp.min(nearest, apart)
-            is_near = wp.where(apart <= reach * reach, 1, 0)
-        found = ballot(is_near)
-        slot = count + bit_count(bits_before(found, lane))
-        if is_near == 1 and slot < near.shape[1]:
-            near[block, slot] = f
-        count += bit_count(found)
+    for word in range(word_count(faces.shape[0])):
+        bits = candidate_bits(candidates, group, word, faces.shape[0])
+        for bit in range(lane, wp.where(bits == 0, 0, WORD_FACES), lanes):
+            f = word * WORD_FACES + bit
+            is_near = int(0)
+            if (bits >> bit) & 1 == 1:
+                if face_gap_squared(centre, f, boxes, vertices, faces) <= wp.max(nearest, reach * reach):
+                    apart = face_distance_squared(centre, f, vertices, faces)
+                    nearest = wp.min(nearest, apart)
+                    is_near = wp.where(apart <= reach * reach, 1, 0)
+            found = ballot(is_near)
+            slot = count + bit_count(bits_before(found, lane))
+            if is_near == 1 and slot < near.shape[1]:
+                near[block, slot] = f
+            count += bit_count(found)
     apart = wp.sqrt(least_of_lanes(nearest))
     clear = wp.where(apart >= 0.9999 * (CLEARANCE + HALF_DIAGONAL), 255, 0)
     if clear == 0 and apart > CLEARANCE - HALF_DIAGONAL:
-        clear = clear_octant_bits(centre, vertices, faces, lane, lanes)
+        clear = clear_octant_bits(centre, group, vertices, faces, boxes, candidates, lane, lanes)
     if lane == 0:
         counts[block] = count
         clear_octants[block] = clear
@@ -157,9 +271,10 @@ def nearest_face(
     near: wp.array2d(dtype=int),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    boxes: wp.array2d(dtype=wp.vec3),
 ):
     """Squared distance from a node x to the cage, at most BAND^2, and the face that is nearest, -1 where none is within
-    BAND. block: the one that the node lies in; counts, near: see list_block_faces."""
+    BAND. block: the one that the node lies in; counts, near, boxes: see list_block_faces."""
     count = counts[block]
     listed = count <= near.shape[1]
     if not listed:
@@ -170,12 +285,8 @@ def nearest_face(
         f = int(m)
         if listed:
             f = near[block, m]
-        face = faces[f]
-        a = vertices[face[0]]
-        b = vertices[face[1]]
-        c = vertices[face[2]]
-        if box_gap_squared(x, a, b, c) < nearest:
-            apart = triangle_distance_squared(x, a, b, c)
+        if face_gap_squared(x, f, boxes, vertices, faces) < nearest:
+            apart = face_distance_squared(x, f, vertices, faces)
             found = wp.where(apart < nearest, f, found)
             nearest = wp.min(nearest, apart)
     return nearest, found
@@ -187,6 +298,7 @@ def measure_band(
     crossings: LineCrossings,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
+    boxes: wp.array2d(dtype=wp.vec3),
     counts: wp.array(dtype=int),
     near: wp.array2d(dtype=int),
     scales: wp.array(dtype=float),
@@ -206,6 +318,6 @@ def measure_band(
     if i >= shape[0] or j >= shape[1] or k >= shape[2]:
         return
     x = wp.vec3(float(i), float(j), float(k))
-    nearest, _face = nearest_face(x, block, counts, near, vertices, faces)
+    nearest, _face = nearest_face(x, block, counts, near, vertices, faces, boxes)
     found = wp.max(wp.sqrt(nearest) * scales[0], 1.0e-30)  # a node on the cage keeps its side
     distance[(i * shape[1] + j) * shape[2] + k] = wp.where(is_inside(crossings, i, j, k), -found, found)

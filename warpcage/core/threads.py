@@ -16,11 +16,15 @@ THREADS_VARIABLE = "WARPCAGE_THREADS"
 #: A part of a long launch aims at this many seconds: an interrupt waits for the parts that run.
 PART_SECONDS = 0.2
 
+#: A part that takes less than this costs more to begin than it brings.
+LEAST_PART_SECONDS = 0.0005
+
 #: A part of items that turn out to be quick has at most this many times those of the first part.
 MOST_GROWTH = 8
 
-#: Parts of a launch for each thread, so that none is left with the last long one.
-PARTS_PER_THREAD = 8
+#: Parts of a launch for each thread, so that none is left with the last long one: of many items, and of few, where each
+#: part should have ITEMS_PER_PART.
+PARTS_PER_THREAD, LEAST_PARTS, ITEMS_PER_PART = 8, 2, 2048
 
 _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
@@ -120,23 +124,27 @@ class _Parts:
 
     def __init__(self, count: int, threads: int, first: int):
         self._lock = threading.Lock()
-        self._next, self._count = 0, count
+        self._next, self._count, self._threads = 0, count, threads
         # items differ: where the first ones are quick, the next may be as slow as was foreseen
-        self._largest = min(MOST_GROWTH * first, -(-count // (PARTS_PER_THREAD * threads)) if threads > 1 else count)
+        parts = max(LEAST_PARTS, min(PARTS_PER_THREAD, count // (ITEMS_PER_PART * threads))) * threads
+        self._most = MOST_GROWTH * first
+        self._largest = min(self._most, -(-count // parts) if threads > 1 else count)
         self._size = max(1, min(first, self._largest))
 
     def take(self) -> tuple[int, int] | None:
         """First and last item (exclusive) of the next part; None where there is none."""
         with self._lock:
             begin = self._next
-            self._next = min(begin + self._size, self._count)
+            fair = -(-(self._count - begin) // self._threads)  # so that the other threads get as much
+            self._next = begin + min(self._size, fair)
             return (begin, self._next) if self._next > begin else None
 
     def note(self, items: int, seconds: float) -> None:
         """How long a part took, for the next ones."""
-        aimed = items * PART_SECONDS / max(seconds, 1e-9)
+        rate = items / max(seconds, 1e-9)
         with self._lock:
-            self._size = int(max(1, min(self._largest, aimed)))
+            worth = min(self._most, rate * LEAST_PART_SECONDS)
+            self._size = int(max(1, worth, min(self._largest, rate * PART_SECONDS)))
 
     def stop(self) -> None:
         """Hand out no more."""

@@ -148,7 +148,9 @@ class MeanValueSolver(ClosedFormSolver):
         continue_through_cage(lattice, levels, rows, sections, vertex_values, values)
         continue_outwards(1, lattice, levels, sections, vertex_values, values)
         with side.fork():  # looks at rings 0 and 1 only
-            inputs = [levels, rows, *lattice.block_faces, lattice.vertices, lattice.faces, vertex_values, values]
+            found = lattice.block_faces
+            near = [found.counts, found.near, lattice.vertices, lattice.faces, found.boxes]
+            inputs = [levels, rows, *near, vertex_values, values]
             self._launch(measure_corrections, count, inputs, [corrections])
         continue_outwards(2, lattice, levels, sections, vertex_values, values)
         side.join()

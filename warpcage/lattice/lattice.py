@@ -14,10 +14,10 @@ from ..core.checks import require_ordinary_side
 from ..core.devices import lane_count, launch, resolve_device
 from ..core.locks import in_turn
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
-from ..kernels.lattice.distance import BAND, BLOCK, HALF_DIAGONAL, list_block_faces, measure_band
+from ..kernels.lattice.distance import BLOCK, measure_band
 from ..kernels.lattice.nodes import RINGS
 from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.faces import face_area
+from .block_faces import BlockFaces, block_count
 from .capture import BufferPool, PoseConstants, SideStream
 from .sizes import PoseSizes
 
@@ -29,16 +29,6 @@ MARGIN = (1.0 + math.sqrt(2), 1.0 + math.sqrt(3), math.sqrt(5))
 
 #: Crossings kept for a line at first; lines that need more make all of them longer.
 LINE_CAPACITY = 8
-
-#: Fewest faces that are listed for a block of nodes in the distance band, and the most memory that lists of more take,
-#: bytes. Blocks near more faces than are listed look at all faces.
-BLOCK_FACES, LIST_BYTES = 16, 1 << 26
-
-#: Cells from the middle of a block within which faces are listed for it.
-BAND_REACH = float(BAND) + float(HALF_DIAGONAL)
-
-#: Room in these lists over what an even cage needs.
-LIST_ROOM = 3.0
 
 #: Flags that a pose raises on the device; see PoseFlags.
 FLAGS = 4
@@ -153,8 +143,7 @@ class CageLattice:
         origin: (3,) float64.
         crossings: Where lattice lines cross the cage.
         flat_distance: (nodes or more,) float, the signed distance in world units; see `distance`.
-        block_faces: How many faces are near each block of nodes, and which (kernels/lattice/distance.py).
-        clear_octants: (blocks,) int, octants of each block that are clear of the cage.
+        block_faces: The faces near each block of nodes.
         vertices: (v,) vec3, the cage's vertices in node units.
         faces: (f,) vec3i.
         constants: What a pose sends to the device for the lattice.
@@ -190,16 +179,11 @@ class CageLattice:
         self._crossing_counts = self.buffers.buffer(wp.int32)
         self._crossing_places = self.buffers.buffer(wp.float32)
         self._crossing_faces = self.buffers.buffer(wp.int32)
-        self._near_counts = self.buffers.buffer(wp.int32)
-        self._near_faces = self.buffers.buffer(wp.int32)
-        self._clear_octants = self.buffers.buffer(wp.int32)
         self._line_capacity = LINE_CAPACITY
         self.crossings = LineCrossings()
         self.flat_distance = self._distance.take(0)
-        self.clear_octants = self._clear_octants.take(0)
-        self.block_faces = self.clear_octants, self.clear_octants
         self._place(cage)
-        self._block_faces = listed_faces(cage, self.layout.shape, self.spacing)
+        self.block_faces = BlockFaces(cage, self.layout.shape, self.spacing, self.buffers)
 
     def lay(self, cage: ClosedMesh) -> CageLattice:
         """Lay the lattice over another pose, on the host; `constants` hold it then, still to be sent.
@@ -271,7 +255,7 @@ class CageLattice:
         Returns:
             The sizes, without sections.
         """
-        return pose_sizes(self.layout, level_count)
+        return pose_sizes(self.layout, level_count, self.block_faces.group_side)
 
     def launch_geometry(self, sizes: PoseSizes) -> None:
         """Launch what finds crossings and signed distances, the constants being sent.
@@ -286,11 +270,13 @@ class CageLattice:
 
     def _launch_geometry(self, sizes: PoseSizes) -> None:
         with self.side.fork():
-            self._launch_block_faces(sizes)
+            self.block_faces.launch(sizes, self.constants.shapes.array, self.vertices, self.faces)
         self._launch_crossings(sizes)
         self.side.join()
         self.flat_distance = self._distance.take(sizes.nodes)
-        inputs = [self.crossings, self.vertices, self.faces, *self.block_faces, self.constants.scales.array]
+        found = self.block_faces
+        inputs = [self.crossings, self.vertices, self.faces, found.boxes, found.counts, found.near]
+        inputs.append(self.constants.scales.array)
         launch(measure_band, BLOCK**3 * sizes.blocks, [*inputs, self.flat_distance], device=self.device)
 
     def _lengthen_lines(self) -> bool:
@@ -310,52 +296,6 @@ class CageLattice:
         self.crossings.faces = self._crossing_faces.take(places)
         inputs = [self.vertices, self.faces, self.crossings, self.flags.lines]
         launch(cross_lines, lane_count(self.device) * sizes.runs, inputs, device=self.device, work=self.faces.size)
-
-    def _launch_block_faces(self, sizes: PoseSizes) -> None:
-        counts, near = self._near_counts.take(sizes.blocks), self._near_faces.take((sizes.blocks, self._block_faces))
-        self.block_faces = counts, near
-        self.clear_octants = self._clear_octants.take(sizes.blocks)
-        inputs = [self.constants.shapes.array, self.vertices, self.faces, counts, near, self.clear_octants]
-        launch(
-            list_block_faces, lane_count(self.device) * sizes.blocks, inputs, device=self.device, work=self.faces.size
-        )
-
-
-def listed_faces(cage: ClosedMesh, shape: tuple[int, int, int], spacing: float) -> int:
-    """How many faces are listed for a block of nodes: more than BLOCK_FACES where a cage has many small ones.
-
-    Args:
-        cage: The cage.
-        shape: Nodes along each axis of the lattice.
-        spacing: World units per cell.
-
-    Returns:
-        A multiple of BLOCK_FACES.
-    """
-    area = face_area(cage) / spacing**2
-    # faces whose middle lies within reach of a block, on a flat piece of the cage
-    reach = BAND_REACH + math.sqrt(area / len(cage.faces))
-    needed = LIST_ROOM * len(cage.faces) * math.pi * reach**2 / max(area, 1.0)
-    most = min(needed, LIST_BYTES / (4 * _block_count(shape)), len(cage.faces))
-    return BLOCK_FACES * max(1, math.ceil(most / BLOCK_FACES))
-
-
-def more_list_bytes(cage: ClosedMesh, shape: tuple[int, int, int], spacing: float) -> int:
-    """Memory on the device that lists of faces take beyond that of BLOCK_FACES a block.
-
-    Args:
-        cage: The cage.
-        shape: Nodes along each axis of the lattice.
-        spacing: World units per cell.
-
-    Returns:
-        Bytes.
-    """
-    return 4 * _block_count(shape) * (listed_faces(cage, shape, spacing) - BLOCK_FACES)
-
-
-def _block_count(shape: tuple[int, int, int]) -> int:
-    return math.prod(-(-side // BLOCK) for side in shape)
 
 
 def lattice_frame(
@@ -439,12 +379,13 @@ def level_layout(shape: tuple[int, int, int], level_count: int) -> LevelLayout:
 
 
 @functools.lru_cache(maxsize=256)
-def pose_sizes(layout: LevelLayout, level_count: int) -> PoseSizes:
+def pose_sizes(layout: LevelLayout, level_count: int, group_side: int) -> PoseSizes:
     """What launches over a lattice count, before its nodes are listed.
 
     Args:
         layout: Of the lattice.
         level_count: Levels that are used.
+        group_side: Blocks along each side of a group.
 
     Returns:
         The sizes, without sections.
@@ -455,7 +396,8 @@ def pose_sizes(layout: LevelLayout, level_count: int) -> PoseSizes:
         nodes=layout.node_count,
         lines=ny * nz + nx * nz + nx * ny,
         runs=(nx + ny) * -(-nz // RUN) + nx * -(-ny // RUN),
-        blocks=-(-nx // BLOCK) * -(-ny // BLOCK) * -(-nz // BLOCK),
+        blocks=block_count(layout.shape),
+        groups=block_count(layout.shape, group_side),
         columns=nx * ny,
         level_nodes=level_nodes,
         coarse_nodes=level_nodes - layout.node_count,

@@ -80,7 +80,8 @@ class LatticeNodes:
         levels.starts = self._starts.take(len(self.sections.lengths) + 1)
         levels.interpolates = int(self._interpolates)
         counts, offsets = self._counts.take(sizes.entries), self._offsets.take(sizes.entries)
-        inputs = [lattice.crossings, lattice.flat_distance, constants.scales.array, lattice.clear_octants, levels]
+        clear = lattice.block_faces.clear_octants
+        inputs = [lattice.crossings, lattice.flat_distance, constants.scales.array, clear, levels]
         items = lane_count(device) * sizes.level_columns
         launch(classify_columns, items, inputs, [lattice.flags.narrow, counts], device=device)
         wp.utils.array_scan(counts, offsets, inclusive=False)

@@ -17,11 +17,12 @@ from ..mesh.closed_mesh import ClosedMesh, require_mesh
 from ..mesh.faces import face_area
 from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
+from .block_faces import more_list_bytes
 from .closed_form import GreenSolver, MeanValueSolver
 from .gaps import REPORTED_JUMP, MapTarget, lattice_side_bytes, side_bytes
 from .graph import PoseGraph
 from .harmonic import HarmonicSolver, require_tolerance
-from .lattice import CageLattice, lattice_frame, more_list_bytes, require_resolution
+from .lattice import CageLattice, lattice_frame, require_resolution
 from .launches import PoseLaunches
 from .solver import MapSolver
 from .weights import LatticeWeights

@@ -90,6 +90,7 @@ class PoseSizes:
         lines: Lattice lines.
         runs: Pieces of lines that are crossed with the cage together.
         blocks: Blocks of nodes.
+        groups: Groups of blocks that faces are looked through for.
         columns: Columns of nodes.
         level_nodes: Nodes of all levels that a solver uses.
         coarse_nodes: Those above the finest.
@@ -103,6 +104,7 @@ class PoseSizes:
     lines: int
     runs: int
     blocks: int
+    groups: int
     columns: int
     level_nodes: int
     coarse_nodes: int
@@ -139,6 +141,7 @@ class PoseSizes:
             self.lines,
             self.runs,
             self.blocks,
+            self.groups,
             self.columns,
             self.level_nodes,
             self.coarse_nodes,

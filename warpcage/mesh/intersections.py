@@ -7,6 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .faces import column_cross
+
 #: Overlaps and crossings below this share of the mesh's size are touching, not intersecting.
 TOUCHING = 1e-9
 
@@ -52,20 +54,29 @@ def _crossing(
 ) -> np.ndarray:
     """Which of the pairs (p, 2) of faces (f, 3) with corners (f, 3, 3) cross or overlap; normals and their lengths."""
     one, two = pairs.T
-    shared = (faces[one][:, :, None] == faces[two][:, None, :]).any(axis=2).sum(axis=1)
+    columns = np.ascontiguousarray(faces.T)
+    first, second = np.take(columns, one, axis=1), np.take(columns, two, axis=1)
+    same = [[first[i] == second[j] for j in range(3)] for i in range(3)]
+    # an edge that begins or ends at a corner of the triangle touches it there and nowhere else
+    free = np.empty((2, len(pairs), 3), dtype=bool)
+    of_one, of_two = ([x | y | z for x, y, z in rows] for rows in (same, zip(*same, strict=True)))
+    for side, common in enumerate((of_one, of_two)):
+        for k in range(3):
+            free[side, :, k] = ~(common[k] | common[(k + 1) % 3])
+    alike = of_one[0] & of_one[1] & of_one[2]
     # the edges of each against the triangle of the other, all at once
     a, b = np.concatenate([one, two]), np.concatenate([two, one])
-    start, end, other = faces[a], np.roll(faces[a], -1, axis=1), faces[b][:, None]
-    # an edge that begins or ends at a corner of the triangle touches it there and nowhere else
-    row, k = np.nonzero(~((other == start[..., None]) | (other == end[..., None])).any(axis=2))
+    row, k = np.nonzero(free.reshape(-1, 3))
     crossed = _segments_cross(corners[a[row], k], corners[a[row], (k + 1) % 3], corners[b[row]])
     crossing = np.zeros(2 * len(pairs), dtype=bool)
     crossing[row[crossed]] = True
     crossing = crossing[: len(pairs)] | crossing[len(pairs) :]
-    heights = np.abs(np.einsum("pki,pi->pk", corners[two] - corners[one][:, :1], normals[one])).max(axis=1)
-    flat = np.flatnonzero((heights < 1e-7) & (shared < 3) & (lengths[one] > 0.0) & (lengths[two] > 0.0))
+    flat = np.flatnonzero(~alike & (lengths[one] > 0.0) & (lengths[two] > 0.0))
+    for k in range(3):
+        offsets = corners[two[flat], k] - corners[one[flat], 0]
+        flat = flat[np.abs(np.einsum("pi,pi->p", offsets, normals[one[flat]])) < 1e-7]
     crossing[flat] |= _overlap_in_plane(corners[one[flat]], corners[two[flat]], normals[one[flat]])
-    return crossing | (shared == 3)
+    return crossing | alike
 
 
 def _overlapping_boxes(corners: np.ndarray) -> Iterator[np.ndarray]:
@@ -75,7 +86,9 @@ def _overlapping_boxes(corners: np.ndarray) -> Iterator[np.ndarray]:
     are kept in the cell of their lower corner. A box of the same level or a smaller one meets those in the cells that
     it touches and in the ones before them: at most 3 x 3 x 3, of which three follow each other in the order of cells.
     """
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    columns = [(np.ascontiguousarray(low[:, axis]), np.ascontiguousarray(high[:, axis])) for axis in range(3)]
     origin = low.min(axis=0)
     extents = (high - low).max(axis=1)
     levels = np.maximum(np.ceil(np.log2(np.maximum(extents, 2.0**FINEST_LEVEL))), FINEST_LEVEL).astype(np.int64)
@@ -95,7 +108,7 @@ def _overlapping_boxes(corners: np.ndarray) -> Iterator[np.ndarray]:
                 row = ((first[touched, 0] + x) * step + first[touched, 1] + y) * step
                 begin = np.searchsorted(keys, row + first[touched, 2])
                 end = np.searchsorted(keys, row + last[touched, 2] + 1, side="right")
-                yield from _meeting(asking[touched], held, begin, end, low, high, levels)
+                yield from _meeting(asking[touched], held, begin, end, columns, levels)
 
 
 def _meeting(
@@ -103,11 +116,13 @@ def _meeting(
     held: np.ndarray,
     begin: np.ndarray,
     end: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
+    columns: list[tuple[np.ndarray, np.ndarray]],
     levels: np.ndarray,
 ) -> Iterator[np.ndarray]:
-    """Pairs (p, 2), i < j, of boxes: each that asks, and what it overlaps of the held ones from `begin` to `end`."""
+    """Pairs (p, 2), i < j, of boxes: each that asks, and what it overlaps of the held ones from `begin` to `end`.
+
+    columns: lowest and highest places of all boxes along each axis.
+    """
     total = np.cumsum(end - begin)
     start = 0
     while start < len(asking):
@@ -121,8 +136,8 @@ def _meeting(
         # of one level both boxes ask: one answer is enough
         meet = (levels[one] < levels[two]) | (one < two)
         one, two = one[meet], two[meet]
-        for axis in range(3):
-            meet = (low[one, axis] <= high[two, axis]) & (low[two, axis] <= high[one, axis])
+        for low, high in columns:
+            meet = (low[one] <= high[two]) & (low[two] <= high[one])
             one, two = one[meet], two[meet]
         if len(one):
             yield np.stack([np.minimum(one, two), np.maximum(one, two)], axis=1)
@@ -132,18 +147,30 @@ def _meeting(
 def _segments_cross(start: np.ndarray, end: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     """Whether segments (p, 3) - (p, 3) pass through the inside of triangles (p, 3, 3)."""
     u, v, along = triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0], end - start
-    normal = np.cross(along, v)
-    determinant = np.einsum("pi,pi->p", u, normal)
-    scale = np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1) * np.linalg.norm(along, axis=1)
+    normal = _cross(along, v)
+    determinant = _dot(u, normal)
+    scale = np.sqrt(_dot(u, u)) * np.sqrt(_dot(v, v)) * np.sqrt(_dot(along, along))
     steep = np.abs(determinant) > 1e-9 * scale
     inverse = 1.0 / np.where(steep, determinant, 1.0)
     offset = start - triangle[:, 0]
-    b = np.einsum("pi,pi->p", offset, normal) * inverse
-    turned = np.cross(offset, u)
-    c = np.einsum("pi,pi->p", along, turned) * inverse
-    t = np.einsum("pi,pi->p", v, turned) * inverse
-    inside = (b > TOUCHING) & (c > TOUCHING) & (b + c < 1.0 - TOUCHING)
-    return steep & inside & (t > TOUCHING) & (t < 1.0 - TOUCHING)
+    b = _dot(offset, normal) * inverse
+    crossing = steep & (b > TOUCHING) & (b < 1.0 - TOUCHING)
+    left = np.flatnonzero(crossing)  # few: the rest is worked out for them alone
+    b, inverse, turned = b[left], inverse[left], _cross(offset[left], u[left])
+    c = _dot(along[left], turned) * inverse
+    t = _dot(v[left], turned) * inverse
+    crossing[left] = (c > TOUCHING) & (b + c < 1.0 - TOUCHING) & (t > TOUCHING) & (t < 1.0 - TOUCHING)
+    return crossing
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products (p, 3) of rows."""
+    return column_cross(a.T, b.T).T
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Dot products (p,) of rows."""
+    return np.einsum("pi,pi->p", a, b)
 
 
 def _overlap_in_plane(one: np.ndarray, two: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -68,8 +68,8 @@ class MeshTopology:
         first = np.concatenate([one, after_one])
         second = np.concatenate([np.where(against, after_two, two), np.where(against, two, after_two)])
         fan, _ = connected_parts(len(starts), first, second)
-        fans = np.unique(np.stack([starts, fan], axis=1), axis=0)
-        return np.flatnonzero(np.bincount(fans[:, 0], minlength=vertex_count) > 1)
+        fans = np.unique(starts * len(starts) + fan) // len(starts)  # the vertex of each fan
+        return np.flatnonzero(np.bincount(fans, minlength=vertex_count) > 1)
 
     @functools.cached_property
     def problem(self) -> str:
