@@ -126,7 +126,7 @@ function onBinary(buffer) {
   }
 }
 
-function onText(message) {
+function onMessage(message) {
   if (message.type === "reply") {
     const reply = replies.get(message.n);
     replies.delete(message.n);
@@ -175,7 +175,7 @@ export function connect() {
   address.hash = "";
   const opened = new WebSocket(address);
   opened.binaryType = "arraybuffer";
-  opened.onmessage = ({ data }) => (typeof data === "string" ? onText(JSON.parse(data)) : onBinary(data));
+  opened.onmessage = ({ data }) => (typeof data === "string" ? onMessage(JSON.parse(data)) : onBinary(data));
   opened.onclose = () => opened === socket && onLost();
   socket = opened;
 }

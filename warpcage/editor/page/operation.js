@@ -226,6 +226,8 @@ export function describe() {
   const names = NAMES.filter((_, k) => allowed[k]).join("");
   const along = isFree() ? "" : ` ${way} ${names}`;
   const near = store.tools.proportional ? `  ·  wheel: radius ${shown(store.tools.radius)}` : "  ·  O: proportional";
-  const mirror = store.tools.symmetry ? `  ·  mirrored in ${store.tools.symmetry.toUpperCase()}` : "";
+  const alone = operation.mirror ? [...operation.chosen].filter((i) => operation.mirror.partners[i] < 0).length : 0;
+  const without = alone ? ` (${alone} without a partner)` : "";
+  const mirror = operation.mirror ? `  ·  mirrored in ${store.tools.symmetry.toUpperCase()}${without}` : "";
   return [`${LABELS[kind]}${along}   ${text}`, `X Y Z: axis, with Shift: plane${near}${mirror}  ·  numbers  ·  Enter  ·  Esc`];
 }

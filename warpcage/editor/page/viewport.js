@@ -138,14 +138,23 @@ export function gizmo() {
 
 export const compass = () => makeCompass(camera(), width);
 
+/** Where the picture belongs; one of an older view goes and grows with its target, until the next one comes. */
+function pictureBox(now) {
+  const { bitmap, header } = picture;
+  const wide = (height * bitmap.width) / bitmap.height;
+  const old = makeCamera(header.view, wide, height);
+  const [x, y, far] = project(old, header.view.target);
+  const [nowX, nowY, nowFar] = project(now, header.view.target);
+  const scale = (now.focal / nowFar) * (far / old.focal);
+  if (!(nowFar > 0 && scale > 0.02 && scale < 50)) return [(width - wide) / 2, 0, wide, height];
+  return [nowX - x * scale, nowY - y * scale, wide * scale, height * scale];
+}
+
 function draw() {
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   const now = camera();
-  if (picture?.bitmap) {
-    const wide = (height * picture.bitmap.width) / picture.bitmap.height;
-    context.drawImage(picture.bitmap, (width - wide) / 2, 0, wide, height);
-  }
+  if (picture?.bitmap) context.drawImage(picture.bitmap, ...pictureBox(now));
   if (store.tools.cage) drawCages(now);
   drawCompass(context, compass(), overlay.ball);
   if (overlay.region) D.drawRegion(context, overlay.region.shape, overlay.region.path);
