@@ -24,6 +24,8 @@ from soak import ball_field
 import warpcage
 from warpcage.core.devices import launch
 from warpcage.core.kernel_files import kernel_names
+from warpcage.core.threads import limit_threads
+from warpcage.editor.picture import frame_pixels
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.kernels.coordinates.green import map_green
 from warpcage.kernels.reference.sample_count import count_samples
@@ -57,10 +59,11 @@ def main() -> int:
     if args.no_pool:
         wp.set_mempool_enabled(args.device, False)
     watch_launches()
-    for part in (fields, fits, coordinates, frames, edits, references):
-        part(args.device)
-        wp.synchronize_device(args.device)
-        print(f"{part.__name__}: {len(launched)} kernels so far", flush=True)
+    with limit_threads(2):  # on one thread no gradients are joined
+        for part in (fields, fits, coordinates, frames, edits, references):
+            part(args.device)
+            wp.synchronize_device(args.device)
+            print(f"{part.__name__}: {len(launched)} kernels so far", flush=True)
     unused = all_kernels() - (CUDA_ONLY if wp.get_device(args.device).is_cpu else CPU_ONLY) - launched
     print(f"{len(launched)} kernels launched; never: {', '.join(sorted(unused)) or 'none'}")
     return 1 if unused else 0
@@ -101,7 +104,8 @@ POINTS = np.random.default_rng(0).uniform(-0.6, 0.6, (64, 3))
 def fields(device) -> None:
     """Renders, samples, selections and cages of a field."""
     field = ball_field(device)
-    field.render(camera(), supersampling=2)
+    frame = field.render(camera(), supersampling=2)
+    frame_pixels(frame, "rgb", 1.0, 8.0, 8)
     field.sample(POINTS, np.ones((64, 3)))
     CAGE.contains(2.2 * POINTS, device=device)  # in it, at it and beside it
     cameras = camera_array([camera()], field.center, field.device)

@@ -6,17 +6,18 @@ import dataclasses
 import math
 
 #: Seconds that a picture may take while the hand moves, on a CPU and on CUDA.
-MOVING_SECONDS = {"cpu": 0.075, "cuda": 0.014}
+MOVING_SECONDS = {"cpu": 0.075, "cuda": 0.022}
 
 #: Cells of lattices that are tried on a CPU while the hand moves, and the least side of a picture, pixels.
 COARSE_CELLS = (16, 20, 24, 32, 48, 64, 96, 128)
-LEAST_SIDE = 200
+LEAST_SIDE = 240
 
 #: March steps that are taken as one on a CPU while the hand moves.
 MOVING_STEP = {"cpu": 2.5, "cuda": 1.0}
 
-#: Quality of JPEGs while the hand moves and when it rests.
-MOVING_QUALITY, SHARP_QUALITY = 72, 92
+#: Quality of JPEGs while the hand moves, of pictures with few pixels then, which the page enlarges, and at rest.
+MOVING_QUALITY, SMALL_QUALITY, SHARP_QUALITY = 75, 90, 92
+SMALL_PIXELS = 100_000
 
 #: How much a new measurement counts, and how far pictures may be off before their size changes.
 LEARNING, SLACK = 0.35, 1.25
@@ -118,7 +119,8 @@ class Pace:
             scale = max(self._scale, least)  # a size that flickers disturbs more than a few pixels
         self._scale = min(1.0, scale)
         size = max(1, round(width * self._scale)), max(1, round(height * self._scale))
-        return Effort(*size, cells, MOVING_STEP[self.kind], 1, MOVING_QUALITY, False)
+        quality = SMALL_QUALITY if size[0] * size[1] < SMALL_PIXELS else MOVING_QUALITY
+        return Effort(*size, cells, MOVING_STEP[self.kind], 1, quality, False)
 
 
 def _mixed(known: float | None, seen: float) -> float:

@@ -1,0 +1,267 @@
+"""The editor: from a drag to its picture, and pictures per second while dragging.
+
+    python benchmarks/editor.py --field lego.npz --cage cage.obj --device cuda:0 --size 800 800 --json editor.json
+    python benchmarks/editor.py --browser --json editor.json                (Chromium, the demo, as a hand has it)
+
+Without --browser a WebSocket client moves the cage at the rate of a display and decodes each JPEG, in a process of its
+own. A pose's latency is the time from sending it until a picture that shows it, or a newer pose, is decoded. With
+--browser the hand is a mouse in headless Chromium, and the page measures: from the pointer's event until the picture is
+drawn. Settings are those of a new session but for --coordinates and --resolution.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import pathlib
+import platform
+import shutil
+import signal
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+
+import numpy as np
+
+#: Poses per second that a display's hand sends.
+RATE = 60.0
+
+#: Seconds that are not measured: kernels are loaded, graphs captured, and the server learns what pictures cost.
+WARM = 3.0
+
+
+def main() -> None:
+    args = parse_arguments()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = pathlib.Path(temporary)
+        command = [sys.executable, "-m", "warpcage", "edit", "--no-browser", "--port", "0"]
+        command += ["--device", args.device] if args.device else []
+        if args.field is None:
+            command += ["--demo", "--session", str(folder / "demo.session.json")]
+        else:
+            shutil.copy(args.field, folder / "field.npz")
+            command += [str(folder / "field.npz"), "--cage", args.cage]
+        server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        try:
+            assert server.stdout is not None
+            address = ""
+            while "http" not in address:
+                address = server.stdout.readline()
+                if not address and server.poll() is not None:
+                    raise SystemExit("the editor did not start")
+            url = next(word for word in address.split() if word.startswith("http"))
+            found = by_browser(url, args) if args.browser else asyncio.run(by_socket(url, args))
+        finally:
+            server.send_signal(signal.SIGINT)
+            server.wait(60)
+    report = {"machine": platform.processor() or platform.machine(), "python": platform.python_version(), **found}
+    for name, value in report.items():
+        print(f"{name:22} {value}")
+    if args.json:
+        pathlib.Path(args.json).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+
+def parse_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--field", help="field file (default: the demo)")
+    parser.add_argument("--cage", help="cage at rest of that field")
+    parser.add_argument("--device", help="Warp device")
+    parser.add_argument("--size", type=int, nargs=2, default=(800, 800), metavar=("W", "H"), help="of the picture")
+    parser.add_argument("--coordinates", default="harmonic")
+    parser.add_argument("--resolution", type=int, help="cells of the lattice (default: the session's)")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of dragging (default: %(default)s)")
+    parser.add_argument("--browser", action="store_true", help="drag with a mouse in headless Chromium")
+    parser.add_argument("--screenshot", help="where a picture of the page goes (.png), with --browser")
+    parser.add_argument("--json", help="write the figures here")
+    args = parser.parse_args()
+    if (args.field is None) != (args.cage is None):
+        parser.error("--field and --cage go together")
+    return args
+
+
+class Hand:
+    """Poses of a cage that a hand could make: each vertex swings smoothly, and all of them differently.
+
+    Args:
+        rest: (v, 3) the cage at rest.
+    """
+
+    def __init__(self, rest: np.ndarray):
+        rng = np.random.default_rng(0)
+        self.rest, size = rest, float(np.ptp(rest, axis=0).max())
+        modes, low = 6, rest.min(axis=0)
+        waves = rng.normal(0.0, 1.0, (modes, 3)) * 2.0 / size
+        self.shapes = np.sin((rest - low) @ waves.T + rng.uniform(0.0, 6.28, modes))  # (v, modes)
+        self.ways = rng.normal(0.0, 0.012 * size, (modes, 3))
+        self.speeds, self.phases = rng.uniform(1.0, 3.0, modes), rng.uniform(0.0, 6.28, modes)
+
+    def at(self, seconds: float) -> np.ndarray:
+        """(v, 3) the pose at a time."""
+        return self.rest + (self.shapes * np.sin(self.speeds * seconds + self.phases)) @ self.ways
+
+
+async def by_socket(url: str, args: argparse.Namespace) -> dict:
+    """Drag as a page does and decode what comes."""
+    import aiohttp
+    import simplejpeg
+
+    sent: dict[int, float] = {}
+    shown: list[tuple[float, int, dict]] = []
+    async with aiohttp.ClientSession() as http, http.ws_connect(url + "socket", max_msg_size=0) as socket:
+        hello = json.loads((await socket.receive()).data)
+        edit, me = hello["sections"]["edits"][0], str(hello["client"])
+
+        async def say(**message) -> None:
+            await socket.send_str(json.dumps(message))
+
+        async def hear() -> None:
+            async for message in socket:
+                if message.type != aiohttp.WSMsgType.BINARY:
+                    continue
+                kind, words, jpeg, _ = struct.unpack_from("<4I", message.data)
+                if kind != 10:
+                    continue
+                header = json.loads(message.data[16 : 16 + words])
+                if header["error"]:
+                    raise RuntimeError(header["error"])
+                begin = 16 + words + (-words) % 8
+                simplejpeg.decode_jpeg(message.data[begin : begin + jpeg])
+                shown.append((time.perf_counter(), header["applied"].get(me, 0), header))
+                await say(do="seen", frame=header["frame"])
+
+        settings = {"coordinates": args.coordinates}
+        settings |= {} if args.resolution is None else {"resolution": args.resolution}
+        await say(do="settings", **settings)
+        hand, vertices = Hand(np.array(edit["rest"])), len(edit["rest"])
+        listening = asyncio.create_task(hear())
+        await say(do="size", width=args.size[0], height=args.size[1])
+        while not shown:
+            await asyncio.sleep(0.01)
+            if listening.done():
+                listening.result()
+        await say(do="drag.begin", edit=edit["id"], label="drag")
+        start = time.perf_counter()
+        for number in range(1, int((WARM + args.seconds) * RATE) + 1):
+            await asyncio.sleep(max(0.0, start + number / RATE - time.perf_counter()))
+            pose = hand.at(number / RATE).astype("<f8").tobytes()
+            sent[number] = time.perf_counter()
+            await socket.send_bytes(struct.pack("<4I", 2, number, edit["id"], vertices) + pose)
+        end = time.perf_counter()
+        await asyncio.sleep(1.0)
+        await say(do="drag.end", edit=edit["id"], cancel=True)
+        await asyncio.sleep(0.2)
+        listening.cancel()
+    times = [when for when, _, _ in shown]
+    numbers = [number for _, number, _ in shown]
+    own, newer = [], []
+    for number, when in sent.items():
+        if when < start + WARM or when > end - 0.5:
+            continue
+        index = next(k for k, seen in enumerate(numbers) if seen >= number)
+        newer.append(1e3 * (times[index] - when))
+        if numbers[index] == number:
+            own.append(newer[-1])
+    steady = [(when, header) for when, _, header in shown if start + WARM <= when <= end]
+    return {
+        "picture": "x".join(map(str, args.size)),
+        "coordinates": args.coordinates,
+        "vertices": vertices,
+        "frames_per_second": round((len(steady) - 1) / (steady[-1][0] - steady[0][0]), 1),
+        "latency_ms": summary(own),
+        "latency_or_newer_ms": summary(newer),
+        "sent_size": f"{steady[-1][1]['width']}x{steady[-1][1]['height']}",
+        "cells": steady[-1][1]["cells"],
+        "server_ms": {
+            name: round(statistics.median(header["ms"][name] for _, header in steady), 2)
+            for name in ("pose", "render", "all")
+        },
+    }
+
+
+def by_browser(url: str, args: argparse.Namespace) -> dict:
+    """Drag a vertex with the mouse in Chromium."""
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    for word in ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1280,800"):
+        options.add_argument(word)
+    driver = webdriver.Chrome(options=options)
+    try:
+        driver.get(url)
+        wait_for(
+            driver, "return !!(window.warpcage && warpcage.store.status.frame && warpcage.store.status.frame.sharp)"
+        )
+        x, y = driver.execute_script(
+            "const {viewport, store} = warpcage, edit = store.sections.edits[0];"
+            "const box = document.getElementById('view').getBoundingClientRect();"
+            "let best = null;"
+            "for (let k = 0; k < edit.posed.length; k += 1) { const p = viewport.project(edit.id, k);"
+            "  const x = p.x ?? p[0], y = p.y ?? p[1]; if (!best || y < best[1]) best = [x, y]; }"
+            "return [best[0] + box.left, best[1] + box.top]"
+        )
+
+        def mouse(kind: str, px: float, py: float, **more) -> None:
+            event = {"type": kind, "x": px, "y": py, "button": "left", "buttons": 1, **more}
+            driver.execute_cdp_cmd("Input.dispatchMouseEvent", event)
+
+        mouse("mousePressed", x, y, clickCount=1)
+        mouse("mouseReleased", x, y, clickCount=1, buttons=0)
+        mouse("mousePressed", x, y, clickCount=1)
+        start = time.perf_counter()
+        warm_frames, warm_latencies = 0, 0
+        count = 0
+        while (passed := time.perf_counter() - start) < WARM + args.seconds:
+            count += 1
+            mouse("mouseMoved", x + 60 * np.sin(2 * passed), y + 40 * np.sin(3 * passed))
+            if passed < WARM:
+                warm_frames, warm_latencies = driver.execute_script(
+                    "return [warpcage.store.status.frame.frame, warpcage.viewport.latencies.length]"
+                )
+                warm_end = time.perf_counter()
+            time.sleep(max(0.0, count / RATE - (time.perf_counter() - start)))
+        frames, latencies, header = driver.execute_script(
+            "return [warpcage.store.status.frame.frame, [...warpcage.viewport.latencies], warpcage.store.status.frame]"
+        )
+        seconds = time.perf_counter() - warm_end
+        if args.screenshot:
+            driver.save_screenshot(args.screenshot)
+        mouse("mouseReleased", x, y, clickCount=1, buttons=0)
+        said = [entry for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
+        if said:
+            raise SystemExit(f"the page complained: {said[0]['message']}")
+    finally:
+        driver.quit()
+    return {
+        "browser": "headless Chromium, window 1280x800",
+        "frames_per_second": round((frames - warm_frames) / seconds, 1),
+        "latency_ms": summary([float(value) for value in latencies[warm_latencies:]]),
+        "sent_size": f"{header['width']}x{header['height']}",
+        "cells": header["cells"],
+        "server_ms": {name: round(value, 1) for name, value in header["ms"].items()},
+    }
+
+
+def wait_for(driver, condition: str, seconds: float = 300.0) -> None:
+    """Wait until a script in the page returns something true."""
+    end = time.perf_counter() + seconds
+    while not driver.execute_script(condition):
+        if time.perf_counter() > end:
+            raise SystemExit("the page showed no sharp picture")
+        time.sleep(0.1)
+
+
+def summary(values: list[float]) -> dict[str, float]:
+    """Median, 95th percentile and number."""
+    return {
+        "median": round(float(np.median(values)), 1),
+        "p95": round(float(np.percentile(values, 95)), 1),
+        "count": len(values),
+    }
+
+
+if __name__ == "__main__":
+    main()

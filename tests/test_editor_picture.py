@@ -1,0 +1,251 @@
+"""Pictures of the editor: what is sent of a frame, bands, efforts, and the thread that renders the newest document."""
+
+import dataclasses
+import json
+import struct
+import threading
+
+import numpy as np
+import pytest
+import warp as wp
+from deformed_scenes import shiny_field
+
+import warpcage
+from warpcage.editor import renderer as renderer_module
+from warpcage.editor.effort import COARSE_CELLS, LEAST_SIDE, Pace
+from warpcage.editor.picture import FRAME, band_camera, frame_pixels, joined_pixels, packed_frame
+from warpcage.editor.renderer import Renderer, Request, same_pose
+from warpcage.editor.scene import camera
+from warpcage.editor.session import new_document
+from warpcage.view.frame import Frame
+
+simplejpeg = pytest.importorskip("simplejpeg")
+
+NEAR, FAR = 0.5, 8.0
+
+
+@pytest.fixture
+def frame(device):
+    """37 x 23 pixels with colours beyond [0, 1], depths that are infinite, and faint pixels."""
+    rng = np.random.default_rng(3)
+    count = 37 * 23
+    depth = rng.uniform(0.1, 12.0, count).astype(np.float32)
+    depth[::7] = np.inf
+    arrays = {"rgb": rng.uniform(-0.2, 1.2, (count, 3)), "alpha": rng.uniform(0.0, 1.0, count), "depth": depth}
+    kinds = {"rgb": wp.vec3, "alpha": wp.float32, "depth": wp.float32}
+    held = {name: wp.array(values, dtype=kinds[name], device=device) for name, values in arrays.items()}
+    return Frame(37, 23, **held)
+
+
+def test_colours_are_rounded_to_bytes(frame):
+    pixels = frame_pixels(frame, "rgb", NEAR, FAR, 8)
+    expected = np.floor(np.clip(frame.rgb, 0.0, 1.0) * 255.0 + 0.5)
+    assert pixels.colours.dtype == np.uint8 and pixels.colours.shape == (23, 37, 3)
+    np.testing.assert_array_equal(pixels.colours, expected)
+
+
+@pytest.mark.parametrize("depths", [5, 16, 37, 64])
+def test_depths_are_those_of_pixels_and_come_back(frame, depths):
+    pixels = frame_pixels(frame, "rgb", NEAR, FAR, depths)
+    rows, columns = pixels.depths.shape
+    assert max(rows, columns) == min(depths, 37) and abs(rows / columns - 23 / 37) < 0.7 / columns
+    middles = [[(2 * k + 1) * size // (2 * parts) for k in range(parts)] for size, parts in ((23, rows), (37, columns))]
+    at = np.ix_(*middles)
+    depth, alpha = frame.depth[at], frame.alpha[at]
+    seen = np.isfinite(depth) & (alpha >= 0.5)
+    np.testing.assert_array_equal(pixels.depths > 0, seen)
+    back = NEAR * (FAR / NEAR) ** ((pixels.depths[seen] - 1.0) / 65534.0)
+    np.testing.assert_allclose(back, np.clip(depth[seen], NEAR, FAR), rtol=1e-4)
+
+
+def test_other_parts_of_a_frame_are_shown(frame):
+    disparity, alpha = (frame_pixels(frame, show, NEAR, FAR, 8).colours for show in ("disparity", "alpha"))
+    assert disparity.shape == alpha.shape == (23, 37, 3)
+    np.testing.assert_array_equal(alpha[..., 0], np.floor(frame.alpha * 255.0 + 0.5))
+    assert (
+        frame_pixels(frame, "masks", NEAR, FAR, 8).colours == frame_pixels(frame, "rgb", NEAR, FAR, 8).colours
+    ).all()
+
+
+def test_bands_make_the_whole_picture(device):
+    field = shiny_field(device, resolution=24)
+    view = new_document(field).view
+    whole = camera(view, 30, 22)
+    parts = [field.render(band_camera(whole, first, min(first + 5, 22))) for first in range(0, 22, 5)]
+    joined = joined_pixels([frame_pixels(part, "rgb", NEAR, FAR, 8) for part in parts])
+    np.testing.assert_array_equal(joined.colours, frame_pixels(field.render(whole), "rgb", NEAR, FAR, 8).colours)
+
+
+@pytest.mark.parametrize("quality", [60, 95])
+def test_messages_hold_header_jpeg_and_depths(frame, quality):
+    pixels = frame_pixels(frame, "alpha", NEAR, FAR, 9)
+    message = packed_frame({"frame": 3, "text": "Grüße"}, pixels, quality)
+    kind, words, jpeg, depths = struct.unpack_from("<4I", message)
+    assert kind == FRAME
+    assert json.loads(message[16 : 16 + words]) == {"frame": 3, "text": "Grüße"}
+    begin = 16 + words + (-words) % 8
+    assert begin % 8 == 0
+    decoded = simplejpeg.decode_jpeg(message[begin : begin + jpeg])
+    assert decoded.shape == pixels.colours.shape
+    assert (depths, message[len(message) - depths :]) == (pixels.depths.nbytes, pixels.depths.tobytes())
+    assert (len(message) - depths) % 8 == 0
+
+
+def test_numbers_that_json_lacks_are_refused():
+    with pytest.raises(ValueError):
+        packed_frame({"frame": float("nan")}, None, 0)
+
+
+# -- Efforts
+
+
+def learned(pixel=1e-6, pose=None):
+    pace = Pace(cuda=False)
+    effort = pace.moving(1000, 500, 64, "harmonic", True)
+    for _ in range(40):
+        pace.learn(effort, "harmonic", None, pixel * effort.width * effort.height)
+    for cells, seconds in (pose or {}).items():
+        pace.learn(dataclasses.replace(effort, cells=cells), "harmonic", seconds, pixel * effort.width * effort.height)
+    return pace
+
+
+def test_quick_pixels_are_many_and_slow_ones_few():
+    sizes = [learned(pixel).moving(1000, 500, 64, "harmonic", False).width for pixel in (1e-9, 1e-7, 1e-6, 1e-3)]
+    assert sizes[0] == 1000 and sizes[-1] == LEAST_SIDE
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_lattices_are_as_fine_as_there_is_time():
+    cells = [
+        learned(pose={24: seconds}).moving(400, 400, 64, "harmonic", True).cells for seconds in (1e-4, 0.012, 0.1, 10.0)
+    ]
+    assert cells == sorted(cells, reverse=True) and cells[0] == 64 and cells[-1] == COARSE_CELLS[0]
+    assert learned(pose={24: 10.0}).moving(400, 400, 12, "harmonic", True).cells == 12  # never finer than asked for
+
+
+def test_sizes_do_not_flicker():
+    pace = learned(1e-6)
+    first = pace.moving(1000, 500, 16, "harmonic", False)
+    for pixel in (0.95e-6, 1.06e-6, 0.97e-6):
+        pace.learn(first, "harmonic", None, pixel * first.width * first.height)
+        assert pace.moving(1000, 500, 16, "harmonic", False).width == first.width
+
+
+def test_a_gpu_keeps_the_lattice():
+    assert Pace(cuda=True).moving(800, 800, 128, "harmonic", True).cells == 128
+
+
+# -- The renderer
+
+
+class Shown:
+    """What a renderer delivered."""
+
+    def __init__(self):
+        self.headers, self.messages = [], []
+        self.news = threading.Condition()
+
+    def __call__(self, header, message):
+        with self.news:
+            self.headers.append(header)
+            self.messages.append(message)
+            self.news.notify_all()
+
+    def wait(self, condition):
+        with self.news:
+            assert self.news.wait_for(lambda: any(map(condition, self.headers)), 120)
+            return next(header for header in self.headers if condition(header))
+
+
+@pytest.fixture
+def document(device):
+    field = shiny_field(device, resolution=24)
+    low, high = field.bounds
+    size = high - low
+    return field, new_document(field, [warpcage.Cage.box(low - 0.05 * size, high + 0.05 * size)], 16)
+
+
+def request(document, moving=False, number=0):
+    return Request(document, 48, 32, moving, {1: number})
+
+
+def bent(document, degrees):
+    edit = document.edits[0]
+    return document.with_edit(dataclasses.replace(edit, posed=edit.rest_cage.bend(degrees).vertices))
+
+
+def test_a_sharp_picture_is_the_frame_of_the_settings(document):
+    field, scene = document
+    posed = bent(scene, 30.0)
+    shown = Shown()
+    renderer = Renderer(field, shown)
+    try:
+        renderer.request(request(posed, number=7))
+        header = shown.wait(lambda header: header["sharp"])
+    finally:
+        renderer.close()
+    assert (header["width"], header["height"], header["applied"]) == (48, 32, {"1": 7})
+    message = shown.messages[shown.headers.index(header)]
+    _, words, jpeg, _ = struct.unpack_from("<4I", message)
+    begin = 16 + words + (-words) % 8
+    picture = simplejpeg.decode_jpeg(message[begin : begin + jpeg]) / 255.0
+    edit = posed.edits[0]
+    deformer = warpcage.Deformer(field, edit.rest_cage, resolution=16).pose(edit.posed_cage)
+    assert warpcage.psnr(picture, deformer.render(camera(posed.view, 48, 32)).rgb) > 33.0
+    assert set(header["masks"]) == {"fold", "reveal", "outside"}
+
+
+def test_the_newest_request_wins(document, monkeypatch):
+    field, scene = document
+    begun, go_on = threading.Event(), threading.Event()
+    render = renderer_module.PosedScene.render
+
+    def slow(self, *args, **options):
+        begun.set()
+        assert go_on.wait(120)
+        return render(self, *args, **options)
+
+    shown = Shown()
+    renderer = Renderer(field, shown)
+    try:
+        monkeypatch.setattr(renderer_module.PosedScene, "render", slow)
+        renderer.request(request(scene, moving=True, number=1))
+        assert begun.wait(120)
+        for number in range(2, 30):
+            renderer.request(request(bent(scene, number), moving=True, number=number))
+        go_on.set()
+        shown.wait(lambda header: header["applied"]["1"] == 29)
+    finally:
+        go_on.set()
+        renderer.close()
+    assert {header["applied"]["1"] for header in shown.headers} <= {1, 29}
+
+
+def test_a_pose_that_cannot_be_used_is_told_and_the_next_one_shown(document):
+    field, scene = document
+    edit = scene.edits[0]
+    flat = scene.with_edit(dataclasses.replace(edit, posed=edit.rest * [1.0, 1.0, 0.0]))
+    shown = Shown()
+    renderer = Renderer(field, shown)
+    try:
+        renderer.request(request(flat, number=1))
+        complaint = shown.wait(lambda header: header["error"])
+        assert "\n" not in complaint["error"] and complaint["applied"] == {"1": 1}
+        renderer.request(request(scene, number=2))
+        shown.wait(lambda header: header["sharp"] and header["applied"] == {"1": 2})
+    finally:
+        renderer.close()
+
+
+def test_what_a_pose_hangs_on(document):
+    _, scene = document
+    edit = scene.edits[0]
+    assert same_pose(scene, dataclasses.replace(scene, view=dataclasses.replace(scene.view, fov=20.0)))
+    for other in (
+        bent(scene, 5.0),
+        scene.with_edit(dataclasses.replace(edit, visible=False)),
+        scene.with_edit(dataclasses.replace(edit, kind="copy")),
+        dataclasses.replace(scene, edits=()),
+        dataclasses.replace(scene, settings=dataclasses.replace(scene.settings, coordinates="green")),
+    ):
+        assert not same_pose(scene, other)
