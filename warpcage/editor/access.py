@@ -42,14 +42,18 @@ class Access:
 
     def is_welcome(self, request: web.Request) -> bool:
         """Whether a request has the token, a host name that was told, and no foreign origin."""
-        given = request.match_info.get("token", "").encode()
+        given = request.match_info.get("token", "").encode("utf-8", "surrogateescape")
         if not hmac.compare_digest(given, self.token.encode()):
             return False
-        host = urllib.parse.urlsplit(f"//{request.host}").hostname or ""
+        named = request.headers.get("Host", "")
+        try:
+            host = urllib.parse.urlsplit(f"//{named}").hostname or ""
+            origins = [urllib.parse.urlsplit(origin).netloc for origin in request.headers.getall("Origin", [])]
+        except ValueError:  # brackets that do not close
+            return False
         if host not in self._hosts and not (self._everywhere and _is_address(host)):
             return False
-        origin = request.headers.get("Origin")
-        return origin is None or urllib.parse.urlsplit(origin).netloc == request.host
+        return all(origin == named for origin in origins)
 
     @property
     def guard(self) -> Callable[..., Awaitable[web.StreamResponse]]:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import os
+import pathlib
+import unicodedata
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -15,54 +19,85 @@ MAX_VERTICES, MAX_NAME, MAX_KEYS, MAX_SECONDS = 20_000, 100, 5_000, 3_600.0
 MAX_RATE = 240.0
 #: Cells of a lattice along the longest side.
 RESOLUTIONS = (8, 512)
+#: Largest number of a place, world units, either way from zero: its squares and cubes can be held in float32 too.
+MAX_PLACE = 1e12
+#: Numbers of edits and keys end here: a message holds them in 32 bits.
+MAX_ID = 2**31
+#: Letters of an error's line.
+MAX_LINE = 500
 
 
 def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:
     """Vertices as a document holds them.
 
     Args:
-        vertices: (v, 3) numbers.
+        vertices: (v, 3) numbers: an array, or lists of Python's numbers.
         count: How many there must be. None takes any number.
 
     Returns:
         (v, 3) float64, read-only, an array of its own.
 
     Raises:
-        ValueError: For another shape or number, or values that are not finite.
+        ValueError: For another shape or number, or values that are not finite numbers within MAX_PLACE.
     """
-    array = np.array(vertices, dtype=np.float64)
+    if not isinstance(vertices, np.ndarray):
+        if not isinstance(vertices, list | tuple) or not all(map(_is_row, vertices)):
+            raise ValueError("vertices must be a list of three numbers each")
+    try:
+        array = np.array(vertices, dtype=np.float64)
+    except OverflowError:
+        raise ValueError("vertices must be finite") from None
     if array.ndim != 2 or array.shape[1:] != (3,) or (count is not None and len(array) != count):
         wanted = "(v, 3)" if count is None else f"({count}, 3)"
         raise ValueError(f"vertices must be {wanted} numbers, got shape {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError("vertices must be finite")
+    if array.size and np.abs(array).max() > MAX_PLACE:
+        raise ValueError(f"vertices must be within {MAX_PLACE:g} of zero")
     array.setflags(write=False)
     return array
 
 
 def checked_name(name: Any) -> str:
-    """A name in one line. Raises ValueError for another type, an empty one, or a long one."""
+    """A name in one line. Raises ValueError for another type, an empty one, a long one, or what cannot be printed."""
     if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME:
         raise ValueError(f"a name must be 1 to {MAX_NAME} letters")
-    return " ".join(name.split())
+    name = " ".join(name.split())
+    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
+        raise ValueError("a name must be letters that can be printed")
+    return name
 
 
 def checked_choice(value: Any, choices: Sequence[str], what: str) -> str:
     """A value that is one of some words. Raises ValueError for another one."""
     if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{what} must be one of {', '.join(choices)}, got {str(value)[:40]!r}")
+        raise ValueError(f"{what} must be one of {', '.join(choices)}, got {shown(value)}")
     return value
 
 
 def checked_whole(value: Any, low: int, high: int, what: str) -> int:
     """A whole number in a range. Raises ValueError for another one."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ValueError(f"{what} must be a whole number from {low} to {high}, got {str(value)[:40]}")
+        raise ValueError(f"{what} must be a whole number from {low} to {high}, got {shown(value)}")
+    return value
+
+
+def checked_id(value: Any, what: str) -> int:
+    """The number of an edit, a key or a job. Raises ValueError for anything else; True is no number."""
+    return checked_whole(value, 1, MAX_ID, what)
+
+
+def checked_flag(value: Any, what: str) -> bool:
+    """True or False. Raises ValueError for anything else."""
+    if type(value) is not bool:
+        raise ValueError(f"{what} must be true or false, got {shown(value)}")
     return value
 
 
 def checked_between(value: Any, low: float, high: float, what: str) -> float:
-    """A number in a range. Raises ValueError for another one."""
+    """A number in a range. Raises ValueError for another one; True is no number."""
+    if isinstance(value, bool | list | dict | str | None):
+        raise ValueError(f"{what} must be a number, got {shown(value)}")
     number = checked_number(value, what)
     if not low <= number <= high:
         raise ValueError(f"{what} must be {low:g} to {high:g}, got {number:g}")
@@ -90,9 +125,9 @@ def checked_vertices(numbers: Any, count: int) -> tuple[int, ...]:
 
 def checked_triple(values: Any, what: str) -> tuple[float, float, float]:
     """Three numbers. Raises ValueError for anything else."""
-    if isinstance(values, str | bytes) or len(values) != 3:
+    if not isinstance(values, list | tuple) or len(values) != 3:
         raise ValueError(f"{what} must be three numbers")
-    x, y, z = (checked_between(value, -1e12, 1e12, what) for value in values)
+    x, y, z = (checked_between(value, -MAX_PLACE, MAX_PLACE, what) for value in values)
     return x, y, z
 
 
@@ -101,3 +136,53 @@ def checked_items(values: Any, most: int, what: str) -> list[Any]:
     if not isinstance(values, list | tuple) or len(values) > most:
         raise ValueError(f"{what} must be a list of at most {most}")
     return list(values)
+
+
+def parsed_json(text: str) -> Any:
+    """What a text in JSON says.
+
+    Args:
+        text: The text. NaN and Infinity, which Python writes, are no JSON.
+
+    Returns:
+        Dictionaries, lists, numbers, texts, True, False and None.
+
+    Raises:
+        ValueError: For anything but JSON.
+    """
+    try:
+        return json.loads(text, parse_constant=_refuse_constant)
+    except RecursionError:
+        raise ValueError("lists within lists within lists go too deep") from None
+
+
+def error_line(error: BaseException) -> str:
+    """What an error says, in one line for a person, without folders of this machine."""
+    text = " ".join(str(error).split())
+    if isinstance(error, OSError) and error.strerror:
+        name = f": {pathlib.PurePath(os.fsdecode(error.filename)).name!r}" if error.filename else ""
+        text = f"{error.strerror}{name}"
+    elif isinstance(error, KeyError):
+        text = f"{shown(error.args[0] if error.args else '')} is missing"
+    elif isinstance(error, MemoryError):
+        text = f"not enough memory{': ' if text else ''}{text}"
+    return text[:MAX_LINE] or type(error).__name__
+
+
+def shown(value: Any) -> str:
+    """A value as messages show it, however large it is."""
+    if isinstance(value, dict | list | tuple):
+        return f"a {'dictionary' if isinstance(value, dict) else 'list'}"
+    if isinstance(value, int) and abs(value) >= 10**20:
+        return "a huge number"
+    return repr(value[:40] if isinstance(value, str) else value)[:60]
+
+
+def _is_row(row: Any) -> bool:
+    return isinstance(row, list | tuple | np.ndarray) and not any(
+        isinstance(x, bool | str | list | dict | None) for x in row
+    )
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number in JSON")

@@ -7,6 +7,7 @@ import contextlib
 import json
 import struct
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,12 @@ BYTE_RATE, BYTE_BURST = 20e6, 40e6
 #: Messages in a row that nothing can be made of, until the page is let go.
 MAX_MISTAKES = 50
 
+#: Texts that may wait for a page. One that reads none is not listened to before it does.
+MAX_WAITING = 200
+
+#: Slow commands of a page that may be under way at once.
+MAX_SLOW = 16
+
 #: Vertices of a message: kind, sequence number, edit and count, little-endian.
 VERTICES = struct.Struct("<4I")
 
@@ -40,19 +47,23 @@ class Client:
         number: As given.
         size: Width and height of its viewport in pixels, or None.
         sequence: Number of its newest pose or view.
+        mistakes: Messages in a row that nothing could be made of.
+        strayed: Whether it was told that its gesture has ended.
+        slow: Its commands that are under way.
     """
 
     def __init__(self, number: int, socket: web.WebSocketResponse):
         self.number, self.sequence = number, 0
         self.size: tuple[int, int] | None = None
-        self.mistakes = 0
-        self._socket = socket
-        self._sections: dict[str, Any] = {}
+        self.mistakes, self.strayed = 0, False
+        self.slow: set[asyncio.Task] = set()
+        self._socket, self._closed = socket, False
+        self._sections: dict[str, str] = {}
         self._texts: list[str] = []
         self._vertices: dict[tuple[int, int], bytes] = {}
         self._frame: tuple[int, bytes] | None = None
         self._sent_frames: dict[int, float] = {}
-        self._news = asyncio.Event()
+        self._news, self._written = asyncio.Event(), asyncio.Event()
         self._allowed = {"messages": MESSAGE_BURST, "bytes": BYTE_BURST}
         self._counted = time.monotonic()
 
@@ -60,18 +71,23 @@ class Client:
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message."""
-        self._texts.append(json.dumps(message))
+        self._texts.append(json.dumps(message, allow_nan=False))
         self._news.set()
 
-    def tell_sections(self, sections: dict[str, Any]) -> None:
-        """Send sections. Where some wait already, the newer ones take their place."""
+    def notice(self, level: str, text: str) -> None:
+        """Send a line that the page shows."""
+        self.tell({"type": "notice", "level": level, "text": text})
+
+    def tell_sections(self, sections: Mapping[str, str]) -> None:
+        """Send sections, written as JSON. Where some wait already, the newer ones take their place."""
         self._sections.update(sections)
+        if "edits" in sections:
+            self._vertices.clear()  # they are older than the edits, and would be sent after them
         self._news.set()
 
-    def tell_vertices(self, kind: int, edit: int, vertices: np.ndarray) -> None:
+    def tell_vertices(self, kind: int, edit: int, message: bytes) -> None:
         """Send where an edit's vertices are. Where some wait already, the newer ones take their place."""
-        head = VERTICES.pack(kind, 0, edit, len(vertices))
-        self._vertices[kind, edit] = head + np.ascontiguousarray(vertices, "<f8").tobytes()
+        self._vertices[kind, edit] = message
         self._news.set()
 
     def show(self, number: int, message: bytes) -> None:
@@ -90,23 +106,30 @@ class Client:
 
     async def write(self) -> None:
         """Send what waits, until the connection ends."""
-        with contextlib.suppress(ConnectionError, RuntimeError):
+        try:
             while not self._socket.closed:
                 with contextlib.suppress(asyncio.TimeoutError):
                     await asyncio.wait_for(self._news.wait(), PATIENCE)
                 self._news.clear()
                 await self._write_all()
+        except (ConnectionError, RuntimeError):  # it has ended in between
+            pass
+        finally:
+            self._texts, self._closed = [], True
+            self._written.set()
 
     async def _write_all(self) -> None:
         texts, self._texts = self._texts, []
         sections, self._sections = self._sections, {}
         vertices, self._vertices = self._vertices, {}
         if sections:
-            await self._socket.send_str(json.dumps({"type": "state", "sections": sections}))
+            parts = ", ".join(f'"{name}": {content}' for name, content in sections.items())
+            await self._socket.send_str(f'{{"type": "state", "sections": {{{parts}}}}}')
         for text in texts:
             await self._socket.send_str(text)
         for message in vertices.values():
             await self._socket.send_bytes(message)
+        self._written.set()
         now = time.monotonic()
         self._sent_frames = {frame: when for frame, when in self._sent_frames.items() if now - when < PATIENCE}
         if self._frame is not None and len(self._sent_frames) < FRAMES_UNDER_WAY:
@@ -117,7 +140,10 @@ class Client:
     # -- From the page
 
     async def keep_pace(self, size: int) -> None:
-        """Count a message of so many bytes; wait where a page sends more than a hand can. TCP then holds it back."""
+        """Count a message of so many bytes; wait where a page sends more than a hand can, or reads too little.
+
+        TCP then holds it back.
+        """
         now = time.monotonic()
         passed, self._counted = now - self._counted, now
         for name, rate, burst, used in (
@@ -127,13 +153,21 @@ class Client:
             self._allowed[name] = min(burst, self._allowed[name] + rate * passed) - used
             if self._allowed[name] < 0.0:
                 await asyncio.sleep(-self._allowed[name] / rate)
+        while len(self._texts) > MAX_WAITING and not self._closed:
+            self._written.clear()
+            await self._written.wait()
 
     async def mistake(self, text: str) -> None:
         """Say what is wrong with a message; after too many in a row let the page go."""
         self.mistakes += 1
-        self.tell({"type": "notice", "level": "error", "text": text})
+        self.notice("error", text)
         if self.mistakes >= MAX_MISTAKES:
             await self._socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too many messages make no sense")
+
+
+def packed_vertices(kind: int, edit: int, vertices: np.ndarray) -> bytes:
+    """A message that says where the vertices (count, 3) of an edit are: kind 2 posed, 3 at rest."""
+    return VERTICES.pack(kind, 0, edit, len(vertices)) + np.ascontiguousarray(vertices, "<f8").tobytes()
 
 
 def unpacked_vertices(message: bytes) -> tuple[int, int, int, np.ndarray]:

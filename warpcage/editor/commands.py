@@ -24,6 +24,8 @@ from .checked import (
     MAX_VERTICES,
     checked_between,
     checked_choice,
+    checked_flag,
+    checked_items,
     checked_name,
     checked_vertices,
     frozen_vertices,
@@ -58,6 +60,8 @@ def select(document: Document, message: Message) -> Step:
 def change_settings(document: Document, message: Message) -> Step:
     """Change how the scene is deformed and shown."""
     changes = {name: value for name, value in message.items() if name not in ("do", "n")}
+    if not changes:
+        raise ValueError("nothing to change: give a setting and its value")
     settings = checked_settings(document.settings, changes)
     return f"change {', '.join(changes)}", dataclasses.replace(document, settings=settings)
 
@@ -105,7 +109,10 @@ def preset_pose(edit: Edit, chosen: Sequence[int] | None, message: Message) -> n
     amount = checked_between(message["amount"], -1440.0, 1440.0, "amount")
     if amount == PRESETS[name]:
         return edit.posed
-    options: dict[str, Any] = {"axis": message.get("axis", "z"), "limits": tuple(message.get("limits", (0.0, 1.0)))}
+    limits = [
+        checked_between(x, -1e3, 1e3, "limits") for x in checked_items(message.get("limits", (0, 1)), 2, "limits")
+    ]
+    options: dict[str, Any] = {"axis": message.get("axis", "z"), "limits": limits}
     if name == "bend":
         options["towards"] = message.get("towards", "z" if options["axis"] == "x" else "x")
     vertices = edit.posed.copy()
@@ -178,9 +185,9 @@ def change_edit(document: Document, message: Message) -> Step:
     if "kind" in message:
         changes["kind"] = checked_choice(message["kind"], KINDS, "kind")
     if "visible" in message:
-        if type(message["visible"]) is not bool:
-            raise ValueError("visible must be true or false")
-        changes["visible"] = message["visible"]
+        changes["visible"] = checked_flag(message["visible"], "visible")
+    if not changes:
+        raise ValueError("nothing to change: give a name, a kind or visible")
     label = f"{', '.join(changes)} of {edit.name}"
     return label, document.with_edit(dataclasses.replace(edit, **changes))
 
@@ -188,7 +195,7 @@ def change_edit(document: Document, message: Message) -> Step:
 def order_edits(document: Document, message: Message) -> Step:
     """Put the edits in another order."""
     numbers = message["ids"]
-    if not isinstance(numbers, list) or sorted(map(str, numbers)) != sorted(str(edit.id) for edit in document.edits):
+    if not isinstance(numbers, list) or sorted(map(repr, numbers)) != sorted(repr(edit.id) for edit in document.edits):
         raise ValueError("ids must name every edit once")
     return "order edits", dataclasses.replace(document, edits=tuple(document.edit(number) for number in numbers))
 
@@ -270,11 +277,11 @@ def moved_keys(document: Document, before: Edit) -> Document:
 def add_key(document: Document, message: Message) -> Step:
     """Keep the pose, the camera or both at a time. A key that is there is filled up."""
     time = checked_between(message["time"], 0.0, MAX_SECONDS, "time")
-    if len(document.timeline.keys) >= MAX_KEYS:
-        raise ValueError(f"a film takes at most {MAX_KEYS} keys: delete some first")
     near = 0.5 / document.timeline.fps
     key = next((key for key in document.timeline.keys if abs(key.time - time) < near), None)
     if key is None:
+        if len(document.timeline.keys) >= MAX_KEYS:
+            raise ValueError(f"a film takes at most {MAX_KEYS} keys: delete some first")
         name = checked_name(message.get("name") or free_name(document))
         key = Key(document.next_id, time, name)
         document = dataclasses.replace(document, next_id=document.next_id + 1)
@@ -294,7 +301,9 @@ def change_key(document: Document, message: Message) -> Step:
         changes["easing"] = checked_choice(message["easing"], EASINGS, "easing")
     if "name" in message:
         changes["name"] = checked_name(message["name"])
-    key = _filled(document, dataclasses.replace(key, **changes), message)
+    key = _filled(document, dataclasses.replace(key, **changes) if changes else key, message)
+    if key is document.key(message["id"]):
+        raise ValueError("nothing to change: give time, easing, name, pose or camera")
     document = document.with_key(key)
     return f"change key {key.name}", document.with_timeline(length=max(document.timeline.length, key.time))
 
@@ -316,6 +325,8 @@ def change_timeline(document: Document, message: Message) -> Step:
         changes["fps"] = checked_between(message["fps"], 0.01, MAX_RATE, "fps")
     if "loop" in message:
         changes["loop"] = checked_choice(message["loop"], LOOPS, "loop")
+    if not changes:
+        raise ValueError("nothing to change: give length, fps or loop")
     return f"film {', '.join(changes)}", document.with_timeline(**changes)
 
 
@@ -361,7 +372,7 @@ def run_command(document: Document, message: Message) -> Step:
         return COMMANDS[message["do"]](document, message)
     except KeyError as error:
         raise ValueError(f"{message['do']}: {error.args[0]!r} is missing") from None
-    except (TypeError, AttributeError, OverflowError) as error:
+    except (TypeError, AttributeError, OverflowError, IndexError) as error:
         raise ValueError(f"{message['do']}: a value has the wrong type: {error}") from None
 
 
@@ -391,8 +402,8 @@ def _with_key_poses(document: Document, number: int, change: Callable[[np.ndarra
 
 def _filled(document: Document, key: Key, message: Message) -> Key:
     """The key with the present pose and camera where the message asks for them."""
-    if message.get("pose") is True:
+    if checked_flag(message.get("pose", False), "pose"):
         key = dataclasses.replace(key, poses={edit.id: edit.posed for edit in document.edits} or None)
-    if message.get("camera") is True:
+    if checked_flag(message.get("camera", False), "camera"):
         key = dataclasses.replace(key, view=document.view)
     return key

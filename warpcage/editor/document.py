@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from ..mesh.closed_mesh import ClosedMesh
 from ..view.backgrounds import parse_background
 from ..view.frame import MAX_SUPERSAMPLING
 from .checked import (
+    MAX_ID,
     MAX_KEYS,
     MAX_RATE,
     MAX_SECONDS,
@@ -22,6 +23,8 @@ from .checked import (
     RESOLUTIONS,
     checked_between,
     checked_choice,
+    checked_flag,
+    checked_id,
     checked_items,
     checked_name,
     checked_triple,
@@ -193,6 +196,7 @@ class Document:
 
     def edit(self, number: int) -> Edit:
         """An edit by its number. Raises ValueError where there is none."""
+        checked_id(number, "the number of an edit")
         for edit in self.edits:
             if edit.id == number:
                 return edit
@@ -200,6 +204,7 @@ class Document:
 
     def key(self, number: int) -> Key:
         """A key by its number. Raises ValueError where there is none."""
+        checked_id(number, "the number of a key")
         for key in self.timeline.keys:
             if key.id == number:
                 return key
@@ -252,7 +257,7 @@ class Document:
             return _document(content)
         except KeyError as error:
             raise ValueError(f"the session lacks {error.args[0]!r}") from None
-        except (TypeError, AttributeError, OverflowError) as error:
+        except (TypeError, AttributeError, OverflowError, IndexError) as error:
             raise ValueError(f"the session is damaged: {error}") from None
 
 
@@ -364,7 +369,7 @@ def _background(value: Any) -> str | tuple[float, float, float] | None:
             return r / 255, g / 255, b / 255
         parse_background(value)  # raises ValueError where there is no such name
         return value
-    if not isinstance(value, Sequence) or len(value) != 3:
+    if not isinstance(value, list | tuple) or len(value) != 3:
         raise ValueError("background must be a name, #rrggbb, or three numbers in [0, 1]")
     r, g, b = (checked_between(part, 0.0, 1.0, "background") for part in value)
     return r, g, b
@@ -399,7 +404,7 @@ def _document(content: Mapping[str, Any]) -> Document:
             checked_choice(film["loop"], LOOPS, "loop"),
         ),
         checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
-        max([checked_whole(content["next_id"], 1, 2**31, "next_id"), *(number + 1 for number in numbers)]),
+        max([checked_whole(content["next_id"], 1, MAX_ID, "next_id"), *(number + 1 for number in numbers)]),
     )
 
 
@@ -417,7 +422,7 @@ def checked_selection(content: Mapping[str, Any], sizes: Mapping[int, int]) -> S
         ValueError: For an edit or vertices that are not there.
     """
     number = content["edit"]
-    if number is not None and number not in sizes:
+    if number is not None and checked_id(number, "the number of an edit") not in sizes:
         raise ValueError(f"there is no edit {number!r}: it may have been deleted")
     size = 0 if number is None else sizes[number]
     return Selection(
@@ -428,11 +433,9 @@ def checked_selection(content: Mapping[str, Any], sizes: Mapping[int, int]) -> S
 def _edit(content: Mapping[str, Any]) -> Edit:
     vertices = checked_items(content["rest"], MAX_VERTICES, "rest")
     cage = Cage(frozen_vertices(vertices), np.asarray(checked_items(content["faces"], 4 * MAX_VERTICES, "faces")))
-    number = checked_whole(content["id"], 1, 2**31, "id")
-    if type(content["visible"]) is not bool:
-        raise ValueError("visible must be true or false")
+    number = checked_whole(content["id"], 1, MAX_ID // 2, "id")
     edit = new_edit(number, cage, content["name"], content["kind"], content["posed"])
-    return dataclasses.replace(edit, visible=content["visible"])
+    return dataclasses.replace(edit, visible=checked_flag(content["visible"], "visible"))
 
 
 def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
@@ -440,7 +443,7 @@ def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
     if poses is not None:
         poses = {int(number): frozen_vertices(array, sizes.get(int(number))) for number, array in poses.items()}
     return Key(
-        checked_whole(content["id"], 1, 2**31, "id"),
+        checked_whole(content["id"], 1, MAX_ID // 2, "id"),
         checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
         checked_name(content["name"]),
         checked_choice(content["easing"], EASINGS, "easing"),

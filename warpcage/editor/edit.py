@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import html
+import os
 import pathlib
 import threading
+import warnings
 from collections.abc import Sequence
 
 from ..cage.cage import Cage
-from ..core.checks import require_type
+from ..core.checks import checked_whole, require_type
 from ..core.files import PathLike
 from ..field.voxel_field import VoxelField
 from .document import Document
 from .session import Session, new_document
-from .session_file import read_session, session_path
+from .session_file import file_stamp, read_session, session_path
 
 #: Cells of a new session's lattices along the longest side of a cage, on a CPU and on CUDA.
 RESOLUTION_CPU, RESOLUTION_CUDA = 64, 128
@@ -48,11 +51,7 @@ class Editor:
         port: int = 0,
         allowed_hosts: Sequence[str] = (),
     ):
-        try:
-            import aiohttp  # noqa: F401
-            import simplejpeg  # noqa: F401
-        except ImportError as error:
-            raise ImportError(f"the editor needs {error.name}: pip install 'warpcage[edit]'") from None
+        require_libraries()
         from .server import Server
 
         self._session = session
@@ -64,14 +63,19 @@ class Editor:
         try:
             self.url = asyncio.run_coroutine_threadsafe(self._server.start(), self._loop).result()
         except BaseException:
-            self._loop.call_soon_threadsafe(self._loop.stop)
-            self._thread.join()
+            self._end_loop()
             raise
+        atexit.register(session.save_changes)  # for a program that ends without `close`
 
     @property
     def document(self) -> Document:
         """What is edited, as it is now. It never changes; look again for what comes later."""
         return self._session.document
+
+    @property
+    def session_path(self) -> pathlib.Path | None:
+        """The file that the session is kept in. It is another one where a program wrote the first one meanwhile."""
+        return self._session.path
 
     @property
     def posed(self) -> list[Cage]:
@@ -88,7 +92,16 @@ class Editor:
         if self._closed.is_set():
             return
         self._closed.set()
-        asyncio.run_coroutine_threadsafe(self._server.stop(), self._loop).result()
+        try:
+            asyncio.run_coroutine_threadsafe(self._server.stop(), self._loop).result()
+        finally:
+            self._end_loop()
+            atexit.unregister(self._session.save_changes)
+            self._session.save_changes()
+        if self._session.save_error is not None:
+            warnings.warn(f"the session could not be saved: {self._session.save_error}", stacklevel=2)
+
+    def _end_loop(self) -> None:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
@@ -110,12 +123,22 @@ class Editor:
         return f'<iframe src="{address}" width="100%" height="720" style="border:0" allow="fullscreen"></iframe>'
 
 
+def require_libraries() -> None:
+    """Raise ImportError where what `pip install warpcage[edit]` brings is not there."""
+    try:
+        import aiohttp  # noqa: F401
+        import simplejpeg  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"the editor needs {error.name}: pip install 'warpcage[edit]'") from None
+
+
 def edit(
     field: VoxelField | PathLike,
     cage: Cage | Sequence[Cage] | None = None,
     *,
     session: PathLike | None = None,
     field_path: PathLike | None = None,
+    scene_scale: float = 1.0,
     host: str = "127.0.0.1",
     port: int = 0,
     allowed_hosts: Sequence[str] = (),
@@ -128,6 +151,7 @@ def edit(
             without a cage.
         session: The session's file. None is the one beside the field's file; a field from memory is not kept.
         field_path: The file of a field that was loaded already, for the command line that the page offers.
+        scene_scale: The factor that the field's file is loaded with, or was; see `VoxelField.load`.
         host: Address to listen on. The default is reached from this machine only.
         port: Port to listen on; 0 takes a free one.
         allowed_hosts: Further host names under which the page may be opened, such as that of a proxy.
@@ -141,17 +165,29 @@ def edit(
             cage that cannot be used.
         OSError: If the port is taken.
         ImportError: If what `pip install warpcage[edit]` brings is not there.
+
+    Example:
+        >>> with warpcage.edit("lego.npz", warpcage.Cage.load("cage.obj")) as editor:  # doctest: +SKIP
+        ...     print(editor.url)
+        ...     input("Open the address, pose the cage, then press Enter. ")
+        ...     posed = editor.posed[0]
     """
-    path = pathlib.Path(field) if not isinstance(field, VoxelField) else None
-    loaded = field if isinstance(field, VoxelField) else VoxelField.load(field)
-    require_type(loaded, VoxelField, "the editor needs")
+    require_libraries()
+    checked_whole(port, "the port", 0, 65535)
+    if not isinstance(host, str) or isinstance(allowed_hosts, str):
+        raise ValueError("host must be an address, and allowed_hosts a list of names")
+    if not isinstance(field, VoxelField | str | os.PathLike):
+        raise ValueError(f"the editor needs a VoxelField or its file, got {type(field).__name__}")
+    path = None if isinstance(field, VoxelField) else pathlib.Path(field)
+    loaded = field if isinstance(field, VoxelField) else VoxelField.load(field, scene_scale=scene_scale)
     cages = [] if cage is None else [cage] if isinstance(cage, Cage) else list(cage)
     kept = session_path(path) if session is None and path is not None else session
     kept = None if kept is None else pathlib.Path(kept)
     for number, one in enumerate(cages, start=1):
         require_type(one, Cage, f"cage {number} of the editor must be")
         one.require_usable(f"cage {number}")
-    if kept is not None and kept.exists():
+    stamp = None if kept is None else file_stamp(kept)
+    if kept is not None and stamp is not None:
         if cages:
             raise ValueError(
                 f"{kept} holds a session of this field already: leave the cage out to go on with it, or name another "
@@ -162,5 +198,5 @@ def edit(
         resolution = RESOLUTION_CPU if loaded.device.is_cpu else RESOLUTION_CUDA
         document = new_document(loaded, cages, resolution)
     folder = kept.parent if kept is not None else pathlib.Path.cwd()
-    held = Session(loaded, document, kept, field_path if path is None else path)
+    held = Session(loaded, document, kept, field_path if path is None else path, stamp, scene_scale)
     return Editor(held, folder.resolve(), host, port, allowed_hosts)

@@ -9,26 +9,35 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import pathlib
-import urllib.parse
+from collections.abc import Coroutine
 from typing import Any
 
-from aiohttp import BodyPartReader, WSMsgType, web
+import numpy as np
+from aiohttp import WSMsgType, web
 
-from . import timeline
 from .access import Access
-from .checked import MAX_SECONDS, checked_between, checked_name, checked_vertices, checked_whole
-from .clients import Client, unpacked_vertices
+from .checked import (
+    MAX_SECONDS,
+    checked_between,
+    checked_flag,
+    checked_name,
+    checked_vertices,
+    checked_whole,
+    error_line,
+    parsed_json,
+)
+from .checker import Checker
+from .clients import MAX_SLOW, Client, packed_vertices, unpacked_vertices
 from .commands import COMMANDS
-from .document import checked_view
-from .inspection import inspect
+from .document import Edit, checked_view
+from .files import Files
 from .jobs import Jobs
+from .player import Player
 from .renderer import Renderer, Request
 from .session import PARTS, Session
 from .tasks import Tasks
-
-PAGE = pathlib.Path(__file__).with_name("page")
-KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 
 #: Bytes of a message and of a file that a page may send, and pages that may be connected.
 MAX_MESSAGE, MAX_UPLOAD, MAX_PAGES = 4 << 20, 64 << 20, 32
@@ -36,11 +45,16 @@ MAX_MESSAGE, MAX_UPLOAD, MAX_PAGES = 4 << 20, 64 << 20, 32
 #: Pixels of a picture's side.
 MAX_SIDE = 4096
 
-#: Seconds between looks at whether the session is saved, and from a change to the check of the cage.
-SAVE_SECONDS, CHECK_SECONDS = 1.0, 0.3
+#: Seconds between looks at whether the session is saved.
+SAVE_SECONDS = 1.0
 
-#: The shortest time between two pictures of a film that plays, seconds.
-PLAY_SECONDS = 1.0 / 60.0
+#: What messages may cause, with values that are missing, wrong or huge, and files that are not as they should be.
+EXPECTED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, OSError, MemoryError)
+
+#: What a page is told that moves on although its step has ended.
+STRAYED = "Another page, or another command, changed the scene meanwhile: this move has ended."
+
+_log = logging.getLogger(__name__)
 
 
 class Server:
@@ -71,44 +85,40 @@ class Server:
         self.access = Access(host, allowed_hosts)
         self.token = self.access.token
         self.clients: dict[int, Client] = {}
-        self._number = 0
+        self._number = self._connected = 0
         self._sizer: Client | None = None
         self._mover: Client | None = None
+        self._lookers: set[Client] = set()  # pages that turn the view
         self._changed: set[str] = set()
         self._flush: asyncio.Handle | None = None
-        self._view_moves = False
-        self._playing: asyncio.Task | None = None
-        self._checking: asyncio.TimerHandle | None = None
-        self._check: dict[str, Any] | None = None
+        self._told: dict[tuple[int, int], np.ndarray] = {}  # vertices that pages know, by kind and edit
         self._frame: tuple[int, bytes] | None = None
-        self._shown = asyncio.Event()
-        self._background: list[asyncio.Task] = []
+        self._uploads = asyncio.Semaphore(2)
 
     async def start(self) -> str:
         """Begin to serve. Returns the address of the page; raises OSError where the port is taken."""
         self._loop = asyncio.get_running_loop()
         self.jobs = Jobs(self._on_job)
         self.tasks = Tasks(self.session, self.jobs, self.folder, self._loop)
-        self.session.listeners.append(self._on_change)
+        self.player = Player(self.session, lambda: self._on_change({"playback"}))
+        self.checker = Checker(self.session, lambda: self._moving, lambda: self._on_change({"check"}))
         app = web.Application(middlewares=[self.access.guard], client_max_size=MAX_UPLOAD)
-        app.router.add_get("/{token}", self._to_page)
-        app.router.add_get("/{token}/", self._page_file)
         app.router.add_get("/{token}/socket", self._socket)
-        app.router.add_get("/{token}/download/{name}", self._download)
-        app.router.add_post("/{token}/upload", self._upload)
-        app.router.add_get("/{token}/{name}", self._page_file)
+        Files(self.tasks, MAX_UPLOAD).add_to(app)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
         await self._runner.setup()
         site = web.TCPSite(self._runner, self.host, self.port)
         try:
             await site.start()
-        except OSError:
+        except BaseException:
             await self._runner.cleanup()
             raise
         assert self._runner.addresses
         self.port = self._runner.addresses[0][1]
         self.renderer = Renderer(self.session.field, self._deliver)
-        self._background.append(asyncio.create_task(self._save_often()))
+        self.session.listeners.append(self._on_change)
+        self._saver = asyncio.create_task(self._save_often())
+        self.checker.plan()
         return self.address
 
     @property
@@ -120,129 +130,124 @@ class Server:
 
     async def stop(self) -> None:
         """End all that goes on; the session is saved."""
-        self._stop_playing()
-        for task in self._background:
-            task.cancel()
-        await asyncio.gather(*self._background, return_exceptions=True)
-        if self._checking is not None:
-            self._checking.cancel()
+        self.player.stop()
+        self.tasks.close()
         self.session.end_gesture()
         self.session.listeners.remove(self._on_change)
-        for client in list(self.clients.values()):
-            await client.end()
+        self._saver.cancel()
+        slow = [task for client in self.clients.values() for task in client.slow]
+        for task in slow:
+            task.cancel()
+        pages = [client.end() for client in self.clients.values()]
+        await asyncio.gather(self._saver, self.checker.stop(), *slow, *pages, return_exceptions=True)
         await self._runner.cleanup()
         await self._loop.run_in_executor(None, self._stop_threads)
 
     def _stop_threads(self) -> None:
         self.renderer.close()
         self.jobs.close()
-        if self.session.unsaved:
-            self.session.save(self.session.document)
+        self.session.save_changes()
 
     def _on_job(self) -> None:
         """A job changed; called from its thread."""
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._on_change, {"jobs"})
 
-    # -- Files
-
-    async def _to_page(self, request: web.Request) -> web.StreamResponse:
-        raise web.HTTPFound(f"/{self.token}/")
-
-    async def _page_file(self, request: web.Request) -> web.StreamResponse:
-        name = request.match_info.get("name", "index.html")
-        path = {file.name: file for file in PAGE.iterdir() if file.suffix in KINDS}.get(name)
-        if path is None:
-            raise web.HTTPNotFound
-        return web.Response(body=path.read_bytes(), content_type=KINDS[path.suffix], charset="utf-8")
-
-    async def _download(self, request: web.Request) -> web.StreamResponse:
-        path = self.tasks.downloads.get(request.match_info["name"])
-        if path is None or not path.is_file():
-            raise web.HTTPNotFound(text="There is no such file; it may have been moved.")
-        name = urllib.parse.quote(path.name)
-        return web.FileResponse(path, headers={"Content-Disposition": f"attachment; filename*=UTF-8''{name}"})
-
-    async def _upload(self, request: web.Request) -> web.StreamResponse:
-        part = await (await request.multipart()).next()
-        if not isinstance(part, BodyPartReader):
-            raise web.HTTPBadRequest(text="an upload needs one file")
-        content = bytearray()
-        while chunk := await part.read_chunk(1 << 16):
-            content += chunk
-            if len(content) > MAX_UPLOAD:
-                raise web.HTTPRequestEntityTooLarge(MAX_UPLOAD, len(content))
-        try:
-            name = await self._loop.run_in_executor(
-                None, self.tasks.keep_upload, str(part.filename or ""), bytes(content)
-            )
-        except (ValueError, OSError) as error:
-            raise web.HTTPBadRequest(text=str(error)) from None
-        return web.json_response({"file": name})
-
     # -- Pages
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
-        if len(self.clients) >= MAX_PAGES:
+        if self._connected >= MAX_PAGES:
             raise web.HTTPServiceUnavailable(text=f"{MAX_PAGES} pages are connected already: close one.")
-        socket = web.WebSocketResponse(max_msg_size=MAX_MESSAGE, heartbeat=20.0, compress=False)
-        await socket.prepare(request)
-        self._number += 1
-        client = Client(self._number, socket)
+        self._connected += 1
+        try:
+            socket = web.WebSocketResponse(timeout=2.0, max_msg_size=MAX_MESSAGE, heartbeat=20.0, compress=False)
+            await socket.prepare(request)
+            self._number += 1
+            await self._serve(Client(self._number, socket), socket)
+        finally:
+            self._connected -= 1
+        return socket
+
+    async def _serve(self, client: Client, socket: web.WebSocketResponse) -> None:
+        """Talk with a page until it goes."""
         names = ("session", *PARTS, "playback", "history", "check", "jobs")
-        sections = {name: self._section(name) for name in names}
-        hello = {"type": "hello", "client": client.number, "session": sections["session"], "sections": sections}
         self.clients[client.number] = client
-        await socket.send_str(json.dumps(hello))
+        sections = {name: self._section(name) for name in names}
+        client.tell({"type": "hello", "client": client.number, "session": sections["session"], "sections": sections})
         if self._frame is not None:
             client.show(*self._frame)
         self._on_change({"session"})
         writer = asyncio.create_task(client.write())
         try:
             async for message in socket:
-                await client.keep_pace(len(message.data) if message.type in (WSMsgType.TEXT, WSMsgType.BINARY) else 0)
-                await self._hear(client, message.type, message.data)
+                if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
+                    await client.keep_pace(len(message.data))
+                    await self._hear(client, message.data)
         finally:
-            del self.clients[client.number]
+            self._forget(client)
             writer.cancel()
-            self.session.end_gesture(client)  # what the hand had moved when the page went is kept
-            self._view_moves = False
-            self._on_change({"session", "edits"})
-        return socket
+            await asyncio.gather(writer, return_exceptions=True)
 
-    async def _hear(self, client: Client, kind: WSMsgType, data: Any) -> None:
+    def _forget(self, client: Client) -> None:
+        """A page has gone. What its hand had moved stays."""
+        del self.clients[client.number]
+        self.session.end_gesture(client)
+        self._lookers.discard(client)
+        if self._sizer is client:
+            self._sizer = next((one for one in self.clients.values() if one.size is not None), None)
+        if not self.clients:
+            self.player.stop()
+        self._on_change({"session", "view"})
+
+    async def _hear(self, client: Client, data: str | bytes) -> None:
         """Take one message of a page."""
-        if kind == WSMsgType.BINARY:
+        if isinstance(data, bytes):
             try:
                 self._move(client, data)
                 client.mistakes = 0
             except ValueError as error:
-                await client.mistake(str(error))
-            return
-        if kind != WSMsgType.TEXT:
+                await client.mistake(error_line(error))
             return
         try:
-            message = json.loads(data)
+            message = parsed_json(data)
             if not isinstance(message, dict) or not isinstance(message.get("do"), str):
                 raise ValueError('a message must be a dictionary with a word "do"')
-        except (ValueError, RecursionError) as error:
-            await client.mistake(f"a message makes no sense: {str(error)[:200]}")
-            return
-        number = message.get("n")
-        number = number if isinstance(number, int) else None
-        try:
-            result = await self._obey(client, message)
-            client.mistakes = 0
+            number = message.get("n")
             if number is not None:
-                client.tell({"type": "reply", "n": number, "result": result})
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, OSError, MemoryError) as error:
-            text = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
-            text = text[:500] or type(error).__name__
-            client.mistakes += 1
-            if number is None:
-                await client.mistake(text)
-            else:
-                client.tell({"type": "reply", "n": number, "error": text})
+                checked_whole(number, 0, 2**53, "n")
+        except ValueError as error:
+            await client.mistake(f"a message makes no sense: {error_line(error)}")
+            return
+        try:
+            result = self._obey(client, message)
+            if asyncio.iscoroutine(result):
+                self._go_on(client, number, result)
+                return
+            answer = {"result": result}
+            client.mistakes = 0
+        except Exception as error:
+            answer = {"error": told(error)}
+        if number is not None:
+            client.tell({"type": "reply", "n": number, **answer})
+        elif "error" in answer:
+            await client.mistake(answer["error"])
+
+    def _go_on(self, client: Client, number: int | None, work: Coroutine[Any, Any, Any]) -> None:
+        """Carry out what takes a while, and hear the page meanwhile."""
+
+        async def answer() -> None:
+            try:
+                said = {"type": "reply", "n": number, "result": await work}
+            except Exception as error:
+                said = {"type": "reply", "n": number, "error": told(error)}
+            if number is not None:
+                client.tell(said)
+            elif "error" in said:
+                client.notice("error", said["error"])
+
+        task = asyncio.create_task(answer())
+        client.slow.add(task)
+        task.add_done_callback(client.slow.discard)
 
     def _move(self, client: Client, data: bytes) -> None:
         """Vertices that a hand moves."""
@@ -250,13 +255,21 @@ class Server:
         self._touched(client)
         self._mover = client
         try:
-            self.session.move(client, edit, vertices, rest=kind == 3)
+            moved = self.session.move(client, edit, vertices, rest=kind == 3)
             client.sequence = sequence
         finally:
             self._mover = None
+        if not moved:
+            self._stray(client)
 
-    async def _obey(self, client: Client, message: dict[str, Any]) -> Any:
-        """Carry out a page's command and return what its reply says."""
+    def _stray(self, client: Client) -> None:
+        """A page goes on with a gesture that has ended, as another page changed something: say so once."""
+        if not client.strayed:
+            client.strayed = True
+            client.notice("warning", STRAYED)
+
+    def _obey(self, client: Client, message: dict[str, Any]) -> Any:
+        """Carry out a page's command and return what its reply says, or a coroutine that does."""
         do, session = message["do"], self.session
         if do == "size":
             client.size = (
@@ -270,29 +283,27 @@ class Server:
             client.saw(checked_whole(message["frame"], 0, 2**53, "frame"))
             return None
         if do in self.tasks.commands:
-            return await self.tasks.obey(message)
+            if len(client.slow) >= MAX_SLOW:
+                raise ValueError(f"{MAX_SLOW} commands of this page are under way already: wait for them")
+            return self.tasks.obey(message)
         self._touched(client)
         if do == "view":
-            self._view_moves = message.get("moving") is True
-            if "seq" in message:
-                client.sequence = checked_whole(message["seq"], 0, 2**32, "seq")
-            session.look(checked_view(message))
+            self._look(client, message)
             return None
         if do != "play" and do not in ("settings", "select"):
-            self._stop_playing()
+            self.player.stop()
         if do in COMMANDS:
             session.run(message)
-        elif do == "drag.begin":
-            session.begin_gesture(client, message["edit"], checked_name(message.get("label", "move")))
-        elif do == "preset.begin":
-            edit = session.document.edit(message["edit"])
-            given = message.get("vertices")
-            chosen = None if given is None else checked_vertices(given, len(edit.rest))
-            session.begin_gesture(client, edit.id, "preset", chosen)
+        elif do in ("drag.begin", "preset.begin"):
+            self._begin(client, message)
         elif do == "preset.set":
-            session.move_preset(client, message)
+            if not session.move_preset(client, message):
+                self._stray(client)
         elif do in ("drag.end", "preset.end"):
-            session.end_gesture(client, cancel=message.get("cancel") is True)
+            cancel = checked_flag(message.get("cancel", False), "cancel")
+            if not session.is_moved_by(client):
+                raise ValueError(STRAYED)
+            session.end_gesture(client, cancel)
         elif do == "undo":
             return session.undo()
         elif do == "redo":
@@ -300,78 +311,78 @@ class Server:
         elif do == "time":
             session.scrub(checked_between(message["time"], 0.0, MAX_SECONDS, "time"))
         elif do == "play":
-            self._play(message["on"] is True)
+            if checked_flag(message["on"], "on"):
+                self.player.play()
+            else:
+                self.player.stop()
         else:
             raise ValueError(f"there is no command {do[:40]!r}")
         return None
+
+    def _begin(self, client: Client, message: dict[str, Any]) -> None:
+        """A hand begins to move a cage."""
+        client.strayed = False
+        edit = self.session.document.edit(message["edit"])
+        if message["do"] == "drag.begin":
+            self.session.begin_gesture(client, edit.id, checked_name(message.get("label", "move")))
+            return
+        given = message.get("vertices")
+        chosen = None if given is None else checked_vertices(given, len(edit.rest))
+        self.session.begin_gesture(client, edit.id, "preset", chosen)
+
+    def _look(self, client: Client, message: dict[str, Any]) -> None:
+        """A page looks from somewhere else."""
+        view, moving = checked_view(message), checked_flag(message.get("moving", False), "moving")
+        if "seq" in message:
+            client.sequence = checked_whole(message["seq"], 0, 2**32 - 1, "seq")
+        (self._lookers.add if moving else self._lookers.discard)(client)
+        self.session.look(view)
 
     def _touched(self, client: Client) -> None:
         """The page that was touched last says how large pictures are."""
         if client.size is not None:
             self._sizer = client
 
-    # -- Film
-
-    def _play(self, on: bool) -> None:
-        self._stop_playing()
-        if on:
-            self._playing = asyncio.create_task(self._play_film())
-        self._on_change({"playback"})
-
-    def _stop_playing(self) -> None:
-        if self._playing is not None:
-            self._playing.cancel()
-            self._playing = None
-            self._on_change({"playback"})
-
-    async def _play_film(self) -> None:
-        film = self.session.document.timeline
-        begin = 0.0 if film.loop == "once" and self.session.document.time >= film.length else self.session.document.time
-        started = self._loop.time()
-        while True:
-            elapsed = begin + self._loop.time() - started
-            film = self.session.document.timeline
-            ended = film.loop == "once" and elapsed >= film.length
-            self._shown.clear()
-            self.session.scrub(timeline.looped_time(film, elapsed))
-            if ended:
-                break
-            with contextlib.suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._shown.wait(), 1.0)
-            await asyncio.sleep(PLAY_SECONDS / 4)
-        self._playing = None
-        self._on_change({"playback"})
-
     # -- What changed
+
+    @property
+    def _moving(self) -> bool:
+        """Whether a hand moves a cage, or the film plays."""
+        return self.session.moving or self.player.playing
 
     def _on_change(self, names: set[str]) -> None:
         """Collect what changed until the loop is free again."""
         self._changed |= names
         if "vertices" in names:
             self._send_vertices()
-        if names & {"edits", "vertices", "selection"}:
-            self._plan_check()
+        if names & {"edits", "vertices", "selection", "settings"}:
+            self.checker.plan()
         if self._flush is None:
             self._flush = self._loop.call_soon(self._flush_changes)
 
     def _flush_changes(self) -> None:
         self._flush, changed, self._changed = None, self._changed, set()
-        pictured = changed & {"edits", "vertices", "settings", "view", "playback"}
-        if pictured:
+        if changed & {"edits", "vertices", "settings", "view", "playback"}:
             self._request_picture()
-        sections = {name: self._section(name) for name in changed - {"vertices"}}
+        if not self.clients:
+            return
+        sections = {name: json.dumps(self._section(name), allow_nan=False) for name in sorted(changed - {"vertices"})}
+        if "edits" in sections:
+            self._told = {key: array for edit in self.session.document.edits for key, array in _places(edit)}
         if sections:
             for client in self.clients.values():
                 client.tell_sections(sections)
 
     def _send_vertices(self) -> None:
-        """Tell pages where the vertices are, but for the page whose hand moves them."""
-        for client in self.clients.values():
-            if client is not self._mover:
-                for edit in self.session.document.edits:
-                    client.tell_vertices(2, edit.id, edit.posed)
-                    if self._mover is not None:
-                        client.tell_vertices(3, edit.id, edit.rest)
+        """Tell pages where the vertices are that have moved, but for the page whose hand moves them."""
+        for edit in self.session.document.edits:
+            for (kind, number), array in _places(edit):
+                if self._told.get((kind, number)) is not array:
+                    self._told[kind, number] = array
+                    message = packed_vertices(kind, number, array)
+                    for client in self.clients.values():
+                        if client is not self._mover:
+                            client.tell_vertices(kind, number, message)
 
     def _section(self, name: str) -> Any:
         session = self.session
@@ -390,9 +401,9 @@ class Server:
                 "pages": len(self.clients),
             }
         if name == "playback":
-            return {"time": session.document.time, "playing": self._playing is not None}
+            return {"time": session.document.time, "playing": self.player.playing}
         if name == "check":
-            return self._check
+            return self.checker.section
         if name == "jobs":
             return self.jobs.section()
         return session.section(name)
@@ -409,7 +420,7 @@ class Server:
                 self.session.document,
                 max(1, round(width * share)),
                 max(1, round(height * share)),
-                self.session.moving or self._view_moves or self._playing is not None,
+                self._moving or bool(self._lookers),
                 {client.number: client.sequence for client in self.clients.values()},
             )
         )
@@ -421,43 +432,36 @@ class Server:
 
     def _show(self, number: int, message: bytes) -> None:
         self._frame = (number, message)
-        self._shown.set()
+        self.player.picture_shown()
         for client in self.clients.values():
             client.show(number, message)
 
-    # -- Checks and the session's file
-
-    def _plan_check(self) -> None:
-        """Look at the active cage once the hand rests."""
-        if self._checking is not None:
-            self._checking.cancel()
-        self._checking = self._loop.call_later(CHECK_SECONDS, self._start_check)
-
-    def _start_check(self) -> None:
-        self._checking = None
-        self._background = [task for task in self._background if not task.done()]
-        if self.session.moving or self._playing is not None:
-            self._plan_check()
-        else:
-            self._background.append(asyncio.create_task(self._run_check()))
-
-    async def _run_check(self) -> None:
-        document = self.session.document
-        number = document.selection.edit
-        if number is None:
-            self._check = None
-        else:
-            if self._check is not None:
-                self._check = {**self._check, "pending": True}
-            found = await self._loop.run_in_executor(None, inspect, document, number, self.session.field)
-            if self.session.document.edits is not document.edits:
-                return  # another check is on its way
-            self._check = found
-        self._on_change({"check"})
+    # -- The session's file
 
     async def _save_often(self) -> None:
+        session = self.session
         while True:
             await asyncio.sleep(SAVE_SECONDS)
-            if self.session.unsaved and not self.session.moving and self._playing is None:
-                await self._loop.run_in_executor(None, self.session.save, self.session.document)
+            if session.unsaved_steps if self.player.playing else session.unsaved:
+                path = session.path
+                await self._loop.run_in_executor(None, session.save)
+                if path is not None and session.path is not None and session.path != path:
+                    text = (
+                        f"{path.name} was changed by another program: this session is now kept in {session.path.name}"
+                    )
+                    for client in self.clients.values():
+                        client.notice("warning", text)
                 self._on_change({"session"})
+
+
+def told(error: Exception) -> str:
+    """What a page is told of an error. One that no input should cause is logged too."""
+    if not isinstance(error, EXPECTED):
+        _log.exception("a page's command failed", exc_info=error)
+        return f"this went wrong in the editor: {type(error).__name__}: {error_line(error)}"
+    return error_line(error)
+
+
+def _places(edit: Edit) -> tuple[tuple[tuple[int, int], np.ndarray], ...]:
+    """Vertices of an edit by kind of message and edit."""
+    return ((2, edit.id), edit.posed), ((3, edit.id), edit.rest)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import os
+import logging
 import pathlib
+import threading
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -16,10 +17,10 @@ from ..core.files import PathLike
 from ..field.voxel_field import VoxelField
 from ..view.camera import framing_orbit
 from . import commands, timeline
-from .checked import frozen_vertices
+from .checked import error_line, frozen_vertices
 from .document import Document, Edit, Selection, Settings, Timeline, View, edit_json, new_edit
-from .history import History
-from .session_file import write_session
+from .history import History, seen_as
+from .session_file import Stamp, file_stamp, free_session_path, write_session
 
 #: Parts of the document that pages are told of.
 PARTS = ("edits", "selection", "settings", "view", "timeline")
@@ -27,9 +28,11 @@ PARTS = ("edits", "selection", "settings", "view", "timeline")
 #: Where a new session looks from, degrees, and its vertical field of view.
 ELEVATION, AZIMUTH, FOV = 25.0, -60.0, 40.0
 
+_log = logging.getLogger(__name__)
+
 
 class Session:
-    """What is edited, by one or several pages. All methods are called from one thread, the server's.
+    """What is edited, by one or several pages. All methods are called from one thread, the server's, but for `save`.
 
     A change is a step of the history (`apply`), or part of a gesture: a drag or a slider that becomes one step when it
     ends. Views, scrubbing and playing are no steps.
@@ -39,22 +42,33 @@ class Session:
         document: The document to begin with.
         path: The session's file. None keeps nothing.
         field_path: The field's file. None where it has none.
+        stamp: Of the file at `path`, where the document was read from it. Another file there is never replaced.
+        scene_scale: The factor that the field's file was loaded with.
 
     Attributes:
         field: As given.
         field_path: The field's file, or None.
+        scene_scale: As given.
         document: The newest document.
+        settled: The newest document without what a gesture under way has moved.
         history: Its history.
-        path: The session's file, or None.
+        path: The session's file, or None. It changes where another program wrote that file: nothing is saved over it.
         saved: When it was saved last, ISO 8601, or None.
         save_error: Why it could not be saved, or None.
         listeners: Each is called with the set of the sections that changed; "vertices" stands for those of a gesture.
     """
 
     def __init__(
-        self, field: VoxelField, document: Document, path: PathLike | None = None, field_path: PathLike | None = None
+        self,
+        field: VoxelField,
+        document: Document,
+        path: PathLike | None = None,
+        field_path: PathLike | None = None,
+        stamp: Stamp | None = None,
+        scene_scale: float = 1.0,
     ):
-        self.field, self.document = field, document
+        self.field, self.document, self.settled = field, document, document
+        self.scene_scale = scene_scale
         self.field_path = None if field_path is None else pathlib.Path(field_path)
         self.path = None if path is None else pathlib.Path(path)
         self.history = History()
@@ -62,19 +76,42 @@ class Session:
         self.save_error: str | None = None
         self.listeners: list[Callable[[set[str]], None]] = []
         self._gesture: Gesture | None = None
-        self._on_disk: Document | None = None
-        self._stamp = self._file_stamp()
+        self._steps = 0
+        self._saving = threading.Lock()
+        self._stamp = stamp
+        self._on_disk: tuple[Document | None, int] = (None if stamp is None else document, 0)
+        if stamp is not None:
+            self.saved = _iso(datetime.datetime.fromtimestamp(stamp[0] / 1e9))
 
     # -- Changes
 
     def run(self, message: dict[str, Any]) -> None:
         """Carry out a command of `commands`, as one step. Raises ValueError in one line."""
-        self.end_gesture()
-        self.apply(*commands.run_command(self.document, message))
+        self.change(lambda document: commands.run_command(document, message))
 
-    def apply(self, label: str, document: Document) -> None:
-        """Take a new document as one step of the history."""
+    def change(self, step: Callable[[Document], tuple[str, Document]]) -> None:
+        """Take what a function makes of the document as one step of the history; what it raises changes nothing."""
         self.end_gesture()
+        self._apply(*step(self.document))
+
+    def adopt(self, before: Document, label: str, document: Document) -> bool:
+        """Take a document that another thread has made of an older one, as one step of the history.
+
+        Args:
+            before: What it was made of: `settled` of a moment ago.
+            label: Name of the step.
+            document: The new document.
+
+        Returns:
+            False, and nothing is changed, where somebody has changed the scene since, or is about to.
+        """
+        shared = (part for part in PARTS if part != "view")
+        if self.moving or any(getattr(before, part) is not getattr(self.document, part) for part in shared):
+            return False
+        self._apply(label, seen_as(document, self.document))
+        return True
+
+    def _apply(self, label: str, document: Document) -> None:
         if _same(document, self.document):
             return
         self.history.push(label, self.document)
@@ -113,9 +150,25 @@ class Session:
         self.end_gesture()
         self._gesture = Gesture(owner, self.document, self.document.edit(number), label, chosen)
 
-    def move(self, owner: object, number: int, vertices: Any, rest: bool = False) -> None:
-        """Move the cage of the gesture: all posed vertices (v, 3), or all at rest. Raises ValueError without one."""
-        gesture = self._gesture_of(owner)
+    def move(self, owner: object, number: int, vertices: Any, rest: bool = False) -> bool:
+        """Move the cage of a gesture.
+
+        Args:
+            owner: Who moves it.
+            number: The edit.
+            vertices: (v, 3) all its posed vertices, or all at rest.
+            rest: Whether they are those at rest.
+
+        Returns:
+            False, and nothing is moved, where this owner has no gesture: another page's change has ended it.
+
+        Raises:
+            ValueError: For another edit, another number of vertices, or values that cannot be.
+        """
+        if not self.is_moved_by(owner):
+            return False
+        gesture = self._gesture
+        assert gesture is not None
         if gesture.edit.id != number:
             raise ValueError(f"edit {number} is not being moved")
         if rest:
@@ -126,14 +179,19 @@ class Session:
             places = frozen_vertices(vertices, len(edit.posed))
             document = self.document.with_edit(dataclasses.replace(edit, posed=places))
         self._take(document, {"vertices"}, without={"edits"})
+        return True
 
-    def move_preset(self, owner: object, message: dict[str, Any]) -> None:
-        """Bend, twist, taper or stretch the cage of the gesture, from how it was at the beginning."""
-        gesture = self._gesture_of(owner)
+    def move_preset(self, owner: object, message: dict[str, Any]) -> bool:
+        """Bend, twist, taper or stretch the cage of a gesture, from how it was at the beginning; see `move`."""
+        if not self.is_moved_by(owner):
+            return False
+        gesture = self._gesture
+        assert gesture is not None
         vertices = commands.preset_pose(gesture.edit, gesture.chosen, message)
         gesture.label = str(message["preset"])
         edit = dataclasses.replace(self.document.edit(gesture.edit.id), posed=vertices)
         self._take(self.document.with_edit(edit))
+        return True
 
     def end_gesture(self, owner: object = None, cancel: bool = False) -> None:
         """Make a step of the gesture that is under way, or take it back.
@@ -160,29 +218,30 @@ class Session:
         """Whether a gesture is under way."""
         return self._gesture is not None
 
+    def is_moved_by(self, owner: object) -> bool:
+        """Whether a gesture of this owner is under way."""
+        return self._gesture is not None and self._gesture.owner is owner
+
     def scrub(self, time: float) -> None:
         """Go to a time of the film: poses and camera are those of the keys around it.
 
         A pose that no key holds would be lost by this; it becomes a step of the history first.
         """
         self.end_gesture()
+        told = {"playback", "vertices"}
         here, _ = timeline.state_at(self.document, self.document.time)
         edits = {edit.id: edit for edit in self.document.edits}
         if any(number in edits and not np.array_equal(edits[number].posed, pose) for number, pose in here.items()):
             if not (self.history.undo_steps and _same(self.history.undo_steps[-1][1], self.document)):
                 self.history.push("scrub", self.document)
+                told.add("history")
         poses, view = timeline.state_at(self.document, time)
         document = dataclasses.replace(self.document, time=time, view=view or self.document.view)
         for edit in self.document.edits:
             if edit.id in poses:
                 posed = frozen_vertices(poses[edit.id], len(edit.rest))
                 document = document.with_edit(dataclasses.replace(edit, posed=posed))
-        self._take(document, {"playback", "vertices", "history"}, without={"edits"})
-
-    def _gesture_of(self, owner: object) -> Gesture:
-        if self._gesture is None or self._gesture.owner is not owner:
-            raise ValueError("nothing is being moved: the step has ended")
-        return self._gesture
+        self._take(document, told, without={"edits"})
 
     def _take(self, document: Document, more: Iterable[str] = (), without: Iterable[str] = ()) -> None:
         """Take a document as the newest one and tell listeners what changed."""
@@ -191,6 +250,9 @@ class Session:
             changed.add("playback")
         self.document = document
         changed = (changed - set(without)) | set(more)
+        if self._gesture is None:
+            self.settled = document
+        self._steps += "history" in changed
         for listener in self.listeners:
             listener(changed)
 
@@ -217,28 +279,44 @@ class Session:
 
     @property
     def unsaved(self) -> bool:
-        """Whether the session's file is behind the document."""
-        return self.path is not None and self.document is not self._on_disk
+        """Whether the session's file is behind the document, but for a gesture under way."""
+        kept, document = self._on_disk[0], self.settled
+        return self.path is not None and not (
+            kept is not None
+            and all(getattr(kept, part) is getattr(document, part) for part in ("edits", "timeline"))
+            and all(
+                getattr(kept, part) == getattr(document, part) for part in ("selection", "settings", "view", "time")
+            )
+        )
 
-    def save(self, document: Document) -> None:
-        """Write the session's file; called from another thread too. What went wrong is in `save_error`."""
-        assert self.path is not None
-        try:
-            if self._file_stamp() != self._stamp:
-                raise ValueError(f"{self.path.name} was changed by another program: not saved over it")
-            write_session(self.path, document, self.field, self.field_path.name if self.field_path else None)
-            self._stamp, self._on_disk, self.save_error = self._file_stamp(), document, None
-            self.saved = datetime.datetime.now().isoformat(timespec="seconds")
-        except (OSError, ValueError, MemoryError) as error:
-            self.save_error = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    @property
+    def unsaved_steps(self) -> bool:
+        """Whether steps are not in the session's file yet, looks and times left out: a film that plays changes both."""
+        return self.path is not None and self._on_disk[1] != self._steps
 
-    def _file_stamp(self) -> tuple[int, int] | None:
-        """What tells versions of the session's file apart, None where there is none."""
-        try:
-            status = os.stat(self.path) if self.path is not None else None
-        except OSError:
-            return None
-        return None if status is None else (status.st_mtime_ns, status.st_size)
+    def save_changes(self) -> None:
+        """Write the session's file where it is behind."""
+        if self.unsaved:
+            self.save()
+
+    def save(self) -> None:
+        """Write the session's file; any thread may call it, and several. What went wrong is in `save_error`."""
+        with self._saving:
+            if self.path is None:
+                return
+            steps, document = self._steps, self.settled
+            try:
+                stamp = file_stamp(self.path)
+                if stamp is not None and stamp != self._stamp:  # another program's: ours goes beside it
+                    self.path, self._stamp = free_session_path(self.path), None
+                write_session(self.path, document, self.field, self.field_path.name if self.field_path else None)
+            except Exception as error:
+                if not isinstance(error, OSError | ValueError | MemoryError):
+                    _log.exception("the session could not be saved")
+                self.save_error = error_line(error)
+                return
+            self._stamp, self._on_disk, self.save_error = file_stamp(self.path), (document, steps), None
+            self.saved = _iso(datetime.datetime.now())
 
 
 @dataclasses.dataclass
@@ -284,6 +362,10 @@ def new_document(field: VoxelField, cages: Iterable[Cage] = (), resolution: int 
     return Document(edits, selection, Settings(resolution=resolution), view, Timeline(), next_id=len(edits) + 1)
 
 
+def _iso(moment: datetime.datetime) -> str:
+    return moment.isoformat(timespec="seconds")
+
+
 def _triple(vector: np.ndarray) -> tuple[float, float, float]:
     x, y, z = map(float, vector)
     return x, y, z
@@ -295,7 +377,15 @@ def _same(one: Document, two: Document) -> bool:
         all(getattr(one, part) == getattr(two, part) for part in ("selection", "settings"))
         and len(one.edits) == len(two.edits)
         and all(map(_same_edit, one.edits, two.edits))
-        and one.timeline is two.timeline
+        and _same_film(one.timeline, two.timeline)
+    )
+
+
+def _same_film(one: Timeline, two: Timeline) -> bool:
+    return (
+        (one.length, one.fps, one.loop) == (two.length, two.fps, two.loop)
+        and len(one.keys) == len(two.keys)
+        and all(a is b for a, b in zip(one.keys, two.keys, strict=True))
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pathlib
 from typing import Any
 
@@ -16,11 +17,32 @@ FORMAT, VERSION = "warpcage session", 1
 #: How the name of a field's session ends: `lego.npz` has `lego.session.json`.
 ENDING = ".session.json"
 
+#: What tells versions of a file apart: its time in nanoseconds, its bytes and its number.
+Stamp = tuple[int, int, int]
+
 
 def session_path(field: PathLike) -> pathlib.Path:
     """Where the session of a field's file is kept: beside it."""
     path = pathlib.Path(field)
     return path.with_name(path.stem + ENDING)
+
+
+def free_session_path(path: pathlib.Path) -> pathlib.Path:
+    """The first name of NAME.1.session.json, NAME.2.session.json, ... that no file beside a session's file has."""
+    stem = path.name.removesuffix(ENDING) if path.name.endswith(ENDING) else path.stem
+    number = 1
+    while os.path.lexists(other := path.with_name(f"{stem}.{number}{ENDING}")):
+        number += 1
+    return other
+
+
+def file_stamp(path: pathlib.Path) -> Stamp | None:
+    """What tells versions of a file apart. None where there is no file."""
+    try:
+        status = os.stat(path)
+    except FileNotFoundError:
+        return None
+    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 def write_session(path: PathLike, document: Document, field: VoxelField, field_name: str | None) -> None:
@@ -42,7 +64,7 @@ def write_session(path: PathLike, document: Document, field: VoxelField, field_n
         "document": document.to_json(),
     }
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_session(path: PathLike, field: VoxelField | None = None) -> Document:

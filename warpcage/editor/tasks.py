@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
+import contextlib
+import functools
+import os
 import pathlib
 import re
+import threading
 import urllib.parse
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from ..cage.cage import Cage
 from ..core.files import atomic_path
 from ..mesh.files.files import ENDINGS
 from . import commands, exports, timeline
-from .checked import checked_choice, checked_whole
+from .checked import checked_between, checked_choice, checked_flag, checked_id, checked_whole
+from .commands import Step
 from .document import Document
-from .jobs import Jobs, Outcome, Progress
+from .jobs import Cancelled, Jobs, Outcome, Progress
 from .session import Session
+from .session_file import ENDING, Stamp, file_stamp
 
 #: Endings of files that pages may load, and what is in them.
 LOADABLE = {**dict.fromkeys(ENDINGS, "cage"), ".json": "poses", ".npz": "field"}
@@ -35,6 +41,20 @@ EXPORTS = {
 #: Files that are listed at most.
 MAX_FILES = 1000
 
+#: Bytes of an uploaded file's name.
+MAX_NAME_BYTES = 120
+
+#: Largest margin of a generated cage, voxels.
+MAX_MARGIN = 64.0
+
+#: How often a cage is made anew because somebody has changed the scene meanwhile, before all others must wait for it.
+ATTEMPTS = 4
+
+#: Seconds between looks at whether the hand has come to rest, or the editor is being closed.
+LOOK_SECONDS = 0.1
+
+Result = TypeVar("Result")
+
 
 class Tasks:
     """Long work for a session, and its files. All in the thread of the server's loop, but for the work itself.
@@ -47,12 +67,12 @@ class Tasks:
 
     Attributes:
         commands: What `obey` carries out, by the word in `do`.
-        downloads: Files that exports made, by the last part of their address.
     """
 
     def __init__(self, session: Session, jobs: Jobs, folder: pathlib.Path, loop: asyncio.AbstractEventLoop):
         self.session, self.jobs, self.folder, self.loop = session, jobs, folder, loop
-        self.downloads: dict[str, pathlib.Path] = {}
+        self._made: dict[str, Stamp | None] = {}  # files that the editor wrote, by name
+        self._naming, self._closed = threading.Lock(), threading.Event()
         self.field_path = session.field_path
         self.commands: dict[str, Callable[[dict[str, Any]], Any]] = {
             "files": self._files,
@@ -64,14 +84,21 @@ class Tasks:
             "poses.save": self._save_poses,
             "export": self._export,
             "export.command": self._export_command,
-            "job.cancel": lambda message: self.jobs.cancel(message["id"]),
-            "job.clear": lambda message: self.jobs.clear(message["id"]),
+            "job.cancel": lambda message: self.jobs.cancel(checked_id(message["id"], "the number of a job")),
+            "job.clear": lambda message: self.jobs.clear(checked_id(message["id"], "the number of a job")),
         }
 
-    async def obey(self, message: dict[str, Any]) -> Any:
-        """Carry out one of `commands`. Raises ValueError or OSError in one line."""
-        result = self.commands[message["do"]](message)
-        return await result if asyncio.iscoroutine(result) else result
+    def obey(self, message: dict[str, Any]) -> Any:
+        """Carry out one of `commands`. Returns its result, or a coroutine that does, where files are touched.
+
+        Raises:
+            ValueError, OSError: In one line.
+        """
+        return self.commands[message["do"]](message)
+
+    def close(self) -> None:
+        """The editor ends: jobs no longer wait for their turn to change the scene."""
+        self._closed.set()
 
     # -- Files
 
@@ -89,18 +116,32 @@ class Tasks:
         """
         if not isinstance(name, str) or not name or name != pathlib.PurePosixPath(name).name or "\\" in name:
             raise ValueError(f"{str(name)[:100]!r} is no name of a file in the session's folder")
+        if name.startswith(".") or not name.isprintable():
+            raise ValueError(f"{name[:100]!r} is no name of a file: it begins with a dot, or cannot be printed")
         path = self.folder / name
-        if name.startswith(".") or "\0" in name or path.resolve().parent != self.folder.resolve():
-            raise ValueError(f"{name[:100]!r} is no file of the session's folder")
+        if path.resolve().parent != self.folder.resolve():
+            raise ValueError(f"{name[:100]!r} is no file of the session's folder: it leads out of it")
         return path
 
-    def _files(self, message: dict[str, Any]) -> dict[str, Any]:
-        found = []
-        for path in sorted(self.folder.iterdir()):
-            kind = LOADABLE.get(path.suffix.lower())
-            if kind and path.is_file() and not path.name.startswith(".") and not path.name.endswith(".session.json"):
-                found.append({"name": path.name, "kind": kind})
-        return {"files": found[:MAX_FILES]}
+    def download(self, name: str) -> pathlib.Path | None:
+        """The path of a file that the editor made, by its name; None where there is no such file."""
+        if name not in self._made:
+            return None
+        with contextlib.suppress(ValueError, OSError):
+            path = self.path_of(name)
+            return path if path.is_file() else None
+        return None
+
+    async def _files(self, message: dict[str, Any]) -> dict[str, Any]:
+        def look() -> list[dict[str, str]]:
+            found = []
+            for path in sorted(self.folder.iterdir()):
+                kind = LOADABLE.get(path.suffix.lower())
+                if kind and path.is_file() and not path.name.startswith(".") and not path.name.endswith(ENDING):
+                    found.append({"name": path.name, "kind": kind})
+            return found[:MAX_FILES]
+
+        return {"files": await self._read(look)}
 
     def keep_upload(self, name: str, content: bytes) -> str:
         """Write an uploaded file into the session's folder. No file that is there is replaced.
@@ -116,16 +157,19 @@ class Tasks:
             ValueError: For a kind of file that cannot be loaded.
             OSError: If it cannot be written.
         """
-        plain = re.sub(r"[^\w.\- ]", "_", pathlib.PurePosixPath(name.replace("\\", "/")).name).lstrip(".")[:100]
-        path = self.path_of(plain or "upload")
-        if LOADABLE.get(path.suffix.lower()) not in ("cage", "poses"):
-            raise ValueError(f"{plain!r} is no cage or pose file: {' '.join(e for e in LOADABLE if e != '.npz')}")
-        number = 1
-        while path.exists():
-            number += 1
-            path = self.path_of(f"{pathlib.PurePosixPath(plain).stem}-{number}{path.suffix}")
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(content)
+        plain = re.sub(r"[^\w.\- ]", "_", pathlib.PurePosixPath(name.replace("\\", "/")).name).lstrip(". ")
+        stem, ending = os.path.splitext(plain)
+        if LOADABLE.get(ending.lower()) not in ("cage", "poses") or plain.lower().endswith(ENDING):
+            endings = " ".join(ending for ending, kind in LOADABLE.items() if kind != "field")
+            raise ValueError(f"{plain[:100]!r} is no cage or pose file: {endings}")
+        stem = stem.encode()[:MAX_NAME_BYTES].decode(errors="ignore")
+        with self._naming:  # two pages may send files of one name
+            number, path = 1, self.path_of(stem + ending)
+            while os.path.lexists(path):
+                number += 1
+                path = self.path_of(f"{stem}-{number}{ending}")
+            with atomic_path(path) as temporary:
+                temporary.write_bytes(content)
         return path.name
 
     # -- Cages
@@ -141,6 +185,8 @@ class Tasks:
         if symmetry is not None:
             checked_choice(symmetry, ("x", "y", "z"), "symmetry")
         margin = message.get("margin")
+        if margin is not None:
+            margin = checked_between(margin, 0.0, MAX_MARGIN, "margin")
 
         def work(progress: Progress) -> Outcome:
             progress(None, "looks for the surface and draws a cage around it")
@@ -167,44 +213,68 @@ class Tasks:
     async def _load_cage(self, message: dict[str, Any]) -> None:
         """A cage from a file, for an edit or as a new one."""
         path, number = self.path_of(message["file"]), message.get("edit")
-        cage = await self._read(lambda: Cage.load(path, up=message.get("up")))
-        cage.require_usable(f"cage {path.name!r}")
-        self.session.apply(*self._with_cage(self.session.document, number, cage, f"load {path.name}"))
+        up = _up(message)
+        if number is not None:
+            self.session.document.edit(number)
+
+        def load() -> Cage:
+            cage = Cage.load(path, up=up)
+            cage.require_usable(f"cage {path.name!r}")
+            return cage
+
+        cage = await self._read(load)
+        await self._change(lambda document: self._with_cage(document, number, cage, f"load {path.name}"))
 
     async def _load_pose(self, message: dict[str, Any]) -> None:
         """A posed cage from a file, in any order that `Cage.match` takes."""
         path = self.path_of(message["file"])
         edit = self.session.document.edit(message.get("edit", self.session.document.selection.edit))
-        posed = await self._read(lambda: edit.rest_cage.match(Cage.load(path, up=message.get("up"))))
-        content = {"edit": edit.id, "vertices": posed.vertices, "label": f"load {path.name}"[:100]}
-        self.session.apply(*commands.set_pose(self.session.document, content))
+        up = _up(message)
+        loaded = await self._read(lambda: Cage.load(path, up=up))
+
+        def pose(document: Document) -> Step:
+            now = document.edit(edit.id)
+            content = {"edit": now.id, "vertices": now.rest_cage.match(loaded).vertices}
+            return f"load {path.name}", commands.set_pose(document, content)[1]
+
+        await self._change(pose)
 
     async def _load_poses(self, message: dict[str, Any]) -> None:
         path = self.path_of(message["file"])
         document = self.session.document
         number = document.edit(message.get("edit", document.selection.edit)).id
-        loaded = await self._read(lambda: timeline.load_poses(document, number, str(path)))
-        if self.session.document is not document:
-            loaded = timeline.load_poses(self.session.document, number, str(path))
-        self.session.apply(f"load {path.name}", loaded)
+        await self._change(lambda document: (f"load {path.name}", timeline.load_poses(document, number, str(path))))
 
     async def _save_poses(self, message: dict[str, Any]) -> dict[str, str]:
-        path = self.path_of(message["file"])
-        if path.suffix.lower() != ".json":
-            raise ValueError(f"poses are kept in .json files, got {path.name!r}")
+        path = self.free_path(message["file"], (".json",))
         document = self.session.document
         number = document.edit(message.get("edit", document.selection.edit)).id
-        await self._read(lambda: timeline.pose_file(document, number).save(path))
-        return self._downloadable(path)
+        await self._read(lambda: timeline.pose_file(document, number).save(self.free_path(path.name, (".json",))))
+        return {"download": self._note(path)}
 
     # -- Exports
 
     def free_path(self, name: Any, endings: tuple[str, ...]) -> pathlib.Path:
-        """The path of a file or folder to write. What the editor did not write itself is never replaced."""
+        """The path of a file or folder to write. What the editor did not write itself is never replaced.
+
+        Args:
+            name: Its name, from a page.
+            endings: What it may end in.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For another name, or one that is taken.
+        """
         path = self.path_of(name)
+        if len(os.fsencode(path.name)) > 2 * MAX_NAME_BYTES:
+            raise ValueError(f"{path.name[:40]!r}... is too long for the name of a file")
+        if path.name.lower().endswith(ENDING):
+            raise ValueError(f"{path.name!r} is the name of a session's file: give another name")
         if path.suffix.lower() not in endings:
             raise ValueError(f"{path.name!r} must end in {' or '.join(endings) if any(endings) else 'no ending'}")
-        if path.exists() and path.name not in self.downloads:
+        if os.path.lexists(path) and not (path.name in self._made and self._made[path.name] == file_stamp(path)):
             raise ValueError(f"{path.name!r} is there already: give another name")
         return path
 
@@ -215,9 +285,11 @@ class Tasks:
         number = message.get("edit", document.selection.edit)
         if what in ("cage", "poses"):
             number = document.edit(number).id
+        rest = checked_flag(message.get("rest", False), "rest")
         film = _film(message) if what in ("mp4", "gif", "png") else None
 
         def work(progress: Progress) -> Outcome:
+            self.free_path(path.name, EXPORTS[what])  # it may have waited for others
             if film is not None:
                 count = exports.export_film(document, self.session.field, path, film, progress)
                 text = f"{path.name}: {count} frames of {film.width}x{film.height}"
@@ -225,15 +297,14 @@ class Tasks:
                 baked = exports.export_baked(document, self.session.field, path, progress)
                 text = f"{path.name}: a field of {baked.voxel_count} voxels"
             elif what == "cage":
-                exports.export_cage(document, number, path, rest=message.get("rest") is True)
+                exports.export_cage(document, number, path, rest=rest)
                 text = f"{path.name}: a cage of {len(document.edit(number).rest)} vertices"
             else:
                 exports.export_poses(document, number, path)
                 text = path.name
             if path.is_dir():
                 return Outcome(f"{text}, in {path}")
-            self.downloads[path.name] = path
-            return Outcome(text, f"download/{urllib.parse.quote(path.name)}")
+            return Outcome(text, self._note(path))
 
         return self.jobs.start(f"Write {path.name}", "film" if film or what == "bake" else "file", work)
 
@@ -242,19 +313,29 @@ class Tasks:
         session = self.session
         if session.path is None or self.field_path is None:
             raise ValueError("a field without a file has no command line: export the film here")
-        await self._read(lambda: session.save(session.document))
+        film, output = _film(message), message.get("file") or "film.mp4"
+        if not isinstance(output, str) or not output.isprintable():
+            raise ValueError("file must be the name of a film")
+        await self._read(session.save)
         if session.save_error:
             raise ValueError(f"the session could not be saved: {session.save_error}")
-        output = str(message.get("file") or "film.mp4")
-        return {"command": exports.export_command(session.path, self.field_path, _film(message), output=output)}
+        line = exports.export_command(
+            session.path, self.field_path, film, output=output, scene_scale=session.scene_scale
+        )
+        return {"command": line}
 
-    def _downloadable(self, path: pathlib.Path) -> dict[str, str]:
-        self.downloads[path.name] = path
-        return {"download": f"download/{urllib.parse.quote(path.name)}"}
+    def _note(self, path: pathlib.Path) -> str:
+        """Note that the editor wrote a file. Returns its address."""
+        self._made[path.name] = file_stamp(path)
+        return f"download/{urllib.parse.quote(path.name)}"
 
-    async def _read(self, read: Callable[[], Any]) -> Any:
+    async def _read(self, read: Callable[[], Result]) -> Result:
         """Work with files, in another thread so that pages are served meanwhile."""
         return await self.loop.run_in_executor(None, read)
+
+    async def _change(self, step: Callable[[Document], Step]) -> None:
+        """Change the document by what takes long, in another thread."""
+        await self._read(lambda: self._hand_over(step, patient=False))
 
     @staticmethod
     def _with_cage(document: Document, number: int | None, cage: Cage, label: str) -> tuple[str, Document]:
@@ -262,24 +343,58 @@ class Tasks:
             return commands.with_new_edit(document, cage)
         return commands.replace_cage(document, number, cage, label)
 
-    def _hand_over(self, change: Callable[[Document], tuple[str, Document]]) -> None:
-        """Change the document from a job's thread; raises what the change raises, or Cancelled."""
-        done: concurrent.futures.Future = concurrent.futures.Future()
+    def _hand_over(self, step: Callable[[Document], Step], patient: bool = True) -> None:
+        """Change the document from another thread; raises what the change raises, or Cancelled.
+
+        The new document is made here, so that the server's loop goes on meanwhile. Where somebody else has changed
+        the scene since, it is made anew.
+
+        Args:
+            step: Makes the new document.
+            patient: Whether to wait for a hand that moves. Otherwise its gesture ends.
+        """
+        for _ in range(ATTEMPTS):
+            before = self.session.settled
+            adopt = functools.partial(self.session.adopt, before, *step(before))
+            if self._in_loop(adopt, patient):
+                return
+        self._in_loop(functools.partial(self.session.change, step), patient)
+
+    def _in_loop(self, function: Callable[[], Result], patient: bool) -> Result:
+        """Call a function in the loop's thread, if patient once no hand moves, and wait for its result."""
+        done: concurrent.futures.Future[Result] = concurrent.futures.Future()
 
         def apply() -> None:
-            try:
-                self.session.apply(*change(self.session.document))
-                done.set_result(None)
-            except BaseException as error:  # goes on in the job's thread
-                done.set_exception(error)
+            if patient and self.session.moving and not done.cancelled():
+                self.loop.call_later(LOOK_SECONDS, apply)
+            elif done.set_running_or_notify_cancel():
+                try:
+                    done.set_result(function())
+                except BaseException as error:  # goes on in the other thread
+                    done.set_exception(error)
 
-        self.loop.call_soon_threadsafe(apply)
-        done.result(timeout=60.0)
+        try:
+            self.loop.call_soon_threadsafe(apply)
+        except RuntimeError:  # the loop has ended
+            raise Cancelled from None
+        while True:
+            try:
+                return done.result(timeout=LOOK_SECONDS)
+            except concurrent.futures.TimeoutError:
+                if done.done() and not done.cancelled():
+                    return done.result()  # it raises a TimeoutError of its own, or came just now
+                if self._closed.is_set() and done.cancel():
+                    raise Cancelled from None
 
 
 def _film(message: dict[str, Any]) -> exports.Film:
     """Size and kind of a film's pictures."""
-    options = {
-        name: message[name] for name in ("width", "height", "overlay", "transparent") if message.get(name) is not None
-    }
-    return exports.Film(**options)
+    options = {name: message[name] for name in ("width", "height") if message.get(name) is not None}
+    flags = {name: checked_flag(message.get(name, False), name) for name in ("overlay", "transparent")}
+    return exports.Film(**options, **flags)
+
+
+def _up(message: dict[str, Any]) -> str | None:
+    """The axis that points up in a file."""
+    up = message.get("up")
+    return None if up is None else checked_choice(up, ("y", "z"), "up")
