@@ -69,6 +69,11 @@ class Client:
 
     # -- To the page
 
+    def greet(self, message: dict[str, Any]) -> None:
+        """Send the message that comes before all others."""
+        self._greeting = json.dumps(message)
+        self._news.set()
+
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message."""
         self._texts.append(json.dumps(message, allow_nan=False))
@@ -119,6 +124,9 @@ class Client:
             self._written.set()
 
     async def _write_all(self) -> None:
+        greeting, self._greeting = self._greeting, None
+        if greeting is not None:
+            await self._socket.send_str(greeting)
         texts, self._texts = self._texts, []
         sections, self._sections = self._sections, {}
         vertices, self._vertices = self._vertices, {}

@@ -173,7 +173,7 @@ class Server:
         names = ("session", *PARTS, "playback", "history", "check", "jobs")
         self.clients[client.number] = client
         sections = {name: self._section(name) for name in names}
-        client.tell({"type": "hello", "client": client.number, "session": sections["session"], "sections": sections})
+        client.greet({"type": "hello", "client": client.number, "session": sections["session"], "sections": sections})
         if self._frame is not None:
             client.show(*self._frame)
         self._on_change({"session"})
