@@ -188,4 +188,4 @@ def with_pages(test, folder, count=1, session=None, size=(24, 16), **options):
             await test(server, *opened)
 
     asyncio.run(run())
-    assert wrong == []
+    assert not wrong, [str(context) for context in wrong]

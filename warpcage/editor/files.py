@@ -7,6 +7,7 @@ import pathlib
 import urllib.parse
 
 from aiohttp import BodyPartReader, web
+from aiohttp.http import HttpProcessingError
 
 from .checked import error_line
 from .tasks import Tasks
@@ -16,6 +17,9 @@ KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".s
 
 #: Uploads that are taken at once: each is held in memory.
 UPLOADS = 2
+
+#: What a form that is not as it should be may cause: aiohttp asserts some of it.
+BROKEN = (ValueError, OSError, LookupError, AssertionError, MemoryError, HttpProcessingError)
 
 
 class Files:
@@ -76,7 +80,8 @@ class Files:
 
     async def _received(self, request: web.Request) -> tuple[str, bytes]:
         """Name and content of the file in a form."""
-        part = await (await request.multipart()).next()
+        form = await request.multipart()
+        part = await form.next()
         if not isinstance(part, BodyPartReader):
             raise ValueError("an upload needs one file")
         content = bytearray()
@@ -84,4 +89,6 @@ class Files:
             content += chunk
             if len(content) > self._largest:
                 raise web.HTTPRequestEntityTooLarge(self._largest, len(content))
+        if await form.next() is not None:  # which also raises where the form does not end
+            raise ValueError("an upload needs one file, and no more")
         return str(part.filename or ""), bytes(content)

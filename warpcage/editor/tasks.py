@@ -365,7 +365,9 @@ class Tasks:
         done: concurrent.futures.Future[Result] = concurrent.futures.Future()
 
         def apply() -> None:
-            if patient and self.session.moving and not done.cancelled():
+            if self._closed.is_set():
+                done.cancel()
+            elif patient and self.session.moving:
                 self.loop.call_later(LOOK_SECONDS, apply)
             elif done.set_running_or_notify_cancel():
                 try:
@@ -379,12 +381,14 @@ class Tasks:
             raise Cancelled from None
         while True:
             try:
-                return done.result(timeout=LOOK_SECONDS)
+                return done.result(LOOK_SECONDS)
+            except concurrent.futures.CancelledError:
+                raise Cancelled from None
             except concurrent.futures.TimeoutError:
                 if done.done() and not done.cancelled():
-                    return done.result()  # it raises a TimeoutError of its own, or came just now
-                if self._closed.is_set() and done.cancel():
-                    raise Cancelled from None
+                    return done.result()  # it came just now, or is a TimeoutError of the function itself
+                if self._closed.is_set():
+                    done.cancel()  # the loop may have ended
 
 
 def _film(message: dict[str, Any]) -> exports.Film:
