@@ -130,9 +130,9 @@ def look_up_directions(
 
 
 @wp.func
-def beside(place: wp.float64, voxel: int, spacing: wp.float64):
-    """Least distance along an axis from a place, in voxels, to points of a voxel."""
-    return wp.max(wp.abs(place - wp.float64(voxel)) - HALF - BESIDE, ZERO) * spacing
+def beside(place: wp.float64, voxel: int):
+    """Least distance along an axis from a place to points of a voxel, both in voxels."""
+    return wp.max(wp.abs(place - wp.float64(voxel)) - HALF - BESIDE, ZERO)
 
 
 @wp.func
@@ -149,27 +149,38 @@ def least_squared(
     place_x = (x[0] - lower[0]) / spacing
     place_y = (x[1] - lower[1]) / spacing
     place_z = (x[2] - lower[2]) / spacing
+    # bounds in voxels: what lies within them is measured in units of the points
+    voxels = ONE / (spacing * spacing)
     reach = radius / spacing + HALF + BESIDE
     first_i = wp.max(int(wp.ceil(place_x - reach)), 0)
     last_i = wp.min(int(wp.floor(place_x + reach)), shape[0] - 1)
     first_j = wp.max(int(wp.ceil(place_y - reach)), 0)
     last_j = wp.min(int(wp.floor(place_y + reach)), shape[1] - 1)
     best = radius * radius
+    room = best * voxels + BESIDE
     for i in range(first_i, last_i + 1):
-        off_x = beside(place_x, i, spacing)
-        if off_x * off_x < best:
-            for j in range(first_j, last_j + 1):
-                off_y = beside(place_y, j, spacing)
-                room = best - off_x * off_x - off_y * off_y
-                if room > ZERO:
-                    half = wp.sqrt(room) / spacing + HALF + BESIDE
-                    first_k = wp.max(int(wp.ceil(place_z - half)), 0)
-                    last_k = wp.min(int(wp.floor(place_z + half)), shape[2] - 1)
-                    if first_k <= last_k:
-                        row = (i * shape[1] + j) * shape[2]
-                        for p in range(starts[row + first_k], starts[row + last_k + 1]):
-                            off = points[p] - x
-                            best = wp.min(best, off[0] * off[0] + off[1] * off[1] + off[2] * off[2])
+        off_x = beside(place_x, i)
+        for j in range(first_j, last_j + 1):
+            off_y = beside(place_y, j)
+            left = room - off_x * off_x - off_y * off_y
+            if left > ZERO:
+                half = wp.sqrt(left) + HALF + BESIDE
+                first_k = wp.max(int(wp.ceil(place_z - half)), 0)
+                last_k = wp.min(int(wp.floor(place_z + half)), shape[2] - 1)
+                if first_k <= last_k:
+                    row = (i * shape[1] + j) * shape[2]
+                    begin = starts[row + first_k]
+                    end = starts[row + last_k + 1]
+                    if begin < end:
+                        for p in range(begin, end):
+                            point = points[p]
+                            u = point[0] - x[0]
+                            v = point[1] - x[1]
+                            w = point[2] - x[2]
+                            squared = u * u + v * v + w * w
+                            if squared < best:
+                                best = squared
+                        room = best * voxels + BESIDE
     return best
 
 
@@ -177,7 +188,7 @@ def least_squared(
 def measure_nearest(
     first: int,
     x: wp.array(dtype=wp.vec3d),
-    radius: wp.float64,
+    about: wp.array(dtype=wp.float64),
     points: wp.array(dtype=wp.vec3d),
     starts: wp.array(dtype=int),
     shape: wp.vec3i,
@@ -187,10 +198,10 @@ def measure_nearest(
 ):
     """Distance (n,) from x (n,) to the nearest of the points, of which there is at least one.
 
-    radius: where the search begins; it grows until there is one within it.
+    about (n,): radius greater than 0 in which the search begins; it grows until there is one within it.
     """
     n = first + wp.tid()
-    limit = radius
+    limit = about[n]
     best = least_squared(x[n], limit, points, starts, shape, lower, spacing)
     while best >= limit * limit:
         limit = limit * GROWTH

@@ -164,7 +164,8 @@ def shortfall(shell, vertices, faces, edges, need) -> np.ndarray:
     distance = shell.closed_distance_on_faces(vertices, faces, weights)
     f, s = np.nonzero(distance < level + 0.5 * shell.spacing)
     short = np.zeros(len(faces))
-    np.maximum.at(short, f, level - shell.exact_distance(points_on(vertices, faces[f], weights[s])))
+    exact = shell.exact_distance(points_on(vertices, faces[f], weights[s]), distance[f, s] + shell.spacing)
+    np.maximum.at(short, f, level - exact)
     return short
 
 

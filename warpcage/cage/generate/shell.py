@@ -54,7 +54,7 @@ class ObjectShell:
         self._search = (
             NearestInTree(self.lower + cell[near[one]] * spacing)
             if self._coarse
-            else NearestInVoxels(points[near], places, self.solid.shape, self.lower, spacing, need)
+            else NearestInVoxels(points[near], places, self.solid.shape, self.lower, spacing)
         )
         self.distance = self._distances(radius, need, deep)
         beyond = self.distance > reach
@@ -74,7 +74,9 @@ class ObjectShell:
         distance = distance_to(self.solid, radius).astype(np.float64) * self.spacing
         far = np.clip(np.abs(distance - need) / self.spacing - 1.0, 0.0, 1.5) / 1.5
         near = (far < 1.0) & ~deep
-        exact = self.exact_distance(self.lower + np.argwhere(near) * self.spacing)
+        # points lie at most half a diagonal from the middle of their voxel
+        about = distance[near] + np.sqrt(0.76) * self.spacing
+        exact = self.exact_distance(self.lower + np.argwhere(near) * self.spacing, about)
         distance[near] = (1.0 - far[near]) * exact + far[near] * np.minimum(distance[near], exact)
         return distance
 
@@ -108,10 +110,13 @@ class ObjectShell:
         launch(look_up_faces, len(faces), inputs, [_on_cpu(found, wp.float64)], device="cpu", work=work)
         return found
 
-    def exact_distance(self, x: np.ndarray) -> np.ndarray:
+    def exact_distance(self, x: np.ndarray, about: np.ndarray) -> np.ndarray:
         """Distance from x (n, 3) to the nearest point of the object's skin; where `need` is more than six voxels, up to
-        1.8 voxels less."""
-        return np.maximum(self._search.distance(x) - self._coarse, 0.0)
+        1.8 voxels less.
+
+        about (n,): how far at most it is likely to be, which only decides how long the search takes.
+        """
+        return np.maximum(self._search.distance(x, np.maximum(about, 0.5 * self.spacing)) - self._coarse, 0.0)
 
     def outward(self, x: np.ndarray) -> np.ndarray:
         """Unit directions (n, 3) in which `closed` grows fastest at x (n, 3); zero where it is flat."""
@@ -143,13 +148,11 @@ class ObjectShell:
 class NearestInVoxels:
     """Distances to the nearest of points (p, 3) that lie in voxels places (p,) of a grid, numbered row by row."""
 
-    def __init__(self, points, places, shape, lower, spacing, need):
+    def __init__(self, points, places, shape, lower, spacing):
         starts = np.zeros(math.prod(shape) + 1, dtype=np.int32)
         np.cumsum(np.bincount(places, minlength=len(starts) - 1), out=starts[1:])
         resolve_device("cpu")  # starts Warp
-        # most of what is asked for lies about as far off as a cage will
         self._inputs = [
-            wp.float64(need + 2.0 * spacing),
             _on_cpu(points[np.argsort(places, kind="stable")], wp.vec3d),
             _on_cpu(starts, wp.int32),
             wp.vec3i(*shape),
@@ -157,10 +160,11 @@ class NearestInVoxels:
             wp.float64(spacing),
         ]
 
-    def distance(self, x: np.ndarray) -> np.ndarray:
-        """(n,) distance from x (n, 3) to the nearest point, to the same bits as SciPy's KDTree."""
+    def distance(self, x: np.ndarray, about: np.ndarray) -> np.ndarray:
+        """(n,) distance from x (n, 3) to the nearest point, to the same bits as SciPy's KDTree; about (n,) > 0: where
+        the search begins."""
         found = np.empty(len(x))
-        inputs, outputs = [_on_cpu(x, wp.vec3d), *self._inputs], [_on_cpu(found, wp.float64)]
+        inputs, outputs = [_on_cpu(x, wp.vec3d), _on_cpu(about, wp.float64), *self._inputs], [_on_cpu(found, wp.float64)]
         launch(measure_nearest, len(x), inputs, outputs, device="cpu", work=_SEARCH_WORK)
         return found
 
@@ -174,7 +178,7 @@ class NearestInTree:
         # large leaves and no balancing: built in half the time and searched in less, for the same distances
         self._tree = scipy.spatial.KDTree(points, leafsize=32, balanced_tree=False)
 
-    def distance(self, x: np.ndarray) -> np.ndarray:
+    def distance(self, x: np.ndarray, about: np.ndarray) -> np.ndarray:
         """(n,) distance from x (n, 3) to the nearest point."""
         return self._tree.query(x, workers=cpu_threads())[0]
 
