@@ -65,8 +65,8 @@ class ObjectShell:
         inward = distance_to(outside, radius) * spacing - np.sqrt(0.75) * spacing
         self.closed = np.where(outside, self.distance, np.minimum(self.distance, reach - inward)).astype(np.float64)
         self._smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)
-        self._closed = _on_cpu(self.closed, wp.float64)
-        self._slope = [_on_cpu(slope, wp.float64) for slope in np.gradient(self._smooth, spacing)]
+        self._closed = on_cpu(self.closed, wp.float64)
+        self._slope = [on_cpu(slope, wp.float64) for slope in np.gradient(self._smooth, spacing)]
         self._grid = (wp.vec3d(*self.lower), wp.float64(self.spacing))
 
     def _distances(self, radius: int, need: float, deep) -> np.ndarray:
@@ -97,17 +97,17 @@ class ObjectShell:
     def closed_distance(self, x: np.ndarray) -> np.ndarray:
         """`closed` at points x (..., 3), trilinear; beyond the grid its value at the grid's edge."""
         found = np.empty(x.shape[:-1])
-        inputs = [_on_cpu(x.reshape(-1, 3), wp.vec3d), self._closed, *self._grid]
-        launch(look_up, found.size, inputs, [_on_cpu(found.reshape(-1), wp.float64)], device="cpu", work=_LOOK_UP_WORK)
+        inputs = [on_cpu(x.reshape(-1, 3), wp.vec3d), self._closed, *self._grid]
+        launch(look_up, found.size, inputs, [on_cpu(found.reshape(-1), wp.float64)], device="cpu", work=_LOOK_UP_WORK)
         return found
 
     def closed_distance_on_faces(self, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """`closed` at the samples (f, s) of barycentric weights (s, 3) on faces (f, 3), as `points_on` has them."""
         found = np.empty((len(faces), len(weights)))
-        inputs = [_on_cpu(vertices, wp.vec3d), _on_cpu(faces.astype(np.int32), wp.vec3i), _on_cpu(weights, wp.vec3d)]
+        inputs = [on_cpu(vertices, wp.vec3d), on_cpu(faces.astype(np.int32), wp.vec3i), on_cpu(weights, wp.vec3d)]
         inputs += [self._closed, *self._grid]
         work = _LOOK_UP_WORK * len(weights)
-        launch(look_up_faces, len(faces), inputs, [_on_cpu(found, wp.float64)], device="cpu", work=work)
+        launch(look_up_faces, len(faces), inputs, [on_cpu(found, wp.float64)], device="cpu", work=work)
         return found
 
     def exact_distance(self, x: np.ndarray, about: np.ndarray) -> np.ndarray:
@@ -121,9 +121,9 @@ class ObjectShell:
     def outward(self, x: np.ndarray) -> np.ndarray:
         """Unit directions (n, 3) in which `closed` grows fastest at x (n, 3); zero where it is flat."""
         found = np.empty(x.shape)
-        inputs = [_on_cpu(x, wp.vec3d), *self._slope, *self._grid]
+        inputs = [on_cpu(x, wp.vec3d), *self._slope, *self._grid]
         work = 3 * _LOOK_UP_WORK
-        launch(look_up_directions, len(x), inputs, [_on_cpu(found, wp.vec3d)], device="cpu", work=work)
+        launch(look_up_directions, len(x), inputs, [on_cpu(found, wp.vec3d)], device="cpu", work=work)
         return found
 
     @functools.cached_property
@@ -153,8 +153,8 @@ class NearestInVoxels:
         np.cumsum(np.bincount(places, minlength=len(starts) - 1), out=starts[1:])
         resolve_device("cpu")  # starts Warp
         self._inputs = [
-            _on_cpu(points[np.argsort(places, kind="stable")], wp.vec3d),
-            _on_cpu(starts, wp.int32),
+            on_cpu(points[np.argsort(places, kind="stable")], wp.vec3d),
+            on_cpu(starts, wp.int32),
             wp.vec3i(*shape),
             wp.vec3d(*lower),
             wp.float64(spacing),
@@ -164,7 +164,7 @@ class NearestInVoxels:
         """(n,) distance from x (n, 3) to the nearest point, to the same bits as SciPy's KDTree; about (n,) > 0: where
         the search begins."""
         found = np.empty(len(x))
-        inputs, outputs = [_on_cpu(x, wp.vec3d), _on_cpu(about, wp.float64), *self._inputs], [_on_cpu(found, wp.float64)]
+        inputs, outputs = [on_cpu(x, wp.vec3d), on_cpu(about, wp.float64), *self._inputs], [on_cpu(found, wp.float64)]
         launch(measure_nearest, len(x), inputs, outputs, device="cpu", work=_SEARCH_WORK)
         return found
 
@@ -183,7 +183,7 @@ class NearestInTree:
         return self._tree.query(x, workers=cpu_threads())[0]
 
 
-def _on_cpu(values: np.ndarray, dtype) -> wp.array:
+def on_cpu(values: np.ndarray, dtype) -> wp.array:
     """A Warp array of the same memory, where values are C-contiguous."""
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
