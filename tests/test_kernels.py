@@ -168,7 +168,9 @@ def test_compiles_for_cuda_without_a_gpu(name, arch, tmp_path, monkeypatch):
     at the level that users get, where there is a GPU.
     """
     module = module_of(name)
-    wp.get_module(module.__name__).get_module_identifier()  # its name in the cache, of the level that users get, is kept
+    wp.get_module(
+        module.__name__
+    ).get_module_identifier()  # its name in the cache, of the level that users get, is kept
     monkeypatch.setattr(wp.config, "optimization_level", 2)
     wp.compile_aot_module(module, arch=arch, module_dir=str(tmp_path), use_ptx=arch == 75)
     suffix = ".ptx" if arch == 75 else ".cubin"

@@ -1,7 +1,7 @@
 """Collapses of edges of a closed triangle mesh: where the new vertex goes, and what its faces are like.
 
-In float64, operation by operation as NumPy does them, sums of products in the order of its einsum and sums over faces in
-that of its pairwise sum, so that the last digit is the same: products and sums are not fused.
+In float64, operation by operation as NumPy does them, so that the last digit is the same: products and sums are not
+fused, sums of products go in the order of its einsum, and sums over faces in that of its pairwise sum.
 
 An edge (u, v) has around it (r,) the faces at its ends, -1 for none, with their unit normals, offsets of their planes
 from the origin and doubled areas before the collapse.

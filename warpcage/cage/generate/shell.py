@@ -66,7 +66,7 @@ class ObjectShell:
         self.closed = np.where(outside, self.distance, np.minimum(self.distance, reach - inward)).astype(np.float64)
         self._smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)
         self._closed = on_cpu(self.closed, wp.float64)
-        self._slope = [on_cpu(slope, wp.float64) for slope in np.gradient(self._smooth, spacing)]
+        self._slope = [on_cpu(np.asarray(slope), wp.float64) for slope in np.gradient(self._smooth, spacing)]
         self._grid = (wp.vec3d(*self.lower), wp.float64(self.spacing))
 
     def _distances(self, radius: int, need: float, deep) -> np.ndarray:
