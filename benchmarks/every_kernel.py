@@ -111,8 +111,9 @@ def fields(device) -> None:
     cameras = camera_array([camera()], field.center, field.device)
     counts = [wp.empty(256, dtype=wp.int32, device=device) for _ in range(2)]
     launch(count_samples, 256, [field.grid, cameras, 1, field.step, 1e-4], counts, device=device)
-    cage = warpcage.Cage.from_field(field, 40, method="voxel")
-    cage.check(field=field)
+    for method in ("voxel", "shell"):
+        cage = warpcage.Cage.from_field(field, 40, method=method)
+        cage.check(field=field)
 
 
 def fits(device) -> None:
