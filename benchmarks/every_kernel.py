@@ -40,7 +40,7 @@ from warpcage.view.camera import camera_array
 
 #: Kernels that only one kind of device launches.
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
-            "fitting.rmsprop.join_maximum"}  # fmt: skip
+            "fitting.rmsprop.join_maximum", "mesh.shell.", "mesh.collapses."}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps"}
 
 launched: set[str] = set()
@@ -64,7 +64,8 @@ def main() -> int:
             part(args.device)
             wp.synchronize_device(args.device)
             print(f"{part.__name__}: {len(launched)} kernels so far", flush=True)
-    unused = all_kernels() - (CUDA_ONLY if wp.get_device(args.device).is_cpu else CPU_ONLY) - launched
+    left_out = CUDA_ONLY if wp.get_device(args.device).is_cpu else CPU_ONLY
+    unused = {name for name in all_kernels() - launched if not name.startswith(tuple(left_out))}
     print(f"{len(launched)} kernels launched; never: {', '.join(sorted(unused)) or 'none'}")
     return 1 if unused else 0
 
@@ -111,8 +112,9 @@ def fields(device) -> None:
     cameras = camera_array([camera()], field.center, field.device)
     counts = [wp.empty(256, dtype=wp.int32, device=device) for _ in range(2)]
     launch(count_samples, 256, [field.grid, cameras, 1, field.step, 1e-4], counts, device=device)
-    cage = warpcage.Cage.from_field(field, 40, method="voxel")
-    cage.check(field=field)
+    CAGE.check(field=field)
+    for method in ("voxel", "shell") if field.device.is_cpu else ():  # cages are made on the CPU on any machine
+        warpcage.Cage.from_field(field, 40, method=method)
 
 
 def fits(device) -> None:

@@ -17,7 +17,7 @@ EXAMPLES = pathlib.Path(__file__).resolve().parent.parent / "examples"
 
 #: The brick scene, much smaller than by default.
 TINY = ("--size", "40", "--views", "24", "--picture", "64", "--film", "48", "--frames", "4", "--lattice", "24",
-        "--vertices", "80", "--epochs", "24")  # fmt: skip
+        "--vertices", "80", "--epochs", "8")  # fmt: skip
 
 
 def run(name, *words, cwd):
@@ -63,7 +63,7 @@ def test_cage_contact_sheet(tmp_path):
 
 def test_edit_dtu_on_a_room(tmp_path, device):
     write_room(tmp_path / "room", 25, 32)
-    words = ["--data", "room", "--device", device, "--quality", "fast", "--epochs", "24"]
+    words = ["--data", "room", "--device", device, "--quality", "fast", "--epochs", "8"]
     said = run("edit_dtu.py", "--out", "out", *words, cwd=tmp_path)
     assert "dB inside the masks of 4 held-out views" in said
     out = tmp_path / "out"

@@ -18,7 +18,7 @@ from warpcage.core import modules
 from warpcage.core.devices import launch
 from warpcage.core.locks import device_turn, owner_lock
 from warpcage.core.threads import PART_SECONDS, limit_threads, run_parallel, run_parts
-from warpcage.deform import lattice_edits
+from warpcage.deform import lattice_edits, precise_edits
 from warpcage.deform.bake import bake
 from warpcage.kernels.fitting.rmsprop import add_gradients
 
@@ -80,6 +80,7 @@ def hammer(device, kind):
     sys.setswitchinterval(1e-5)
     resolution = None if kind == "precise" else 16
     options = {"coordinates": "mean_value" if kind == "precise" else kind, "resolution": resolution, "device": device}
+    precise_edits.GUIDE_RESOLUTION = 24  # a fine guide takes most of the time, and this is a process of its own
     shared = Deformer(shiny_field(device), BOX, **options)
     camera = view(size=6) if kind == "precise" else CAMERA  # closed forms at each sample take long on a CPU
     expected = [parts(shared.pose(pose).render(camera)) for pose in POSES]
@@ -329,6 +330,7 @@ def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(launches, devi
 CACHED = """\
 import warp as wp
 wp.config.quiet = True
+wp.config.use_precompiled_headers = False  # which take longer to make than one small module needs
 wp.init()
 from warpcage.core import modules
 from warpcage.core.devices import launch

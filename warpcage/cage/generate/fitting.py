@@ -5,6 +5,8 @@ Three steps: spread the vertices evenly, draw the faces close, clear what is sti
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from ...mesh.closed_mesh import ClosedMesh
@@ -87,11 +89,11 @@ def drawn_close(shell, vertices, faces, need, mirror=None, rounds: int = _DRAWN_
     mean, square = np.zeros_like(vertices), np.zeros((len(vertices), 1))
     for turn in range(rounds):
         left = 1.0 - turn / rounds
-        samples, weights = face_samples(vertices, faces, pieces)
-        short = level - shell.closed_distance(samples)
+        weights = sample_weights(pieces)
+        short = level - shell.closed_distance_on_faces(vertices, faces, weights)
         f, s = np.nonzero(short > 0.0)
         weights, short = weights[s], short[f, s]
-        away = ways_out(shell, samples[f, s], level - short, need, vertices, faces[f])
+        away = ways_out(shell, points_on(vertices, faces[f], weights), level - short, need, vertices, faces[f])
         slope = _slope(vertices, faces, f, weights, short / softness, away)
         mean = _MEAN_DECAY * mean + (1.0 - _MEAN_DECAY) * slope
         square = _SQUARE_DECAY * square + (1.0 - _SQUARE_DECAY) * (slope * slope).sum(axis=1, keepdims=True)
@@ -133,8 +135,8 @@ def cleared(
     edges, lift, unit = ClosedMesh(vertices, faces).edges, np.zeros(len(faces)), shell.spacing
     for _ in range(checks):
         count, level = sampling(vertices, edges, unit, need)
-        samples, weights = face_samples(vertices, faces, count)
-        f, s = np.nonzero(shell.closed_distance(samples) < level + lift[:, None] + unit)
+        weights = sample_weights(count)
+        f, s = np.nonzero(shell.closed_distance_on_faces(vertices, faces, weights) < level + lift[:, None] + unit)
         worst = [np.inf]
         for _ in range(rounds):
             samples = np.einsum("nk,nki->ni", weights[s], vertices[faces[f]])
@@ -157,11 +159,13 @@ def cleared(
 def shortfall(shell, vertices, faces, edges, need) -> np.ndarray:
     """(f,) how much too near each face is, at its samples, to the object's points for keeping `need`; at least 0."""
     count, level = sampling(vertices, edges, shell.spacing, need)
-    samples, _ = face_samples(vertices, faces, count)
+    weights = sample_weights(count)
     # interpolated distances err by less than half a voxel
-    f, s = np.nonzero(shell.closed_distance(samples) < level + 0.5 * shell.spacing)
+    distance = shell.closed_distance_on_faces(vertices, faces, weights)
+    f, s = np.nonzero(distance < level + 0.5 * shell.spacing)
     short = np.zeros(len(faces))
-    np.maximum.at(short, f, level - shell.exact_distance(samples[f, s]))
+    exact = shell.exact_distance(points_on(vertices, faces[f], weights[s]), distance[f, s] + shell.spacing)
+    np.maximum.at(short, f, level - exact)
     return short
 
 
@@ -178,8 +182,8 @@ def smoothed(vertices, faces, edges, share) -> np.ndarray:
 
 def pulled(shell, vertices, faces, level) -> np.ndarray:
     """Each vertex towards the object by half of the least room that the samples near it have."""
-    samples, weights = face_samples(vertices, faces, _PULL_PIECES)
-    room = shell.closed_distance(samples) - level
+    weights = sample_weights(_PULL_PIECES)
+    room = shell.closed_distance_on_faces(vertices, faces, weights) - level
     least = np.full(len(vertices), np.inf)
     for k in range(3):
         near = weights[:, k] > _NEAR_CORNER
@@ -189,12 +193,12 @@ def pulled(shell, vertices, faces, level) -> np.ndarray:
 
 def pushed(shell, vertices, faces, level, need, pieces) -> np.ndarray:
     """Vertices moved outward so that the samples of their faces come to `level`."""
-    samples, weights = face_samples(vertices, faces, pieces)
-    short = level - shell.closed_distance(samples)
+    weights = sample_weights(pieces)
+    short = level - shell.closed_distance_on_faces(vertices, faces, weights)
     f, s = np.nonzero(short > 0.0)
-    short = short[f, s]
-    away = ways_out(shell, samples[f, s], level - short, need, vertices, faces[f])
-    return _shared_push(vertices, faces[f], weights[s], short, away)
+    weights, short = weights[s], short[f, s]
+    away = ways_out(shell, points_on(vertices, faces[f], weights), level - short, need, vertices, faces[f])
+    return _shared_push(vertices, faces[f], weights, short, away)
 
 
 def ways_out(shell, samples, distance, need, vertices, corners) -> np.ndarray:
@@ -241,15 +245,29 @@ def sampling(vertices, edges, spacing, need) -> tuple[int, float]:
     return count, float(np.hypot(need, longest / count / np.sqrt(3.0)))
 
 
-def face_samples(vertices, faces, pieces: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points (f, s, 3) on a regular grid of each face, corners included, and their barycentric weights (s, 3)."""
+@functools.cache
+def sample_weights(pieces: int) -> np.ndarray:
+    """Barycentric weights (s, 3) of a regular grid of samples on a face, corners included."""
     i, j = np.meshgrid(np.arange(pieces + 1), np.arange(pieces + 1), indexing="ij")
     kept = i + j <= pieces
     weights = np.stack([pieces - i[kept] - j[kept], i[kept], j[kept]], axis=1) / pieces
-    # coordinate by coordinate, as they are looked up in grids: a third of the time of one einsum, to the same bits
+    weights.flags.writeable = False
+    return weights
+
+
+def face_samples(vertices, faces, pieces: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (f, s, 3) on a regular grid of each face, corners included, and their barycentric weights (s, 3)."""
+    weights = sample_weights(pieces)
+    # coordinate by coordinate: a third of the time of one einsum
     corners = vertices.T[:, faces, None]
     samples = corners[:, :, 0] * weights[:, 0] + corners[:, :, 1] * weights[:, 1] + corners[:, :, 2] * weights[:, 2]
     return np.moveaxis(samples, 0, -1), weights
+
+
+def points_on(vertices, corners, weights) -> np.ndarray:
+    """Points (n, 3) of barycentric weights (n, 3) on faces corners (n, 3)."""
+    a, b, c = (vertices[corners[:, k]] * weights[:, k, None] for k in range(3))
+    return a + b + c
 
 
 def _vertex_normals(vertices, faces) -> np.ndarray:

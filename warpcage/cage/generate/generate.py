@@ -65,7 +65,9 @@ def cage_around_mesh(
     # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
     slack = 0.29 * spacing
     if len(points) > _MOST_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
-        _, one = np.unique(np.floor((points - points.min(axis=0)) / (0.1 * spacing)), axis=0, return_index=True)
+        cell = np.floor((points - points.min(axis=0)) / (0.1 * spacing)).astype(np.int64)
+        # numbered row by row: sorted in a fraction of the time of rows of three
+        _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1)), return_index=True)
         points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
     return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, progress)
 

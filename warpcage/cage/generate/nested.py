@@ -7,6 +7,11 @@ so that every surface on the way holds the one before.
 from __future__ import annotations
 
 import numpy as np
+import warp as wp
+
+from ...core.devices import launch
+from ...kernels.mesh.collapses import measure_collapses
+from .shell import on_cpu
 
 #: Share of the vertices that one round takes away at most, where they do not touch each other's faces.
 _ROUND = 0.08
@@ -70,18 +75,49 @@ def _collapses(vertices, faces, side):
 
     best = np.full(len(edges), np.inf)
     places = np.zeros((len(edges), 3))
+    measured = _Collapses(vertices, faces, edges, around, normals, offsets, double_area, mean, side)
     for base in _bases(vertices[u], vertices[v], normals, offsets, double_area):
-        place, reached = _lifted(base, mean, normals, offsets, there, _ON_PLANE * side)
-        room = (double_area * (np.einsum("eri,ei->er", normals, place) - offsets)).sum(axis=1) / 6.0
         # a shape only adds to the cost: it is asked for where the room alone is cheaper
-        rows = np.flatnonzero(reached & (room < side**3 * best))
-        near = (each[rows] for each in (place, around, there, normals, u, v))
-        shape = _shape_cost(vertices, faces, side, *near)
-        cost = np.round(room[rows] / side**3 + shape, _COST_DIGITS)
+        rows, place, room, shape = measured.at(base, side**3 * best)
+        cost = np.round(room / side**3 + shape, _COST_DIGITS)
         better = cost < best[rows]
-        best[rows[better]], places[rows[better]] = cost[better], place[rows[better]]
+        best[rows[better]], places[rows[better]] = cost[better], place[better]
     fine = np.isfinite(best)
     return edges[fine], places[fine], best[fine]
+
+
+class _Collapses:
+    """Collapses of edges (e, 2) to places that are tried one after the other.
+
+    around, normals, offsets, double_area (e, r, ...): faces around the edges, -1 for none, and their planes; mean
+    (e, 3): the way that places are lifted.
+    """
+
+    def __init__(self, vertices, faces, edges, around, normals, offsets, double_area, mean, side):
+        self._side, self._count = side, len(edges)
+        self._edges, self._means = on_cpu(edges.astype(np.int32), wp.vec2i), on_cpu(mean, wp.vec3d)
+        self._planes = [
+            on_cpu(around.astype(np.int32), wp.int32),
+            on_cpu(normals, wp.vec3d),
+            on_cpu(offsets, wp.float64),
+            on_cpu(double_area, wp.float64),
+        ]
+        self._surface = [on_cpu(vertices, wp.vec3d), on_cpu(faces.astype(np.int32), wp.vec3i)]
+
+    def at(self, base, room_allowed) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The edges (n,) that may collapse to places lifted from base (e, 3) and add less than the room allowed (e,);
+        those places (n, 3), the room (n,) that they add, and what long edges and uneven faces cost (n,)."""
+        place, (room, square, uneven) = np.empty((self._count, 3)), np.empty((3, self._count))
+        limits = [
+            on_cpu(room_allowed, wp.float64),
+            *map(wp.float64, (_ON_PLANE * self._side, _LEAST_TURN, _LEAST_EVEN)),
+        ]
+        inputs = [self._edges, on_cpu(base, wp.vec3d), self._means, *self._planes, *limits, *self._surface]
+        outputs = [on_cpu(place, wp.vec3d), *(on_cpu(found, wp.float64) for found in (room, square, uneven))]
+        launch(measure_collapses, self._count, inputs, outputs, device="cpu")
+        rows = np.flatnonzero(square >= 0.0)
+        longest = np.sqrt(square[rows]) / self._side
+        return rows, place[rows], room[rows], _SIDE_COST * longest**3 + _SHAPE_COST * uneven[rows]
 
 
 def _bases(one, two, normals, offsets, double_area):
@@ -94,37 +130,6 @@ def _bases(one, two, normals, offsets, double_area):
     right = np.einsum("er,eri,er->ei", double_area, normals, offsets) + hold[:, None] * middle
     meeting = np.linalg.solve(matrix, right[..., None])[..., 0]
     return middle, one, two, meeting
-
-
-def _lifted(base, mean, normals, offsets, there, least):
-    """base (e, 3) moved along `mean` to the outer side of every plane, and whether that can be done (e,).
-
-    least: a length; what is not so far behind a plane lies on it.
-    """
-    climb = np.einsum("eri,ei->er", normals, mean)
-    below = np.where(there, offsets - np.einsum("eri,ei->er", normals, base), 0.0)
-    short = below > least
-    steps = np.where(short, below / np.maximum(climb, 0.05), 0.0)
-    return base + steps.max(axis=1)[:, None] * mean, ~(short & (climb < 0.05)).any(axis=1)
-
-
-def _shape_cost(vertices, faces, side, place, around, there, normals, u, v) -> np.ndarray:
-    """(e,) what long edges and uneven faces cost; inf where a face would fold or lose its shape."""
-    triangles = faces[around]
-    moved = (triangles == u[:, None, None]) | (triangles == v[:, None, None])
-    kept = there & (moved.sum(axis=2) == 1)  # those of the edge itself vanish
-    corners = np.where(moved[..., None], place[:, None, None, :], vertices[triangles])
-    sides = corners[:, :, [1, 2, 0]] - corners
-    cross = np.cross(sides[:, :, 0], sides[:, :, 1])
-    double_area = np.sqrt(np.einsum("eri,eri->er", cross, cross))
-    squares = np.einsum("erki,erki->ker", sides, sides)
-    even = 2.0 * np.sqrt(3.0) * double_area / np.maximum(squares.sum(axis=0), 1e-300)
-    turn = np.einsum("eri,eri->er", cross, normals) / np.maximum(double_area, 1e-300)
-    bad = kept & ~((turn > _LEAST_TURN) & (even > _LEAST_EVEN))
-    longest = np.sqrt(np.where(kept, squares.max(axis=0), 0.0).max(axis=1)) / side
-    uneven = np.where(kept, 1.0 / np.maximum(even, 1e-3) - 1.0, 0.0).sum(axis=1)
-    cost = _SIDE_COST * longest**3 + _SHAPE_COST * uneven
-    return np.where(bad.any(axis=1), np.inf, cost)
 
 
 def _edges(faces) -> np.ndarray:

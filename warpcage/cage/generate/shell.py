@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import functools
+import math
 
 import numpy as np
+import warp as wp
 
+from ...core.devices import launch, resolve_device
 from ...core.threads import cpu_threads
+from ...kernels.mesh.shell import look_up, look_up_directions, look_up_faces, measure_nearest
+
+#: Steps of a look-up, and of a search for the nearest point, as `launch` counts them.
+_LOOK_UP_WORK, _SEARCH_WORK = 1, 128
 
 
 class ObjectShell:
@@ -24,7 +31,6 @@ class ObjectShell:
 
     def __init__(self, points: np.ndarray, spacing: float, reach: float, need: float):
         import scipy.ndimage
-        import scipy.spatial
         import skimage.filters
         import skimage.measure
 
@@ -45,9 +51,11 @@ class ObjectShell:
         self.skin = points[near[one]]
         # from far off a search among all points is slow and more than is needed: voxels stand for those they hold
         self._coarse = np.sqrt(0.75) * spacing if need > 6.0 * spacing else 0.0
-        found = self.lower + cell[near[one]] * spacing if self._coarse else points[near]
-        # large leaves and no balancing: built in half the time and searched in less, for the same distances
-        self._nearest = scipy.spatial.KDTree(found, leafsize=32, balanced_tree=False)
+        self._search = (
+            NearestInTree(self.lower + cell[near[one]] * spacing)
+            if self._coarse
+            else NearestInVoxels(points[near], places, self.solid.shape, self.lower, spacing)
+        )
         self.distance = self._distances(radius, need, deep)
         beyond = self.distance > reach
         parts = np.asarray(skimage.measure.label(beyond, connectivity=1))
@@ -57,14 +65,18 @@ class ObjectShell:
         inward = distance_to(outside, radius) * spacing - np.sqrt(0.75) * spacing
         self.closed = np.where(outside, self.distance, np.minimum(self.distance, reach - inward)).astype(np.float64)
         self._smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)
-        self._slope = np.gradient(self._smooth, spacing)
+        self._closed = on_cpu(self.closed, wp.float64)
+        self._slope = [on_cpu(np.asarray(slope), wp.float64) for slope in np.gradient(self._smooth, spacing)]
+        self._grid = (wp.vec3d(*self.lower), wp.float64(self.spacing))
 
     def _distances(self, radius: int, need: float, deep) -> np.ndarray:
         """Exact within a voxel of `need`, between voxel centres from 2.5 on, 0 deep inside; mixed in between."""
         distance = distance_to(self.solid, radius).astype(np.float64) * self.spacing
         far = np.clip(np.abs(distance - need) / self.spacing - 1.0, 0.0, 1.5) / 1.5
         near = (far < 1.0) & ~deep
-        exact = self.exact_distance(self.lower + np.argwhere(near) * self.spacing)
+        # points lie at most half a diagonal from the middle of their voxel
+        about = distance[near] + np.sqrt(0.76) * self.spacing
+        exact = self.exact_distance(self.lower + np.argwhere(near) * self.spacing, about)
         distance[near] = (1.0 - far[near]) * exact + far[near] * np.minimum(distance[near], exact)
         return distance
 
@@ -84,18 +96,35 @@ class ObjectShell:
 
     def closed_distance(self, x: np.ndarray) -> np.ndarray:
         """`closed` at points x (..., 3), trilinear; beyond the grid its value at the grid's edge."""
-        return self._sample(x, [self.closed])[0]
+        found = np.empty(x.shape[:-1])
+        inputs = [on_cpu(x.reshape(-1, 3), wp.vec3d), self._closed, *self._grid]
+        launch(look_up, found.size, inputs, [on_cpu(found.reshape(-1), wp.float64)], device="cpu", work=_LOOK_UP_WORK)
+        return found
 
-    def exact_distance(self, x: np.ndarray) -> np.ndarray:
+    def closed_distance_on_faces(self, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """`closed` at the samples (f, s) of barycentric weights (s, 3) on faces (f, 3), as `points_on` has them."""
+        found = np.empty((len(faces), len(weights)))
+        inputs = [on_cpu(vertices, wp.vec3d), on_cpu(faces.astype(np.int32), wp.vec3i), on_cpu(weights, wp.vec3d)]
+        inputs += [self._closed, *self._grid]
+        work = _LOOK_UP_WORK * len(weights)
+        launch(look_up_faces, len(faces), inputs, [on_cpu(found, wp.float64)], device="cpu", work=work)
+        return found
+
+    def exact_distance(self, x: np.ndarray, about: np.ndarray) -> np.ndarray:
         """Distance from x (n, 3) to the nearest point of the object's skin; where `need` is more than six voxels, up to
-        1.8 voxels less."""
-        return np.maximum(self._nearest.query(x, workers=cpu_threads())[0] - self._coarse, 0.0)
+        1.8 voxels less.
+
+        about (n,): how far at most it is likely to be, which only decides how long the search takes.
+        """
+        return np.maximum(self._search.distance(x, np.maximum(about, 0.5 * self.spacing)) - self._coarse, 0.0)
 
     def outward(self, x: np.ndarray) -> np.ndarray:
-        """Unit directions (..., 3) in which `closed` grows fastest; zero where it is flat."""
-        slope = np.stack(self._sample(x, self._slope), axis=-1)
-        length = np.linalg.norm(slope, axis=-1, keepdims=True)
-        return np.where(length > 1e-6, slope / np.maximum(length, 1e-6), 0.0)
+        """Unit directions (n, 3) in which `closed` grows fastest at x (n, 3); zero where it is flat."""
+        found = np.empty(x.shape)
+        inputs = [on_cpu(x, wp.vec3d), *self._slope, *self._grid]
+        work = 3 * _LOOK_UP_WORK
+        launch(look_up_directions, len(x), inputs, [on_cpu(found, wp.vec3d)], device="cpu", work=work)
+        return found
 
     @functools.cached_property
     def inside_parts(self) -> np.ndarray:
@@ -115,11 +144,48 @@ class ObjectShell:
         order = np.lexsort((off, part))
         return self.lower + cells[order[np.cumsum(count) - count]] * self.spacing
 
-    def _sample(self, x, volumes):
-        import scipy.ndimage
 
-        grid = np.moveaxis((np.asarray(x) - self.lower) / self.spacing, -1, 0)
-        return [scipy.ndimage.map_coordinates(volume, grid, order=1, mode="nearest") for volume in volumes]
+class NearestInVoxels:
+    """Distances to the nearest of points (p, 3) that lie in voxels places (p,) of a grid, numbered row by row."""
+
+    def __init__(self, points, places, shape, lower, spacing):
+        starts = np.zeros(math.prod(shape) + 1, dtype=np.int32)
+        np.cumsum(np.bincount(places, minlength=len(starts) - 1), out=starts[1:])
+        resolve_device("cpu")  # starts Warp
+        self._inputs = [
+            on_cpu(points[np.argsort(places, kind="stable")], wp.vec3d),
+            on_cpu(starts, wp.int32),
+            wp.vec3i(*shape),
+            wp.vec3d(*lower),
+            wp.float64(spacing),
+        ]
+
+    def distance(self, x: np.ndarray, about: np.ndarray) -> np.ndarray:
+        """(n,) distance from x (n, 3) to the nearest point, to the same bits as SciPy's KDTree; about (n,) > 0: where
+        the search begins."""
+        found = np.empty(len(x))
+        inputs, outputs = [on_cpu(x, wp.vec3d), on_cpu(about, wp.float64), *self._inputs], [on_cpu(found, wp.float64)]
+        launch(measure_nearest, len(x), inputs, outputs, device="cpu", work=_SEARCH_WORK)
+        return found
+
+
+class NearestInTree:
+    """Distances to the nearest of points (p, 3), however far they are."""
+
+    def __init__(self, points):
+        import scipy.spatial
+
+        # large leaves and no balancing: built in half the time and searched in less, for the same distances
+        self._tree = scipy.spatial.KDTree(points, leafsize=32, balanced_tree=False)
+
+    def distance(self, x: np.ndarray, about: np.ndarray) -> np.ndarray:
+        """(n,) distance from x (n, 3) to the nearest point."""
+        return self._tree.query(x, workers=cpu_threads())[0]
+
+
+def on_cpu(values: np.ndarray, dtype) -> wp.array:
+    """A Warp array of the same memory, where values are C-contiguous."""
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
 
 def first_of_each(numbers: np.ndarray, count: int) -> np.ndarray:
