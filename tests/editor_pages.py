@@ -4,10 +4,12 @@ import asyncio
 import contextlib
 import functools
 import json
+import logging
 import struct
 
 import aiohttp
 import numpy as np
+import pytest
 
 from warpcage.cage.cage import Cage
 from warpcage.editor.server import Server
@@ -189,3 +191,27 @@ def with_pages(test, folder, count=1, session=None, size=(24, 16), **options):
 
     asyncio.run(run())
     assert not wrong, [str(context) for context in wrong]
+
+
+@pytest.fixture(autouse=True)
+def nothing_logged(caplog):
+    """No test of a module that takes this may make the editor, aiohttp or asyncio complain."""
+    caplog.set_level(logging.WARNING)
+    yield
+    loud = [record for record in caplog.records if record.levelno >= logging.ERROR]
+    assert not loud, [record.getMessage() for record in loud]
+
+
+def run(test, folder, **options):
+    """Run an asynchronous test(server, http session) against a server."""
+
+    async def all_of_it():
+        async with served(folder, **options) as host, aiohttp.ClientSession() as http:
+            await asyncio.wait_for(test(host, http), 2 * WAIT)
+
+    asyncio.run(all_of_it())
+
+
+async def status(http, address, **options):
+    async with http.request(options.pop("method", "GET"), address, **options) as answer:
+        return answer.status

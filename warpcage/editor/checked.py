@@ -21,8 +21,8 @@ MAX_RATE = 240.0
 RESOLUTIONS = (8, 512)
 #: Largest number of a place, world units, either way from zero: its squares and cubes can be held in float32 too.
 MAX_PLACE = 1e12
-#: Numbers of edits and keys end here: a message holds them in 32 bits.
-MAX_ID = 2**31
+#: Largest number of an edit or a key: a message holds it in 32 bits. New ones are given up to half of it.
+MAX_ID = 2**32 - 1
 #: Letters of an error's line.
 MAX_LINE = 500
 

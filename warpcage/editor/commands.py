@@ -160,7 +160,7 @@ def with_new_edit(document: Document, cage: Cage, kind: str = "move", name: str 
     """A document with one more edit, which becomes the active one."""
     if len(document.edits) >= MAX_EDITS:
         raise ValueError(f"a scene takes at most {MAX_EDITS} edits: delete one first")
-    number = document.next_id
+    number = document.free_id
     edit = new_edit(number, cage, name or f"{KIND_NAMES[kind]} {len(document.edits) + 1}", kind)
     document = dataclasses.replace(document, edits=(*document.edits, edit), next_id=number + 1)
     return f"add {edit.name}", dataclasses.replace(document, selection=Selection(number, document.selection.mode))
@@ -283,7 +283,7 @@ def add_key(document: Document, message: Message) -> Step:
         if len(document.timeline.keys) >= MAX_KEYS:
             raise ValueError(f"a film takes at most {MAX_KEYS} keys: delete some first")
         name = checked_name(message.get("name") or free_name(document))
-        key = Key(document.next_id, time, name)
+        key = Key(document.free_id, time, name)
         document = dataclasses.replace(document, next_id=document.next_id + 1)
     key = _filled(document, key, message)
     if key.poses is None and key.view is None:

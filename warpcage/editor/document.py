@@ -210,6 +210,13 @@ class Document:
                 return key
         raise ValueError(f"there is no key {number!r}: it may have been deleted")
 
+    @property
+    def free_id(self) -> int:
+        """The number of the next edit or key. Raises ValueError where a foreign session has used them up."""
+        if self.next_id > MAX_ID // 2:
+            raise ValueError("this session has no numbers left for new edits and keys: begin a new session")
+        return self.next_id
+
     def with_edit(self, edit: Edit) -> Document:
         """The document with an edit in the place of the one of the same number."""
         return dataclasses.replace(self, edits=tuple(edit if old.id == edit.id else old for old in self.edits))
@@ -404,7 +411,7 @@ def _document(content: Mapping[str, Any]) -> Document:
             checked_choice(film["loop"], LOOPS, "loop"),
         ),
         checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
-        max([checked_whole(content["next_id"], 1, MAX_ID, "next_id"), *(number + 1 for number in numbers)]),
+        max([checked_whole(content["next_id"], 1, MAX_ID + 1, "next_id"), *(number + 1 for number in numbers)]),
     )
 
 
@@ -433,7 +440,7 @@ def checked_selection(content: Mapping[str, Any], sizes: Mapping[int, int]) -> S
 def _edit(content: Mapping[str, Any]) -> Edit:
     vertices = checked_items(content["rest"], MAX_VERTICES, "rest")
     cage = Cage(frozen_vertices(vertices), np.asarray(checked_items(content["faces"], 4 * MAX_VERTICES, "faces")))
-    number = checked_whole(content["id"], 1, MAX_ID // 2, "id")
+    number = checked_id(content["id"], "id")
     edit = new_edit(number, cage, content["name"], content["kind"], content["posed"])
     return dataclasses.replace(edit, visible=checked_flag(content["visible"], "visible"))
 
@@ -443,7 +450,7 @@ def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
     if poses is not None:
         poses = {int(number): frozen_vertices(array, sizes.get(int(number))) for number, array in poses.items()}
     return Key(
-        checked_whole(content["id"], 1, MAX_ID // 2, "id"),
+        checked_id(content["id"], "id"),
         checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
         checked_name(content["name"]),
         checked_choice(content["easing"], EASINGS, "easing"),

@@ -68,13 +68,7 @@ class Files:
                 name, content = await self._received(request)
                 keep = self._tasks.keep_upload
                 kept = await asyncio.get_running_loop().run_in_executor(None, keep, name, content)
-        except (
-            ValueError,
-            OSError,
-            LookupError,
-            AssertionError,
-            MemoryError,
-        ) as error:  # aiohttp asserts a part's form
+        except BROKEN as error:
             raise web.HTTPBadRequest(text=error_line(error)) from None
         return web.json_response({"file": kept})
 

@@ -1,0 +1,201 @@
+"""`warpcage edit`: what it prints, refuses, sets aside and leaves when it is ended."""
+
+import asyncio
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import webbrowser
+
+import numpy as np
+import pytest
+
+pytest.importorskip("aiohttp")
+
+from cli_runs import run  # noqa: E402
+from editor_pages import BOX, WAIT, pages, tiny_field  # noqa: E402
+
+from warpcage.cage.cage import Cage  # noqa: E402
+from warpcage.editor.edit import Editor  # noqa: E402
+from warpcage.editor.session_file import read_session  # noqa: E402
+
+
+@pytest.fixture
+def files(tmp_path):
+    tiny_field().save(tmp_path / "ball.npz")
+    BOX.save(tmp_path / "cage.obj")
+    Cage.box((0, 0, 0), (1, 1, 1)).save(tmp_path / "other.obj")
+    Cage(BOX.vertices, BOX.faces[1:]).save(tmp_path / "open.obj")
+    (tmp_path / "broken.npz").write_bytes(b"no archive")
+    (tmp_path / "broken.session.json").write_text("{}")
+    return tmp_path
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Editors that commands have opened; each is interrupted at once."""
+    editors = []
+
+    def wait(editor):
+        editors.append(editor)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Editor, "wait", wait)
+    return editors
+
+
+def edit(files, *words):
+    return run(files, "edit", *words, "--no-browser")
+
+
+def error(capsys):
+    out, err = capsys.readouterr()
+    assert err.count("\n") == 1 and err.startswith("warpcage: error: "), err
+    assert out == ""
+    return err
+
+
+WRONG = [
+    ((), "field file, or --demo"),
+    (("@ball.npz", "--demo"), "field file, or --demo"),
+    (("--demo", "--cage", "@cage.obj"), "brings its own cage"),
+    (("@nothing.npz",), "is not there"),
+    (("@broken.npz",), "is not an .npz"),
+    (("@ball.npz", "--cage", "@nothing.obj"), "nothing.obj"),
+    (("@ball.npz", "--cage", "@open.obj"), "open.obj"),
+    (("@ball.npz", "--session", "@broken.session.json"), "broken.session.json"),
+    (("@ball.npz", "--host", "no.such.host.invalid"), ""),
+    (("@ball.npz", "--host", "192.0.2.1"), "assign requested address"),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), WRONG, ids=[" ".join(words) for words, _ in WRONG])
+def test_what_cannot_be_is_one_line(files, capsys, words, said):
+    before = sorted(os.listdir(files))
+    assert edit(files, *words) == 2
+    assert said in error(capsys)
+    assert sorted(os.listdir(files)) == before
+
+
+@pytest.mark.parametrize("port", ["-1", "65536", "x", "1.5", "", "²"])
+def test_a_port_is_a_number(files, capsys, port):
+    assert edit(files, "@ball.npz", f"--port={port}") == 2
+    assert "is no port" in error(capsys)
+
+
+def test_a_port_that_is_taken_is_one_line(files, capsys):
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        assert edit(files, "@ball.npz", "--port", taken.getsockname()[1]) == 2
+    assert "already in use" in error(capsys)
+
+
+@pytest.mark.parametrize("missing", ["aiohttp", "simplejpeg"])
+def test_a_missing_extra_is_one_line_before_anything_is_made(files, capsys, monkeypatch, missing):
+    monkeypatch.setitem(sys.modules, missing, None)
+    monkeypatch.setattr("warpcage.cli.edit.demo_files", lambda device: pytest.fail("the demo is made"))
+    for words in (("@ball.npz",), ("--demo",)):
+        assert edit(files, *words) == 2
+        assert error(capsys) == f"warpcage: error: the editor needs {missing}: pip install 'warpcage[edit]'\n"
+
+
+def test_a_session_is_begun_kept_and_gone_on_with(files, opened, capsys):
+    assert edit(files, "@ball.npz", "--cage", "@cage.obj", "--cage", "@other.obj") == 130
+    out, err = capsys.readouterr()
+    assert err == "warpcage: interrupted\n"
+    assert opened[0].url in out and "ball.session.json" in out
+    kept = files / "ball.session.json"
+    first = kept.read_bytes()
+    assert [len(one.rest) for one in read_session(kept).edits] == [8, 8]
+    assert edit(files, "@ball.npz") == 130 and len(opened[1].document.edits) == 2
+    capsys.readouterr()
+    assert edit(files, "@ball.npz", "--cage", "@cage.obj") == 2
+    assert "--new" in error(capsys) and kept.read_bytes() == first
+
+
+def test_new_sets_the_old_session_aside(files, opened, capsys):
+    edit(files, "@ball.npz", "--cage", "@cage.obj")
+    kept = files / "ball.session.json"
+    first = kept.read_bytes()
+    for number in (1, 2):
+        assert edit(files, "@ball.npz", "--new") == 130
+        assert f"ball.{number}.session.json" in capsys.readouterr().out
+        assert (files / "ball.1.session.json").read_bytes() == first and read_session(kept).edits == ()
+    edit(files, "@ball.npz", "--new", "--cage", "@other.obj")
+    np.testing.assert_allclose(opened[-1].document.edits[0].rest.min(axis=0), 0, atol=1e-9)
+
+
+def test_new_leaves_the_old_session_where_the_editor_cannot_begin(files, opened, capsys):
+    import socket
+
+    edit(files, "@ball.npz", "--cage", "@cage.obj")
+    first = (files / "ball.session.json").read_bytes()
+    before = sorted(os.listdir(files))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        assert edit(files, "@ball.npz", "--new", "--port", taken.getsockname()[1]) == 2
+    (files / "ball.npz").rename(files / "gone.npz")
+    assert edit(files, "@ball.npz", "--new") == 2
+    (files / "gone.npz").rename(files / "ball.npz")
+    assert sorted(os.listdir(files)) == before and (files / "ball.session.json").read_bytes() == first
+
+
+def test_the_demo_is_taken_from_the_cache(files, opened, capsys, monkeypatch):
+    cache = files / "cache"
+    cache.mkdir()
+    (files / "ball.npz").rename(cache / "bricks.npz")
+    (files / "cage.obj").rename(cache / "bricks_cage.obj")
+    monkeypatch.setenv("WARPCAGE_CACHE", str(cache))
+    monkeypatch.setattr("warpcage.editor.demo.fit", lambda *_, **__: pytest.fail("the demo is fitted"))
+    for words in (("--demo",), ("--demo",), ("--demo", "--new")):
+        assert run(files, "edit", *words, "--no-browser") == 130
+        np.testing.assert_allclose(opened[-1].posed[0].vertices, BOX.vertices)
+    names = ["bricks.1.session.json", "bricks.npz", "bricks.session.json", "bricks_cage.obj"]
+    assert sorted(os.listdir(cache)) == names
+
+
+def test_a_browser_is_opened_or_the_reader_is_told(files, opened, capsys, monkeypatch):
+    seen = []
+    monkeypatch.setattr(webbrowser, "open", lambda url: not seen.append(url))
+    run(files, "edit", "@ball.npz")
+    assert seen == [opened[0].url] and "no browser" not in capsys.readouterr().err
+    monkeypatch.setattr(webbrowser, "open", lambda url: False)
+    run(files, "edit", "@ball.npz")
+    assert "open the address above" in capsys.readouterr().err
+
+
+PROGRAM = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs ignore it
+from warpcage.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_an_interrupt_in_the_middle_of_a_drag_ends_it_with_the_session_saved(files):
+    words = ["edit", str(files / "ball.npz"), "--cage", str(files / "cage.obj"), "--no-browser", "--device", "cpu"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+    async def work():
+        lines = iter(process.stdout.readline, "")
+        line = await asyncio.get_running_loop().run_in_executor(None, lambda: next(x for x in lines if " at http" in x))
+        server = type("Running", (), {"address": line.split()[-1]})
+        async with pages(server) as (page,):
+            await page.do(do="drag.begin", edit=1)
+            await page.move(BOX.vertices * 1.3)
+            await page.do(do="seen", frame=0)
+            process.send_signal(signal.SIGINT)
+            await page.ended()
+
+    try:
+        asyncio.run(asyncio.wait_for(work(), 2 * WAIT))
+        _, err = process.communicate(timeout=WAIT)
+    finally:
+        process.kill()
+        process.wait(WAIT)
+    assert process.returncode == 130 and "Traceback" not in err, err
+    (one,) = read_session(pathlib.Path(files / "ball.session.json")).edits
+    np.testing.assert_allclose(one.posed, BOX.vertices * 1.3)

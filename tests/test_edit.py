@@ -1,0 +1,112 @@
+"""`warpcage.edit`: the editor for callers and notebooks, from its opening to its end."""
+
+import asyncio
+import errno
+import os
+import pathlib
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+aiohttp = pytest.importorskip("aiohttp")
+
+from editor_pages import BOX, new_session, pages, served, tiny_field  # noqa: E402
+
+from warpcage.cage.cage import Cage  # noqa: E402
+from warpcage.editor import edit as edit_module  # noqa: E402
+from warpcage.editor.document import Document  # noqa: E402
+from warpcage.editor.edit import edit  # noqa: E402
+from warpcage.editor.session import Session, new_document  # noqa: E402
+
+REST = BOX.vertices
+
+
+def full_disk(path, *_, **__):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def test_an_editor_keeps_a_field_from_memory_nowhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with edit(tiny_field(), BOX) as editor:
+        assert editor.session_path is None and editor.url in repr(editor) and editor.url.startswith("http://127.0.0.1:")
+        np.testing.assert_array_equal(editor.posed[0].vertices, REST)
+        assert isinstance(editor.document, Document)
+        html = editor._repr_html_()
+        assert html.startswith("<iframe") and editor.url.replace("127.0.0.1", "localhost") in html
+    editor.close()
+    assert "closed" in repr(editor) and "closed" in editor._repr_html_() and os.listdir(tmp_path) == []
+    editor.wait()
+
+
+def test_an_editor_saves_when_it_is_closed_and_goes_on_later(tmp_path):
+    tiny_field().save(tmp_path / "ball.npz")
+
+    async def move(editor):
+        async with pages(type("Running", (), {"address": editor.url})) as (page,):
+            await page.drag(REST * 1.25)
+
+    with edit(tmp_path / "ball.npz", [BOX, Cage.box((0, 0, 0), (1, 1, 1))]) as editor:
+        asyncio.run(move(editor))
+    before = (tmp_path / "ball.session.json").read_bytes()
+    with pytest.raises(ValueError, match="holds a session"):
+        edit(tmp_path / "ball.npz", BOX)
+    with edit(str(tmp_path / "ball.npz")) as again:
+        np.testing.assert_allclose(again.posed[0].vertices, REST * 1.25)
+        assert len(again.posed) == 2 and again.session_path == tmp_path / "ball.session.json"
+    assert (tmp_path / "ball.session.json").read_bytes() == before  # a look changes nothing
+
+
+def test_an_editor_that_could_not_save_says_so(tmp_path, monkeypatch):
+    tiny_field().save(tmp_path / "ball.npz")
+    editor = edit(tmp_path / "ball.npz", BOX)
+    monkeypatch.setattr(pathlib.Path, "write_text", full_disk)
+    with pytest.warns(UserWarning, match="could not be saved: No space left"):
+        editor.close()
+    assert os.listdir(tmp_path) == ["ball.npz"]
+
+
+def test_what_an_editor_cannot_open_is_one_line_and_leaves_no_thread(tmp_path):
+    before = threading.active_count()
+    with edit(tiny_field()) as editor:
+        port = int(editor.url.split(":")[2].split("/")[0])
+        with pytest.raises(OSError, match="address already in use|in use"):
+            edit(tiny_field(), port=port)
+    wrong = [
+        (dict(port=-1), "port"),
+        (dict(port=70000), "port"),
+        (dict(port="80"), "port"),
+        (dict(port=True), "port"),
+        (dict(host=5), "host"),
+        (dict(allowed_hosts="proxy"), "allowed_hosts"),
+        (dict(cage="cage.obj"), "Cage"),
+        (dict(cage=Cage(BOX.vertices, BOX.faces[1:])), "cage 1"),
+        (dict(field=7), "VoxelField"),
+        (dict(field=tmp_path), "not there|is no|npz"),
+    ]
+    for options, words in wrong:
+        with pytest.raises((ValueError, OSError), match=words):
+            edit(**{"field": tiny_field(), **options})
+    names = [thread.name for thread in threading.enumerate() if thread.name.startswith(("warpcage-", "warpcage "))]
+    assert names == [] and threading.active_count() <= before + 2
+
+
+def test_without_the_extra_it_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "simplejpeg", None)
+    with pytest.raises(ImportError, match=r"simplejpeg: pip install 'warpcage\[edit\]'$"):
+        edit(tiny_field())
+    assert edit_module.RESOLUTION_CPU < edit_module.RESOLUTION_CUDA
+
+
+def test_many_editors_one_after_another_leave_nothing(tmp_path):
+    async def test():
+        async with served(tmp_path) as host, pages(host) as (page,):
+            await page.until(lambda: page.frames)
+
+    asyncio.run(test())
+    files, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
+    for _ in range(3):
+        asyncio.run(test())
+    assert threading.active_count() <= threads and len(os.listdir("/proc/self/fd")) <= files + 1
+    assert Session is type(new_session()) and new_document(tiny_field()).edits == ()
