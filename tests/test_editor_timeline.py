@@ -117,20 +117,42 @@ def test_edits_go_by_the_keys_that_hold_them():
     assert 1 not in state_at(dataclasses.replace(document, edits=(cut, *edits[1:])), 1.0)[0]
 
 
-def test_cameras_go_as_poses_do():
-    other = View((0.0, 5.0, 3.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 60.0)
-    document = film((0.0, "linear", None, VIEW), (1.0, "smooth", POSES[0], None), (2.0, "hold", None, other))
+def test_cameras_turn_about_their_target():
+    """Half-way round, a camera stands at the side, as far away as between the two, and not in the object."""
+    up = (0.0, 0.0, 1.0)
+    begin = View((2.0, 0.0, 1.0), (0.0, 0.0, 1.0), up, 40.0)
+    end = View((1.0, 8.0, 3.0), (1.0, 0.0, 3.0), up, 60.0)
+    document = film((0.0, "smooth", None, begin), (2.0, "smooth", None, end))
     view = state_at(document, 1.0)[1]
-    np.testing.assert_allclose(view.eye, (1.5, 2.5, 2.0))
-    np.testing.assert_allclose(view.target, (0.5, 0.0, 0.0))
-    np.testing.assert_allclose(view.up, np.array([0.0, 1.0, 1.0]) / np.sqrt(2))
-    assert view.fov == pytest.approx(50.0)
-    assert state_at(document, 0.0)[1] == VIEW and state_at(document, 7.0)[1] == other
+    np.testing.assert_allclose(view.target, (0.5, 0.0, 2.0))
+    np.testing.assert_allclose(np.subtract(view.eye, view.target), 4.0 * np.sqrt(0.5) * np.array([1.0, 1.0, 0.0]))
+    assert view.up == up and view.fov == pytest.approx(50.0)
+    assert state_at(document, 0.0)[1] is begin and state_at(document, 5.0)[1] is end
+
+
+def test_views_between_odd_ones_can_be_used():
     turned = dataclasses.replace(VIEW, up=(0.0, 0.0, -1.0), target=(6.0, 0.0, 2.0))
     middle = state_at(film((0.0, "linear", None, VIEW), (1.0, "linear", None, turned)), 0.5)[1]
     assert np.linalg.norm(middle.up) == pytest.approx(1.0) and middle.target != middle.eye
     wide = film(*((t, "smooth", None, dataclasses.replace(VIEW, fov=fov)) for t, fov in enumerate((40, 149, 149.5, 1))))
     assert max(state_at(wide, t)[1].fov for t in np.linspace(0, 3, 61)) <= 150.0
+
+
+def test_cameras_take_the_shorter_way_round_and_rise():
+    axis = np.array([1.0, 2.0, -0.5]) / np.linalg.norm([1.0, 2.0, -0.5])
+    across = np.cross(axis, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    third = np.cross(axis, across)
+
+    def view(azimuth, elevation):
+        flat = np.cos(azimuth) * across + np.sin(azimuth) * third
+        eye = 3.0 * (np.cos(elevation) * flat + np.sin(elevation) * axis)
+        return View(tuple(eye), (0.0, 0.0, 0.0), tuple(axis), 40.0)
+
+    turns = [(2.8, 0.1), (-2.9, 0.5), (-1.4, 0.2)]  # through pi
+    document = film(*((float(k), "linear", None, view(*turn)) for k, turn in enumerate(turns)))
+    for time, azimuth, elevation in ((0.25, 2.8 + 0.25 * (2 * np.pi - 5.7), 0.2), (1.5, -2.15, 0.35)):
+        np.testing.assert_allclose(state_at(document, time)[1].eye, view(azimuth, elevation).eye, atol=1e-12)
 
 
 def test_looped_time():

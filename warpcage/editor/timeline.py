@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
+import math
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import TypeVar
@@ -46,7 +47,7 @@ def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], Vi
         track = [(key, vertices) for key, vertices in track if vertices.shape == edit.posed.shape]
         if track:
             poses[edit.id] = _value_at(track, time)
-    views = [(key, np.array([*key.view.eye, *key.view.target, *key.view.up, key.view.fov])) for key in keys if key.view]
+    views = _view_track(keys)
     return poses, _view_at(views, time) if views else None
 
 
@@ -264,21 +265,47 @@ def _velocity(track: Sequence[tuple[Key, np.ndarray]], index: int) -> np.ndarray
     return (two - one) / (after.time - before.time)
 
 
+def _view_track(keys: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
+    """Keys of cameras as numbers that go evenly: (10,) target, logarithm of the distance, angle about the first key's up
+    and above the plane across it, up, and field of view. So a camera turns about its target by the shorter way."""
+    views = [(key, key.view) for key in keys if key.view is not None]
+    if not views:
+        return []
+    frame = _frame(np.array(views[0][1].up))
+    offsets = np.array([np.subtract(view.eye, view.target) for _, view in views])
+    distances = np.linalg.norm(offsets, axis=1)
+    x, y, z = (offsets / distances[:, None] @ frame).T
+    azimuths = np.unwrap(np.arctan2(y, x))
+    elevations = np.arcsin(np.clip(z, -1.0, 1.0))
+    return [
+        (key, np.array([*view.target, math.log(distance), azimuth, elevation, *view.up, view.fov]))
+        for (key, view), distance, azimuth, elevation in zip(views, distances, azimuths, elevations, strict=True)
+    ]
+
+
 def _view_at(track: Sequence[tuple[Key, np.ndarray]], time: float) -> View:
-    """The view at a time. Where the way leads through one that shows nothing, the earlier key's direction is kept."""
-    place = bisect.bisect_right([key.time for key, _ in track], time) - 1
+    """The view at a time."""
+    place = max(bisect.bisect_right([key.time for key, _ in track], time) - 1, 0)
     value = _value_at(track, time)
-    held = track[max(place, 0)][0].view
-    assert held is not None
-    if value is track[max(place, 0)][1]:
+    first, held = track[0][0].view, track[place][0].view
+    assert first is not None and held is not None
+    if value is track[place][1]:
         return held
-    eye, target, up, fov = value[:3], value[3:6], value[6:9], float(value[9])
+    target, up, fov = value[:3], value[6:9], float(value[9])
+    azimuth, elevation = value[4:6].tolist()
+    direction = [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+    eye = target + math.exp(value[3]) * (_frame(np.array(first.up)) @ direction)
     length = float(np.linalg.norm(up))
-    up = up / length if length > 1e-9 else np.array(held.up)
-    towards = np.subtract(held.target, held.eye)
-    if np.linalg.norm(target - eye) < 1e-6 * np.linalg.norm(towards):
-        target = eye + towards
+    up = up / length if length > 1e-9 else np.array(held.up)  # half-way between opposite ones
     return View(_triple(eye), _triple(target), _triple(up), min(max(fov, LEAST_FOV), LARGEST_FOV))
+
+
+def _frame(up: np.ndarray) -> np.ndarray:
+    """(3, 3) columns: two directions across `up`, and `up`."""
+    side = np.eye(3)[int(np.argmin(np.abs(up)))]
+    across = np.cross(up, side)
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(up, across), up], axis=1)
 
 
 def _triple(values: np.ndarray) -> tuple[float, float, float]:
