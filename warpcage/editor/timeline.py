@@ -266,8 +266,11 @@ def _velocity(track: Sequence[tuple[Key, np.ndarray]], index: int) -> np.ndarray
 
 
 def _view_track(keys: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
-    """Keys of cameras as numbers that go evenly: (10,) target, logarithm of the distance, angle about the first key's up
-    and above the plane across it, up, and field of view. So a camera turns about its target by the shorter way."""
+    """Keys of cameras as numbers, such that a camera turns about its target by the shorter way.
+
+    They are (10,): target, logarithm of the distance, angle about the first key's up, angle above the plane across it,
+    up, and field of view.
+    """
     views = [(key, key.view) for key in keys if key.view is not None]
     if not views:
         return []
