@@ -151,7 +151,8 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
             sent[number] = time.perf_counter()
             await socket.send_bytes(struct.pack("<4I", 2, number, edit["id"], vertices) + pose)
         end = time.perf_counter()
-        await asyncio.sleep(1.0)
+        while shown[-1][1] < number and time.perf_counter() < end + 120.0:
+            await asyncio.sleep(0.01)
         await say(do="drag.end", edit=edit["id"], cancel=True)
         await asyncio.sleep(0.2)
         listening.cancel()

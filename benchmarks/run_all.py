@@ -5,8 +5,8 @@
 
 Each benchmark is a separate process. Its JSON file and its output go to --out (default: a temporary folder). The exit
 status is 1 if one of them fails. Left out are blender_round_trip.py, which needs Blender, editor_servers.py, which
-needs servers that warpcage does not use, and with --quick those whose figures mean nothing at a small size
-(fit_profile.py: CUDA events).
+needs servers that warpcage does not use, editor_pictures.py, which makes the pictures of the README, and with --quick
+those whose figures mean nothing at a small size (fit_profile.py: CUDA events).
 """
 
 from __future__ import annotations
@@ -114,6 +114,21 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
         "table1": ["--quick", "--json", out / "table1.json", "--figure", out / "table1.jpg"],
         "ground_truth": ["--quick", "--poses", "bend", "--json", out / "ground_truth.json", "--figures", out],
         "compile": ["--device", "cpu", "--warm-runs", 1, "--json", out / "compile.json"],
+        "editor": [
+            "--field",
+            field,
+            "--cage",
+            cage,
+            "--device",
+            "cpu",
+            "--size",
+            200,
+            150,
+            "--seconds",
+            2,
+            "--json",
+            out / "editor.json",
+        ],
         "every_kernel": ["--device", "cpu"],
         "soak": ["--poses", 20, "--fits", 4, "--refused", 200, "--json", out / "soak.json"],
         "page": ["--results", out, "--page", out / "page.md"],
