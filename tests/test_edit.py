@@ -19,6 +19,7 @@ from warpcage.editor import edit as edit_module  # noqa: E402
 from warpcage.editor.document import Document  # noqa: E402
 from warpcage.editor.edit import edit  # noqa: E402
 from warpcage.editor.session import Session, new_document  # noqa: E402
+from warpcage.editor.session_file import read_session  # noqa: E402
 
 REST = BOX.vertices
 
@@ -65,6 +66,16 @@ def test_an_editor_that_could_not_save_says_so(tmp_path, monkeypatch):
     with pytest.warns(UserWarning, match="could not be saved: No space left"):
         editor.close()
     assert os.listdir(tmp_path) == ["ball.npz"]
+
+
+def test_an_editor_says_where_it_saved_when_another_program_wrote_its_file(tmp_path):
+    tiny_field().save(tmp_path / "ball.npz")
+    editor = edit(tmp_path / "ball.npz", BOX)
+    (tmp_path / "ball.session.json").write_text("theirs")
+    with pytest.warns(UserWarning, match=r"another program: this session is kept in .*ball\.1\.session\.json"):
+        editor.close()
+    assert (tmp_path / "ball.session.json").read_text() == "theirs"
+    assert len(read_session(tmp_path / "ball.1.session.json").edits) == 1
 
 
 def test_what_an_editor_cannot_open_is_one_line_and_leaves_no_thread(tmp_path):

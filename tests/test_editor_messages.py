@@ -99,7 +99,7 @@ GOOD = [
     {"do": "edit.order", "ids": [1]},
     {"do": "cage.generate", "edit": 1, "count": 8, "margin": None, "method": "auto", "symmetry": None},
     {"do": "cage.subdivide", "edit": 1},
-    {"do": "cage.simplify", "edit": 1, "count": 6},
+    {"do": "cage.simplify", "edit": 1, "count": 8},
     {"do": "cage.box", "edit": 1, "vertices": [0, 7], "margin": 0.1},
     {"do": "cage.load", "file": "no.obj", "edit": None, "up": "z"},
     {"do": "pose.load", "file": "no.obj", "edit": 1, "up": "z"},

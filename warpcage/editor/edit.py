@@ -54,7 +54,7 @@ class Editor:
         require_libraries()
         from .server import Server
 
-        self._session = session
+        self._session, self._path = session, session.path
         self._loop = asyncio.new_event_loop()
         self._server = Server(session, folder, host, port, tuple(allowed_hosts))
         self._closed = threading.Event()
@@ -100,6 +100,9 @@ class Editor:
             self._session.save_changes()
         if self._session.save_error is not None:
             warnings.warn(f"the session could not be saved: {self._session.save_error}", stacklevel=2)
+        if self._session.path != self._path:
+            text = f"{self._path} was changed by another program: this session is kept in {self._session.path}"
+            warnings.warn(text, stacklevel=2)
 
     def _end_loop(self) -> None:
         self._loop.call_soon_threadsafe(self._loop.stop)

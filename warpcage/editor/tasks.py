@@ -44,6 +44,9 @@ MAX_FILES = 1000
 #: Bytes of an uploaded file's name.
 MAX_NAME_BYTES = 120
 
+#: Vertices that a cage may be made with.
+COUNTS = (8, 2000)
+
 #: Largest margin of a generated cage, voxels.
 MAX_MARGIN = 64.0
 
@@ -179,7 +182,7 @@ class Tasks:
         number = message.get("edit")
         if number is not None:
             self.session.document.edit(number)
-        count = checked_whole(message.get("count", 100), 8, 2000, "count")
+        count = checked_whole(message.get("count", 100), *COUNTS, "count")
         method = checked_choice(message.get("method", "auto"), ("auto", "shell", "voxel"), "method")
         symmetry = message.get("symmetry")
         if symmetry is not None:
@@ -199,7 +202,9 @@ class Tasks:
 
     def _simplify(self, message: dict[str, Any]) -> int:
         edit = self.session.document.edit(message["edit"])
-        count = checked_whole(message["count"], 4, len(edit.rest) - 1, "count")
+        if len(edit.rest) <= COUNTS[0]:
+            raise ValueError(f"this cage has {len(edit.rest)} vertices: it cannot be made simpler")
+        count = checked_whole(message["count"], COUNTS[0], min(COUNTS[1], len(edit.rest) - 1), "count")
 
         def work(progress: Progress) -> Outcome:
             progress(None, "joins faces")
