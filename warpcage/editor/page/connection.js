@@ -180,10 +180,11 @@ export function connect() {
   socket = opened;
 }
 
-/** Breaks the connection; it is made again at once (for tests of reconnecting). */
+/** Breaks the connection; it is made again at once where the page is still there. */
 export function breakConnection() {
   socket?.close();
 }
 
 window.addEventListener("online", connect);
+window.addEventListener("pagehide", breakConnection); // a page that the browser keeps for "back" is no page of ours
 document.addEventListener("visibilitychange", () => document.hidden || connect());

@@ -128,7 +128,9 @@ export function number({ id, label, title, min, max, step = 0.1, unit = "", valu
       event.preventDefault();
       take((input.valueAsNumber || 0) + way * step * (event.shiftKey ? 10 : 1));
     }
-    if (event.key !== "Escape" || !onChange) return;
+    if (!onChange) return;
+    if (event.key === "Enter") input.blur(); // what was typed counts, and keys are the page's again
+    if (event.key !== "Escape") return;
     write(guard.release() ?? last);
     input.blur();
   });

@@ -251,6 +251,26 @@ function showSession() {
   document.title = `${title} · warpcage`;
 }
 
+/** Gives the keys back to the view after a press of the mouse, so that Space plays and does not press it once more. */
+function keepKeys() {
+  const view = document.getElementById("view");
+  let isPointed = false;
+  const giveBack = () => view.focus({ preventScroll: true });
+  window.addEventListener("pointerdown", () => (isPointed = true), { capture: true });
+  window.addEventListener("keydown", () => (isPointed = false), { capture: true });
+  document.addEventListener("mousedown", (event) => {
+    if (event.target.closest("dialog") || !event.target.closest("button, summary")) return;
+    event.preventDefault();
+    giveBack();
+  });
+  document.addEventListener("click", ({ target }) => {
+    if (isPointed && target.matches("[type=radio], [type=checkbox]") && !target.closest("dialog")) giveBack();
+  });
+  document.addEventListener("change", ({ target }) => {
+    if (isPointed && target.matches("select") && !target.closest("dialog")) giveBack();
+  });
+}
+
 /** Fills header and tools, and keeps them as the store is. */
 export function start() {
   register("panel", { label: "Side panel", keys: ["P"], group: "Page", run: togglePanel });
@@ -267,6 +287,7 @@ export function start() {
   const showOptions = buildOptions();
   const showMode = buildMode();
   document.addEventListener("click", onClick);
+  keepKeys();
   store.on("tools", () => (showTools(), showOptions()));
   store.on("selection", showPicks);
   store.on("settings", ({ mode }) => showMode(mode));

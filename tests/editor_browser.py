@@ -1,0 +1,297 @@
+"""A person at the editor's page in a real browser: windows that are looked at, pointed at and typed into."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from page_probe import drag, pointer
+
+#: Seconds that anything may take before it counts as not happening. Nothing waits longer than it must.
+PATIENCE = 120.0
+
+#: Numbers of keys that are held with another one, and of keys with a name, and the text that these write.
+HELD = {"Alt": 1, "Ctrl": 2, "Shift": 8}
+KEYS = {"Tab": (9, ""), "Enter": (13, "\r"), "Escape": (27, ""), "Space": (32, " "), "End": (35, ""), "Home": (36, "")}
+KEYS |= {"ArrowLeft": (37, ""), "ArrowUp": (38, ""), "ArrowRight": (39, ""), "ArrowDown": (40, ""), "Delete": (46, "")}
+KEYS |= {".": (190, "."), "-": (189, "-"), "]": (221, "]"), "[": (219, "[")}
+
+#: What is on the page and takes the pointer, and whether something else lies over its middle.
+PLACE = """
+const found = document.querySelector(arguments[0]);
+if (!found) return null;
+const inView = () => { const b = found.getBoundingClientRect(); return [b.left + b.width / 2, b.top + b.height / 2]; };
+found.scrollIntoView({ block: "nearest", inline: "nearest" });
+const [x, y] = inView(), top = document.elementFromPoint(x, y);
+return { x, y, free: found === top || found.contains(top) || Boolean(top?.closest("label")?.contains(found)) };
+"""
+
+
+def until(condition: Callable[[], Any], what: str, seconds: float = PATIENCE) -> Any:
+    """Wait until a condition gives something true, and return it; fails with `what` where it never does."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, f"this did not happen in {seconds:g} s: {what}"
+        time.sleep(0.02)
+    return found
+
+
+class Window:
+    """One window of a browser at the editor's page.
+
+    Args:
+        driver: Of `page_probe.chromium`.
+        address: Of the editor.
+        handle: The window. None is the one that the driver is at.
+    """
+
+    def __init__(self, driver: Any, address: str, handle: str | None = None) -> None:
+        self.driver, self.address = driver, address
+        self.handle = handle or driver.current_window_handle
+        self.open()
+
+    def open(self, address: str | None = None) -> None:
+        """Open the page, or another address of it, and wait until it is connected and shows a picture."""
+        self.address = address or self.address
+        self.front()
+        self.driver.get(self.address)
+        self.wait("warpcage.store.status.connected && warpcage.store.status.frame", "the page is connected")
+
+    def reload(self) -> None:
+        self.front()
+        self.driver.refresh()
+        self.wait("window.warpcage?.store.status.connected && warpcage.store.status.frame", "the page is back")
+
+    def front(self) -> None:
+        """What is done from now on is done in this window."""
+        self.driver.switch_to.window(self.handle)
+
+    # -- Looking
+
+    def get(self, expression: str, *given: Any) -> Any:
+        """What an expression of the page is; `arguments` are those given."""
+        return self.driver.execute_script(f"return {expression}", *given)
+
+    def wait(self, expression: str, what: str = "", *given: Any) -> Any:
+        """Wait until an expression of the page is true, and return it."""
+        said = what or expression
+
+        def look() -> Any:
+            return self.driver.execute_script(f"return window.warpcage ? ({expression}) : null", *given)
+
+        return until(look, said)
+
+    def section(self, name: str) -> Any:
+        """A section of the state, as this page has it."""
+        return self.get("warpcage.store.sections[arguments[0]]", name)
+
+    def sections(self) -> dict[str, Any]:
+        """All that pages of one session share."""
+        names = ("edits", "selection", "settings", "view", "timeline", "playback", "history")
+        return {name: self.section(name) for name in names}
+
+    def edit(self, number: int = 1) -> dict[str, Any]:
+        """An edit, as this page has it."""
+        (found,) = (edit for edit in self.section("edits") if edit["id"] == number)
+        return found
+
+    def posed(self, number: int = 1) -> np.ndarray:
+        """(v, 3) what this page draws as the posed cage of an edit."""
+        script = 'return import("/" + arguments[1] + "/cages.js").then(({cages}) => [...cages.get(arguments[0]).posed])'
+        token = self.address.split("/")[3]
+        return np.reshape(self.driver.execute_script(script, number, token), (-1, 3))
+
+    @property
+    def box(self) -> dict[str, float]:
+        """The rectangle of the view."""
+        return self.get('document.getElementById("view").getBoundingClientRect().toJSON()')
+
+    def places(self, number: int = 1) -> np.ndarray:
+        """(v, 2) where the vertices of an edit are on the page, CSS pixels."""
+        box = self.box
+        script = (
+            "warpcage.store.sections.edits.find(({id}) => id === arguments[0])"
+            ".rest.map((_, i) => warpcage.viewport.project(arguments[0], i))"
+        )
+        return np.array(self.get(script, number)) + [box["left"], box["top"]]
+
+    def rest(self) -> dict[str, Any]:
+        """Wait until the picture is sharp and shows what the hand did last; return its header."""
+        self.wait(
+            "warpcage.viewport.picture?.sharp && !warpcage.viewport.operation && warpcage.viewport.picture"
+            " && (warpcage.store.status.frame === warpcage.viewport.picture)",
+            "a sharp picture",
+        )
+        return self.get("warpcage.viewport.picture")
+
+    def canvas(self) -> np.ndarray:
+        """(h, w, 3) what the view shows, as bytes."""
+        import base64
+        import io
+
+        import imageio.v3 as iio
+
+        script = """
+        const [done] = arguments;
+        requestAnimationFrame(() => requestAnimationFrame(() =>
+          done(document.getElementById("view").toDataURL("image/png"))));
+        """
+        data = self.driver.execute_async_script(script)
+        return np.asarray(iio.imread(io.BytesIO(base64.b64decode(data.partition(",")[2])), extension=".png"))[..., :3]
+
+    def console(self) -> list[dict[str, Any]]:
+        """What the console got since it was asked last, of all windows."""
+        return self.driver.get_log("browser")
+
+    # -- Pointing
+
+    def click(self, selector: str, *, twice: bool = False) -> None:
+        """Click an element with the mouse; it must be there and nothing may lie over it."""
+
+        def look() -> Any:
+            place = self.driver.execute_script(PLACE, selector)
+            return place if place and place["free"] else None
+
+        place = until(look, f"{selector} can be clicked", 20.0)
+        for count in range(1, 2 + twice):
+            pointer(self.driver, "mouseMoved", place["x"], place["y"])
+            pointer(self.driver, "mousePressed", place["x"], place["y"], button="left", clickCount=count)
+            pointer(self.driver, "mouseReleased", place["x"], place["y"], button="left", clickCount=count)
+
+    def drag(self, path: Any, keys: int = 0) -> None:
+        """Drag along places of the page."""
+        drag(self.driver, [(float(x), float(y)) for x, y in path], keys=keys)
+
+    def point(self, kind: str, place: Any, **more: Any) -> None:
+        """One event of the mouse; see `page_probe.pointer`."""
+        pointer(self.driver, kind, float(place[0]), float(place[1]), **more)
+
+    def choose(self, selector: str, value: str) -> None:
+        """Choose from a list."""
+        from selenium.webdriver.common.by import By
+        from selenium.webdriver.support.ui import Select
+
+        Select(self.driver.find_element(By.CSS_SELECTOR, selector)).select_by_value(value)
+
+    def unfold(self, group: str) -> None:
+        """Unfold a group of the side panel."""
+        if not self.get(f'document.getElementById("group-{group}").open'):
+            self.click(f"#group-{group}-fold")
+
+    # -- Typing
+
+    def press(self, *strokes: str) -> None:
+        """Press keys, each "G", "Ctrl+Z", "Enter", "ArrowLeft", "Tab" and the like, at what has the focus."""
+        for stroke in strokes:
+            *names, key = stroke.split("+")
+            held = sum(HELD[name] for name in names)
+            number, text = KEYS.get(key, (ord(key[0].upper()), key.upper() if held & 8 else key.lower()))
+            code = f"Key{key}" if len(key) == 1 and key.isalpha() else f"Digit{key}" if key.isdigit() else key
+            event: dict[str, Any] = {"key": text if len(key) == 1 else " " if key == "Space" else key, "code": code}
+            event |= {"modifiers": held, "windowsVirtualKeyCode": number}
+            said = {"text": text} if text and not held & 7 else {}
+            self.driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyDown", **event, **said})
+            self.driver.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": "keyUp", **event})
+
+    def type(self, text: str) -> None:
+        """Type a text at what has the focus; a line's end is Enter."""
+        self.press(*("Enter" if letter == "\n" else letter for letter in text))
+
+    def fill(self, selector: str, text: str) -> None:
+        """Write into a field in place of what is in it, with the mouse and the keyboard."""
+        self.click(selector)
+        self.driver.execute_script("document.querySelector(arguments[0]).select()", selector)
+        self.type(text)
+
+    def tab_to(self, wanted: str, most: int = 150) -> None:
+        """Press Tab until an element has the focus: that with this id."""
+        for _ in range(most):
+            if self.get("document.activeElement.id") == wanted:
+                return
+            self.press("Tab")
+        raise AssertionError(f"{most} times Tab do not lead to {wanted}")
+
+    # -- Jobs
+
+    def job(self, count: int) -> dict[str, Any]:
+        """Wait until so many jobs were begun and have ended; return the last one."""
+        self.wait(
+            "(warpcage.store.sections.jobs ?? []).length === arguments[0]"
+            ' && warpcage.store.sections.jobs.every(({state}) => state !== "running")',
+            f"{count} jobs have ended",
+            count,
+        )
+        return self.section("jobs")[-1]
+
+
+class Tunnel:
+    """A forwarded port, as ssh has it, that can break.
+
+    Args:
+        port: Where it leads, on this machine.
+
+    Attributes:
+        port: Where it begins.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._target, self.port = port, 0
+        self._open: list[socket.socket] = []
+        self._lock = threading.Lock()
+        self.restore()
+
+    def restore(self) -> None:
+        """Take connections, on the same port as before."""
+        self._listener = socket.create_server(("127.0.0.1", self.port))
+        self.port = self._listener.getsockname()[1]
+        threading.Thread(target=self._accept, args=(self._listener,), daemon=True).start()
+
+    def cut(self) -> None:
+        """Break all connections at once, and refuse new ones."""
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        with self._lock:
+            ends, self._open = self._open, []
+        for end in ends:
+            with contextlib.suppress(OSError):
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+
+    def _accept(self, listener: socket.socket) -> None:
+        while True:
+            try:
+                near, _ = listener.accept()
+                far = socket.create_connection(("127.0.0.1", self._target))
+            except OSError:
+                return
+            with self._lock:
+                self._open += [near, far]
+            for one, other in ((near, far), (far, near)):
+                threading.Thread(target=self._carry, args=(one, other), daemon=True).start()
+
+    @staticmethod
+    def _carry(one: socket.socket, other: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := one.recv(65536):
+                other.sendall(data)
+        with contextlib.suppress(OSError):
+            other.shutdown(socket.SHUT_WR)
+
+
+@contextlib.contextmanager
+def tunnel(address: str) -> Iterator[tuple[Tunnel, str]]:
+    """A tunnel to an editor, and the editor's address through it."""
+    scheme, _, host, token, _ = address.split("/")
+    opened = Tunnel(int(host.rpartition(":")[2]))
+    try:
+        yield opened, f"{scheme}//127.0.0.1:{opened.port}/{token}/"
+    finally:
+        opened.cut()
