@@ -119,3 +119,13 @@ def test_points_beyond_numbers_are_refused(device):
             mean_value_coordinates([[place, 0, 0]], BOX, device=device)
         with pytest.raises(ValueError, match="1 of 1 points"):
             green_coordinates([[place, 0, 0]], BOX, device=device)
+
+
+@pytest.mark.parametrize("factor", [1e4, 1e6])
+def test_posed_cages_too_large_for_a_march_are_refused(factor, device):
+    """A slip of the hand or of a number: the picture would take all day, and nothing could be seen in it."""
+    field = shiny_field(device, resolution=16)
+    deformer = Deformer(field, BOX, resolution=16).pose(BOX.scale(factor))
+    with pytest.raises(ValueError, match=r"posed cage of edit 0 is .* across, .* march steps of .*: make it smaller"):
+        deformer.render(view(size=4))
+    assert np.isfinite(deformer.pose(BOX.scale(20.0)).render(view(size=4)).rgb).all()  # large, and yet drawn

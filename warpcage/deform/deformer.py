@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
-from ..core.checks import checked_step, require_type
+from ..core.checks import MOST_SAMPLES, checked_step, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
 from ..core.names import COORDINATES, DENSITIES, STORES
@@ -226,7 +226,8 @@ class Deformer:
 
         Raises:
             ValueError: For a background that is not known, a step that is not positive and finite or is too short,
-                a camera so far away that float32 cannot tell steps there, or supersampling out of range.
+                a camera so far away that float32 cannot tell steps there, a posed cage so large that a march through it
+                would not end, or supersampling out of range.
         """
         with self.lock:
             return self._render(self.posed_edits, camera, background, step, supersampling)
@@ -283,6 +284,7 @@ class Deformer:
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
             edits = posed_edits()
+            require_short_march(self._held or (), options.step)
             edits.prepare(grid, options.step)
             picture = Picture()
             for name, array in arrays.items():
@@ -376,3 +378,22 @@ def checked_pose(edit: CageEdit, cage: Any, index: int) -> Cage | None:
     require_same_faces(edit.cage, cage)
     require_usable(cage, "the deformed cage")
     return cage
+
+
+def require_short_march(cages: Sequence[Cage | None], step: float) -> None:
+    """Refuse posed cages through which a march would take all day.
+
+    Args:
+        cages: The posed cages, None for an edit that removes.
+        step: March step, world units.
+
+    Raises:
+        ValueError: For a cage of more than MOST_SAMPLES steps, with what would be right.
+    """
+    for index, cage in enumerate(cages):
+        size = 0.0 if cage is None else float(np.linalg.norm(np.ptp(cage.bounds, axis=0)))
+        if size > MOST_SAMPLES * step:
+            raise ValueError(
+                f"the posed cage of edit {index} is {size:.3g} across, {size / step:.3g} march steps of {step:.3g}: "
+                f"make it smaller, or the step at least {size / MOST_SAMPLES:.3g}"
+            )

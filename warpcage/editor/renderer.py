@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import dataclasses
+import logging
 import math
 import threading
 import time
@@ -20,6 +21,8 @@ from .document import Document
 from .effort import COARSE_CELLS, Effort, Pace
 from .picture import DEPTHS_MOVING, DEPTHS_SHARP, Pixels, band_camera, frame_pixels, joined_pixels, packed_frame
 from .scene import PosedScene, camera
+
+_log = logging.getLogger(__name__)
 
 #: How long the hand must rest before a sharp picture is begun, seconds; longer where its pose takes long.
 REST_SECONDS = 0.15
@@ -115,6 +118,10 @@ class Renderer:
                 rough = None  # the newer request comes next
             except EXPECTED as error:
                 rough = None
+                self._complain(request, error)
+            except Exception as error:  # a mistake of ours, or a kernel that cannot be built: the next one may do
+                rough = None
+                _log.exception("a picture could not be made")
                 self._complain(request, error)
 
     def _next(self, timeout: float | None) -> Request | None:
@@ -241,8 +248,8 @@ class Renderer:
 
     def _send(self, header: dict[str, Any], pixels: Pixels | None, quality: int, started: float) -> None:
         """Encode and deliver in another thread, while the next picture is made. One waits at most."""
-        if self._sent is not None:
-            self._sent.result()
+        if self._sent is not None and (error := self._sent.exception()) is not None:
+            _log.error("a picture could not be sent", exc_info=error)
 
         def send() -> None:
             if "ms" in header:
