@@ -139,9 +139,9 @@ def test_a_lasso_and_a_proportional_drag_pose_the_cage(window: Window, editor: A
 
 def test_the_picture_is_that_of_the_posed_cage(window: Window, editor: Any) -> None:
     looks_cheap(window)
-    lowest, _ = below(window)
-    window.drag([lowest, lowest + [6, 6], lowest + [60, 40]])
-    settle(editor, 3)
+    window.press("A", "R", "X", "6", "0", "Enter")
+    turned = CAGE.rotate(60, axis="x").vertices
+    until(lambda: np.allclose(posed(editor), turned, atol=1e-9), "the cage is turned")
     window.press("Alt+Shift+Z")  # without the cage
     until(lambda: not window.get("warpcage.store.tools.cage"), "the cage is not drawn")
     until(lambda: np.allclose(window.posed(), posed(editor)), "the page has the pose")
@@ -157,7 +157,7 @@ def test_the_picture_is_that_of_the_posed_cage(window: Window, editor: Any) -> N
     still = deformer.pose(CAGE).render(eye).rgb
     inner = slice(0, int(0.8 * height)), slice(0, int(0.8 * width))  # the compass is in a corner
     wrong = np.abs(shown[inner] - moved[inner]).mean()
-    assert wrong < 0.01 and np.abs(shown[inner] - still[inner]).mean() > 3 * wrong
+    assert wrong < 0.005 and np.abs(shown[inner] - still[inner]).mean() > 5 * wrong
 
 
 def test_fifty_steps_are_undone_and_redone(window: Window, editor: Any) -> None:
@@ -230,7 +230,7 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     assert job["state"] == "done", job
     film = iio.imread(tmp_path / "film.mp4", plugin="pyav")
     assert film.shape == (5, 32, 48, 3)  # 0, 1/8, ... 1/2 s
-    assert np.abs(film[0].astype(float) - film[-1]).mean() > 1
+    assert np.abs(film[0].astype(float) - film[-1]).mean() > 0.3
     link = window.get('document.querySelector(".job a[download]").href')
     assert urllib.request.urlopen(link).read() == (tmp_path / "film.mp4").read_bytes()
 
@@ -394,7 +394,7 @@ def test_the_keyboard_alone_poses_keys_and_exports(window: Window, editor: Any, 
 
 #: Every control that can be seen and does not lie where it can be pressed; texts without contrast to what is behind.
 LAYOUT = """
-const bad = [];
+const bad = [], near = 1 / devicePixelRatio;
 const name = (found) => found.id || found.className || found.tagName;
 const isShown = (found) => found.checkVisibility({ visibilityProperty: true }) && !found.closest("[inert]");
 const scrolled = (found) => { for (let up = found.parentElement; up; up = up.parentElement) {
@@ -407,7 +407,7 @@ for (const found of document.querySelectorAll("button, input, select, summary, a
   if (panel) found.scrollIntoView({ block: "nearest" });
   const box = found.getBoundingClientRect();
   if (!box.width) continue;
-  const inside = box.left >= -0.5 && box.top >= -0.5 && box.right <= innerWidth + 0.5 && box.bottom <= innerHeight + 0.5;
+  const inside = Math.min(box.left, box.top, innerWidth - box.right, innerHeight - box.bottom) >= -near;
   const top = document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2);
   const free = top && (found.contains(top) || top.contains(found) && top.tagName === "LABEL" || found.closest("label")?.contains(top));
   if (!inside || !free) bad.push(`${name(found)} ${inside ? "is covered by " + (top ? name(top) : "nothing") : "is outside"}`);
@@ -457,7 +457,7 @@ def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, 
             window.wait("matchMedia(`(prefers-color-scheme: ${arguments[0]})`).matches", scheme, scheme)
             until(lambda: not window.get("document.getAnimations().length"), "nothing fades any more")
             found = browser.execute_script(LAYOUT)
-            assert found["bad"] == [] and found["texts"] > 40
+            assert "\n".join(found["bad"]) == "" and found["texts"] > 40
             colours.add(found["colour"])
         assert len(colours) == 2
     finally:

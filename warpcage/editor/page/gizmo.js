@@ -220,7 +220,7 @@ export function drawCompass(context, compass, hovered) {
   context.font = "bold 11px system-ui, sans-serif";
   context.textAlign = "center";
   context.textBaseline = "middle";
-  context.fillStyle = "rgba(20, 24, 30, 0.35)";
+  context.fillStyle = "rgba(60, 70, 84, 0.18)";
   context.beginPath();
   context.arc(compass.cx, compass.cy, 42, 0, 2 * Math.PI);
   context.fill();

@@ -99,7 +99,8 @@ export function keysGroup() {
 const sizes = () => {
   const { width = 800, height = 600, scale = 1 } = store.status.frame ?? {};
   const even = (value) => 2 * Math.round(value / 2);
-  const full = Math.max(640, width / scale); // pictures are smaller while something moves
+  const isSlow = store.sections.session?.device === "cpu"; // half a second a picture and more, at full size
+  const full = isSlow ? 640 : Math.max(640, width / scale); // pictures are smaller while something moves
   return [
     { name: "width", label: "Width", type: "number", value: even(full), min: 16, max: 4096, step: 2, unit: "pixels" },
     { name: "height", label: "Height", type: "number", value: even((full * height) / width), min: 16, max: 4096, step: 2, unit: "pixels" },

@@ -12,6 +12,7 @@ import { mean, point } from "./vectors.js";
 
 const KEPT_LATENCIES = 1000;
 const CALM = 250; // ms between changes of the status' figures
+const FIRST_PICTURE = ["The first picture is being made …", "The first time on a machine its kernels are built, which takes a minute at most."];
 const REST = 180; // ms after the last step of the view until it counts as resting
 
 let canvas = null;
@@ -161,6 +162,7 @@ function draw() {
   const running = operation.current();
   if (running) drawOperation(now, running);
   else if (!store.status.connected) D.drawHint(context, ["No connection to the server; trying again …"], height);
+  else if (!picture) D.drawHint(context, FIRST_PICTURE, height);
   if (unshown) onShown();
 }
 
