@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
+import io
 import socket
 import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
+import imageio.v3 as iio
 import numpy as np
-from page_probe import drag, pointer
+import pytest
+
+pytest.importorskip("aiohttp")
+pytest.importorskip("simplejpeg")
+
+from editor_pages import tiny_field  # noqa: E402
+from page_probe import chromium, drag, pointer  # noqa: E402
+
+import warpcage  # noqa: E402
 
 #: Seconds that anything may take before it counts as not happening. Nothing waits longer than it must.
 PATIENCE = 120.0
@@ -132,11 +144,6 @@ class Window:
 
     def canvas(self) -> np.ndarray:
         """(h, w, 3) what the view shows, as bytes."""
-        import base64
-        import io
-
-        import imageio.v3 as iio
-
         script = """
         const [done] = arguments;
         requestAnimationFrame(() => requestAnimationFrame(() =>
@@ -295,3 +302,61 @@ def tunnel(address: str) -> Iterator[tuple[Tunnel, str]]:
         yield opened, f"{scheme}//127.0.0.1:{opened.port}/{token}/"
     finally:
         opened.cut()
+
+
+# what tests begin with ---------------------------------------------------------------------------------------------
+
+#: A cage of 42 vertices around the ball.
+CAGE = warpcage.Cage.icosphere((0.0, 0.0, 0.0), 0.8, subdivisions=1)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium(1024, 768, ratio=0.5) as driver:  # pictures of few pixels are cheap
+        yield driver
+
+
+@pytest.fixture
+def editor(tmp_path: Path) -> Iterator[Any]:
+    """An editor of a ball, with settings that pictures are cheap with."""
+    tiny_field().save(tmp_path / "ball.npz")
+    with warpcage.edit(tmp_path / "ball.npz", CAGE) as opened:
+        yield opened
+
+
+@pytest.fixture
+def window(browser: Any, editor: Any) -> Iterator[Window]:
+    """A window at the editor, with what a new user's browser has kept: nothing. Its console stays empty."""
+    browser.switch_to.window(browser.window_handles[0])
+    browser.get(editor.url)
+    browser.execute_script("localStorage.clear()")
+    browser.get_log("browser")
+    opened = Window(browser, editor.url)
+    yield opened
+    opened.front()
+    assert opened.console() == []
+    browser.get("about:blank")
+
+
+def settle(editor: Any, count: int) -> None:
+    """Wait until the server's history has so many steps."""
+    until(lambda: len(editor._session.history.undo_steps) == count, f"{count} steps of undo")
+
+
+def posed(editor: Any) -> np.ndarray:
+    return editor.posed[0].vertices
+
+
+def looks_cheap(window: Window) -> None:
+    """Sets what pictures are cheap with, as a person does."""
+    window.unfold("view")
+    window.choose("#coordinates", "mean_value")
+    window.wait('warpcage.store.sections.settings.coordinates === "mean_value"')
+    window.click("#group-view-fold")
+
+
+def below(window: Window) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest corner of the cage in the view, and a place beside the cage for a lasso around it to begin at."""
+    places = window.places()
+    lowest = places[np.argmax(places[:, 1])]
+    return lowest, np.array([lowest[0] + 60, lowest[1]])

@@ -2,78 +2,24 @@
 
 from __future__ import annotations
 
-import dataclasses
-import http.server
 import shlex
-import threading
 import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from editor_browser import CAGE, Window, below, browser, editor, looks_cheap, posed, settle, tunnel, until, window
+from editor_pages import tiny_field
+from page_probe import projected
 
-pytest.importorskip("aiohttp")
-pytest.importorskip("simplejpeg")
+import warpcage
+from warpcage.cli import main
+from warpcage.editor.document import View, checked_view
 
-from editor_browser import Window, until, tunnel  # noqa: E402, I001
-from editor_pages import tiny_field  # noqa: E402
-from page_probe import chromium, projected  # noqa: E402
-
-import warpcage  # noqa: E402
-from warpcage.cli import main  # noqa: E402
-
+__all__ = ["browser", "editor", "window"]  # fixtures
 pytestmark = pytest.mark.xdist_group("chromium")
-
-#: A cage of 42 vertices around the ball.
-CAGE = warpcage.Cage.icosphere((0.0, 0.0, 0.0), 0.8, subdivisions=1)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium(1024, 768, ratio=0.5) as driver:  # pictures of few pixels are cheap
-        yield driver
-
-
-@pytest.fixture
-def editor(tmp_path: Path) -> Iterator[Any]:
-    """An editor of a ball, with settings that pictures are cheap with."""
-    tiny_field().save(tmp_path / "ball.npz")
-    with warpcage.edit(tmp_path / "ball.npz", CAGE) as opened:
-        yield opened
-
-
-@pytest.fixture
-def window(browser: Any, editor: Any) -> Iterator[Window]:
-    """A window at the editor, with what a new user's browser has kept: nothing. Its console stays empty."""
-    browser.switch_to.window(browser.window_handles[0])
-    browser.get(editor.url)
-    browser.execute_script("localStorage.clear()")
-    browser.get_log("browser")
-    opened = Window(browser, editor.url)
-    yield opened
-    opened.front()
-    assert opened.console() == []
-    browser.get("about:blank")
-
-
-def settle(editor: Any, count: int) -> None:
-    """Wait until the server's history has so many steps."""
-    until(lambda: len(editor._session.history.undo_steps) == count, f"{count} steps of undo")
-
-
-def posed(editor: Any) -> np.ndarray:
-    return editor.posed[0].vertices
-
-
-def looks_cheap(window: Window) -> None:
-    """Sets what pictures are cheap with, as a person does."""
-    window.unfold("view")
-    window.choose("#coordinates", "mean_value")
-    window.wait('warpcage.store.sections.settings.coordinates === "mean_value"')
-    window.click("#group-view-fold")
 
 
 def lasso(window: Window, around: np.ndarray, reach: float) -> np.ndarray:
@@ -86,13 +32,6 @@ def lasso(window: Window, around: np.ndarray, reach: float) -> np.ndarray:
     away = places[:, None] - path[None]
     sides = steps[None, :, 0] * away[..., 1] - steps[None, :, 1] * away[..., 0]
     return np.flatnonzero((sides > 0).all(axis=1))
-
-
-def below(window: Window) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest corner of the cage in the view, and a place beside the cage for a lasso around it to begin at."""
-    places = window.places()
-    lowest = places[np.argmax(places[:, 1])]
-    return lowest, np.array([lowest[0] + 60, lowest[1]])
 
 
 # the mouse ---------------------------------------------------------------------------------------------------------
@@ -274,7 +213,7 @@ def test_a_reloaded_page_and_a_second_one_have_the_same_state(window: Window, br
     window.press("K")
     window.wait("warpcage.store.sections.timeline.keys.length === 1")
     window.drag([lowest + [-150, -200], lowest + [-130, -190], lowest + [-90, -190]], keys=1)
-    until(lambda: editor.document.view == warpcage_view(window), "the view is told")
+    until(lambda: editor.document.view == view_of(window), "the view is told")
     before = window.sections()
     window.reload()
     assert window.sections() == before
@@ -303,9 +242,8 @@ def test_a_reloaded_page_and_a_second_one_have_the_same_state(window: Window, br
         browser.switch_to.window(window.handle)
 
 
-def warpcage_view(window: Window) -> Any:
-    from warpcage.editor.document import checked_view
-
+def view_of(window: Window) -> View:
+    """Where a window looks from, whether the server knows or not."""
     return checked_view(window.get("warpcage.viewport.view"))
 
 
@@ -388,175 +326,3 @@ def test_the_keyboard_alone_poses_keys_and_exports(window: Window, editor: Any, 
     assert window.job(1)["state"] == "done", window.section("jobs")
     assert iio.imread(tmp_path / "mine.gif").shape[1:3] == (30, 40)
     assert window.get("document.activeElement.id") == "export-gif"  # where the person was
-
-
-# how it looks -------------------------------------------------------------------------------------------------------
-
-#: Every control that can be seen and does not lie where it can be pressed; texts without contrast to what is behind.
-LAYOUT = """
-const bad = [], near = 1 / devicePixelRatio;
-const name = (found) => found.id || found.className || found.tagName;
-const isShown = (found) => found.checkVisibility({ visibilityProperty: true }) && !found.closest("[inert]");
-const scrolled = (found) => { for (let up = found.parentElement; up; up = up.parentElement) {
-  if (up.scrollHeight > up.clientHeight + 1 && /auto|scroll/.test(getComputedStyle(up).overflowY)) return up; } };
-if (document.documentElement.scrollWidth > innerWidth || document.documentElement.scrollHeight > innerHeight)
-  bad.push("the page scrolls");
-for (const found of document.querySelectorAll("button, input, select, summary, a[href]")) {
-  if (!isShown(found) || found.classList.contains("hidden-file")) continue;
-  const panel = scrolled(found);
-  if (panel) found.scrollIntoView({ block: "nearest" });
-  const box = found.getBoundingClientRect();
-  if (!box.width) continue;
-  const inside = Math.min(box.left, box.top, innerWidth - box.right, innerHeight - box.bottom) >= -near;
-  const top = document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2);
-  const free = top && (found.contains(top) || top.contains(found) && top.tagName === "LABEL" || found.closest("label")?.contains(top));
-  if (!inside || !free) bad.push(`${name(found)} ${inside ? "is covered by " + (top ? name(top) : "nothing") : "is outside"}`);
-  if (!found.title && !found.closest("[title]") && !found.getAttribute("aria-label") && !found.labels?.length && !found.textContent)
-    bad.push(`${name(found)} has no name`);
-}
-const pen = Object.assign(document.createElement("canvas"), { width: 1, height: 1 }).getContext("2d", { willReadFrequently: true });
-const shade = (colours) => {
-  pen.clearRect(0, 0, 1, 1);
-  for (const colour of colours) { pen.fillStyle = "#000"; pen.fillStyle = colour; pen.fillRect(0, 0, 1, 1); }
-  const [r, g, b] = [...pen.getImageData(0, 0, 1, 1).data].map((v) => (v / 255 <= 0.04045 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
-  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
-};
-let texts = 0;
-for (const found of document.querySelectorAll("body *")) {
-  const says = [...found.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
-  if (!says || !isShown(found) || found.closest("[disabled], noscript, option, svg")) continue;
-  const behind = [];
-  for (let up = found; up; up = up.parentElement) behind.unshift(getComputedStyle(up).backgroundColor);
-  const style = getComputedStyle(found), base = shade(behind), front = shade([...behind, style.color]);
-  const ratio = (Math.max(base, front) + 0.05) / (Math.min(base, front) + 0.05);
-  texts += 1;
-  if (ratio < 4.5) bad.push(`${name(found)} "${found.textContent.trim().slice(0, 30)}" has a contrast of ${ratio.toFixed(2)}`);
-}
-return { bad: [...new Set(bad)], texts, colour: getComputedStyle(document.body).backgroundColor };
-"""
-
-
-@pytest.mark.parametrize(("width", "height"), [(1024, 768), (1440, 900), (820, 1180)])
-def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, width: int, height: int) -> None:
-    metrics = {"width": width, "height": height, "deviceScaleFactor": 0.5, "mobile": False}
-    colours = set()
-    try:
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-        window.wait("innerWidth === arguments[0]", "the window is resized", width)
-        if window.get('document.body.classList.contains("panel-closed")'):
-            window.click("#panel-toggle")
-        for group in ("edits", "cage", "pose", "view", "keys", "film", "jobs"):
-            window.unfold(group)
-        window.click("#proportional")
-        window.click("#snap")
-        window.press("K")
-        window.wait("warpcage.store.sections.timeline.keys.length === 1")
-        for scheme in ("light", "dark"):
-            features = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-            browser.execute_cdp_cmd("Emulation.setEmulatedMedia", features)
-            window.wait("matchMedia(`(prefers-color-scheme: ${arguments[0]})`).matches", scheme, scheme)
-            until(lambda: not window.get("document.getAnimations().length"), "nothing fades any more")
-            found = browser.execute_script(LAYOUT)
-            assert "\n".join(found["bad"]) == "" and found["texts"] > 40
-            colours.add(found["colour"])
-        assert len(colours) == 2
-    finally:
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-        metrics |= {"width": 1024, "height": 768}
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-
-
-# a page that is up to no good ----------------------------------------------------------------------------------------
-
-#: What a page of another origin tries; each must end with "no".
-HOSTILE = """
-const [base, done] = arguments;
-const no = "no";
-const socket = (address) => new Promise((end) => {
-  const opened = new WebSocket(address.replace("http", "ws") + "socket");
-  opened.onopen = () => { opened.send(JSON.stringify({ do: "pose.reset", edit: 1, vertices: null })); end("open"); };
-  opened.onerror = () => end(no);
-});
-const element = (tag, options) => new Promise((end) => {
-  const made = Object.assign(document.createElement(tag), options, { onload: () => end("loaded"), onerror: () => end(no) });
-  document.head.append(made);
-});
-const read = (path, options) => fetch(path, options).then((answer) => answer.text()).then(() => "read", () => no);
-const form = () => { const it = new FormData(); it.append("file", new Blob(["v 0 0 0"]), "evil.obj"); return it; };
-const framed = (address, options = {}) => new Promise((end) => {
-  const frame = Object.assign(document.createElement("iframe"), { src: address, ...options });
-  frame.onload = () => { try { end(frame.contentWindow.document.body.innerHTML ? "seen" : no); } catch { end(no); } };
-  document.body.append(frame);
-});
-const sandboxed = (address) => new Promise((end) => {
-  addEventListener("message", ({ data }) => end(data), { once: true });
-  const script = `const s = new WebSocket("${address.replace("http", "ws")}socket");
-    s.onopen = () => parent.postMessage("open", "*"); s.onerror = () => parent.postMessage("no", "*");`;
-  const frame = document.createElement("iframe");
-  frame.sandbox = "allow-scripts";
-  frame.srcdoc = "<script>" + script + "<" + "/script>";
-  document.body.append(frame);
-});
-(async () => {
-  const found = {};
-  const root = new URL("/", base).href;
-  for (const [name, address] of [["token", base], ["none", root], ["wrong", root + "A".repeat(32) + "/"]]) {
-    found[name + " fetch"] = await read(address);
-    found[name + " download"] = await read(address + "download/ball.npz");
-    found[name + " upload"] = await read(address + "upload", { method: "POST", body: form() });
-    await fetch(address + "upload", { method: "POST", body: form(), mode: "no-cors" }).catch(() => no);
-    found[name + " socket"] = await socket(address);
-    found[name + " image"] = await element("img", { src: address + "icons.svg" });
-    found[name + " script"] = await element("script", { src: address + "vectors.js" });
-    found[name + " module"] = await import(address + "vectors.js").then(() => "imported", () => no);
-    found[name + " style"] = await element("link", { rel: "stylesheet", href: address + "style.css" });
-    found[name + " frame"] = await framed(address);
-    found[name + " null origin"] = await sandboxed(address);
-  }
-  done(found);
-})();
-"""
-
-
-def test_a_page_of_another_origin_reaches_nothing(window: Window, browser: Any, editor: Any, tmp_path: Path) -> None:
-    class Page(http.server.BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html")
-            self.end_headers()
-            self.wfile.write(b"<!doctype html><link rel=icon href='data:,'><body>")
-
-        def log_message(self, format: str, *args: Any) -> None:
-            pass
-
-    lowest, _ = below(window)
-    window.drag([lowest, lowest + [6, 6], lowest + [40, 30]])
-    until(lambda: not np.array_equal(posed(editor), CAGE.vertices), "the cage is posed")
-    assert window.console() == []
-    window.driver.get("about:blank")
-    until(lambda: not editor._server.clients, "the page has gone")
-    document, files = editor.document, sorted(path.name for path in tmp_path.iterdir())
-    numbers = editor._server._number
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Page)
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
-        for host in ("127.0.0.1", "localhost"):
-            browser.get(f"http://{host}:{server.server_address[1]}/")
-            found = browser.execute_async_script(HOSTILE, editor.url)
-            assert set(found.values()) == {"no"}, {name: got for name, got in found.items() if got != "no"}
-            assert len(found) == 30
-            browser.get("about:blank")  # the frames go
-        until(lambda: not editor._server.clients, "frames have gone")
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
-        window.open(editor.url)
-        window.console()  # browsers say what they refused
-    # A frame with the word in its address is the user's own page, as a notebook shows it; it alone was let in
-    assert editor._server._number - numbers <= 3
-    after = dataclasses.replace(editor.document, view=document.view)
-    assert np.array_equal(posed(editor), document.edits[0].posed) and after.edits == document.edits
-    names = {path.name for path in tmp_path.iterdir()} - {"ball.session.json"}
-    assert names == set(files) - {"ball.session.json"}

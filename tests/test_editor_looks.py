@@ -1,0 +1,88 @@
+"""How the editor's page looks: everything in its place and legible, on a laptop and a tablet, light and dark."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from editor_browser import Window, browser, editor, until, window
+
+__all__ = ["browser", "editor", "window"]  # fixtures
+pytestmark = pytest.mark.xdist_group("chromium")
+
+#: Every control that can be seen and does not lie where it can be pressed; texts without contrast to what is behind.
+LAYOUT = """
+const bad = [], near = 1 / devicePixelRatio;
+const name = (found) => found.id || found.className || found.tagName;
+const isShown = (found) => found.checkVisibility({ visibilityProperty: true }) && !found.closest("[inert]");
+const scrolled = (found) => { for (let up = found.parentElement; up; up = up.parentElement) {
+  if (up.scrollHeight > up.clientHeight + 1 && /auto|scroll/.test(getComputedStyle(up).overflowY)) return up; } };
+if (document.documentElement.scrollWidth > innerWidth || document.documentElement.scrollHeight > innerHeight)
+  bad.push("the page scrolls");
+for (const found of document.querySelectorAll("button, input, select, summary, a[href]")) {
+  if (!isShown(found) || found.classList.contains("hidden-file")) continue;
+  const panel = scrolled(found);
+  if (panel) found.scrollIntoView({ block: "nearest" });
+  const box = found.getBoundingClientRect();
+  if (!box.width) continue;
+  const inside = Math.min(box.left, box.top, innerWidth - box.right, innerHeight - box.bottom) >= -near;
+  const top = document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2);
+  const free = found.contains(top) || found.closest("label")?.contains(top);
+  if (!inside) bad.push(`${name(found)} is outside`);
+  else if (!free) bad.push(`${name(found)} is covered by ${top ? name(top) : "nothing"}`);
+  const isNamed = found.closest("[title], [aria-label]") || found.labels?.length || found.textContent;
+  if (!isNamed) bad.push(`${name(found)} has no name`);
+}
+const paper = Object.assign(document.createElement("canvas"), { width: 1, height: 1 });
+const pen = paper.getContext("2d", { willReadFrequently: true });
+const shade = (colours) => {
+  pen.clearRect(0, 0, 1, 1);
+  for (const colour of colours) { pen.fillStyle = "#000"; pen.fillStyle = colour; pen.fillRect(0, 0, 1, 1); }
+  const linear = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+  const [r, g, b] = [...pen.getImageData(0, 0, 1, 1).data].map((v) => linear(v / 255));
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+let texts = 0;
+for (const found of document.querySelectorAll("body *")) {
+  const says = [...found.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
+  if (!says || !isShown(found) || found.closest("[disabled], noscript, option, svg")) continue;
+  const behind = [];
+  for (let up = found; up; up = up.parentElement) behind.unshift(getComputedStyle(up).backgroundColor);
+  const style = getComputedStyle(found), base = shade(behind), front = shade([...behind, style.color]);
+  const ratio = (Math.max(base, front) + 0.05) / (Math.min(base, front) + 0.05);
+  texts += 1;
+  const text = found.textContent.trim().slice(0, 30);
+  if (ratio < 4.5) bad.push(`${name(found)} "${text}" has a contrast of ${ratio.toFixed(2)}`);
+}
+return { bad: [...new Set(bad)], texts, colour: getComputedStyle(document.body).backgroundColor };
+"""
+
+
+@pytest.mark.parametrize(("width", "height"), [(1024, 768), (1440, 900), (820, 1180)])
+def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, width: int, height: int) -> None:
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 0.5, "mobile": False}
+    colours = set()
+    try:
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        window.wait("innerWidth === arguments[0]", "the window is resized", width)
+        if window.get('document.body.classList.contains("panel-closed")'):
+            window.click("#panel-toggle")
+        for group in ("edits", "cage", "pose", "view", "keys", "film", "jobs"):
+            window.unfold(group)
+        window.click("#proportional")
+        window.click("#snap")
+        window.press("K")
+        window.wait("warpcage.store.sections.timeline.keys.length === 1")
+        for scheme in ("light", "dark"):
+            features = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+            browser.execute_cdp_cmd("Emulation.setEmulatedMedia", features)
+            window.wait("matchMedia(`(prefers-color-scheme: ${arguments[0]})`).matches", scheme, scheme)
+            until(lambda: not window.get("document.getAnimations().length"), "nothing fades any more")
+            found = browser.execute_script(LAYOUT)
+            assert "\n".join(found["bad"]) == "" and found["texts"] > 40
+            colours.add(found["colour"])
+        assert len(colours) == 2
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+        metrics |= {"width": 1024, "height": 768}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
