@@ -93,15 +93,25 @@ class Allocations:
         monkeypatch.setattr(allocator, "deallocate", counted_deallocate)
 
 
+@pytest.fixture
+def young_heap():
+    """What there is already is left out of the collections of garbage of a test, each of which takes long with it."""
+    gc.collect()  # nothing older goes meanwhile
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 def measured(allocations, make):
     """What a call makes, and the bytes of arrays that are held since."""
-    gc.collect()  # nothing older goes meanwhile
+    gc.collect()
     before = allocations.held
     made = make()
     gc.collect()
     return made, allocations.held - before
 
 
+@pytest.mark.usefixtures("young_heap")
 @pytest.mark.parametrize("masks", [True, False, "split"])
 def test_owners_declare_what_they_allocate(device, monkeypatch, masks):
     """Pictures, silhouettes, a level, batches and layers: to the byte, before the first step and at the last level."""
