@@ -7,13 +7,6 @@ import warpcage
 
 
 @pytest.fixture(scope="module")
-def lego(thin_lego):
-    """A small fit of the NeRF-synthetic Lego."""
-    scene = warpcage.load_scene(thin_lego, downscale=8)
-    return warpcage.fit(scene, resolution=64, epochs=2, progress=False)
-
-
-@pytest.fixture(scope="module")
 def bent(lego):
     """A cage around it with rings to bend, at rest and bent, and a camera."""
     lower, upper = lego.bounds

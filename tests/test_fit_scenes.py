@@ -16,7 +16,7 @@ from warpcage.reference.fit_scenes import KINDS, synthetic_scene
 from warpcage.reference.models import MODELS
 from warpcage.view.camera import turntable
 
-SMALL = {"progress": False, "least_steps": 120, "batch_rays": 2048}
+SMALL = {"progress": False, "least_steps": 120, "batch_rays": 1024}
 
 
 @functools.cache

@@ -163,9 +163,7 @@ def test_posing_again_gives_what_a_new_map_gives(kind, device):
         assert np.array_equal(positions, fresh[0]) and np.array_equal(distance, fresh[1])
 
 
-@pytest.mark.parametrize(
-    ("kind", "many_faces"), [*((kind, 1 << 30) for kind in KINDS), ("mean_value", 1)]
-)
+@pytest.mark.parametrize(("kind", "many_faces"), [*((kind, 1 << 30) for kind in KINDS), ("mean_value", 1)])
 def test_replayed_poses_are_the_same(kind, many_faces, device, monkeypatch):
     """The launches of a pose as a CUDA graph has them, with room for other poses; on the CPU they run one by one.
 

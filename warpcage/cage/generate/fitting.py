@@ -115,11 +115,11 @@ def _slope(vertices, faces, f, weights, load, away) -> np.ndarray:
     area = np.linalg.norm(normals, axis=1)
     # the samples that carry a face share its area, were it one only
     carried = (area / np.maximum(np.bincount(f, minlength=len(faces)), 1))[f, None] * load[:, None] * away
-    slope = np.zeros_like(vertices)
+    thirds, rows, parts = normals / 3.0, [], []
     for k in range(3):
-        np.add.at(slope, faces[:, k], normals / 3.0)
-        np.add.at(slope, faces[f, k], -weights[:, k, None] * carried)
-    return slope * (len(vertices) / area.sum())
+        rows += [faces[:, k], faces[f, k]]
+        parts += [thirds, -weights[:, k, None] * carried]
+    return row_sums(rows, parts, len(vertices)) * (len(vertices) / area.sum())
 
 
 def cleared(
@@ -171,10 +171,9 @@ def shortfall(shell, vertices, faces, edges, need) -> np.ndarray:
 
 def smoothed(vertices, faces, edges, share) -> np.ndarray:
     """Each vertex a `share` of the way to the mean of its neighbours, along the surface only."""
-    total, count = np.zeros_like(vertices), np.zeros(len(vertices))
-    for a, b in ((0, 1), (1, 0)):
-        np.add.at(total, edges[:, a], vertices[edges[:, b]])
-        np.add.at(count, edges[:, a], 1.0)
+    near = vertices[edges]
+    total = row_sums([edges[:, 0], edges[:, 1]], [near[:, 1], near[:, 0]], len(vertices))
+    count = np.bincount(edges.reshape(-1), minlength=len(vertices))
     step = share * (total / count[:, None] - vertices)
     normals = _vertex_normals(vertices, faces)
     return vertices + step - np.einsum("vi,vi->v", step, normals)[:, None] * normals
@@ -228,12 +227,11 @@ def _shared_push(vertices, corners, weights, short, away) -> np.ndarray:
     move = short[:, None] * away
     # the corners that carry a sample share its move so that the sample itself makes all of it (least squares)
     share = weights / (weights**2).sum(axis=1, keepdims=True)
-    total, weight = np.zeros_like(vertices), np.zeros(len(vertices))
     # samples far too close count for more than those nearly clear, which a plain mean would let dilute the move
     urgency = weights * short[:, None]
-    for k in range(3):
-        np.add.at(total, corners[:, k], (urgency[:, k] * share[:, k])[:, None] * move)
-        np.add.at(weight, corners[:, k], urgency[:, k])
+    parts = [(urgency[:, k] * share[:, k])[:, None] * move for k in range(3)]
+    total = row_sums(list(corners.T), parts, len(vertices))
+    weight = np.bincount(corners.T.reshape(-1), urgency.T.reshape(-1), len(vertices))
     return vertices + total / np.where(weight > 0.0, weight, 1.0)[:, None]
 
 
@@ -270,9 +268,14 @@ def points_on(vertices, corners, weights) -> np.ndarray:
     return a + b + c
 
 
+def row_sums(rows, parts, count: int) -> np.ndarray:
+    """Sums (count, 3) of the values (n, 3) of several parts at their rows (n,), added one after the other: to the bit
+    what np.add.at makes, in a fraction of its time."""
+    row, values = np.concatenate(rows), np.concatenate(parts)
+    return np.stack([np.bincount(row, values[:, i], count) for i in range(values.shape[1])], axis=1)
+
+
 def _vertex_normals(vertices, faces) -> np.ndarray:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normals = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(normals, faces[:, k], np.cross(b - a, c - a))
+    normals = row_sums(list(faces.T), [np.cross(b - a, c - a)] * 3, len(vertices))
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

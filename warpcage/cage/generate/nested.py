@@ -155,25 +155,26 @@ def _keeps_manifold(edges, faces, count) -> np.ndarray:
     near = scipy.sparse.csr_matrix((np.ones(len(both)), tuple(both.T)), shape=(count, count))
     common = np.asarray((near[edges[:, 0]].multiply(near[edges[:, 1]])).sum(axis=1)).reshape(-1)
     degree = np.bincount(faces.reshape(-1), minlength=count)
-    # the two vertices across the edge lose a face each
-    opposite = {}
-    for face in faces.tolist():
-        for k in range(3):
-            opposite[face[k], face[(k + 1) % 3]] = face[(k + 2) % 3]
-    across = np.array([[opposite[a, b], opposite[b, a]] for a, b in edges.tolist()]).reshape(-1, 2)
+    # the two vertices across the edge lose a face each; every edge is walked once each way, by the face before it
+    walked = (faces * count + np.roll(faces, -1, axis=1)).reshape(-1)
+    order = np.argsort(walked)
+    places = np.searchsorted(walked[order], np.stack([edges @ [count, 1], edges @ [1, count]], axis=1))
+    across = np.roll(faces, -2, axis=1).reshape(-1)[order[places]]
     merged = degree[edges].sum(axis=1) - 4
     return (common == 2) & (degree[across] > 3).all(axis=1) & (merged >= 3) & (merged <= 10)
 
 
 def _apart(edges, costs, faces, count, most) -> np.ndarray:
     """Indices of the cheapest edges, at most so many, whose faces share no vertex."""
-    near = [set() for _ in range(count)]
-    for face in faces.tolist():
-        for corner in face:
-            near[corner].update(face)
+    one = faces.reshape(-1)
+    order = np.argsort(one, kind="stable")
+    neighbours = np.roll(faces, -1, axis=1).reshape(-1)[order].tolist()
+    last = np.cumsum(np.bincount(one, minlength=count)).tolist()
     taken, chosen = set(), []
     for k in np.argsort(costs, kind="stable").tolist():
-        touched = near[edges[k, 0]] | near[edges[k, 1]]
+        touched = set(edges[k].tolist())
+        for end in edges[k].tolist():
+            touched.update(neighbours[last[end - 1] if end else 0 : last[end]])
         if taken.isdisjoint(touched):
             taken |= touched
             chosen.append(k)

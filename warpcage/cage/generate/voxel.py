@@ -12,6 +12,7 @@ import itertools
 import numpy as np
 
 from ...mesh.closed_mesh import ClosedMesh
+from .fitting import row_sums
 from .nested import nested
 from .offset import sound
 from .shell import ObjectShell
@@ -223,10 +224,8 @@ def _smoothed_improved(vertices, edges, rounds: int = 4, back: float = 0.6) -> n
     count = np.bincount(edges.reshape(-1), minlength=len(vertices))[:, None]
 
     def mean(values):
-        total = np.zeros_like(values)
-        np.add.at(total, edges[:, 0], values[edges[:, 1]])
-        np.add.at(total, edges[:, 1], values[edges[:, 0]])
-        return total / count
+        near = values[edges]
+        return row_sums([edges[:, 0], edges[:, 1]], [near[:, 1], near[:, 0]], len(values)) / count
 
     for _ in range(rounds):
         smooth = mean(vertices)
