@@ -50,7 +50,7 @@ def until(condition: Callable[[], Any], what: str, seconds: float = PATIENCE) ->
     end = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < end, f"this did not happen in {seconds:g} s: {what}"
-        time.sleep(0.02)
+        time.sleep(0.03)
     return found
 
 

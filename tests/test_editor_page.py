@@ -227,7 +227,9 @@ def test_a_reloaded_page_and_a_second_one_have_the_same_state(window: Window, br
         other.press("A")
         until(lambda: len(editor.document.selection.vertices) == len(CAGE.vertices), "all are selected")
         other.press("G", "X", "0", ".", "2", "5", "Enter")
-        until(lambda: np.allclose(posed(editor)[0, 0], before["edits"][0]["posed"][0][0] + 0.25), "all have moved")
+        settle(editor, before["history"]["undo"] + 2)  # the move has ended
+        assert np.allclose(posed(editor), np.add(before["edits"][0]["posed"], [0.25, 0, 0]))
+        other.wait("warpcage.store.sections.history.undo === arguments[0]", "", before["history"]["undo"] + 2)
         after = other.sections()
         window.front()
         until(lambda: window.sections() == after, "the first window has what the second did")
