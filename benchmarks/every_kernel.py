@@ -106,7 +106,7 @@ def fields(device) -> None:
     """Renders, samples, selections and cages of a field."""
     field = ball_field(device)
     frame = field.render(camera(), supersampling=2)
-    frame_pixels(frame, "rgb", 1.0, 8.0, 8)
+    frame_pixels(frame, "rgb", 1.0, 8.0, 8, 6)
     field.sample(POINTS, np.ones((64, 3)))
     CAGE.contains(2.2 * POINTS, device=device)  # in it, at it and beside it
     cameras = camera_array([camera()], field.center, field.device)

@@ -13,7 +13,7 @@ from deformed_scenes import shiny_field
 import warpcage
 from warpcage.editor import renderer as renderer_module
 from warpcage.editor.effort import COARSE_CELLS, LEAST_SIDE, Pace
-from warpcage.editor.picture import FRAME, band_camera, frame_pixels, joined_pixels, packed_frame
+from warpcage.editor.picture import FRAME, band_camera, depth_size, frame_pixels, joined_pixels, packed_frame
 from warpcage.editor.renderer import Renderer, Request, same_pose
 from warpcage.editor.scene import camera
 from warpcage.editor.session import new_document
@@ -38,7 +38,7 @@ def frame(device):
 
 
 def test_colours_are_rounded_to_bytes(frame):
-    pixels = frame_pixels(frame, "rgb", NEAR, FAR, 8)
+    pixels = frame_pixels(frame, "rgb", NEAR, FAR, 8, 6)
     expected = np.floor(np.clip(frame.rgb, 0.0, 1.0) * 255.0 + 0.5)
     assert pixels.colours.dtype == np.uint8 and pixels.colours.shape == (23, 37, 3)
     np.testing.assert_array_equal(pixels.colours, expected)
@@ -46,9 +46,13 @@ def test_colours_are_rounded_to_bytes(frame):
 
 @pytest.mark.parametrize("depths", [5, 16, 37, 64])
 def test_depths_are_those_of_pixels_and_come_back(frame, depths):
-    pixels = frame_pixels(frame, "rgb", NEAR, FAR, depths)
-    rows, columns = pixels.depths.shape
-    assert max(rows, columns) == min(depths, 37) and abs(rows / columns - 23 / 37) < 0.7 / columns
+    columns, rows = depth_size(37, 23, depths)
+    pixels = frame_pixels(frame, "rgb", NEAR, FAR, columns, rows)
+    assert (
+        pixels.depths.shape == (rows, columns)
+        and max(rows, columns) == min(depths, 37)
+        and abs(rows / columns - 23 / 37) < 0.7 / columns
+    )
     middles = [[(2 * k + 1) * size // (2 * parts) for k in range(parts)] for size, parts in ((23, rows), (37, columns))]
     at = np.ix_(*middles)
     depth, alpha = frame.depth[at], frame.alpha[at]
@@ -59,11 +63,11 @@ def test_depths_are_those_of_pixels_and_come_back(frame, depths):
 
 
 def test_other_parts_of_a_frame_are_shown(frame):
-    disparity, alpha = (frame_pixels(frame, show, NEAR, FAR, 8).colours for show in ("disparity", "alpha"))
+    disparity, alpha = (frame_pixels(frame, show, NEAR, FAR, 8, 6).colours for show in ("disparity", "alpha"))
     assert disparity.shape == alpha.shape == (23, 37, 3)
     np.testing.assert_array_equal(alpha[..., 0], np.floor(frame.alpha * 255.0 + 0.5))
     assert (
-        frame_pixels(frame, "masks", NEAR, FAR, 8).colours == frame_pixels(frame, "rgb", NEAR, FAR, 8).colours
+        frame_pixels(frame, "masks", NEAR, FAR, 8, 6).colours == frame_pixels(frame, "rgb", NEAR, FAR, 8, 6).colours
     ).all()
 
 
@@ -72,13 +76,13 @@ def test_bands_make_the_whole_picture(device):
     view = new_document(field).view
     whole = camera(view, 30, 22)
     parts = [field.render(band_camera(whole, first, min(first + 5, 22))) for first in range(0, 22, 5)]
-    joined = joined_pixels([frame_pixels(part, "rgb", NEAR, FAR, 8) for part in parts])
-    np.testing.assert_array_equal(joined.colours, frame_pixels(field.render(whole), "rgb", NEAR, FAR, 8).colours)
+    joined = joined_pixels([frame_pixels(part, "rgb", NEAR, FAR, 8, 6) for part in parts])
+    np.testing.assert_array_equal(joined.colours, frame_pixels(field.render(whole), "rgb", NEAR, FAR, 8, 6).colours)
 
 
 @pytest.mark.parametrize("quality", [60, 95])
 def test_messages_hold_header_jpeg_and_depths(frame, quality):
-    pixels = frame_pixels(frame, "alpha", NEAR, FAR, 9)
+    pixels = frame_pixels(frame, "alpha", NEAR, FAR, 9, 6)
     message = packed_frame({"frame": 3, "text": "Grüße"}, pixels, quality)
     kind, words, jpeg, depths = struct.unpack_from("<4I", message)
     assert kind == FRAME
@@ -249,3 +253,24 @@ def test_what_a_pose_hangs_on(document):
         dataclasses.replace(scene, settings=dataclasses.replace(scene.settings, coordinates="green")),
     ):
         assert not same_pose(scene, other)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.2, 1e3])
+def test_depths_of_a_sharp_picture_are_as_many_in_bands_as_in_one(document, seconds):
+    """A page takes them for those of one picture, whatever bands a slow CPU has cut it in."""
+    field, scene = document
+    shown = Shown()
+    renderer = Renderer(field, shown)
+    wanted = Request(scene, 150, 110, False, {1: 1})
+    try:
+        renderer.pace.sharp_seconds = lambda effort, coordinates: seconds  # bands are cut by what it is thought to take
+        renderer.request(wanted)
+        header = shown.wait(lambda header: header["sharp"])
+    finally:
+        renderer.close()
+    columns, rows = depth_size(150, 110, 128)
+    assert (header["depth"]["width"], header["depth"]["height"]) == (columns, rows)
+    message = shown.messages[shown.headers.index(header)]
+    depths = np.frombuffer(message[-2 * rows * columns :], "<u2").reshape(rows, columns)
+    whole = frame_pixels(field.render(camera(scene.view, 150, 110)), "rgb", 1.0, 9.0, columns, rows)
+    assert np.mean((depths > 0) == (whole.depths > 0)) > 0.98  # bands round their rows by themselves

@@ -7,6 +7,7 @@ import contextlib
 import os
 import pathlib
 import sys
+import warnings
 import webbrowser
 from collections.abc import Iterator
 
@@ -20,6 +21,8 @@ from . import inputs
 
 
 def run(args: argparse.Namespace) -> None:
+    # each pose would say so anew, with other numbers; the page shows what the cage does
+    warnings.filterwarnings("ignore", message="a cage has gaps narrower")
     if (args.field is None) == (not args.demo):
         raise ValueError("edit needs a field file, or --demo")
     try:

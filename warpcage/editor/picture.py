@@ -45,7 +45,13 @@ class Pixels:
     far: float
 
 
-def frame_pixels(frame: Frame, show: str, near: float, far: float, depths: int) -> Pixels:
+def depth_size(width: int, height: int, depths: int) -> tuple[int, int]:
+    """Columns and rows of depths for a picture, of which the longest side has at most `depths`."""
+    share = min(1.0, depths / max(width, height))
+    return max(1, round(width * share)), max(1, round(height * share))
+
+
+def frame_pixels(frame: Frame, show: str, near: float, far: float, columns: int, rows: int) -> Pixels:
     """What is sent of a frame.
 
     Args:
@@ -53,15 +59,14 @@ def frame_pixels(frame: Frame, show: str, near: float, far: float, depths: int) 
         show: "rgb", "disparity", "alpha" or "masks".
         near: Distance that the depth 1 stands for, world units.
         far: Distance that the depth 65535 stands for.
-        depths: Depths along the longest side.
+        columns: Depths in a row.
+        rows: Rows of depths.
 
     Returns:
         The pixels.
     """
     rgb = frame.arrays["rgb"]
     width, height = frame.width, frame.height
-    share = min(1.0, depths / max(width, height))
-    columns, rows = max(1, round(width * share)), max(1, round(height * share))
     with device_turn(rgb.device):
         sampled = empty_array(rows * columns, wp.uint16, rgb.device)
         inputs = [width, height, columns, rows, HIDING_ALPHA, near, far, frame.arrays["alpha"], frame.arrays["depth"]]

@@ -19,7 +19,16 @@ from ..view.frame import Frame
 from ..view.frame_parts import mask_shares
 from .document import Document
 from .effort import COARSE_CELLS, Effort, Pace
-from .picture import DEPTHS_MOVING, DEPTHS_SHARP, Pixels, band_camera, frame_pixels, joined_pixels, packed_frame
+from .picture import (
+    DEPTHS_MOVING,
+    DEPTHS_SHARP,
+    Pixels,
+    band_camera,
+    depth_size,
+    frame_pixels,
+    joined_pixels,
+    packed_frame,
+)
 from .scene import PosedScene, camera
 
 _log = logging.getLogger(__name__)
@@ -194,7 +203,7 @@ class Renderer:
         scene = PosedScene(self._field)
         scene.prepare(document, COARSE_CELLS[0])
         frame = scene.render(camera(document.view, 16, 12), None, None, effort.supersampling)
-        frame_pixels(frame, "rgb", *self._depth_range(document), DEPTHS_MOVING)
+        frame_pixels(frame, "rgb", *self._depth_range(document), 16, 12)
         self._warm.add(kind)
 
     def _pixels(self, request: Request, effort: Effort) -> tuple[Pixels, dict[str, float] | None]:
@@ -202,7 +211,7 @@ class Renderer:
         document = request.document
         whole = camera(document.view, effort.width, effort.height)
         near, far = self._depth_range(document)
-        depths = DEPTHS_SHARP if effort.sharp else DEPTHS_MOVING  # along the longest side, also of a band
+        columns, depths = depth_size(effort.width, effort.height, DEPTHS_SHARP if effort.sharp else DEPTHS_MOVING)
         rows = effort.height
         if effort.sharp and self._field.device.is_cpu:
             seconds = self.pace.sharp_seconds(effort, document.settings.coordinates)
@@ -213,7 +222,9 @@ class Renderer:
                 raise Superseded
             last = min(first + rows, effort.height)
             frame = self._frame(document, band_camera(whole, first, last), effort)
-            bands.append(frame_pixels(frame, document.settings.show, near, far, depths))
+            # bands together have as many rows of depths as the whole: a page takes them for those of one picture
+            rows_of_depths = round(last * depths / effort.height) - round(first * depths / effort.height)
+            bands.append(frame_pixels(frame, document.settings.show, near, far, columns, rows_of_depths))
             shares.append((last - first, mask_shares(frame) if effort.sharp else {}))
         if not effort.sharp or not shares[0][1]:
             return joined_pixels(bands), None
