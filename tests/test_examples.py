@@ -3,6 +3,7 @@
 import json
 import pathlib
 import re
+import runpy
 import subprocess
 import sys
 
@@ -25,6 +26,14 @@ def run(name, *words, cwd):
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout
+
+
+def run_here(monkeypatch, name, *words, cwd):
+    """Once more, in this process: that it starts by itself is shown."""
+    monkeypatch.chdir(cwd)
+    monkeypatch.setattr(sys, "argv", [name, *map(str, words)])
+    monkeypatch.setattr(sys, "path", [str(EXAMPLES), *sys.path])
+    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
 
 
 def test_every_example_is_tested():
@@ -61,7 +70,7 @@ def test_cage_contact_sheet(tmp_path):
     assert Cage.load(tmp_path / "out" / "bricks_42.obj").check().usable
 
 
-def test_edit_dtu_on_a_room(tmp_path, device):
+def test_edit_dtu_on_a_room(tmp_path, device, monkeypatch):
     write_room(tmp_path / "room", 25, 32)
     words = ["--data", "room", "--device", device, "--quality", "fast", "--epochs", "8"]
     said = run("edit_dtu.py", "--out", "out", *words, cwd=tmp_path)
@@ -73,11 +82,11 @@ def test_edit_dtu_on_a_room(tmp_path, device):
     assert Cage.load(out / "generated.obj").check().usable and Cage.load(out / "box_posed.obj").check().usable
     # once more with that field and cage
     again = ["--out", "again", "--field", out / "field.npz", "--cage", out / "generated.obj"]
-    run("edit_dtu.py", *again, *words, cwd=tmp_path)
+    run_here(monkeypatch, "edit_dtu.py", *again, *words, cwd=tmp_path)
     assert read_image(tmp_path / "again" / "edits.png").shape == (3 * 32 + 8, 3 * 32 + 8, 3)
 
 
-def test_render_lego_on_the_brick_scene(tmp_path, device):
+def test_render_lego_on_the_brick_scene(tmp_path, device, monkeypatch):
     run("render_lego.py", "--device", device, "--out", "out", *TINY, cwd=tmp_path)
     out = tmp_path / "out"
     names = ["bend.gif", "bend.mp4", "cage.obj", "deformed.png", "field.npz", "mesh.obj", "posed.obj", "scene",
@@ -93,7 +102,7 @@ def test_render_lego_on_the_brick_scene(tmp_path, device):
 
     # once more on that folder as data, with that cage, without the film
     words = ["--data", out / "scene", "--cage", out / "cage.obj", "--device", device, "--no-video", *TINY]
-    run("render_lego.py", "--quick", "--out", "again", *words, cwd=tmp_path)
+    run_here(monkeypatch, "render_lego.py", "--quick", "--out", "again", *words, cwd=tmp_path)
     again = json.loads((tmp_path / "again" / "summary.json").read_text())
     assert again["test_psnr"] == pytest.approx(summary["test_psnr"], abs=1.0)
     assert not (tmp_path / "again" / "bend.mp4").exists()

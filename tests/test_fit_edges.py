@@ -213,7 +213,7 @@ def test_cameras_inside_what_they_see(bounds):
         for a in 2 * np.pi * np.arange(10) / 10
     ]
     scene = seen(cameras, alpha=False, field=shell)
-    field = fit(scene, bounds=bounds, **{**QUICK, "epochs": 40})
+    field = fit(scene, bounds=bounds, **{**QUICK, "epochs": 10})
     assert mean_psnr(evaluate(field, scene)) > 20
     assert np.isfinite(field.render(cameras[0]).rgb).all()
 

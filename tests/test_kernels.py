@@ -2,6 +2,7 @@
 present, and compiles for CUDA without a GPU."""
 
 import ast
+import functools
 import importlib
 import pathlib
 import re
@@ -37,6 +38,13 @@ def named_needs(name):
     docstring = ast.get_docstring(ast.parse(kernel_source(name)))
     listed = re.search(r"^Needs:\s+([\w/,\s]+)\.$", docstring, re.MULTILINE)[1]
     return set() if listed == "none" else set(re.split(r",\s+", listed))
+
+
+@functools.cache  # most copies hold the same files
+def relative_imports(text):
+    """Level and module of the relative imports in the text of a file."""
+    nodes = ast.walk(ast.parse(text))
+    return [(node.level, node.module) for node in nodes if isinstance(node, ast.ImportFrom) and node.level]
 
 
 def test_every_file_is_in_a_folder():
@@ -79,9 +87,8 @@ def test_a_copy_is_complete(name, tmp_path):
         (path.parent / "__init__.py").is_file() and (path.parent.parent / "__init__.py").is_file() for path in paths
     )
     for path in (tmp_path / "lifted").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.level:
-                assert path.parents[node.level - 1].joinpath(f"{node.module.replace('.', '/')}.py").is_file()
+        for level, module in relative_imports(path.read_text(encoding="utf-8")):
+            assert path.parents[level - 1].joinpath(f"{module.replace('.', '/')}.py").is_file()
 
 
 def test_copies_import_without_warpcage(tmp_path):

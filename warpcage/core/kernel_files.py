@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import difflib
+import functools
 import keyword
 import os
 import pathlib
@@ -61,7 +62,8 @@ def kernel_summary(name: str) -> str:
     return (ast.get_docstring(ast.parse(kernel_source(name))) or "").partition("\n")[0]
 
 
-def direct_needs(name: str) -> set[str]:
+@functools.cache
+def direct_needs(name: str) -> frozenset[str]:
     """Names of the kernel files that a kernel file imports itself."""
     folder = name.partition("/")[0]
     needed = set()
@@ -69,12 +71,13 @@ def direct_needs(name: str) -> set[str]:
         if isinstance(node, ast.ImportFrom) and node.level and node.module:
             module = node.module.replace(".", "/")
             needed.add(f"{folder}/{module}" if node.level == 1 else module)
-    return needed
+    return frozenset(needed)
 
 
 def all_needs(name: str) -> set[str]:
     """Names of the kernel files that a kernel file needs, directly or through another, without itself."""
-    needed, waiting = set(), [name]
+    needed: set[str] = set()
+    waiting = [name]
     while waiting:
         found = direct_needs(waiting.pop()) - needed
         needed |= found
