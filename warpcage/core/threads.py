@@ -16,8 +16,8 @@ THREADS_VARIABLE = "WARPCAGE_THREADS"
 #: A part of a long launch aims at this many seconds: an interrupt waits for the parts that run.
 PART_SECONDS = 0.2
 
-#: A part that takes less than this costs more to begin than it brings.
-LEAST_PART_SECONDS = 0.0005
+#: A part that takes less than this costs more to begin than it brings, and so do other threads for less than that.
+LEAST_PART_SECONDS, LEAST_SHARED_SECONDS = 0.0005, 0.002
 
 #: A part of items that turn out to be quick has at most this many times those of the first part.
 MOST_GROWTH = 8
@@ -98,6 +98,8 @@ def run_parallel(
 def run_parts(run: Callable[[int, int], None], count: int, threads: int, first: int) -> None:
     """Run items in parts on the shared pool: short enough that an interrupt acts soon, long enough to cost nothing.
 
+    The first few run here. Where the rest would be done as soon as other threads have begun, it runs here too.
+
     Args:
         run: Runs the items from one index to another (exclusive).
         count: Number of items.
@@ -105,6 +107,8 @@ def run_parts(run: Callable[[int, int], None], count: int, threads: int, first: 
         first: Items that a part has at most, until it is known how long they take.
     """
     parts = _Parts(count, threads, first)
+    if threads > 1 and parts.run_here(run):
+        return
 
     def work() -> None:
         while (part := parts.take()) is not None:
@@ -130,6 +134,21 @@ class _Parts:
         self._most = MOST_GROWTH * first
         self._largest = min(self._most, -(-count // parts) if threads > 1 else count)
         self._size = max(1, min(first, self._largest))
+
+    def run_here(self, run: Callable[[int, int], None]) -> bool:
+        """Run a part, and the rest where it is not worth the other threads; returns whether all is done."""
+        end = min(self._size, ITEMS_PER_PART)
+        begun = time.perf_counter()
+        run(0, end)
+        seconds = time.perf_counter() - begun
+        self._next = end
+        if (self._count - end) * seconds < LEAST_SHARED_SECONDS * end:
+            self._next = self._count
+            if self._count > end:
+                run(end, self._count)
+            return True
+        self.note(end, seconds)
+        return False
 
     def take(self) -> tuple[int, int] | None:
         """First and last item (exclusive) of the next part; None where there is none."""

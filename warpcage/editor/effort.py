@@ -6,14 +6,14 @@ import dataclasses
 import math
 
 #: Seconds that a picture may take while the hand moves, on a CPU and on CUDA.
-MOVING_SECONDS = {"cpu": 0.075, "cuda": 0.022}
+MOVING_SECONDS = {"cpu": 0.06, "cuda": 0.022}
 
 #: Cells of lattices that are tried on a CPU while the hand moves, and the least side of a picture, pixels.
 COARSE_CELLS = (16, 20, 24, 32, 48, 64, 96, 128)
-LEAST_SIDE = 240
+LEAST_SIDE = 200
 
 #: March steps that are taken as one on a CPU while the hand moves.
-MOVING_STEP = {"cpu": 2.5, "cuda": 1.0}
+MOVING_STEP = {"cpu": 3.0, "cuda": 1.0}
 
 #: Quality of JPEGs while the hand moves, of pictures with few pixels then, which the page enlarges, and at rest.
 MOVING_QUALITY, SMALL_QUALITY, SHARP_QUALITY = 75, 90, 92

@@ -36,7 +36,8 @@ const hiddenCache = new Map(); // edit -> {points, picture, result}
 export const overlay = { hover: null, handle: null, ball: null, region: null, preview: null };
 
 export const viewport = {
-  latencies: [], // ms from pointer event to picture, the last 1000
+  latencies: [], // ms from a pointer's event to the picture of its pose, the last 1000
+  latenciesOrNewer: [], // the same for poses that a newer one overtook: to the picture of that one
   /** Where a vertex of an edit is on the canvas, CSS pixels. */
   project(edit, vertex) {
     const cage = C.cages.get(edit);
@@ -207,9 +208,11 @@ function onShown() {
     if (seq > applied) continue;
     pending.delete(seq);
     last = time - begun;
-    viewport.latencies.push(last);
+    (seq === applied ? viewport.latencies : viewport.latenciesOrNewer).push(last);
   }
-  if (viewport.latencies.length > KEPT_LATENCIES) viewport.latencies.splice(0, viewport.latencies.length - KEPT_LATENCIES);
+  for (const kept of [viewport.latencies, viewport.latenciesOrNewer]) {
+    if (kept.length > KEPT_LATENCIES) kept.splice(0, kept.length - KEPT_LATENCIES);
+  }
   shownTimes.push(time);
   while (shownTimes[0] < time - 1000) shownTimes.shift();
   store.status.frame = header;
