@@ -200,7 +200,8 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     monkeypatch.chdir(tmp_path)
     main(words[1:])
     again = iio.imread(tmp_path / "again.mp4", plugin="pyav")
-    assert np.array_equal(again, film)
+    # the frames themselves are equal to the bit (test_editor_exports); an encoder may spend its bits otherwise
+    assert [warpcage.psnr(one / 255.0, two / 255.0) > 40.0 for one, two in zip(again, film, strict=True)] == [True] * 5
 
 
 # more than one window, and broken lines ----------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """The package imports from a wheel, from a checkout with or without its link, and says what is missing in one line."""
 
 import ast
+import collections
 import dataclasses
 import importlib.util
 import os
@@ -102,6 +103,9 @@ def test_a_wheel_holds_every_file_once(wheel):
     package = [path for path in (ROOT / "warpcage").rglob("*.py") if linked not in path.parents]
     expected = [path.relative_to(ROOT).as_posix() for path in package] + ["warpcage/py.typed", "warpcage/__init__.pyi"]
     expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "kernels").rglob("*.py")]
+    page = sorted((ROOT / "warpcage" / "editor" / "page").iterdir())
+    assert {path.suffix for path in page} == {".html", ".css", ".js", ".svg"}
+    expected += [path.relative_to(ROOT).as_posix() for path in page]
     assert sorted(wheel.files) == sorted(expected)
     assert wheel.name.startswith(f"warpcage-{warpcage.__version__}-")
 
@@ -122,11 +126,16 @@ def test_missing_kernels_are_named_in_one_line(tmp_path):
 
 
 def test_what_the_package_needs_at_once_is_listed():
-    imported = set()
+    imported = collections.defaultdict(set)
     for path in [*(ROOT / "warpcage").rglob("*.py"), *(ROOT / "kernels").rglob("*.py")]:
         for node in ast.parse(path.read_text("utf-8")).body:
+            names = []
             if isinstance(node, ast.Import):
-                imported |= {each.name.split(".")[0] for each in node.names}
+                names = [each.name for each in node.names]
             elif isinstance(node, ast.ImportFrom) and node.level == 0:
-                imported.add((node.module or "").split(".")[0])
-    assert imported - set(sys.stdlib_module_names) - {"warpcage"} == set(NEEDED)
+                names = [node.module or ""]
+            for name in names:
+                imported[name.split(".")[0]].add(path.parent.name)
+    # the rooms of the editor's server are loaded once the extra has been looked for
+    assert imported.pop("aiohttp") == {"editor"}
+    assert set(imported) - set(sys.stdlib_module_names) - {"warpcage"} == set(NEEDED)
