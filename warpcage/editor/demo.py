@@ -20,7 +20,7 @@ VIEWS, SIZE, VERTICES = 60, 100, 100
 
 
 def demo_files(device: wp.Device) -> tuple[pathlib.Path, pathlib.Path]:
-    """The demo's field and cage, made where they are not there yet: in about 50 s on two cores.
+    """The demo's field and cage, made where they are not there yet: in a minute and a half on two cores.
 
     Args:
         device: Warp device.
