@@ -1,6 +1,6 @@
 """Round trips of servers that the editor could stand on: a pose goes up, a picture comes down.
 
-    python benchmarks/editor_servers.py --folder /tmp/servers
+    python benchmarks/editor_servers.py --folder servers
 
 Each candidate gets a virtual environment of its own in the folder, by pip. A small binary message (a cage of 100
 vertices) is answered by a binary frame of 40 kB, over loopback, without compression. The client is aiohttp's for all of
