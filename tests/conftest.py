@@ -132,7 +132,7 @@ def browser():
 
 @pytest.fixture(scope="session")
 def page():
-    """The modules of the editor's page in a browser of their own; at the end nothing severe may stand in its console."""
+    """The modules of the editor's page in a browser of their own. At the end its console holds nothing severe."""
     from page_probe import Modules, chromium, page_files
 
     with page_files() as address, chromium() as driver:
