@@ -61,14 +61,15 @@ def pytest_xdist_auto_num_workers(config):
 def pytest_sessionstart(session):
     """Compile all kernels for the CPU before workers do, each of which would compile most of them for itself."""
     config = session.config
-    of_workers = hasattr(config, "workerinput") or not config.getoption("numprocesses", None)
-    if of_workers or config.option.collectonly or config.args_source is not config.ArgsSource.TESTPATHS:
+    if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         return
-    from warpcage.core.kernel_files import kernel_names, kernel_source
-    from warpcage.core.modules import load_modules
+    if not config.option.collectonly and config.args_source is config.ArgsSource.TESTPATHS:
+        from warpcage.core.kernel_files import kernel_names, kernel_source
+        from warpcage.core.modules import load_modules
 
-    files = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
-    load_modules([importlib.import_module(f"warpcage.kernels.{name}") for name in files], "cpu")
+        files = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
+        load_modules([importlib.import_module(f"warpcage.kernels.{name}") for name in files], "cpu")
+    gc.enable()  # this process collects no tests
 
 
 def pytest_collection_modifyitems(items):

@@ -205,6 +205,7 @@ def measure_nearest(
     first: int,
     x: wp.array(dtype=wp.vec3d),
     about: wp.array(dtype=wp.float64),
+    most: wp.float64,
     points: wp.array(dtype=wp.vec3d),
     starts: wp.array(dtype=int),
     shape: wp.vec3i,
@@ -212,14 +213,14 @@ def measure_nearest(
     spacing: wp.float64,
     distance: wp.array(dtype=wp.float64),
 ):
-    """Distance (n,) from x (n,) to the nearest of the points, of which there is at least one.
+    """Distance (n,) from x (n,) to the nearest of the points, of which there is at least one; `most` if it is more.
 
     about (n,): radius greater than 0 in which the search begins; it grows until there is one within it.
     """
     n = first + wp.tid()
-    limit = about[n]
+    limit = wp.min(about[n], most)
     best = least_squared(x[n], limit, points, starts, shape, lower, spacing)
-    while best >= limit * limit:
-        limit = limit * GROWTH
+    while best >= limit * limit and limit < most:
+        limit = wp.min(limit * GROWTH, most)
         best = least_squared(x[n], limit, points, starts, shape, lower, spacing)
     distance[n] = wp.sqrt(best)
