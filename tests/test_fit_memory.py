@@ -11,10 +11,10 @@ from order_oracle import shuffled
 from test_fit_edges import around, seen
 
 from warpcage import Scene, fit
+from warpcage.fitting import memory
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.level import Level, node_bytes, row_bytes
-from warpcage.fitting import memory
 from warpcage.fitting.memory import memory_size, scaled_shape
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.fitting.pictures import PRECISIONS, TrainingPictures, picture_bytes
@@ -204,7 +204,9 @@ def test_levels_have_no_more_voxels_than_a_launch_has_items(scene, device):
 def test_a_fit_that_meets_the_limit_says_so_and_goes_on(scene, device, monkeypatch, capsys):
     monkeypatch.setattr(memory, "MOST_ITEMS", 28 * 4000)
     field = fit(scene, device=device, least_steps=60)
-    said = [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line.startswith("fit: the field")]
+    said = [
+        line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line.startswith("fit: the field")
+    ]
     assert field.voxel_count <= 4000 and mean_psnr(evaluate(field, scene)) > 24
     size = "x".join(str(n) for n in field.resolution)
     assert len(said) == 1 and f"has {size} instead of" in said[0]

@@ -31,7 +31,9 @@ class TrainingRays:
     pictures: Pictures  # (views, h, w)
     height: int  # of a picture, pixels
     width: int
-    tiles: wp.array(dtype=wp.int32)  # flat indices of those that count: (view * tile rows + row) * tile columns + column
+    tiles: wp.array(
+        dtype=wp.int32
+    )  # flat indices of those that count: (view * tile rows + row) * tile columns + column
     tile_size: int
     order: int  # key of the order in which `tiles` are taken (fitting/shuffle)
     first_tile: int  # where this batch begins in that order
