@@ -1,4 +1,4 @@
-"""The order in which a fit takes its tiles, in whole numbers of NumPy: what kernels/fitting/shuffle is compared with."""
+"""The order in which a fit takes its tiles, in whole numbers of Python: what fitting/shuffle is compared with."""
 
 import numpy as np
 

@@ -98,7 +98,7 @@ class FitMemory:
     row_numbers: int
 
     def countable(self, rows: int, shape: tuple[int, ...]) -> bool:
-        """Whether a level of (nx, ny, nz) with `rows` voxels has few enough of them for one launch, whatever the memory."""
+        """Whether a level of (nx, ny, nz) with `rows` voxels has few enough for one launch, whatever the memory."""
         return rows * self.row_numbers <= MOST_ITEMS and math.prod(shape) <= MOST_ITEMS
 
     def without(self, size: int) -> FitMemory:
