@@ -24,9 +24,9 @@ def march_shades(grid: VoxelGrid, shaded: ShadedGrid, origin: wp.vec3, direction
     k = ray.first
     while sample_distance(ray, k) < ray.far and result.transmittance > stop:
         g = sample_place(ray, k)
-        ci = wp.clamp(int(wp.floor(g[0])), 0, shaded.node_counts[0] - 2)
-        cj = wp.clamp(int(wp.floor(g[1])), 0, shaded.node_counts[1] - 2)
-        ck = wp.clamp(int(wp.floor(g[2])), 0, shaded.node_counts[2] - 2)
+        ci = wp.clamp(int(wp.floor(g[0])), 0, shaded.columns.node_counts[0] - 2)
+        cj = wp.clamp(int(wp.floor(g[1])), 0, shaded.columns.node_counts[1] - 2)
+        ck = wp.clamp(int(wp.floor(g[2])), 0, shaded.columns.node_counts[2] - 2)
         empty = int(grid.skip[ci, cj, ck])
         if empty > 0:
             k = sample_beyond(ray, k, g, empty)

@@ -8,7 +8,7 @@ Needs: field/columns, field/grid, field/harmonics.
 
 import warp as wp
 
-from .columns import BLOCK_NODES
+from .columns import Columns
 from .grid import VoxelGrid
 from .harmonics import sh_basis, vec9
 
@@ -19,8 +19,7 @@ wp.set_module_options({"enable_backward": False, "block_dim": 128})
 class ShadedGrid:
     """The rows of a grid in memory order, as one camera sees them."""
 
-    node_counts: wp.vec3i
-    blocks: wp.array2d(dtype=wp.vec2i)  # see field/columns
+    columns: Columns
     shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue and optical depth of a step
 
 
@@ -58,7 +57,7 @@ class ShadedGrid:
     }
     return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);
 """)
-def row_colour(sh: wp.array2d(dtype=vec9), row: wp.int32, basis: vec9) -> wp.vec3:
+def shade_colour(sh: wp.array2d(dtype=vec9), row: wp.int32, basis: vec9) -> wp.vec3:
     """Harmonics of a row times a basis, + 0.5. All lanes, in blocks of at most 128 threads."""
     ...
 
@@ -98,6 +97,7 @@ def write_shade(shades: wp.array2d(dtype=wp.uint32), row: wp.int32, value: wp.ve
 def shade_rows(
     first: int,
     grid: VoxelGrid,
+    columns: Columns,
     nodes: wp.array(dtype=wp.int32),
     centre: wp.vec3,
     step: float,
@@ -110,9 +110,11 @@ def shade_rows(
     k = node % grid.links.shape[2]
     j = (node // grid.links.shape[2]) % grid.links.shape[1]
     i = node // (grid.links.shape[2] * grid.links.shape[1])
-    row = grid.links[i, j, k]
+    row = int(n)
+    if columns.order.shape[0] > 0:
+        row = columns.order[n]
     place = grid.lower + wp.cw_mul(grid.voxel_size, wp.vec3(float(i), float(j), float(k)))
-    colour = row_colour(grid.sh, row, sh_basis(wp.normalize(place - centre)))
+    colour = shade_colour(grid.sh, row, sh_basis(wp.normalize(place - centre)))
     if item < nodes.shape[0]:
         write_shade(shades, n, wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * step))
 
@@ -121,15 +123,15 @@ def shade_rows(
     const int block = k / 31;
     const int place = k - 31 * block;
     const unsigned low = (1u << place) - 1u;
-    const int blocks = shaded.blocks.shape[1];
+    const int blocks = shaded.columns.blocks.shape[1];
     float r = 0.0f, g = 0.0f, b = 0.0f, d = 0.0f;
     for (int column = 0; column < 4; ++column)
     {
         const int di = column >> 1, dj = column & 1;
-        const int at = ((i + di) * shaded.node_counts.c[1] + j + dj) * blocks + block;
+        const int at = ((i + di) * shaded.columns.node_counts.c[1] + j + dj) * blocks + block;
         const float share = (di ? offset.c[0] : 1.0f - offset.c[0]) * (dj ? offset.c[1] : 1.0f - offset.c[1]);
 #if defined(__CUDA_ARCH__)
-        const uint2 entry = reinterpret_cast<const uint2*>(shaded.blocks.data)[at];
+        const uint2 entry = reinterpret_cast<const uint2*>(shaded.columns.blocks.data)[at];
         const unsigned bits = entry.x >> place;
         const int row = (int)entry.y + __popc(entry.x & low);
         const uint2* shades = reinterpret_cast<const uint2*>(shaded.shades.data) + row;
@@ -149,7 +151,7 @@ def shade_rows(
         h.u = far.y & 0xffffu; b += c * wp::half_to_float(h);
         h.u = far.y >> 16; d += c * wp::half_to_float(h);
 #else
-        const unsigned* entry = reinterpret_cast<const unsigned*>(shaded.blocks.data) + 2 * (size_t)at;
+        const unsigned* entry = reinterpret_cast<const unsigned*>(shaded.columns.blocks.data) + 2 * (size_t)at;
         const unsigned bits = entry[0] >> place;
         const int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
         const float* shade = reinterpret_cast<const float*>(shaded.shades.data) + 4 * (size_t)row;

@@ -289,7 +289,7 @@ class Deformer:
             picture = Picture()
             for name, array in arrays.items():
                 setattr(picture, name, array)
-            inputs = [grid, edits.scene, pinhole, colour, options, picture]
+            inputs = [grid, self.field.row_table(), edits.scene, pinhole, colour, options, picture]
             launch(edits.render_kernel, threads, inputs, device=self.device, work=work * edits.sample_work)
 
         return self.field.render_by(march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)

@@ -91,6 +91,7 @@ class LatticeEdits(PosedEdits):
         load_pose_modules(coordinates, [render_single if self._is_single else render], device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store)
         self._look: wp.array | None = None
+        self._nodes: wp.array | None = None
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         self.lattices.pose(cages)
@@ -108,16 +109,18 @@ class LatticeEdits(PosedEdits):
         node_count = edit.deformed.distance.size
         if self._look is None or self._look.size != node_count:
             self._look = wp.zeros(node_count, dtype=wp.uint8, device=self._device)
-        return flat_edit(edit, skip, self._look)
+            self._nodes = empty_array(node_count, wp.vec4, self._device)
+        return flat_edit(edit, skip, self._look, self._nodes)
 
 
-def flat_edit(edit: Any, skip: wp.array, look: wp.array) -> Any:
+def flat_edit(edit: Any, skip: wp.array, look: wp.array, nodes: wp.array | None) -> Any:
     """A LatticeEdit with flat arrays.
 
     Args:
         edit: The posed LatticeEdit.
         skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
         look: (nodes,) uint8 array to fill: what a sample reads of the cell above each node.
+        nodes: (nodes,) vec4 array to fill: canonical position and signed distance of each node.
 
     Returns:
         A SingleEdit of kernels/deform/render_single.py.
@@ -125,10 +128,10 @@ def flat_edit(edit: Any, skip: wp.array, look: wp.array) -> Any:
     single = render_single.SingleEdit()
     single.lower, single.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
     single.node_counts = wp.vec3i(*edit.deformed.distance.shape)
-    single.distance = edit.deformed.distance.flatten()
-    if not edit.removes:
-        single.positions = edit.deformed.positions.flatten()
-    single.look, single.rest = look, edit.rest
+    single.nodes, single.look, single.rest = nodes, look, edit.rest
+    positions = wp.empty(0, dtype=wp.vec3, device=look.device) if edit.removes else edit.deformed.positions.flatten()
+    inputs = [positions, edit.deformed.distance.flatten()]
+    launch(render_single.join_nodes, look.size, inputs, [nodes], device=look.device)
     side_index = edit.deformed.side_index
     single.has_sides = int(side_index is not None and side_index.size > 0)
     if single.has_sides:

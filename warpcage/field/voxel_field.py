@@ -17,7 +17,7 @@ from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..kernels.field.harmonics import vec9
-from ..kernels.field.render import render_image
+from ..kernels.field.render_shaded import render_shaded_image
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, Frame, checked_supersampling
@@ -25,6 +25,7 @@ from .background import LayeredBackground
 from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
+from .shading import ColumnTable, row_table, shaded_grid
 from .sparse import link_mask, measure_skip
 from .surface import extract_mesh
 
@@ -101,6 +102,7 @@ class VoxelField:
 
         with device_turn(self.device):
             self.grid = self._filled_grid(links, density, sh, weights)
+        self._columns: ColumnTable | None = None
 
     def _filled_grid(self, links: Any, density: Any, sh: Any, weights: Any) -> Any:
         """The VoxelGrid of the arrays that the constructor was given; their weights go to `weights`."""
@@ -171,6 +173,17 @@ class VoxelField:
     def center(self) -> np.ndarray:
         """(3,) float64 middle of the bounds: the origin that kernels' positions are relative to."""
         return self._center.copy()
+
+    @property
+    def columns(self) -> ColumnTable:
+        """The rows told by bits, made when they are first asked for. Links do not change."""
+        if self._columns is None:
+            self._columns = ColumnTable(self.grid.links)
+        return self._columns
+
+    def row_table(self) -> Any:
+        """The rows as marches of deformed scenes read them: a RowTable of kernels/field/rows.py."""
+        return row_table(self.grid, self.columns)
 
     @property
     def voxel_count(self) -> int:
@@ -248,8 +261,10 @@ class VoxelField:
         step, work = self.march_step(step, camera)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
-            inputs = [self.grid, pinhole, colour, step, STOP_TRANSMITTANCE]
-            launch(render_image, threads, inputs, [arrays[name] for name in PART_NAMES], device=self.device, work=work)
+            shaded = shaded_grid(self.grid, self.columns, pinhole.centre, step)
+            inputs = [self.grid, shaded, pinhole, colour, step, STOP_TRANSMITTANCE]
+            outputs = [arrays[name] for name in PART_NAMES]
+            launch(render_shaded_image, threads, inputs, outputs, device=self.device, work=work)
 
         return self.render_by(march, camera, background=background, supersampling=supersampling)
 
