@@ -3,7 +3,7 @@
 The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
 of one edit on a lattice: flat arrays whose numbers are read many at once, one table of cells, and the map's derivative
 where matter is. Where the map compresses, a sample is cut into sub-samples as in deform/march.
-Needs: deform/edits, deform/map_nodes, deform/march, deform/render, field/grid, field/harmonics, field/rows,
+Needs: deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures, field/grid, field/harmonics, field/rows,
 field/samples, lattice/cage_map, view/rays.
 """
 
@@ -13,94 +13,21 @@ from ..field.grid import VoxelGrid, grid_position
 from ..field.harmonics import sh_basis
 from ..field.rows import RowTable, row_colour, row_density
 from ..field.samples import grid_span, sample_index_after
-from ..lattice.cage_map import CageMap, map_distance, side_position
+from ..lattice.cage_map import map_distance, side_position
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
+from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit, safe_inverse
 from .map_nodes import node_blend, node_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
-from .render import Picture, fill_pixel
+from .pictures import Picture, fill_pixel
 
 # small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
-#: `look` holds the flags of a cell that must be looked at, or this and the distance to the nearest such cell.
-LOOK_SKIP = wp.constant(32)
-
-
-@wp.struct
-class SingleEdit:
-    """A LatticeEdit with flat arrays: node (i, j, k), and the cell above it, is at (i * ny + j) * nz + k."""
-
-    lower: wp.vec3  # position of node (0, 0, 0)
-    inverse_spacing: float
-    node_counts: wp.vec3i
-    nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance
-    look: wp.array(dtype=wp.uint8)
-    has_sides: int  # 1: there are cells at narrow gaps of the cage with corner values for each side (see CageMap)
-    side_index: wp.array(dtype=int)
-    sides: wp.array2d(dtype=wp.vec4)
-    rest: CageMap
-    tolerance: float
-    slack: float
-    keeps_source: int
-    removes: int
-
-
-@wp.kernel
-def join_cell_tables(
-    first: int,
-    cells: wp.array3d(dtype=wp.uint8),
-    skip: wp.array3d(dtype=wp.uint8),
-    node_counts: wp.vec3i,
-    look: wp.array(dtype=wp.uint8),
-):
-    """The two tables of a LatticeEdit's cells as one, so that a sample reads one byte."""
-    n = first + wp.tid()
-    k = n % cells.shape[2]
-    j = (n // cells.shape[2]) % cells.shape[1]
-    i = n // (cells.shape[2] * cells.shape[1])
-    value = int(cells[i, j, k])
-    if skip[i, j, k] > wp.uint8(0):
-        value = LOOK_SKIP + int(skip[i, j, k])
-    look[(i * node_counts[1] + j) * node_counts[2] + k] = wp.uint8(value)
-
-
-@wp.kernel
-def join_nodes(
-    first: int, positions: wp.array(dtype=wp.vec3), distance: wp.array(dtype=float), nodes: wp.array(dtype=wp.vec4)
-):
-    """Position and distance of each node as four numbers. An edit that removes has no positions."""
-    n = first + wp.tid()
-    position = wp.vec3(0.0, 0.0, 0.0)
-    if positions.shape[0] > 0:
-        position = positions[n]
-    nodes[n] = wp.vec4(position[0], position[1], position[2], distance[n])
-
-
-@wp.func
-def safe_inverse(rate: wp.vec3):
-    """1 / rate by component; a large number where the rate is almost zero."""
-    result = wp.vec3(1.0e30, 1.0e30, 1.0e30)
-    for axis in range(3):
-        if wp.abs(rate[axis]) > 1.0e-12:
-            result[axis] = 1.0 / rate[axis]
-    return result
-
-
-@wp.func
-def cell_exit(g: wp.vec3, inverse_rate: wp.vec3, reach: int):
-    """field/samples.exit_distance with the divisions done once per ray."""
-    leave = float(1.0e30)
-    for axis in range(3):
-        cell = wp.floor(g[axis])
-        plane = wp.where(inverse_rate[axis] > 0.0, cell + float(reach), cell - float(reach) + 1.0)
-        leave = wp.min(leave, (plane - g[axis]) * inverse_rate[axis])
-    return leave
-
 
 @wp.func
 def march_edit(
-    edit: SingleEdit, grid: VoxelGrid, table: RowTable, origin: wp.vec3, direction: wp.vec3, options: MarchOptions
+    edit: FlatEdit, grid: VoxelGrid, table: RowTable, origin: wp.vec3, direction: wp.vec3, options: MarchOptions
 ):
     """Gather radiance along a ray through the deformed scene."""
     seen = DeformedRadiance()
@@ -252,7 +179,7 @@ def render_edit(
     first: int,
     grid: VoxelGrid,
     table: RowTable,
-    edit: SingleEdit,
+    edit: FlatEdit,
     camera: PinholeCamera,
     background: wp.vec3,
     options: MarchOptions,

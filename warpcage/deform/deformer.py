@@ -19,7 +19,7 @@ from ..field.rendering import STOP_TRANSMITTANCE
 from ..field.voxel_field import VoxelField
 from ..kernels.deform.edits import MAPPED
 from ..kernels.deform.march import MarchOptions
-from ..kernels.deform.render import Picture
+from ..kernels.deform.pictures import Picture
 from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
 from ..view.camera import Camera
@@ -289,7 +289,7 @@ class Deformer:
             picture = Picture()
             for name, array in arrays.items():
                 setattr(picture, name, array)
-            inputs = [grid, self.field.row_table(), edits.scene, pinhole, colour, options, picture]
+            inputs = [grid, *edits.row_tables(self.field), edits.scene, pinhole, colour, options, picture]
             launch(edits.render_kernel, threads, inputs, device=self.device, work=work * edits.sample_work)
 
         return self.field.render_by(march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
