@@ -11,14 +11,22 @@ import warp as wp
 
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..field.harmonics import sh_basis
-from ..field.rows import RowTable, row_colour, row_density
+from ..field.rows import RowTable, cell_rows, rows_colour, rows_density
 from ..field.samples import grid_span, sample_index_after
 from ..lattice.cage_map import map_distance, side_position
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
 from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit, safe_inverse
 from .map_nodes import node_blend, node_slope, side_slope
-from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
+from .march import (
+    FAINT,
+    FOLD_MIN_WEIGHT,
+    MAX_SUB_SAMPLES,
+    PENDING_WEIGHT,
+    DeformedRadiance,
+    MarchOptions,
+    pending_colour,
+)
 from .pictures import Picture, fill_pixel
 
 # small blocks: the rays of one block end at very different times
@@ -181,6 +189,7 @@ def march_edits(
     count = int(0)  # sub-samples of sample k; 0: not known, so one
     j = int(0)
     t = (float(k) + 0.5) * step
+    pending = float(0.0)  # weight of samples whose colour is not looked up yet
     while t < span[1] and seen.transmittance > options.stop:
         if t >= part_end:
             holder = int(-1)
@@ -240,7 +249,8 @@ def march_edits(
                 gj = int(wp.floor(g[1]))
                 gk = int(wp.floor(g[2]))
                 offset = g - wp.vec3(float(gi), float(gj), float(gk))
-                sigma = row_density(grid, table, gi, gj, gk, offset)
+                rows = cell_rows(table, gi, gj, gk)
+                sigma = rows_density(grid, table, rows, offset)
                 if sigma > 0.0:
                     length = step / float(parts)
                     if point.cleared == 1:
@@ -258,8 +268,11 @@ def march_edits(
                                 along = slope / stretch
                         kept = wp.exp(-sigma * length)
                         weight = seen.transmittance * (1.0 - kept)
-                        colour = row_colour(grid, table, gi, gj, gk, offset, sh_basis(along))
-                        seen.colour += weight * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                        pending += weight
+                        if pending > PENDING_WEIGHT:
+                            colour = rows_colour(grid, table, rows, offset, sh_basis(along))
+                            seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                            pending = float(0.0)
                         seen.depth += weight * t
                         seen.transmittance *= kept
                         if (point.flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
@@ -271,6 +284,7 @@ def march_edits(
             j = int(0)
         parts = wp.max(count, 1)
         t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
+    seen.colour += pending_colour(seen, pending)
     return seen
 
 

@@ -11,18 +11,29 @@ import warp as wp
 
 from ..field.grid import VoxelGrid, grid_position
 from ..field.harmonics import sh_basis
-from ..field.rows import RowTable, row_colour, row_density
+from ..field.rows import RowTable, cell_rows, rows_colour, rows_density
 from ..field.samples import grid_span, sample_index_after
 from ..lattice.cage_map import map_distance, side_position
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
 from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit, safe_inverse
 from .map_nodes import node_blend, node_slope, side_slope
-from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
+from .march import (
+    FAINT,
+    FOLD_MIN_WEIGHT,
+    MAX_SUB_SAMPLES,
+    PENDING_WEIGHT,
+    DeformedRadiance,
+    MarchOptions,
+    pending_colour,
+)
 from .pictures import Picture, fill_pixel
 
 # small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
+
+#: Of a cell within which a march may jump as far as the canonical grid is empty.
+HOLLOW_FLAGS = wp.constant(1 | 4 | 16)
 
 
 @wp.func
@@ -61,6 +72,7 @@ def march_edit(
     count = int(0)  # sub-samples of sample k; 0: not known, so one
     j = int(0)
     t = (float(k) + 0.5) * step
+    pending = float(0.0)  # weight of samples whose colour is not looked up yet
     while t < far and seen.transmittance > options.stop:
         # the canonical point
         position = origin + t * direction
@@ -131,7 +143,8 @@ def march_edit(
             seen.outside += 1.0
         elif empty == 0:
             offset = g - wp.vec3(float(gi), float(gj), float(gk))
-            sigma = row_density(grid, table, gi, gj, gk, offset)
+            rows = cell_rows(table, gi, gj, gk)
+            sigma = rows_density(grid, table, rows, offset)
             if sigma > 0.0:
                 length = step / float(parts)
                 cleared = bool(False)
@@ -155,13 +168,16 @@ def march_edit(
                             along = slope / stretch
                     kept = wp.exp(-sigma * length)
                     weight = seen.transmittance * (1.0 - kept)
-                    colour = row_colour(grid, table, gi, gj, gk, offset, sh_basis(along))
-                    seen.colour += weight * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                    pending += weight
+                    if pending > PENDING_WEIGHT:
+                        colour = rows_colour(grid, table, rows, offset, sh_basis(along))
+                        seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                        pending = float(0.0)
                     seen.depth += weight * t
                     seen.transmittance *= kept
                     if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
                         seen.fold += weight
-        elif empty > 1 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
+        elif empty > 1 and (flags & HOLLOW_FLAGS) == CELL_INSIDE | CELL_STAYS:  # samples that leave are counted
             leave = t + wp.min(cell_exit(place, lattice_inverse, 1), float(empty - 1) * hollow_rate)
             next_index = wp.max(next_index, int(wp.ceil(leave * inverse_step - 0.5)))
         j += 1
@@ -171,6 +187,7 @@ def march_edit(
             j = int(0)
         parts = wp.max(count, 1)
         t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
+    seen.colour += pending_colour(seen, pending)
     return seen
 
 

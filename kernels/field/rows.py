@@ -13,6 +13,7 @@ from .grid import VoxelGrid
 from .harmonics import vec9
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
+eight_rows = wp.types.vector(length=8, dtype=wp.int32)
 
 
 @wp.struct
@@ -28,14 +29,14 @@ class RowTable:
     const int place = k - 31 * block;
     const unsigned low = (1u << place) - 1u;
     const int width = table.columns.blocks.shape[1];
-    const int* order = table.columns.order.data;
-    const float* density = grid.density.data;
-    float total = 0.0f;
+    const int begin = (i * table.columns.node_counts.c[1] + j) * width + block;
+    wp::vec_t<8, wp::int32> rows;
+#if defined(__CUDA_ARCH__)
+    #pragma unroll
+#endif
     for (int column = 0; column < 4; ++column)
     {
-        const int di = column >> 1, dj = column & 1;
-        const int at = ((i + di) * table.columns.node_counts.c[1] + j + dj) * width + block;
-        const float share = (di ? offset.c[0] : 1.0f - offset.c[0]) * (dj ? offset.c[1] : 1.0f - offset.c[1]);
+        const int at = begin + ((column >> 1) * table.columns.node_counts.c[1] + (column & 1)) * width;
 #if defined(__CUDA_ARCH__)
         const uint2 entry = __ldg(reinterpret_cast<const uint2*>(table.columns.blocks.data) + at);
         const unsigned bits = entry.x >> place;
@@ -45,26 +46,42 @@ class RowTable:
         const unsigned bits = entry[0] >> place;
         const int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
 #endif
-        float near = 0.0f, far = 0.0f;
-        if (bits & 1u)
-            near = density[order ? order[row] : row];
-        if (bits & 2u)
-            far = density[order ? order[row + (bits & 1u)] : row + (bits & 1u)];
-        total += share * (near + offset.c[2] * (far - near));
+        rows.c[2 * column] = (bits & 1u) ? row : -1;
+        rows.c[2 * column + 1] = (bits & 2u) ? row + (int)(bits & 1u) : -1;
     }
-    return total;
+    return rows;
 """)
-def row_density(grid: VoxelGrid, table: RowTable, i: wp.int32, j: wp.int32, k: wp.int32, offset: wp.vec3) -> wp.float32:
-    """Trilinear density before the ReLU, at a place, 0 to 1, in the cell above node (i, j, k)."""
+def cell_rows(table: RowTable, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_rows:
+    """Rows of the eight nodes of the cell above node (i, j, k), -1 for none; corner c is at (c & 4, c & 2, c & 1)."""
+    ...
+
+
+@wp.func_native("""
+    const int* order = table.columns.order.data;
+    const float* density = grid.density.data;
+    float values[8];
+#if defined(__CUDA_ARCH__)
+    #pragma unroll
+#endif
+    for (int c = 0; c < 8; ++c)
+        values[c] = rows.c[c] < 0 ? 0.0f : density[order ? order[rows.c[c]] : rows.c[c]];
+    float sums[4];
+#if defined(__CUDA_ARCH__)
+    #pragma unroll
+#endif
+    for (int c = 0; c < 4; ++c)
+        sums[c] = values[2 * c] + offset.c[2] * (values[2 * c + 1] - values[2 * c]);
+    const float low = sums[0] + offset.c[1] * (sums[1] - sums[0]);
+    const float high = sums[2] + offset.c[1] * (sums[3] - sums[2]);
+    return low + offset.c[0] * (high - low);
+""")
+def rows_density(grid: VoxelGrid, table: RowTable, rows: eight_rows, offset: wp.vec3) -> wp.float32:
+    """Trilinear density before the ReLU, at a place, 0 to 1, in the cell of eight rows."""
     ...
 
 
 @wp.func_native("""
     constexpr int N = sizeof(basis) / sizeof(wp::float32);
-    const int block = k / 31;
-    const int place = k - 31 * block;
-    const unsigned low = (1u << place) - 1u;
-    const int width = table.columns.blocks.shape[1];
 #if defined(__CUDA_ARCH__)
     constexpr int WORDS = (N + 2) / 4;  // of a channel
     constexpr int READS = (2 + 3 * WORDS + 3) / 4;
@@ -73,7 +90,7 @@ def row_density(grid: VoxelGrid, table: RowTable, i: wp.int32, j: wp.int32, k: w
     for (int b = 1; b < N; ++b)
         largest = fmaxf(largest, fabsf(basis.c[b]));
     const float unit = largest * (1.0f / 127.0f);
-    const float scale = 127.0f / largest;
+    const float scale = __fdividef(127.0f, largest);
     int rounded[WORDS];
     #pragma unroll
     for (int w = 0; w < WORDS; ++w)
@@ -85,73 +102,63 @@ def row_density(grid: VoxelGrid, table: RowTable, i: wp.int32, j: wp.int32, k: w
                 word |= ((unsigned)__float2int_rn(basis.c[4 * w + b + 1] * scale) & 0xffu) << (8 * b);
         rounded[w] = (int)word;
     }
-    float red = 0.0f, green = 0.0f, blue = 0.0f;
+    float red = 0.5f, green = 0.5f, blue = 0.5f;
     const uint4* packed = reinterpret_cast<const uint4*>(table.packed.data);
-    #pragma unroll 1
-    for (int column = 0; column < 4; ++column)
+    #pragma unroll
+    for (int c = 0; c < 8; ++c)
     {
-        const int di = column >> 1, dj = column & 1;
-        const int at = ((i + di) * table.columns.node_counts.c[1] + j + dj) * width + block;
-        const float share = (di ? offset.c[0] : 1.0f - offset.c[0]) * (dj ? offset.c[1] : 1.0f - offset.c[1]);
-        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(table.columns.blocks.data) + at);
-        const unsigned bits = entry.x >> place;
-        int row = (int)entry.y + __popc(entry.x & low);
-        #pragma unroll
-        for (int side = 0; side < 2; ++side)
+        if (rows.c[c] >= 0)
         {
-            if (bits & (1u << side))
+            unsigned words[4 * READS];
+            #pragma unroll
+            for (int r = 0; r < READS; ++r)
             {
-                uint4 parts[READS];
-                #pragma unroll
-                for (int r = 0; r < READS; ++r)
-                    parts[r] = __ldg(packed + (size_t)row * READS + r);
-                const unsigned* words = reinterpret_cast<const unsigned*>(parts);
-                ++row;
-                const float weight = share * (side ? offset.c[2] : 1.0f - offset.c[2]);
-                wp::half h;
-                h.u = words[1] >> 16;
-                const float size = weight * unit * wp::half_to_float(h);
-                const float first = weight * basis.c[0];
-                int sums[3] = {0, 0, 0};
-                #pragma unroll
-                for (int w = 0; w < WORDS; ++w)
-                {
-                    sums[0] = __dp4a((int)words[2 + w], rounded[w], sums[0]);
-                    sums[1] = __dp4a((int)words[2 + WORDS + w], rounded[w], sums[1]);
-                    sums[2] = __dp4a((int)words[2 + 2 * WORDS + w], rounded[w], sums[2]);
-                }
-                h.u = words[0] & 0xffffu;
-                red += first * wp::half_to_float(h) + size * (float)sums[0];
-                h.u = words[0] >> 16;
-                green += first * wp::half_to_float(h) + size * (float)sums[1];
-                h.u = words[1] & 0xffffu;
-                blue += first * wp::half_to_float(h) + size * (float)sums[2];
+                const uint4 part = __ldg(packed + (size_t)(unsigned)rows.c[c] * READS + r);
+                words[4 * r] = part.x;
+                words[4 * r + 1] = part.y;
+                words[4 * r + 2] = part.z;
+                words[4 * r + 3] = part.w;
             }
+            const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0])
+                * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1]) * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
+            wp::half h;
+            h.u = words[1] >> 16;
+            const float size = weight * unit * wp::half_to_float(h);
+            const float first = weight * basis.c[0];
+            int sums[3] = {0, 0, 0};
+            #pragma unroll
+            for (int w = 0; w < WORDS; ++w)
+            {
+                sums[0] = __dp4a((int)words[2 + w], rounded[w], sums[0]);
+                sums[1] = __dp4a((int)words[2 + WORDS + w], rounded[w], sums[1]);
+                sums[2] = __dp4a((int)words[2 + 2 * WORDS + w], rounded[w], sums[2]);
+            }
+            h.u = words[0] & 0xffffu;
+            red += first * wp::half_to_float(h) + size * (float)sums[0];
+            h.u = words[0] >> 16;
+            green += first * wp::half_to_float(h) + size * (float)sums[1];
+            h.u = words[1] & 0xffffu;
+            blue += first * wp::half_to_float(h) + size * (float)sums[2];
         }
     }
-    return wp::vec_t<3, wp::float32>(red + 0.5f, green + 0.5f, blue + 0.5f);
+    return wp::vec_t<3, wp::float32>(red, green, blue);
 #else
     const int* order = table.columns.order.data;
     float total[3 * N];
     for (int n = 0; n < 3 * N; ++n)
         total[n] = 0.0f;
-    for (int column = 0; column < 4; ++column)
+    for (int c = 0; c < 8; ++c)
     {
-        const int di = column >> 1, dj = column & 1;
-        const int at = ((i + di) * table.columns.node_counts.c[1] + j + dj) * width + block;
-        const float share = (di ? offset.c[0] : 1.0f - offset.c[0]) * (dj ? offset.c[1] : 1.0f - offset.c[1]);
-        const unsigned* entry = reinterpret_cast<const unsigned*>(table.columns.blocks.data) + 2 * (size_t)at;
-        const unsigned bits = entry[0] >> place;
-        int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
-        for (int side = 0; side < 2; ++side)
+        if (rows.c[c] >= 0)
         {
-            if (bits & (1u << side))
+            const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0])
+                * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1]) * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
+            const int row = order ? order[rows.c[c]] : rows.c[c];
+            const float* numbers = reinterpret_cast<const float*>(grid.sh.data) + (size_t)row * (3 * N);
+            for (int n = 0; n < 3 * N; ++n)
             {
-                const float weight = share * (side ? offset.c[2] : 1.0f - offset.c[2]);
-                const float* c = reinterpret_cast<const float*>(grid.sh.data) + (size_t)(order ? order[row] : row) * (3 * N);
-                ++row;
-                for (int n = 0; n < 3 * N; ++n)
-                    total[n] += weight * c[n];
+                #pragma clang fp contract(fast)
+                total[n] += weight * numbers[n];
             }
         }
     }
@@ -165,10 +172,8 @@ def row_density(grid: VoxelGrid, table: RowTable, i: wp.int32, j: wp.int32, k: w
     return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);
 #endif
 """)
-def row_colour(
-    grid: VoxelGrid, table: RowTable, i: wp.int32, j: wp.int32, k: wp.int32, offset: wp.vec3, basis: vec9
-) -> wp.vec3:
-    """SH colour before the clamp at zero, at a place, 0 to 1, in the cell above node (i, j, k)."""
+def rows_colour(grid: VoxelGrid, table: RowTable, rows: eight_rows, offset: wp.vec3, basis: vec9) -> wp.vec3:
+    """SH colour before the clamp at zero, at a place, 0 to 1, in the cell of eight rows."""
     ...
 
 
@@ -182,6 +187,7 @@ def row_colour(
     const int lane = threadIdx.x & 31;
     float* rows = staged[(threadIdx.x >> 5) & 3];
     __syncwarp();
+    #pragma unroll 9
     for (int part = 0; part < 3 * N; ++part)
     {
         const int entry = part * 32 + lane;

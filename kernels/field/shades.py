@@ -31,28 +31,26 @@ class ShadedGrid:
     const int lane = threadIdx.x & 31;
     float* rows = staged[(threadIdx.x >> 5) & 3];
     __syncwarp();
+    #pragma unroll 9
     for (int part = 0; part < 3 * N; ++part)
     {
         const int entry = part * 32 + lane;
         const int owner = entry / (3 * N);
         const int place = entry - owner * 3 * N;
         const int source = __shfl_sync(0xffffffffu, row, owner);
-        rows[entry] = *reinterpret_cast<const float*>(reinterpret_cast<const char*>(sh.data)
-            + (size_t)(unsigned)source * (unsigned)sh.strides[0] + (place / N) * sh.strides[1] + (place % N) * 4);
+        rows[entry] = reinterpret_cast<const float*>(sh.data)[(size_t)source * (3 * N) + place];
     }
     __syncwarp();
     const float* c = rows + lane * 3 * N;
-    const int stride = N;
 #else
-    const float* c = reinterpret_cast<const float*>(reinterpret_cast<const char*>(sh.data) + (size_t)row * sh.strides[0]);
-    const int stride = sh.strides[1] / 4;
+    const float* c = reinterpret_cast<const float*>(sh.data) + (size_t)row * (3 * N);
 #endif
     float sums[3];
     for (int channel = 0; channel < 3; ++channel)
     {
         float sum = 0.0f;
         for (int b = 0; b < N; ++b)
-            sum += basis.c[b] * c[channel * stride + b];
+            sum += basis.c[b] * c[channel * N + b];
         sums[channel] = sum + 0.5f;
     }
     return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);

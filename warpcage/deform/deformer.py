@@ -276,7 +276,6 @@ class Deformer:
         supersampling: int | None,
     ) -> Frame:
         """`render` of a pose, which is worked out once the rest is checked."""
-        grid = self.field.grid
         options = MarchOptions()
         options.step, work = self.field.march_step(step, camera)
         options.stop = STOP_TRANSMITTANCE
@@ -285,6 +284,7 @@ class Deformer:
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
             edits = posed_edits()
             require_short_march(self._held or (), options.step)
+            grid = self.field.march_grid()
             edits.prepare(grid, options.step)
             picture = Picture()
             for name, array in arrays.items():

@@ -193,7 +193,7 @@ class EditLattices:
         self._cells: list[wp.array] = []
         self._structs: list[Any] = []
         self.array: wp.array | None = None
-        self._marked_step = 0.0
+        self._marked_step, self._marked_skip = 0.0, None
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         """Compute the maps.
@@ -230,9 +230,9 @@ class EditLattices:
             step: March step, world units.
 
         Returns:
-            Whether they were looked for: not again for the same pose and no longer step.
+            Whether they were looked for: not again for the same pose, the same matter and no longer step.
         """
-        if step <= self._marked_step:
+        if step <= self._marked_step and grid.skip is self._marked_skip:
             return False
         self._marked_step = 0.0  # an interrupt leaves tables that are half written
         for index, skip in enumerate(self.skips):  # in order: each looks at the ones before it
@@ -243,7 +243,7 @@ class EditLattices:
             for axis in range(3):
                 launch(grid_skip.spread_distance, skip.size, [axis, source], [target], device=self._device)
                 source, target = target, source
-        self._marked_step = step
+        self._marked_step, self._marked_skip = step, grid.skip
         return True
 
     def rest_maps(self) -> list[Any]:

@@ -26,7 +26,7 @@ from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
 from .shading import ColumnTable, row_table, shaded_grid
-from .sparse import link_mask, measure_skip
+from .sparse import MatterSkip, link_mask, measure_skip
 from .surface import extract_mesh
 
 if TYPE_CHECKING:
@@ -103,6 +103,7 @@ class VoxelField:
         with device_turn(self.device):
             self.grid = self._filled_grid(links, density, sh, weights)
         self._columns: ColumnTable | None = None
+        self._matter: MatterSkip | None = None
 
     def _filled_grid(self, links: Any, density: Any, sh: Any, weights: Any) -> Any:
         """The VoxelGrid of the arrays that the constructor was given; their weights go to `weights`."""
@@ -180,6 +181,16 @@ class VoxelField:
         if self._columns is None:
             self._columns = ColumnTable(self.grid.links)
         return self._columns
+
+    def march_grid(self) -> Any:
+        """The grid for marches: a VoxelGrid whose `skip` leaves out what holds no matter now."""
+        grid, own = VoxelGrid(), self.grid
+        grid.lower, grid.voxel_size, grid.inverse_voxel_size = own.lower, own.voxel_size, own.inverse_voxel_size
+        grid.links, grid.density, grid.sh = own.links, own.density, own.sh
+        if self._matter is None:
+            self._matter = MatterSkip(own.links)
+        grid.skip = self._matter.distance(own.density)
+        return grid
 
     def row_table(self) -> Any:
         """The rows as marches of deformed scenes read them: a RowTable of kernels/field/rows.py."""
@@ -262,7 +273,7 @@ class VoxelField:
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
             shaded = shaded_grid(self.grid, self.columns, pinhole.centre, step)
-            inputs = [self.grid, shaded, pinhole, colour, step, STOP_TRANSMITTANCE]
+            inputs = [self.march_grid(), shaded, pinhole, colour, step, STOP_TRANSMITTANCE]
             outputs = [arrays[name] for name in PART_NAMES]
             launch(render_shaded_image, threads, inputs, outputs, device=self.device, work=work)
 
