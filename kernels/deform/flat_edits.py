@@ -65,16 +65,6 @@ def join_nodes(
 
 
 @wp.func
-def safe_inverse(rate: wp.vec3):
-    """1 / rate by component; a large number where the rate is almost zero."""
-    result = wp.vec3(1.0e30, 1.0e30, 1.0e30)
-    for axis in range(3):
-        if wp.abs(rate[axis]) > 1.0e-12:
-            result[axis] = 1.0 / rate[axis]
-    return result
-
-
-@wp.func
 def cell_exit(g: wp.vec3, inverse_rate: wp.vec3, reach: int):
     """field/samples.exit_distance with the divisions done once per ray."""
     leave = float(1.0e30)

@@ -43,9 +43,6 @@ FOLD_MIN_WEIGHT = wp.constant(1.0 / 255.0)
 #: Nothing more is revealed behind cleared matter that would have let less light than this through.
 FAINT = wp.constant(1.0e-3)
 
-#: Samples that together weigh no more than this take the colour of the next one: half of what an 8-bit image shows.
-PENDING_WEIGHT = wp.constant(1.0 / 512.0)
-
 
 @wp.struct
 class MarchOptions:
@@ -67,15 +64,6 @@ class DeformedRadiance:
     reveal: float  # opacity that the cleared matter would have had in front of the rest
     fold: float  # sum of w_k over samples where the map turns over
     outside: float  # number of samples whose map leaves the rest cage
-
-
-@wp.func
-def pending_colour(seen: DeformedRadiance, pending: float):
-    """What samples add whose colour was not looked up: that of the others, or grey where there are none."""
-    looked_up = 1.0 - seen.transmittance - pending
-    if looked_up > 0.5 * PENDING_WEIGHT:
-        return (pending / looked_up) * seen.colour
-    return wp.vec3(0.5 * pending, 0.5 * pending, 0.5 * pending)
 
 
 @wp.func

@@ -5,17 +5,10 @@ Needs: deform/march, field/render.
 
 import warp as wp
 
-from ..field.render import DEPTH_MIN_ALPHA
+from ..field.render import visible_depth
 from .march import DeformedRadiance
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def visible_depth(seen: DeformedRadiance):
-    """Expected distance along the ray, inf where almost nothing is seen."""
-    opacity = 1.0 - seen.transmittance
-    return wp.where(opacity > DEPTH_MIN_ALPHA, seen.depth / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
 
 
 @wp.struct
@@ -34,8 +27,9 @@ class Picture:
 def fill_pixel(picture: Picture, pixel: int, seen: DeformedRadiance, background: wp.vec3):
     """Write what a march saw to a pixel."""
     picture.rgb[pixel] = seen.colour + seen.transmittance * background
-    picture.alpha[pixel] = 1.0 - seen.transmittance
-    picture.depth[pixel] = visible_depth(seen)
+    opacity = 1.0 - seen.transmittance
+    picture.alpha[pixel] = opacity
+    picture.depth[pixel] = visible_depth(seen.depth, opacity)
     picture.reveal[pixel] = seen.reveal
     picture.fold[pixel] = seen.fold
     picture.outside[pixel] = seen.outside

@@ -4,29 +4,22 @@
 enters and leaves the boxes of the edits: in between one edit, the last whose box holds the ray, knows what may be
 skipped, and later ones need not be asked for their maps.
 Needs: deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures, field/grid, field/harmonics,
-field/rows, field/samples, lattice/cage_map, view/rays.
+field/render, field/rows, field/samples, lattice/cage_map, view/rays.
 """
 
 import warp as wp
 
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..field.harmonics import sh_basis
+from ..field.render import PENDING_WEIGHT, pending_colour
 from ..field.rows import RowTable, cell_rows, rows_colour, rows_density
-from ..field.samples import grid_span, sample_index_after
+from ..field.samples import grid_span, safe_inverse, sample_index_after
 from ..lattice.cage_map import map_distance, side_position
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
-from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit, safe_inverse
+from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit
 from .map_nodes import node_blend, node_slope, side_slope
-from .march import (
-    FAINT,
-    FOLD_MIN_WEIGHT,
-    MAX_SUB_SAMPLES,
-    PENDING_WEIGHT,
-    DeformedRadiance,
-    MarchOptions,
-    pending_colour,
-)
+from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .pictures import Picture, fill_pixel
 
 # small blocks: the rays of one block end at very different times
@@ -249,7 +242,7 @@ def march_edits(
                 gj = int(wp.floor(g[1]))
                 gk = int(wp.floor(g[2]))
                 offset = g - wp.vec3(float(gi), float(gj), float(gk))
-                rows = cell_rows(table, gi, gj, gk)
+                rows = cell_rows(table.columns, gi, gj, gk)
                 sigma = rows_density(grid, table, rows, offset)
                 if sigma > 0.0:
                     length = step / float(parts)
@@ -284,7 +277,7 @@ def march_edits(
             j = int(0)
         parts = wp.max(count, 1)
         t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
-    seen.colour += pending_colour(seen, pending)
+    seen.colour += pending_colour(seen.colour, seen.transmittance, pending)
     return seen
 
 

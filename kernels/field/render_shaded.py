@@ -8,8 +8,8 @@ import warp as wp
 
 from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
 from .grid import VoxelGrid
-from .render import DEPTH_MIN_ALPHA, Radiance
-from .samples import grid_ray, sample_beyond, sample_distance, sample_place
+from .render import Radiance, visible_depth
+from .samples import exit_of_cell, grid_ray, safe_inverse
 from .shades import ShadedGrid, shade_at
 
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
@@ -21,24 +21,31 @@ def march_shades(grid: VoxelGrid, shaded: ShadedGrid, origin: wp.vec3, direction
     result = Radiance()
     result.transmittance = float(1.0)
     ray = grid_ray(grid, origin, direction, step)
-    k = ray.first
-    while sample_distance(ray, k) < ray.far and result.transmittance > stop:
-        g = sample_place(ray, k)
-        ci = wp.clamp(int(wp.floor(g[0])), 0, shaded.columns.node_counts[0] - 2)
-        cj = wp.clamp(int(wp.floor(g[1])), 0, shaded.columns.node_counts[1] - 2)
-        ck = wp.clamp(int(wp.floor(g[2])), 0, shaded.columns.node_counts[2] - 2)
+    inverse_slope = safe_inverse(ray.slope)
+    inverse_step = 1.0 / step
+    tops = wp.vec3i(grid.skip.shape[0] - 1, grid.skip.shape[1] - 1, grid.skip.shape[2] - 1)
+    k = float(ray.first)  # a whole number: no conversions in the loop, where each step waits for the one before
+    t = (k + 0.5) * step
+    while t < ray.far and result.transmittance > stop:
+        g = ray.start + t * ray.slope
+        ci = wp.clamp(int(g[0]), 0, tops[0])
+        cj = wp.clamp(int(g[1]), 0, tops[1])
+        ck = wp.clamp(int(g[2]), 0, tops[2])
         empty = int(grid.skip[ci, cj, ck])
+        offset = g - wp.vec3(float(ci), float(cj), float(ck))
         if empty > 0:
-            k = sample_beyond(ray, k, g, empty)
+            leave = t + exit_of_cell(offset, inverse_slope, empty)
+            k = wp.max(k + 1.0, wp.ceil(leave * inverse_step - 0.5))
         else:
-            shade = shade_at(shaded, ci, cj, ck, g - wp.vec3(float(ci), float(cj), float(ck)))
+            shade = shade_at(shaded, ci, cj, ck, offset)
             if shade[3] > 0.0:
                 kept = wp.exp(-shade[3])
                 weight = result.transmittance * (1.0 - kept)
                 result.colour += weight * wp.max(wp.vec3(shade[0], shade[1], shade[2]), wp.vec3(0.0, 0.0, 0.0))
-                result.depth += weight * sample_distance(ray, k)
+                result.depth += weight * t
                 result.transmittance *= kept
-            k += 1
+            k += 1.0
+        t = (k + 0.5) * step
     return result
 
 
@@ -65,4 +72,4 @@ def render_shaded_image(
     opacity = 1.0 - seen.transmittance
     rgb[n] = seen.colour + seen.transmittance * background
     alpha[n] = opacity
-    depth[n] = wp.where(opacity > DEPTH_MIN_ALPHA, seen.depth / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
+    depth[n] = visible_depth(seen.depth, opacity)

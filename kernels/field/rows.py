@@ -28,21 +28,21 @@ class RowTable:
     const int block = k / 31;
     const int place = k - 31 * block;
     const unsigned low = (1u << place) - 1u;
-    const int width = table.columns.blocks.shape[1];
-    const int begin = (i * table.columns.node_counts.c[1] + j) * width + block;
+    const int width = columns.blocks.shape[1];
+    const int begin = (i * columns.node_counts.c[1] + j) * width + block;
     wp::vec_t<8, wp::int32> rows;
 #if defined(__CUDA_ARCH__)
     #pragma unroll
 #endif
     for (int column = 0; column < 4; ++column)
     {
-        const int at = begin + ((column >> 1) * table.columns.node_counts.c[1] + (column & 1)) * width;
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
 #if defined(__CUDA_ARCH__)
-        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(table.columns.blocks.data) + at);
+        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
         const unsigned bits = entry.x >> place;
         const int row = (int)entry.y + __popc(entry.x & low);
 #else
-        const unsigned* entry = reinterpret_cast<const unsigned*>(table.columns.blocks.data) + 2 * (size_t)at;
+        const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
         const unsigned bits = entry[0] >> place;
         const int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
 #endif
@@ -51,7 +51,7 @@ class RowTable:
     }
     return rows;
 """)
-def cell_rows(table: RowTable, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_rows:
+def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_rows:
     """Rows of the eight nodes of the cell above node (i, j, k), -1 for none; corner c is at (c & 4, c & 2, c & 1)."""
     ...
 
@@ -143,10 +143,13 @@ def rows_density(grid: VoxelGrid, table: RowTable, rows: eight_rows, offset: wp.
     }
     return wp::vec_t<3, wp::float32>(red, green, blue);
 #else
+    // eight numbers at a time; the last eight may overlap those before them
+    typedef float lanes __attribute__((ext_vector_type(8), aligned(4)));
+    constexpr int PARTS = (3 * N + 7) / 8;
     const int* order = table.columns.order.data;
-    float total[3 * N];
-    for (int n = 0; n < 3 * N; ++n)
-        total[n] = 0.0f;
+    lanes sum[PARTS];
+    for (int part = 0; part < PARTS; ++part)
+        sum[part] = 0.0f;
     for (int c = 0; c < 8; ++c)
     {
         if (rows.c[c] >= 0)
@@ -155,13 +158,17 @@ def rows_density(grid: VoxelGrid, table: RowTable, rows: eight_rows, offset: wp.
                 * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1]) * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
             const int row = order ? order[rows.c[c]] : rows.c[c];
             const float* numbers = reinterpret_cast<const float*>(grid.sh.data) + (size_t)row * (3 * N);
-            for (int n = 0; n < 3 * N; ++n)
+            for (int part = 0; part < PARTS; ++part)
             {
                 #pragma clang fp contract(fast)
-                total[n] += weight * numbers[n];
+                const int begin = part < PARTS - 1 ? 8 * part : 3 * N - 8;
+                sum[part] += weight * *reinterpret_cast<const lanes*>(numbers + begin);
             }
         }
     }
+    float total[3 * N];
+    for (int part = 0; part < PARTS; ++part)
+        *reinterpret_cast<lanes*>(total + (part < PARTS - 1 ? 8 * part : 3 * N - 8)) = sum[part];
     float sums[3];
     for (int channel = 0; channel < 3; ++channel)
     {

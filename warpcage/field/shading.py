@@ -106,8 +106,7 @@ def shaded_grid(grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> 
     """
     device, rows = grid.links.device, table.nodes.shape[0]
     shaded = ShadedGrid()
-    shaded.columns = table.columns
+    shaded.columns, shaded.centre, shaded.step = table.columns, centre, step
     shaded.shades = empty_array((rows, CPU_SHADE_WORDS if device.is_cpu else CUDA_SHADE_WORDS), wp.uint32, device)
-    inputs = [grid, table.columns, table.nodes, centre, step]
-    launch(shade_rows, whole_warps(rows, device), inputs, [shaded.shades], device=device)
+    launch(shade_rows, whole_warps(rows, device), [grid, table.nodes, shaded], device=device)
     return shaded

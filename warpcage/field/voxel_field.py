@@ -17,6 +17,7 @@ from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..kernels.field.harmonics import vec9
+from ..kernels.field.render import render_image
 from ..kernels.field.render_shaded import render_shaded_image
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera
@@ -31,6 +32,12 @@ from .surface import extract_mesh
 
 if TYPE_CHECKING:
     import trimesh
+
+#: Voxels are shaded for a camera at least this many voxels away: nearer ones are seen under too many directions.
+NEAR_VOXELS = 16.0
+
+#: On the CPU, where rays are few, it pays from this many per voxel; on CUDA it takes no longer than packing rows.
+CPU_RAYS_PER_VOXEL = 0.3
 
 
 class VoxelField:
@@ -272,12 +279,23 @@ class VoxelField:
         step, work = self.march_step(step, camera)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
-            shaded = shaded_grid(self.grid, self.columns, pinhole.centre, step)
-            inputs = [self.march_grid(), shaded, pinhole, colour, step, STOP_TRANSMITTANCE]
-            outputs = [arrays[name] for name in PART_NAMES]
-            launch(render_shaded_image, threads, inputs, outputs, device=self.device, work=work)
+            grid, outputs = self.march_grid(), [arrays[name] for name in PART_NAMES]
+            if self._pays_shading(pinhole.centre, threads):
+                kernel, seen = render_shaded_image, shaded_grid(grid, self.columns, pinhole.centre, step)
+            else:
+                kernel, seen = render_image, self.row_table()
+            inputs = [grid, seen, pinhole, colour, step, STOP_TRANSMITTANCE]
+            launch(kernel, threads, inputs, outputs, device=self.device, work=work)
 
         return self.render_by(march, camera, background=background, supersampling=supersampling)
+
+    def _pays_shading(self, centre: wp.vec3, rays: int) -> bool:
+        """Whether voxels are shaded for a camera. centre: relative to `center`."""
+        if self.device.is_cpu and rays < CPU_RAYS_PER_VOXEL * self.voxel_count:
+            return False
+        half = 0.5 * (self.bounds[1] - self.bounds[0])
+        away = np.linalg.norm(np.maximum(np.abs(np.array(centre)) - half, 0.0))
+        return bool(away > NEAR_VOXELS * self.voxel_size.max())
 
     def march_step(self, step: float | None, camera: Camera) -> tuple[float, float]:
         """The step of a march from a camera.
