@@ -62,7 +62,8 @@ def march(grid: VoxelGrid, table: RowTable, origin: wp.vec3, direction: wp.vec3,
         offset = g - wp.vec3(float(ci), float(cj), float(ck))
         if empty > 0:
             leave = t + exit_of_cell(offset, inverse_slope, empty)
-            k = wp.max(k + 1.0, wp.ceil(leave * inverse_step - 0.5))
+            after = wp.ceil(leave * inverse_step - 0.5)
+            k = wp.where(after > k + 1.0, after, k + 1.0)
         else:
             rows = cell_rows(table.columns, ci, cj, ck)
             sigma = rows_density(grid, table, rows, offset)

@@ -35,7 +35,8 @@ def march_shades(grid: VoxelGrid, shaded: ShadedGrid, origin: wp.vec3, direction
         offset = g - wp.vec3(float(ci), float(cj), float(ck))
         if empty > 0:
             leave = t + exit_of_cell(offset, inverse_slope, empty)
-            k = wp.max(k + 1.0, wp.ceil(leave * inverse_step - 0.5))
+            after = wp.ceil(leave * inverse_step - 0.5)
+            k = wp.where(after > k + 1.0, after, k + 1.0)
         else:
             shade = shade_at(shaded, ci, cj, ck, offset)
             if shade[3] > 0.0:

@@ -48,7 +48,8 @@ def exit_of_cell(offset: wp.vec3, inverse_rate: wp.vec3, reach: int):
     leave = float(1.0e30)
     for axis in range(3):
         plane = wp.where(inverse_rate[axis] > 0.0, float(reach), 1.0 - float(reach))
-        leave = wp.min(leave, (plane - offset[axis]) * inverse_rate[axis])
+        way = (plane - offset[axis]) * inverse_rate[axis]
+        leave = wp.where(way < leave, way, leave)  # a CPU takes less time for it than for min
     return leave
 
 
