@@ -17,7 +17,7 @@ def both(deformer, camera, **options):
     edits = deformer._edits
     single = deformer.render(camera, **options)
     assert edits.render_kernel is render_edit
-    kept, edits.render_kernel, edits.scene = edits.scene, render_edits, edits.array
+    kept, edits.render_kernel, edits.scene = edits.scene, render_edits, edits.flat_array()
     general = deformer.render(camera, **options)
     edits.render_kernel, edits.scene = render_edit, kept
     return single, general

@@ -42,7 +42,8 @@ def march_shades(grid: VoxelGrid, shaded: ShadedGrid, origin: wp.vec3, direction
             if shade[3] > 0.0:
                 kept = wp.exp(-shade[3])
                 weight = result.transmittance * (1.0 - kept)
-                result.colour += weight * wp.max(wp.vec3(shade[0], shade[1], shade[2]), wp.vec3(0.0, 0.0, 0.0))
+                colour = wp.vec3(shade[0] + 0.5, shade[1] + 0.5, shade[2] + 0.5)
+                result.colour += weight * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
                 result.depth += weight * t
                 result.transmittance *= kept
             k += 1.0

@@ -24,7 +24,7 @@ class ShadedGrid:
     columns: Columns
     centre: wp.vec3  # of the camera
     step: float
-    shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue and optical depth of a step
+    shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue less 0.5 and optical depth of a step
 
 
 @wp.func_native("""
@@ -55,12 +55,12 @@ class ShadedGrid:
         float sum = 0.0f;
         for (int b = 0; b < N; ++b)
             sum += basis.c[b] * c[channel * N + b];
-        sums[channel] = sum + 0.5f;
+        sums[channel] = sum;
     }
     return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);
 """)
 def shade_colour(sh: wp.array2d(dtype=vec9), row: wp.int32, basis: vec9) -> wp.vec3:
-    """Harmonics of a row times a basis, + 0.5. All lanes, in blocks of at most 128 threads."""
+    """Harmonics of a row times a basis. All lanes, in blocks of at most 128 threads."""
     ...
 
 
@@ -143,5 +143,5 @@ def blended_shades(data: wp.array2d(dtype=wp.uint32), rows: eight_rows, offset: 
 
 @wp.func
 def shade_at(shaded: ShadedGrid, i: int, j: int, k: int, offset: wp.vec3):
-    """Trilinear shade at a place, 0 to 1, in the cell above node (i, j, k)."""
+    """Trilinear shade at a place, 0 to 1, in the cell above node (i, j, k); the colour still lacks its 0.5."""
     return blended_shades(shaded.shades, cell_rows(shaded.columns, i, j, k), offset)

@@ -105,13 +105,23 @@ class LatticeEdits(PosedEdits):
     def prepare(self, grid: Any, step: float) -> None:
         scene, self.scene = self.scene, None  # an interrupt leaves none
         if self.lattices.mark_empty(grid, step) or scene is None:
-            posed, last = self.lattices.posed(), [*self._flat, *[None] * len(self._edits)]
-            self._flat = [flat_edit(edit, skip, old) for (edit, skip), old in zip(posed, last, strict=False)]
-            scene = self._flat[0] if self._is_single else self.flat_array()
+            scene = self.flat_scene()
         self.scene = scene
 
+    def flat_scene(self) -> Any:
+        """The posed edits with what `mark_empty` found, as their render kernel takes them.
+
+        Returns:
+            The one FlatEdit of kernels/deform/flat_edits.py, or an array of several.
+        """
+        last = [*self._flat, *[None] * len(self._edits)]
+        self._flat = [
+            flat_edit(edit, skip, old) for (edit, skip), old in zip(self.lattices.posed(), last, strict=False)
+        ]
+        return self._flat[0] if self._is_single else self.flat_array()
+
     def flat_array(self) -> wp.array:
-        """(edits,) FlatEdit of kernels/deform/flat_edits.py, as the kernel for several edits takes them."""
+        """(edits,) FlatEdit, as the kernel for several edits takes them."""
         return wp.array(self._flat, dtype=flat_edits.FlatEdit, device=self._device)
 
 

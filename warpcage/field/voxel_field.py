@@ -535,7 +535,8 @@ def _on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device) -> A
 def _sh_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
     """(rows, 3) of vec9 from that on a device, or from NumPy (rows, 9, 3)."""
     if isinstance(sh, wp.array):
-        return _on_device(sh, vec9, device)
+        array = _on_device(sh, vec9, device)
+        return array if array.is_contiguous else array.contiguous()  # rows are read as runs of memory
     host = np.asarray(sh, np.float32)
     if host.ndim != 3 or host.shape[1:] != (BASIS_COUNT, 3):
         raise ValueError(f"sh must be (rows, 9, 3), got {host.shape}")
