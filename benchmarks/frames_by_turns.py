@@ -2,8 +2,8 @@
 
     python benchmarks/frames_by_turns.py --other ../older --field bricks.npz --cage bricks_cage.obj
 
-Each checkout renders in a process of its own, which waits while the other one works, so that both meet the same noise. The
-ratio is that of the medians; its spread is that of the ratios of successive frames.
+Each checkout renders in a process of its own, which waits while the other one works, so that both meet the same noise.
+The ratio is that of the medians; its spread is that of the ratios of successive frames.
 """
 
 import argparse

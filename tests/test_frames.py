@@ -7,7 +7,7 @@ import warp as wp
 from deformed_scenes import BOX, make_field, psnr, shiny_field, view
 
 import warpcage
-from warpcage.field import voxel_field
+from warpcage.field import marching
 from warpcage.field.shading import PACKED_WORDS, ColumnTable, row_table, shaded_grid
 from warpcage.reference.fit_scenes import synthetic_scene
 
@@ -19,8 +19,8 @@ EYES = {"within": (0.3, 0.2, 0.4), "beside": (1.6, 0.5, 0.3), "away": (3.0, 1.6,
 def path(request, monkeypatch):
     """Both ways to a frame of the field itself, whatever its size."""
     shaded = request.param == "shaded"
-    monkeypatch.setattr(voxel_field, "NEAR_VOXELS", -1.0 if shaded else 1e9)
-    monkeypatch.setattr(voxel_field, "CPU_RAYS_PER_VOXEL", 0.0)
+    monkeypatch.setattr(marching, "NEAR_VOXELS", -1.0 if shaded else 1e9)
+    monkeypatch.setattr(marching, "CPU_RAYS_PER_VOXEL", 0.0)
     return request.param
 
 
@@ -78,7 +78,9 @@ def permuted(field, seed=1):
 def test_rows_in_any_order_make_the_same_frame(path, device):
     field = shiny_field(device)
     other = permuted(field)
-    assert other.columns.columns.order.size == field.voxel_count and field.columns.columns.order is None
+    assert (
+        other.marching.columns.columns.order.size == field.voxel_count and field.marching.columns.columns.order is None
+    )
     np.testing.assert_array_equal(other.render(view()).rgb, field.render(view()).rgb)
     frames = [warpcage.Deformer(f, BOX, resolution=24).pose(BOX.twist(50)).render(view()) for f in (field, other)]
     np.testing.assert_array_equal(frames[0].rgb, frames[1].rgb)
@@ -206,7 +208,7 @@ def test_columns_longer_than_a_block(path, device):
         camera = camera_at((2.5, 1.0, 0.4), field, size=13)
         truth = brute_force(field, density, sh, camera)
         assert psnr(field.render(camera, background="black").rgb, truth) > 55
-        assert field.columns.nodes.shape[0] == field.voxel_count
+        assert field.marching.columns.nodes.shape[0] == field.voxel_count
 
 
 # -- Memory

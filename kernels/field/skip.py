@@ -28,7 +28,10 @@ def mark_cells(first: int, links: wp.array3d(dtype=wp.int32), distance: wp.array
 
 @wp.kernel
 def mark_matter(
-    first: int, links: wp.array3d(dtype=wp.int32), density: wp.array(dtype=wp.float32), distance: wp.array3d(dtype=wp.uint8)
+    first: int,
+    links: wp.array3d(dtype=wp.int32),
+    density: wp.array(dtype=wp.float32),
+    distance: wp.array3d(dtype=wp.uint8),
 ):
     """0 where any of a cell's eight nodes has a density above zero, SKIP_LIMIT elsewhere: no place in such a cell has
     one, as trilinear weights are not negative. distance: (nx-1, ny-1, nz-1)."""
@@ -47,7 +50,10 @@ def mark_matter(
 
 @wp.kernel
 def note_signs(
-    first: int, density: wp.array(dtype=wp.float32), positive: wp.array(dtype=wp.uint8), changed: wp.array(dtype=wp.int32)
+    first: int,
+    density: wp.array(dtype=wp.float32),
+    positive: wp.array(dtype=wp.uint8),
+    changed: wp.array(dtype=wp.int32),
 ):
     """Keep which densities (rows,) are above zero; `changed` (1,) becomes 1 where that is news. All items write the same
     number there."""

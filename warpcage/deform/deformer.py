@@ -284,7 +284,7 @@ class Deformer:
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
             edits = posed_edits()
             require_short_march(self._held or (), options.step)
-            grid = self.field.march_grid()
+            grid = self.field.marching.grid()
             edits.prepare(grid, options.step)
             picture = Picture()
             for name, array in arrays.items():

@@ -96,7 +96,7 @@ class LatticeEdits(PosedEdits):
         self._flat: list[Any] = []
 
     def row_tables(self, field: VoxelField) -> list[Any]:
-        return [field.row_table()]
+        return [field.marching.rows()]
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         self.lattices.pose(cages)
@@ -155,7 +155,7 @@ def flat_edit(edit: Any, skip: wp.array, last: Any = None) -> Any:
     launch(
         flat_edits.join_cell_tables, edit.cells.size, [edit.cells, skip, flat.node_counts], [flat.look], device=device
     )
-    positions = wp.empty(0, dtype=wp.vec3, device=device) if edit.removes else edit.deformed.positions.flatten()
+    positions = empty_array(0, wp.vec3, device) if edit.removes else edit.deformed.positions.flatten()
     launch(
         flat_edits.join_nodes, node_count, [positions, edit.deformed.distance.flatten()], [flat.nodes], device=device
     )

@@ -17,27 +17,19 @@ from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..kernels.field.harmonics import vec9
-from ..kernels.field.render import render_image
-from ..kernels.field.render_shaded import render_shaded_image
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, Frame, checked_supersampling
 from .background import LayeredBackground
 from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field
+from .marching import MarchTables
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
-from .shading import ColumnTable, row_table, shaded_grid
-from .sparse import MatterSkip, link_mask, measure_skip
+from .sparse import link_mask, measure_skip
 from .surface import extract_mesh
 
 if TYPE_CHECKING:
     import trimesh
-
-#: Voxels are shaded for a camera at least this many voxels away: nearer ones are seen under too many directions.
-NEAR_VOXELS = 16.0
-
-#: On the CPU, where rays are few, it pays from this many per voxel; on CUDA it takes no longer than packing rows.
-CPU_RAYS_PER_VOXEL = 0.3
 
 
 class VoxelField:
@@ -77,7 +69,9 @@ class VoxelField:
         resolution: (nx, ny, nz) number of voxels along each axis.
         voxel_size: (3,) float64, world units.
         weights: (rows,) float32 Warp array or None.
-        grid: The VoxelGrid that kernels take; positions in it are relative to `center`.
+        grid: The VoxelGrid that kernels take; positions in it are relative to `center`. Its arrays may be written to at
+            any time, but for the links.
+        marching: What marches read instead of it.
     """
 
     def __init__(
@@ -109,8 +103,7 @@ class VoxelField:
 
         with device_turn(self.device):
             self.grid = self._filled_grid(links, density, sh, weights)
-        self._columns: ColumnTable | None = None
-        self._matter: MatterSkip | None = None
+        self.marching = MarchTables(self.grid)
 
     def _filled_grid(self, links: Any, density: Any, sh: Any, weights: Any) -> Any:
         """The VoxelGrid of the arrays that the constructor was given; their weights go to `weights`."""
@@ -181,27 +174,6 @@ class VoxelField:
     def center(self) -> np.ndarray:
         """(3,) float64 middle of the bounds: the origin that kernels' positions are relative to."""
         return self._center.copy()
-
-    @property
-    def columns(self) -> ColumnTable:
-        """The rows told by bits, made when they are first asked for. Links do not change."""
-        if self._columns is None:
-            self._columns = ColumnTable(self.grid.links)
-        return self._columns
-
-    def march_grid(self) -> Any:
-        """The grid for marches: a VoxelGrid whose `skip` leaves out what holds no matter now."""
-        grid, own = VoxelGrid(), self.grid
-        grid.lower, grid.voxel_size, grid.inverse_voxel_size = own.lower, own.voxel_size, own.inverse_voxel_size
-        grid.links, grid.density, grid.sh = own.links, own.density, own.sh
-        if self._matter is None:
-            self._matter = MatterSkip(own.links)
-        grid.skip = self._matter.distance(own.density)
-        return grid
-
-    def row_table(self) -> Any:
-        """The rows as marches of deformed scenes read them: a RowTable of kernels/field/rows.py."""
-        return row_table(self.grid, self.columns)
 
     @property
     def voxel_count(self) -> int:
@@ -279,23 +251,12 @@ class VoxelField:
         step, work = self.march_step(step, camera)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
-            grid, outputs = self.march_grid(), [arrays[name] for name in PART_NAMES]
-            if self._pays_shading(pinhole.centre, threads):
-                kernel, seen = render_shaded_image, shaded_grid(grid, self.columns, pinhole.centre, step)
-            else:
-                kernel, seen = render_image, self.row_table()
-            inputs = [grid, seen, pinhole, colour, step, STOP_TRANSMITTANCE]
+            kernel, inputs = self.marching.image_kernel(pinhole.centre, threads, step)
+            inputs += [pinhole, colour, step, STOP_TRANSMITTANCE]
+            outputs = [arrays[name] for name in PART_NAMES]
             launch(kernel, threads, inputs, outputs, device=self.device, work=work)
 
         return self.render_by(march, camera, background=background, supersampling=supersampling)
-
-    def _pays_shading(self, centre: wp.vec3, rays: int) -> bool:
-        """Whether voxels are shaded for a camera. centre: relative to `center`."""
-        if self.device.is_cpu and rays < CPU_RAYS_PER_VOXEL * self.voxel_count:
-            return False
-        half = 0.5 * (self.bounds[1] - self.bounds[0])
-        away = np.linalg.norm(np.maximum(np.abs(np.array(centre)) - half, 0.0))
-        return bool(away > NEAR_VOXELS * self.voxel_size.max())
 
     def march_step(self, step: float | None, camera: Camera) -> tuple[float, float]:
         """The step of a march from a camera.
