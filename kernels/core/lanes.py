@@ -115,18 +115,6 @@ def largest_of_lanes(value: float):
 
 
 @wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __popc(__activemask());
-#else
-    return 32;
-#endif
-""")
-def active_lanes() -> wp.int32:
-    """How many lanes of the warp are here, 32 on a CPU: for choices that do not change results."""
-    ...
-
-
-@wp.func_native("""
     unsigned int left = (unsigned int)bits;
 #if defined(__CUDA_ARCH__)
     return __popc(left);

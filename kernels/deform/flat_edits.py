@@ -1,11 +1,12 @@
 """Edits on lattices as fast marches read them: flat arrays, nodes of four numbers, and one table of cells.
 
 The map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1.
-Needs: lattice/cage_map.
+Needs: core/entries, lattice/cage_map.
 """
 
 import warp as wp
 
+from ..core.entries import trilinear_entry
 from ..lattice.cage_map import CageMap
 
 wp.set_module_options({"enable_backward": False})
@@ -62,6 +63,13 @@ def join_nodes(
     if positions.shape[0] > 0:
         position = positions[n]
     nodes[n] = wp.vec4(position[0], position[1], position[2], distance[n])
+
+
+@wp.func
+def rest_distance(edit: FlatEdit, x: wp.vec3):
+    """lattice/cage_map.map_distance of the rest cage."""
+    rest = edit.rest
+    return trilinear_entry(rest.distance, (x - rest.lower) * rest.inverse_spacing, 4.0 * rest.spacing)
 
 
 @wp.func

@@ -3,21 +3,22 @@
 "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. A ray is cut where it
 enters and leaves the boxes of the edits: in between one edit, the last whose box holds the ray, knows what may be
 skipped, and later ones need not be asked for their maps.
-Needs: deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures, field/grid, field/harmonics,
-field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures, field/grid,
+field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
 """
 
 import warp as wp
 
+from ..core.entries import byte_entry
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..field.harmonics import sh_basis
 from ..field.render import PENDING_WEIGHT, pending_colour
-from ..field.rows import RowTable, cell_rows, rows_colour, rows_density
+from ..field.rows import RowTable, row_colour, row_density
 from ..field.samples import grid_span, safe_inverse, sample_index_after
-from ..lattice.cage_map import map_distance, side_position
+from ..lattice.cage_map import side_position
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
-from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit
+from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit, rest_distance
 from .map_nodes import node_blend, node_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .pictures import Picture, fill_pixel
@@ -76,7 +77,7 @@ def flat_trace(edits: wp.array(dtype=FlatEdit), last: int, x: wp.vec3):
         if edit.removes == 0 and (e <= last or result.path != 0):
             place = lattice_place(edit, position)
             if place.cell >= 0:
-                flags = int(edit.look[place.cell])
+                flags = byte_entry(edit.look, place.cell)
                 if flags >= LOOK_SKIP:
                     flags = int(0)  # not known
                 if (flags & CELL_OUTSIDE) == 0:
@@ -93,11 +94,11 @@ def flat_trace(edits: wp.array(dtype=FlatEdit), last: int, x: wp.vec3):
                         result.path = result.path | (1 << e)
                         result.flags = result.flags | flags
                         if (flags & CELL_STAYS) == 0:
-                            if map_distance(edit.rest, position) > edit.slack:
+                            if rest_distance(edit, position) > edit.slack:
                                 result.vacant = 1
                                 result.outside = 1 - result.cleared
         if not mapped and edit.keeps_source == 0:
-            if map_distance(edit.rest, position) <= 0.0:
+            if rest_distance(edit, position) <= 0.0:
                 result.vacant = result.cleared  # what is cleared cannot be cleared again
                 result.cleared = 1
         e -= 1
@@ -205,7 +206,7 @@ def march_edits(
             ci = wp.clamp(int(g[0]), 0, edit.node_counts[0] - 2)
             cj = wp.clamp(int(g[1]), 0, edit.node_counts[1] - 2)
             ck = wp.clamp(int(g[2]), 0, edit.node_counts[2] - 2)
-            look = int(edit.look[(ci * edit.node_counts[1] + cj) * edit.node_counts[2] + ck])
+            look = byte_entry(edit.look, (ci * edit.node_counts[1] + cj) * edit.node_counts[2] + ck)
             if look >= LOOK_SKIP:
                 leave = t + cell_exit(g, inverse / edit.inverse_spacing, look - LOOK_SKIP)
                 leave = wp.max(wp.min(leave, part_end), t + 0.5 * step)
@@ -242,8 +243,7 @@ def march_edits(
                 gj = int(wp.floor(g[1]))
                 gk = int(wp.floor(g[2]))
                 offset = g - wp.vec3(float(gi), float(gj), float(gk))
-                rows = cell_rows(table.columns, gi, gj, gk)
-                sigma = rows_density(grid, table, rows, offset)
+                sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
                 if sigma > 0.0:
                     length = step / float(parts)
                     if point.cleared == 1:
@@ -263,7 +263,9 @@ def march_edits(
                         weight = seen.transmittance * (1.0 - kept)
                         pending += weight
                         if pending > PENDING_WEIGHT:
-                            colour = rows_colour(grid, table, rows, offset, sh_basis(along))
+                            colour = row_colour(
+                                grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along)
+                            )
                             seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
                             pending = float(0.0)
                         seen.depth += weight * t

@@ -3,43 +3,28 @@
 The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
 of one edit on a lattice: flat arrays whose numbers are read many at once, one table of cells, and the map's derivative
 where matter is. Where the map compresses, a sample is cut into sub-samples as in deform/march.
-Needs: core/lanes, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures, field/grid,
+Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures, field/grid,
 field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
 """
 
 import warp as wp
 
-from ..core.lanes import active_lanes
+from ..core.entries import byte_entry, cell_byte
 from ..field.grid import VoxelGrid, grid_position
 from ..field.harmonics import sh_basis
 from ..field.render import PENDING_WEIGHT, pending_colour
-from ..field.rows import RowTable, cell_rows, eight_rows, rows_colour, rows_density
+from ..field.rows import RowTable, row_colour, row_density
 from ..field.samples import exit_of_cell, grid_span, safe_inverse, sample_index_after
-from ..lattice.cage_map import map_distance, side_position
+from ..lattice.cage_map import side_position
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
-from .flat_edits import LOOK_SKIP, FlatEdit
+from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
 from .map_nodes import node_blend, node_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .pictures import Picture, fill_pixel
 
 # small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
-
-#: Where fewer rays of a warp than this still look for matter, those that have found some go on.
-FEW_LANES = wp.constant(6)
-
-#: Of a cell within which a march may jump as far as the canonical grid is empty.
-HOLLOW_FLAGS = wp.constant(1 | 4 | 16)
-
-
-@wp.func
-def sample_part(k: int, j: int, count: int, step: float):
-    """Distance of sub-sample j of `count` of sample k."""
-    t = (float(k) + 0.5) * step
-    if count > 1:
-        t += ((float(j) + 0.5) / float(count) - 0.5) * step
-    return t
 
 
 @wp.func
@@ -79,40 +64,31 @@ def march_edit(
     j = int(0)
     t = (float(k) + 0.5) * step
     pending = float(0.0)  # weight of samples whose colour is not looked up yet
-    # the sample at t, once matter is found there
-    sigma = float(0.0)
-    length = float(0.0)
-    mapped = bool(False)
-    flags = int(0)
-    n = int(0)
-    sides = int(0)
-    f = wp.vec3(0.0, 0.0, 0.0)
-    offset = wp.vec3(0.0, 0.0, 0.0)
-    rows = eight_rows()
     while t < far and seen.transmittance > options.stop:
-        # the rays of a warp look for their next sample with matter, and wait for each other there
-        found = bool(False)
-        searching = bool(True)
-        while searching:
-            position = origin + t * direction
-            mapped = False
-            leaves = bool(False)
-            flags = 0
-            sides = 0
-            leave = t
-            place = lattice_start + t * lattice_rate
-            in_box = t >= box[0] and t < box[1]
-            if in_box:
-                ci = wp.clamp(int(place[0]), 0, tops[0])
-                cj = wp.clamp(int(place[1]), 0, tops[1])
-                ck = wp.clamp(int(place[2]), 0, tops[2])
-                n = ci * nyz + cj * nz + ck
-                f = place - wp.vec3(float(ci), float(cj), float(ck))
-                flags = int(edit.look[n])
-                if flags >= LOOK_SKIP:
-                    leave = t + exit_of_cell(f, lattice_inverse, flags - LOOK_SKIP)
-                    leave = wp.max(wp.min(leave, box[1]), t + 0.5 * step)
-                elif edit.removes == 0 and (flags & CELL_OUTSIDE) == 0:
+        # the canonical point
+        position = origin + t * direction
+        mapped = bool(False)
+        leaves = bool(False)
+        room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage
+        flags = int(0)
+        leave = t
+        n = int(0)
+        sides = int(0)
+        f = wp.vec3(0.0, 0.0, 0.0)
+        place = lattice_start + t * lattice_rate
+        in_box = t >= box[0] and t < box[1]
+        if in_box:
+            ci = wp.clamp(int(place[0]), 0, tops[0])
+            cj = wp.clamp(int(place[1]), 0, tops[1])
+            ck = wp.clamp(int(place[2]), 0, tops[2])
+            n = ci * nyz + cj * nz + ck
+            f = place - wp.vec3(float(ci), float(cj), float(ck))
+            flags = byte_entry(edit.look, n)
+            if flags >= LOOK_SKIP:
+                leave = t + exit_of_cell(f, lattice_inverse, flags - LOOK_SKIP)
+                leave = wp.max(wp.min(leave, box[1]), t + 0.5 * step)
+            elif edit.removes == 0:
+                if (flags & CELL_OUTSIDE) == 0:
                     node = node_blend(edit.nodes, n, nyz, nz, f)
                     mapped = (flags & CELL_INSIDE) != 0 or node[3] <= edit.tolerance
                     if mapped:
@@ -122,94 +98,87 @@ def march_edit(
                             if sides != 0:
                                 position = side_position(edit.sides, sides, f)
                         if (flags & CELL_STAYS) == 0:
-                            leaves = map_distance(edit.rest, position) > edit.slack
-            g = grid_position(grid, position)
-            gi = int(wp.floor(g[0]))
-            gj = int(wp.floor(g[1]))
-            gk = int(wp.floor(g[2]))
-            offset = g - wp.vec3(float(gi), float(gj), float(gk))
-            empty = int(1)
-            if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2] and leave <= t:
-                empty = int(grid.skip[gi, gj, gk])
-            if not in_box:
-                if t < span[0] or not (t < span[1]):
-                    leave = wp.where(t < span[0], span[0], far)
-                elif empty > 0:
-                    leave = t + exit_of_cell(offset, grid_inverse, empty)
-                if t < box[0] and box[0] < box[1]:
-                    leave = wp.min(leave, box[0])
-            if leave > t:
-                k = wp.max(k + 1, int(wp.ceil(leave * inverse_step - 0.5)))
-                count = 0
-                j = 0
-            else:
-                next_index = k + 1
-                cuts = bool(False)
-                if mapped and count == 0 and (flags & CELL_STEEP) != 0:
-                    slope = node_slope(edit.nodes, n, nyz, nz, f, lattice_rate)
-                    if sides != 0:
-                        slope = side_slope(edit.sides, sides, f, lattice_rate)
-                    stretch = wp.length(slope)
-                    count = 1
-                    if stretch > CUT_LENGTH:
-                        count = wp.clamp(int(wp.ceil(stretch - 1.0e-3)), 1, MAX_SUB_SAMPLES)
-                        cuts = bool(True)  # begin with the first of them
-                if not cuts:
-                    if leaves:
-                        seen.outside += 1.0
-                    elif empty == 0:
-                        rows = cell_rows(table.columns, gi, gj, gk)
-                        sigma = rows_density(grid, table, rows, offset)
-                        if sigma > 0.0:
-                            length = step / float(wp.max(count, 1))
-                            found = True
-                            if not mapped and edit.keeps_source == 0:
-                                if map_distance(edit.rest, position) <= 0.0:
-                                    found = False  # it was cleared
-                                    if seen.cleared_transmittance > FAINT:
-                                        kept = wp.exp(-sigma * length)
-                                        seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
-                                        seen.cleared_transmittance *= kept
-                    elif empty > 1 and (flags & HOLLOW_FLAGS) == CELL_INSIDE | CELL_STAYS:  # no sample there leaves
-                        leave = t + wp.min(exit_of_cell(f, lattice_inverse, 1), float(empty - 1) * hollow_rate)
-                        next_index = wp.max(next_index, int(wp.ceil(leave * inverse_step - 0.5)))
-                    if not found:
-                        j += 1
-                        if j >= count:
-                            k = next_index
-                            count = 0
-                            j = 0
-            if not found:
-                t = sample_part(k, j, count, step)
-            searching = not found and t < far and active_lanes() >= FEW_LANES
-        if found:
-            along = direction
-            if mapped:
-                slope = node_slope(edit.nodes, n, nyz, nz, f, lattice_rate)
-                if sides != 0:
-                    slope = side_slope(edit.sides, sides, f, lattice_rate)
-                stretch = wp.length(slope)
-                if options.arc_opacity == 1:
-                    length = length * stretch
-                if stretch > 1.0e-6:
-                    along = slope / stretch
-            kept = wp.exp(-sigma * length)
-            weight = seen.transmittance * (1.0 - kept)
-            pending += weight
-            if pending > PENDING_WEIGHT:
-                colour = rows_colour(grid, table, rows, offset, sh_basis(along))
-                seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
-                pending = float(0.0)
-            seen.depth += weight * t
-            seen.transmittance *= kept
-            if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
-                seen.fold += weight
-            j += 1
-            if j >= count:
-                k += 1
-                count = 0
-                j = 0
-            t = sample_part(k, j, count, step)
+                            room = 0.5 * (edit.slack - rest_distance(edit, position))
+                            leaves = room < 0.0
+        g = grid_position(grid, position)
+        gi = int(wp.floor(g[0]))
+        gj = int(wp.floor(g[1]))
+        gk = int(wp.floor(g[2]))
+        offset = g - wp.vec3(float(gi), float(gj), float(gk))
+        empty = int(1)
+        if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2] and leave <= t:
+            empty = cell_byte(grid.skip, gi, gj, gk)
+        if not in_box:
+            if t < span[0] or not (t < span[1]):
+                leave = wp.where(t < span[0], span[0], far)
+            elif empty > 0:
+                leave = t + exit_of_cell(offset, grid_inverse, empty)
+            if t < box[0] and box[0] < box[1]:
+                leave = wp.min(leave, box[0])
+        if leave > t:
+            k = wp.max(k + 1, int(wp.ceil(leave * inverse_step - 0.5)))
+            count = int(0)
+            j = int(0)
+            t = (float(k) + 0.5) * step
+            continue
+        if mapped and count == 0 and (flags & CELL_STEEP) != 0:
+            slope = node_slope(edit.nodes, n, nyz, nz, f, lattice_rate)
+            if sides != 0:
+                slope = side_slope(edit.sides, sides, f, lattice_rate)
+            stretch = wp.length(slope)
+            count = int(1)
+            if stretch > CUT_LENGTH:
+                count = wp.clamp(int(wp.ceil(stretch - 1.0e-3)), 1, MAX_SUB_SAMPLES)
+                t = (float(k) + 0.5 / float(count)) * step
+                continue
+        parts = wp.max(count, 1)
+        next_index = k + 1
+        if leaves:
+            seen.outside += 1.0
+        elif empty == 0:
+            sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
+            if sigma > 0.0:
+                length = step / float(parts)
+                cleared = bool(False)
+                if not mapped and edit.keeps_source == 0:
+                    cleared = rest_distance(edit, position) <= 0.0
+                if cleared:
+                    if seen.cleared_transmittance > FAINT:
+                        kept = wp.exp(-sigma * length)
+                        seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
+                        seen.cleared_transmittance *= kept
+                else:
+                    along = direction
+                    if mapped:
+                        slope = node_slope(edit.nodes, n, nyz, nz, f, lattice_rate)
+                        if sides != 0:
+                            slope = side_slope(edit.sides, sides, f, lattice_rate)
+                        stretch = wp.length(slope)
+                        if options.arc_opacity == 1:
+                            length = length * stretch
+                        if stretch > 1.0e-6:
+                            along = slope / stretch
+                    kept = wp.exp(-sigma * length)
+                    weight = seen.transmittance * (1.0 - kept)
+                    pending += weight
+                    if pending > PENDING_WEIGHT:
+                        colour = row_colour(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
+                        seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                        pending = float(0.0)
+                    seen.depth += weight * t
+                    seen.transmittance *= kept
+                    if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
+                        seen.fold += weight
+        elif empty > 1 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
+            leave = t + wp.min(wp.min(exit_of_cell(f, lattice_inverse, 1), float(empty - 1) * hollow_rate), room)
+            next_index = wp.max(next_index, int(wp.ceil(leave * inverse_step - 0.5)))
+        j += 1
+        if j >= parts:
+            k = next_index
+            count = int(0)
+            j = int(0)
+        parts = wp.max(count, 1)
+        t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
     seen.colour += pending_colour(seen.colour, seen.transmittance, pending)
     return seen
 

@@ -2,15 +2,16 @@
 
 C = sum_k T_k (1 - exp(-sigma_k dt)) c_k + T_end background, T_k = exp(-sum_{j<k} sigma_j dt): Max 1995 as used by NeRF
 (Mildenhall et al. 2020, Eq. 3) and Plenoxels (2022, Eq. 1).
-Needs: field/grid, field/harmonics, field/rows, field/samples, view/rays.
+Needs: core/entries, field/grid, field/harmonics, field/rows, field/samples, view/rays.
 """
 
 import warp as wp
 
+from ..core.entries import cell_byte
 from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
 from .grid import VoxelGrid, cell_density, cell_sample, empty_distance
 from .harmonics import sh_basis
-from .rows import RowTable, cell_rows, rows_colour, rows_density
+from .rows import RowTable, row_colour, row_density
 from .samples import exit_of_cell, grid_ray, safe_inverse, sample_beyond, sample_distance, sample_place
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
@@ -58,21 +59,20 @@ def march(grid: VoxelGrid, table: RowTable, origin: wp.vec3, direction: wp.vec3,
         ci = wp.clamp(int(g[0]), 0, tops[0])
         cj = wp.clamp(int(g[1]), 0, tops[1])
         ck = wp.clamp(int(g[2]), 0, tops[2])
-        empty = int(grid.skip[ci, cj, ck])
+        empty = cell_byte(grid.skip, ci, cj, ck)
         offset = g - wp.vec3(float(ci), float(cj), float(ck))
         if empty > 0:
             leave = t + exit_of_cell(offset, inverse_slope, empty)
             after = wp.ceil(leave * inverse_step - 0.5)
             k = wp.where(after > k + 1.0, after, k + 1.0)
         else:
-            rows = cell_rows(table.columns, ci, cj, ck)
-            sigma = rows_density(grid, table, rows, offset)
+            sigma = row_density(grid.density, table.columns, ci, cj, ck, offset)
             if sigma > 0.0:
                 kept = wp.exp(-sigma * step)
                 weight = result.transmittance * (1.0 - kept)
                 pending += weight
                 if pending > PENDING_WEIGHT:
-                    colour = rows_colour(grid, table, rows, offset, basis)
+                    colour = row_colour(grid.sh, table.packed, table.columns, ci, cj, ck, offset, basis)
                     result.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
                     pending = float(0.0)
                 result.depth += weight * t

@@ -1,11 +1,12 @@
 """Views of a sparse voxel grid whose voxels were shaded for the camera: the march of field/render, with fewer reads.
 
 The same samples and sums as field/render.
-Needs: field/grid, field/render, field/samples, field/shades, view/rays.
+Needs: core/entries, field/grid, field/render, field/samples, field/shades, view/rays.
 """
 
 import warp as wp
 
+from ..core.entries import cell_byte
 from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
 from .grid import VoxelGrid
 from .render import Radiance, visible_depth
@@ -31,7 +32,7 @@ def march_shades(grid: VoxelGrid, shaded: ShadedGrid, origin: wp.vec3, direction
         ci = wp.clamp(int(g[0]), 0, tops[0])
         cj = wp.clamp(int(g[1]), 0, tops[1])
         ck = wp.clamp(int(g[2]), 0, tops[2])
-        empty = int(grid.skip[ci, cj, ck])
+        empty = cell_byte(grid.skip, ci, cj, ck)
         offset = g - wp.vec3(float(ci), float(cj), float(ck))
         if empty > 0:
             leave = t + exit_of_cell(offset, inverse_slope, empty)

@@ -57,31 +57,54 @@ def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_
 
 
 @wp.func_native("""
-    const int* order = table.columns.order.data;
-    const float* density = grid.density.data;
-    float values[8];
-#if defined(__CUDA_ARCH__)
-    #pragma unroll
-#endif
-    for (int c = 0; c < 8; ++c)
-        values[c] = rows.c[c] < 0 ? 0.0f : density[order ? order[rows.c[c]] : rows.c[c]];
+    const int block = k / 31;
+    const int place = k - 31 * block;
+    const unsigned low = (1u << place) - 1u;
+    const int width = columns.blocks.shape[1];
+    const int begin = (i * columns.node_counts.c[1] + j) * width + block;
+    const int* order = columns.order.data;
     float sums[4];
 #if defined(__CUDA_ARCH__)
     #pragma unroll
 #endif
-    for (int c = 0; c < 4; ++c)
-        sums[c] = values[2 * c] + offset.c[2] * (values[2 * c + 1] - values[2 * c]);
-    const float low = sums[0] + offset.c[1] * (sums[1] - sums[0]);
-    const float high = sums[2] + offset.c[1] * (sums[3] - sums[2]);
-    return low + offset.c[0] * (high - low);
+    for (int column = 0; column < 4; ++column)
+    {
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
+#if defined(__CUDA_ARCH__)
+        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
+        const unsigned bits = entry.x >> place;
+        const int row = (int)entry.y + __popc(entry.x & low);
+#else
+        const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
+        const unsigned bits = entry[0] >> place;
+        const int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
+#endif
+        const int next = row + (int)(bits & 1u);
+        float near = 0.0f, far = 0.0f;
+        if (bits & 1u)
+            near = density.data[order ? order[row] : row];
+        if (bits & 2u)
+            far = density.data[order ? order[next] : next];
+        sums[column] = near + offset.c[2] * (far - near);
+    }
+    const float begin_sum = sums[0] + offset.c[1] * (sums[1] - sums[0]);
+    const float end_sum = sums[2] + offset.c[1] * (sums[3] - sums[2]);
+    return begin_sum + offset.c[0] * (end_sum - begin_sum);
 """)
-def rows_density(grid: VoxelGrid, table: RowTable, rows: eight_rows, offset: wp.vec3) -> wp.float32:
-    """Trilinear density before the ReLU, at a place, 0 to 1, in the cell of eight rows."""
+def row_density(
+    density: wp.array(dtype=wp.float32), columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32, offset: wp.vec3
+) -> wp.float32:
+    """Trilinear density before the ReLU, at a place, 0 to 1, in the cell above node (i, j, k)."""
     ...
 
 
 @wp.func_native("""
     constexpr int N = sizeof(basis) / sizeof(wp::float32);
+    const int block = k / 31;
+    const int place = k - 31 * block;
+    const unsigned low = (1u << place) - 1u;
+    const int width = columns.blocks.shape[1];
+    const int begin = (i * columns.node_counts.c[1] + j) * width + block;
 #if defined(__CUDA_ARCH__)
     constexpr int WORDS = (N + 2) / 4;  // of a channel
     constexpr int READS = (2 + 3 * WORDS + 3) / 4;
@@ -103,42 +126,52 @@ def rows_density(grid: VoxelGrid, table: RowTable, rows: eight_rows, offset: wp.
         rounded[w] = (int)word;
     }
     float red = 0.5f, green = 0.5f, blue = 0.5f;
-    const uint4* packed = reinterpret_cast<const uint4*>(table.packed.data);
-    #pragma unroll
-    for (int c = 0; c < 8; ++c)
+    const uint4* numbers = reinterpret_cast<const uint4*>(packed.data);
+    #pragma unroll 1  // registers are few
+    for (int column = 0; column < 4; ++column)
     {
-        if (rows.c[c] >= 0)
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
+        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
+        const unsigned bits = entry.x >> place;
+        int row = (int)entry.y + __popc(entry.x & low);
+        const float share = ((column & 2) ? offset.c[0] : 1.0f - offset.c[0])
+            * ((column & 1) ? offset.c[1] : 1.0f - offset.c[1]);
+        #pragma unroll
+        for (int side = 0; side < 2; ++side)
         {
-            unsigned words[4 * READS];
-            #pragma unroll
-            for (int r = 0; r < READS; ++r)
+            if (bits & (1u << side))
             {
-                const uint4 part = __ldg(packed + (size_t)(unsigned)rows.c[c] * READS + r);
-                words[4 * r] = part.x;
-                words[4 * r + 1] = part.y;
-                words[4 * r + 2] = part.z;
-                words[4 * r + 3] = part.w;
+                unsigned words[4 * READS];
+                #pragma unroll
+                for (int r = 0; r < READS; ++r)
+                {
+                    const uint4 part = __ldg(numbers + (size_t)(unsigned)row * READS + r);
+                    words[4 * r] = part.x;
+                    words[4 * r + 1] = part.y;
+                    words[4 * r + 2] = part.z;
+                    words[4 * r + 3] = part.w;
+                }
+                ++row;
+                const float weight = share * (side ? offset.c[2] : 1.0f - offset.c[2]);
+                wp::half h;
+                h.u = words[1] >> 16;
+                const float size = weight * unit * wp::half_to_float(h);
+                const float first = weight * basis.c[0];
+                int sums[3] = {0, 0, 0};
+                #pragma unroll
+                for (int w = 0; w < WORDS; ++w)
+                {
+                    sums[0] = __dp4a((int)words[2 + w], rounded[w], sums[0]);
+                    sums[1] = __dp4a((int)words[2 + WORDS + w], rounded[w], sums[1]);
+                    sums[2] = __dp4a((int)words[2 + 2 * WORDS + w], rounded[w], sums[2]);
+                }
+                h.u = words[0] & 0xffffu;
+                red += first * wp::half_to_float(h) + size * (float)sums[0];
+                h.u = words[0] >> 16;
+                green += first * wp::half_to_float(h) + size * (float)sums[1];
+                h.u = words[1] & 0xffffu;
+                blue += first * wp::half_to_float(h) + size * (float)sums[2];
             }
-            const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0])
-                * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1]) * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
-            wp::half h;
-            h.u = words[1] >> 16;
-            const float size = weight * unit * wp::half_to_float(h);
-            const float first = weight * basis.c[0];
-            int sums[3] = {0, 0, 0};
-            #pragma unroll
-            for (int w = 0; w < WORDS; ++w)
-            {
-                sums[0] = __dp4a((int)words[2 + w], rounded[w], sums[0]);
-                sums[1] = __dp4a((int)words[2 + WORDS + w], rounded[w], sums[1]);
-                sums[2] = __dp4a((int)words[2 + 2 * WORDS + w], rounded[w], sums[2]);
-            }
-            h.u = words[0] & 0xffffu;
-            red += first * wp::half_to_float(h) + size * (float)sums[0];
-            h.u = words[0] >> 16;
-            green += first * wp::half_to_float(h) + size * (float)sums[1];
-            h.u = words[1] & 0xffffu;
-            blue += first * wp::half_to_float(h) + size * (float)sums[2];
         }
     }
     return wp::vec_t<3, wp::float32>(red, green, blue);
@@ -146,25 +179,32 @@ def rows_density(grid: VoxelGrid, table: RowTable, rows: eight_rows, offset: wp.
     // eight numbers at a time; the last eight may overlap those before them
     typedef float lanes __attribute__((ext_vector_type(8), aligned(4)));
     constexpr int PARTS = (3 * N + 7) / 8;
-    const int* order = table.columns.order.data;
+    const int* order = columns.order.data;
     lanes sum[PARTS];
     for (int part = 0; part < PARTS; ++part)
         sum[part] = 0.0f;
-    for (int c = 0; c < 8; ++c)
+    for (int column = 0; column < 4; ++column)
     {
-        if (rows.c[c] >= 0)
-        {
-            const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0])
-                * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1]) * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
-            const int row = order ? order[rows.c[c]] : rows.c[c];
-            const float* numbers = reinterpret_cast<const float*>(grid.sh.data) + (size_t)row * (3 * N);
-            for (int part = 0; part < PARTS; ++part)
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
+        const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
+        const unsigned bits = entry[0] >> place;
+        int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
+        const float share = ((column & 2) ? offset.c[0] : 1.0f - offset.c[0])
+            * ((column & 1) ? offset.c[1] : 1.0f - offset.c[1]);
+        for (int side = 0; side < 2; ++side)
+            if (bits & (1u << side))
             {
-                #pragma clang fp contract(fast)
-                const int begin = part < PARTS - 1 ? 8 * part : 3 * N - 8;
-                sum[part] += weight * *reinterpret_cast<const lanes*>(numbers + begin);
+                const float weight = share * (side ? offset.c[2] : 1.0f - offset.c[2]);
+                const float* numbers = reinterpret_cast<const float*>(sh.data)
+                    + (size_t)(order ? order[row] : row) * (3 * N);
+                ++row;
+                for (int part = 0; part < PARTS; ++part)
+                {
+                    #pragma clang fp contract(fast)
+                    const int first = part < PARTS - 1 ? 8 * part : 3 * N - 8;
+                    sum[part] += weight * *reinterpret_cast<const lanes*>(numbers + first);
+                }
             }
-        }
     }
     float total[3 * N];
     for (int part = 0; part < PARTS; ++part)
@@ -179,8 +219,17 @@ def rows_density(grid: VoxelGrid, table: RowTable, rows: eight_rows, offset: wp.
     return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);
 #endif
 """)
-def rows_colour(grid: VoxelGrid, table: RowTable, rows: eight_rows, offset: wp.vec3, basis: vec9) -> wp.vec3:
-    """SH colour before the clamp at zero, at a place, 0 to 1, in the cell of eight rows."""
+def row_colour(
+    sh: wp.array2d(dtype=vec9),
+    packed: wp.array2d(dtype=wp.uint32),
+    columns: Columns,
+    i: wp.int32,
+    j: wp.int32,
+    k: wp.int32,
+    offset: wp.vec3,
+    basis: vec9,
+) -> wp.vec3:
+    """SH colour before the clamp at zero, at a place, 0 to 1, in the cell above node (i, j, k)."""
     ...
 
 

@@ -55,8 +55,10 @@ def note_signs(
     positive: wp.array(dtype=wp.uint8),
     changed: wp.array(dtype=wp.int32),
 ):
-    """Keep which densities (rows,) are above zero; `changed` (1,) becomes 1 where that is news. All items write the same
-    number there."""
+    """Keep which densities (rows,) are above zero; `changed` (1,) becomes 1 where that is news.
+
+    All items write the same number there.
+    """
     n = first + wp.tid()
     value = wp.uint8(wp.where(density[n] > 0.0, 1, 0))
     if positive[n] != value:
