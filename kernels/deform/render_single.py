@@ -52,9 +52,7 @@ def march_edit(
         near = wp.min(near, span[0])
         far = wp.max(far, span[1])
     lattice_inverse = safe_inverse(lattice_rate)
-    grid_inverse = safe_inverse(wp.cw_mul(direction, grid.inverse_voxel_size))
-    inverse_step = 1.0 / step
-    hollow_rate = wp.min(grid.voxel_size) / CUT_LENGTH
+    spacing = 1.0 / edit.inverse_spacing
     nz = edit.node_counts[2]
     nyz = edit.node_counts[1] * nz
     cells = wp.vec3i(grid.skip.shape[0], grid.skip.shape[1], grid.skip.shape[2])
@@ -66,7 +64,8 @@ def march_edit(
     pending = float(0.0)  # weight of samples whose colour is not looked up yet
     while t < far and seen.transmittance > options.stop:
         # the canonical point
-        position = origin + t * direction
+        place = lattice_start + t * lattice_rate
+        position = edit.lower + spacing * place  # from few numbers that a ray keeps: registers are short
         mapped = bool(False)
         leaves = bool(False)
         room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage
@@ -75,7 +74,6 @@ def march_edit(
         n = int(0)
         sides = int(0)
         f = wp.vec3(0.0, 0.0, 0.0)
-        place = lattice_start + t * lattice_rate
         in_box = t >= box[0] and t < box[1]
         if in_box:
             ci = wp.clamp(int(place[0]), 0, tops[0])
@@ -110,13 +108,14 @@ def march_edit(
             empty = cell_byte(grid.skip, gi, gj, gk)
         if not in_box:
             if t < span[0] or not (t < span[1]):
-                leave = wp.where(t < span[0], span[0], far)
+                leave = wp.where(t < span[0], span[0], wp.max(box[1], span[1]))
             elif empty > 0:
-                leave = t + exit_of_cell(offset, grid_inverse, empty)
+                inverse = wp.cw_mul(lattice_inverse, edit.inverse_spacing * grid.voxel_size)
+                leave = t + exit_of_cell(offset, inverse, empty)
             if t < box[0] and box[0] < box[1]:
                 leave = wp.min(leave, box[0])
         if leave > t:
-            k = wp.max(k + 1, int(wp.ceil(leave * inverse_step - 0.5)))
+            k = wp.max(k + 1, int(wp.ceil(leave / step - 0.5)))
             count = int(0)
             j = int(0)
             t = (float(k) + 0.5) * step
@@ -148,7 +147,7 @@ def march_edit(
                         seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
                         seen.cleared_transmittance *= kept
                 else:
-                    along = direction
+                    along = spacing * lattice_rate
                     if mapped:
                         slope = node_slope(edit.nodes, n, nyz, nz, f, lattice_rate)
                         if sides != 0:
@@ -170,8 +169,11 @@ def march_edit(
                     if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
                         seen.fold += weight
         elif empty > 1 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
-            leave = t + wp.min(wp.min(exit_of_cell(f, lattice_inverse, 1), float(empty - 1) * hollow_rate), room)
-            next_index = wp.max(next_index, int(wp.ceil(leave * inverse_step - 0.5)))
+            leave = t + wp.min(
+                wp.min(exit_of_cell(f, lattice_inverse, 1), float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH),
+                room,
+            )
+            next_index = wp.max(next_index, int(wp.ceil(leave / step - 0.5)))
         j += 1
         if j >= parts:
             k = next_index
