@@ -1,188 +1,21 @@
-"""Views of a voxel field that one edit deforms: the march of deform/march, written for speed.
+"""Views of a voxel field that one edit deforms whose map has no narrow gaps ("Deforming Radiance Fields with Cages",
+ECCV 2022, Eq. 4 and 5); see deform/march_single.
 
-The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
-of one edit on a lattice: flat arrays whose numbers are read many at once, one table of cells, and the map's derivative
-where matter is. Where the map compresses, a sample is cut into sub-samples as in deform/march.
-Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures, field/grid,
-field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+Needs: deform/flat_edits, deform/march, deform/march_single, deform/pictures, field/grid, field/rows, view/rays.
 """
 
 import warp as wp
 
-from ..core.entries import byte_entry, cell_byte
-from ..field.grid import VoxelGrid, grid_position
-from ..field.harmonics import sh_basis
-from ..field.render import PENDING_WEIGHT, pending_colour
-from ..field.rows import RowTable, row_colour, row_density
-from ..field.samples import exit_of_cell, grid_span, safe_inverse, sample_index_after
-from ..lattice.cage_map import side_position
-from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
-from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
-from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
-from .map_nodes import node_blend, node_slope, side_slope
-from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
+from ..field.grid import VoxelGrid
+from ..field.rows import RowTable
+from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
+from .flat_edits import FlatEdit
+from .march import MarchOptions
+from .march_single import NoSides, march_edit
 from .pictures import Picture, fill_pixel
 
 # small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
-
-
-@wp.func
-def march_edit(
-    edit: FlatEdit, grid: VoxelGrid, table: RowTable, origin: wp.vec3, direction: wp.vec3, options: MarchOptions
-):
-    """Gather radiance along a ray through the deformed scene."""
-    seen = DeformedRadiance()
-    seen.transmittance = float(1.0)
-    seen.cleared_transmittance = float(1.0)
-    step = options.step
-    # the ray in lattice cells and in voxels
-    lattice_start = (origin - edit.lower) * edit.inverse_spacing
-    lattice_rate = direction * edit.inverse_spacing
-    tops = wp.vec3i(edit.node_counts[0] - 2, edit.node_counts[1] - 2, edit.node_counts[2] - 2)
-    corner = wp.vec3(float(tops[0] + 1), float(tops[1] + 1), float(tops[2] + 1))
-    box = box_span(lattice_start, lattice_rate, wp.vec3(0.0, 0.0, 0.0), corner)
-    span = grid_span(grid, origin, direction)
-    near = float(1.0e30)
-    far = float(-1.0)
-    if box[0] < box[1]:
-        near = box[0]
-        far = box[1]
-    if span[0] < span[1]:
-        near = wp.min(near, span[0])
-        far = wp.max(far, span[1])
-    lattice_inverse = safe_inverse(lattice_rate)
-    spacing = 1.0 / edit.inverse_spacing
-    nz = edit.node_counts[2]
-    nyz = edit.node_counts[1] * nz
-    cells = wp.vec3i(grid.skip.shape[0], grid.skip.shape[1], grid.skip.shape[2])
-
-    k = sample_index_after(near, step)
-    count = int(0)  # sub-samples of sample k; 0: not known, so one
-    j = int(0)
-    t = (float(k) + 0.5) * step
-    pending = float(0.0)  # weight of samples whose colour is not looked up yet
-    while t < far and seen.transmittance > options.stop:
-        # the canonical point
-        place = lattice_start + t * lattice_rate
-        position = edit.lower + spacing * place  # from few numbers that a ray keeps: registers are short
-        mapped = bool(False)
-        leaves = bool(False)
-        room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage
-        flags = int(0)
-        leave = t
-        n = int(0)
-        sides = int(0)
-        f = wp.vec3(0.0, 0.0, 0.0)
-        in_box = t >= box[0] and t < box[1]
-        if in_box:
-            ci = wp.clamp(int(place[0]), 0, tops[0])
-            cj = wp.clamp(int(place[1]), 0, tops[1])
-            ck = wp.clamp(int(place[2]), 0, tops[2])
-            n = ci * nyz + cj * nz + ck
-            f = place - wp.vec3(float(ci), float(cj), float(ck))
-            flags = byte_entry(edit.look, n)
-            if flags >= LOOK_SKIP:
-                leave = t + exit_of_cell(f, lattice_inverse, flags - LOOK_SKIP)
-                leave = wp.max(wp.min(leave, box[1]), t + 0.5 * step)
-            elif edit.removes == 0:
-                if (flags & CELL_OUTSIDE) == 0:
-                    node = node_blend(edit.nodes, n, nyz, nz, f)
-                    mapped = (flags & CELL_INSIDE) != 0 or node[3] <= edit.tolerance
-                    if mapped:
-                        position = wp.vec3(node[0], node[1], node[2])
-                        if edit.has_sides == 1:
-                            sides = edit.side_index[n]
-                            if sides != 0:
-                                position = side_position(edit.sides, sides, f)
-                        if (flags & CELL_STAYS) == 0:
-                            room = 0.5 * (edit.slack - rest_distance(edit, position))
-                            leaves = room < 0.0
-        g = grid_position(grid, position)
-        gi = int(wp.floor(g[0]))
-        gj = int(wp.floor(g[1]))
-        gk = int(wp.floor(g[2]))
-        offset = g - wp.vec3(float(gi), float(gj), float(gk))
-        empty = int(1)
-        if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2] and leave <= t:
-            empty = cell_byte(grid.skip, gi, gj, gk)
-        if not in_box:
-            if t < span[0] or not (t < span[1]):
-                leave = wp.where(t < span[0], span[0], wp.max(box[1], span[1]))
-            elif empty > 0:
-                inverse = wp.cw_mul(lattice_inverse, edit.inverse_spacing * grid.voxel_size)
-                leave = t + exit_of_cell(offset, inverse, empty)
-            if t < box[0] and box[0] < box[1]:
-                leave = wp.min(leave, box[0])
-        if leave > t:
-            k = wp.max(k + 1, int(wp.ceil(leave / step - 0.5)))
-            count = int(0)
-            j = int(0)
-            t = (float(k) + 0.5) * step
-            continue
-        if mapped and count == 0 and (flags & CELL_STEEP) != 0:
-            slope = node_slope(edit.nodes, n, nyz, nz, f, lattice_rate)
-            if sides != 0:
-                slope = side_slope(edit.sides, sides, f, lattice_rate)
-            stretch = wp.length(slope)
-            count = int(1)
-            if stretch > CUT_LENGTH:
-                count = wp.clamp(int(wp.ceil(stretch - 1.0e-3)), 1, MAX_SUB_SAMPLES)
-                t = (float(k) + 0.5 / float(count)) * step
-                continue
-        parts = wp.max(count, 1)
-        next_index = k + 1
-        if leaves:
-            seen.outside += 1.0
-        elif empty == 0:
-            sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
-            if sigma > 0.0:
-                length = step / float(parts)
-                cleared = bool(False)
-                if not mapped and edit.keeps_source == 0:
-                    cleared = rest_distance(edit, position) <= 0.0
-                if cleared:
-                    if seen.cleared_transmittance > FAINT:
-                        kept = wp.exp(-sigma * length)
-                        seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
-                        seen.cleared_transmittance *= kept
-                else:
-                    along = spacing * lattice_rate
-                    if mapped:
-                        slope = node_slope(edit.nodes, n, nyz, nz, f, lattice_rate)
-                        if sides != 0:
-                            slope = side_slope(edit.sides, sides, f, lattice_rate)
-                        stretch = wp.length(slope)
-                        if options.arc_opacity == 1:
-                            length = length * stretch
-                        if stretch > 1.0e-6:
-                            along = slope / stretch
-                    kept = wp.exp(-sigma * length)
-                    weight = seen.transmittance * (1.0 - kept)
-                    pending += weight
-                    if pending > PENDING_WEIGHT:
-                        colour = row_colour(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
-                        seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
-                        pending = float(0.0)
-                    seen.depth += weight * t
-                    seen.transmittance *= kept
-                    if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
-                        seen.fold += weight
-        elif empty > 1 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
-            leave = t + wp.min(
-                wp.min(exit_of_cell(f, lattice_inverse, 1), float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH),
-                room,
-            )
-            next_index = wp.max(next_index, int(wp.ceil(leave / step - 0.5)))
-        j += 1
-        if j >= parts:
-            k = next_index
-            count = int(0)
-            j = int(0)
-        parts = wp.max(count, 1)
-        t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
-    seen.colour += pending_colour(seen.colour, seen.transmittance, pending)
-    return seen
 
 
 @wp.kernel(cuda_max_registers=128)
@@ -199,5 +32,6 @@ def render_edit(
     """One thread per pixel, tile by tile."""
     column, row = tile_pixel(first + wp.tid(), camera.width)
     if column < camera.width and row < camera.height:
-        seen = march_edit(edit, grid, table, camera.centre, pixel_direction(camera, column, row), options)
+        direction = pixel_direction(camera, column, row)
+        seen = march_edit(NoSides(), edit, grid, table, camera.centre, direction, options)
         fill_pixel(picture, row * camera.width + column, seen, background)

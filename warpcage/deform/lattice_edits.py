@@ -15,7 +15,7 @@ from ..core.devices import launch
 from ..core.modules import load_modules
 from ..field.voxel_field import VoxelField
 from ..kernels.deform import cells as cell_tables
-from ..kernels.deform import flat_edits, points, render, render_single
+from ..kernels.deform import flat_edits, points, render, render_sides, render_single
 from ..kernels.deform.edits import LatticeEdit
 from ..kernels.field import skip as grid_skip
 from ..kernels.lattice import (
@@ -91,7 +91,7 @@ class LatticeEdits(PosedEdits):
     ):
         self._edits, self._device, self._is_single = edits, device, len(edits) == 1
         super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
-        load_pose_modules(coordinates, [render_single if self._is_single else render], device)
+        load_pose_modules(coordinates, [render_single, render_sides] if self._is_single else [render], device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store)
         self._flat: list[Any] = []
 
@@ -118,7 +118,11 @@ class LatticeEdits(PosedEdits):
         self._flat = [
             flat_edit(edit, skip, old) for (edit, skip), old in zip(self.lattices.posed(), last, strict=False)
         ]
-        return self._flat[0] if self._is_single else self.flat_array()
+        if not self._is_single:
+            return self.flat_array()
+        (flat,) = self._flat
+        self.render_kernel = render_sides.render_edit_with_sides if flat.has_sides else render_single.render_edit
+        return flat
 
     def flat_array(self) -> wp.array:
         """(edits,) FlatEdit, as the kernel for several edits takes them."""
