@@ -161,9 +161,9 @@ def row_density(
                 #pragma unroll
                 for (int w = 0; w < WORDS; ++w)
                 {
-                    sums[0] = __dp4a((int)words[2 + w], rounded[w], sums[0]);
-                    sums[1] = __dp4a((int)words[2 + WORDS + w], rounded[w], sums[1]);
-                    sums[2] = __dp4a((int)words[2 + 2 * WORDS + w], rounded[w], sums[2]);
+                    for (int channel = 0; channel < 3; ++channel)
+                        asm("dp4a.s32.s32 %0, %1, %2, %0;"
+                            : "+r"(sums[channel]) : "r"(words[2 + WORDS * channel + w]), "r"(rounded[w]));
                 }
                 h.u = words[0] & 0xffffu;
                 red += first * wp::half_to_float(h) + size * (float)sums[0];
