@@ -215,7 +215,7 @@ def test_columns_longer_than_a_block(path, device):
 
 
 def test_what_frames_hold_beside_the_field(device):
-    """As docs/limits has it: a table of columns that stays, and what a frame takes for as long as it is made."""
+    """As benchmarks/NOTES-render.md has it: tables that stay, and what a frame takes for as long as it is made."""
     field = make_field(lambda x: np.ones(x.shape[:3]), lambda x: np.zeros((*x.shape[:3], 9, 3)), device=device)
     table = ColumnTable(field.grid.links)
     (nx, ny, nz), rows, is_cpu = field.resolution, field.voxel_count, field.device.is_cpu

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..core.locks import owner_lock
 from ..core.modules import Kernel
 from ..kernels.field.grid import VoxelGrid
 from ..kernels.field.render import render_image
@@ -35,20 +36,23 @@ class MarchTables:
         self._grid = grid
         self._columns: ColumnTable | None = None
         self._matter = MatterSkip(grid.links)
+        self._lock = owner_lock(grid.links.device)  # threads may share a field
 
     @property
     def columns(self) -> ColumnTable:
         """The rows told by bits, made when they are first asked for."""
-        if self._columns is None:
-            self._columns = ColumnTable(self._grid.links)
-        return self._columns
+        with self._lock:
+            if self._columns is None:
+                self._columns = ColumnTable(self._grid.links)
+            return self._columns
 
     def grid(self) -> Any:
         """The VoxelGrid, with a `skip` that leaves out what holds no matter now."""
         grid, own = VoxelGrid(), self._grid
         grid.lower, grid.voxel_size, grid.inverse_voxel_size = own.lower, own.voxel_size, own.inverse_voxel_size
         grid.links, grid.density, grid.sh = own.links, own.density, own.sh
-        grid.skip = self._matter.distance(own.density)
+        with self._lock:
+            grid.skip = self._matter.distance(own.density)
         return grid
 
     def rows(self) -> Any:
