@@ -2,12 +2,17 @@
 
 import ast
 import functools
+import gc
 import importlib
 import json
 import os
 import pathlib
 import re
 import shutil
+
+# What is imported and collected stays for the whole run: looking through it for garbage, again and again, takes a
+# quarter of the time until the first test.
+gc.disable()
 
 # Workers of pytest-xdist share the cores: each takes its part of them for kernels on the CPU, and so do the processes
 # that its tests start. Set before warpcage is imported. Tests of threads ask for them by the fixture `two_threads`.
@@ -21,11 +26,12 @@ import warp as wp  # noqa: E402
 wp.config.quiet = True
 wp.init()
 
-#: Most workers of a run on a CPU, and beside a GPU, where each of them has a context of its own.
-MOST_WORKERS, MOST_WORKERS_CUDA = 8, 4
+#: Most workers of a run on a CPU, and beside a GPU, where each of them has a context of its own; and how many there are
+#: more than cores, as some tests wait: for a browser, or for another process.
+MOST_WORKERS, MOST_WORKERS_CUDA, MORE_THAN_CORES = 8, 4, 1
 
-#: Fixtures of a module that take long, and cases that share what they make: one worker runs all tests of each.
-DEAR = {"lego", "rooms", "maps"}
+#: Fixtures that take long, and cases that share what they make: one worker runs all tests of each.
+DEAR = {"lego", "rooms", "maps", "page", "window", "wheel", "cached_module"}
 DEAR_CASES = {
     "test_mean_value_weights[bricks]": "cage of bricks",
     "test_green_weights[bricks]": "cage of bricks",
@@ -47,26 +53,33 @@ SLOWEST = (
 
 
 def pytest_xdist_auto_num_workers(config):
-    return min(os.cpu_count() or 1, MOST_WORKERS_CUDA if wp.is_cuda_available() else MOST_WORKERS)
+    most = MOST_WORKERS_CUDA if wp.is_cuda_available() else MOST_WORKERS
+    return min((os.cpu_count() or 1) + MORE_THAN_CORES, most)
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist starts its workers
 def pytest_sessionstart(session):
     """Compile all kernels for the CPU before workers do, each of which would compile most of them for itself."""
     config = session.config
-    of_workers = hasattr(config, "workerinput") or not config.getoption("numprocesses", None)
-    if of_workers or config.option.collectonly or config.args_source is not config.ArgsSource.TESTPATHS:
+    if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         return
-    from warpcage.core.kernel_files import kernel_names, kernel_source
-    from warpcage.core.modules import load_modules
+    if not config.option.collectonly and config.args_source is config.ArgsSource.TESTPATHS:
+        from warpcage.core.kernel_files import kernel_names, kernel_source
+        from warpcage.core.modules import load_modules
 
-    files = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
-    load_modules([importlib.import_module(f"warpcage.kernels.{name}") for name in files], "cpu")
+        files = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
+        load_modules([importlib.import_module(f"warpcage.kernels.{name}") for name in files], "cpu")
+    gc.enable()  # this process collects no tests
 
 
 def pytest_collection_modifyitems(items):
     ranks = {name: rank for rank, name in enumerate(SLOWEST)}
     items.sort(key=lambda item: ranks.get(item.path.name, len(ranks)))
+
+
+def pytest_collection_finish():
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_xdist_make_scheduler(config, log):
@@ -107,6 +120,26 @@ def two_threads():
 
     with limit_threads(2):
         yield
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A browser for windows at the editor, see tests/editor_browser.py."""
+    from page_probe import chromium
+
+    with chromium(1024, 768, ratio=0.5) as driver:  # pictures of few pixels are cheap
+        yield driver
+
+
+@pytest.fixture(scope="session")
+def page():
+    """The modules of the editor's page in a browser of their own. At the end its console holds nothing severe."""
+    from page_probe import Modules, chromium, page_files
+
+    with page_files() as address, chromium() as driver:
+        driver.get(address)
+        yield Modules(driver)
+        assert [entry for entry in driver.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
 @pytest.fixture

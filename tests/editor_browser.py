@@ -21,7 +21,7 @@ pytest.importorskip("aiohttp")
 pytest.importorskip("simplejpeg")
 
 from editor_pages import tiny_field  # noqa: E402
-from page_probe import chromium, drag, pointer  # noqa: E402
+from page_probe import drag, pointer  # noqa: E402
 
 import warpcage  # noqa: E402
 
@@ -309,11 +309,8 @@ def tunnel(address: str) -> Iterator[tuple[Tunnel, str]]:
 #: A cage of 42 vertices around the ball.
 CAGE = warpcage.Cage.icosphere((0.0, 0.0, 0.0), 0.8, subdivisions=1)
 
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium(1024, 768, ratio=0.5) as driver:  # pictures of few pixels are cheap
-        yield driver
+#: Cells of the lattices that pictures of `looks_cheap` are made with.
+CELLS = 24
 
 
 @pytest.fixture
@@ -350,6 +347,8 @@ def posed(editor: Any) -> np.ndarray:
 def looks_cheap(window: Window) -> None:
     """Sets what pictures are cheap with, as a person does."""
     window.unfold("view")
+    window.choose("#resolution", str(CELLS))
+    window.wait("warpcage.store.sections.settings.resolution === arguments[0]", "", CELLS)
     window.choose("#coordinates", "mean_value")
     window.wait('warpcage.store.sections.settings.coordinates === "mean_value"')
     window.click("#group-view-fold")

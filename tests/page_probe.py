@@ -187,15 +187,6 @@ def page_files() -> Iterator[str]:
         server.server_close()
 
 
-@pytest.fixture(scope="module")
-def page() -> Iterator[Modules]:
-    """The page's modules; at the end, nothing severe may stand in the console."""
-    with page_files() as address, chromium() as driver:
-        driver.get(address)
-        yield Modules(driver)
-        assert [entry for entry in driver.get_log("browser") if entry["level"] == "SEVERE"] == []
-
-
 VIEW = {"eye": [2.0, -4.0, 1.5], "target": [0.1, 0.2, -0.1], "up": [0.0, 0.1, 1.0], "fov": 37.0}
 WIDTH, HEIGHT = 640.0, 400.0
 

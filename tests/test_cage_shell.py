@@ -86,5 +86,9 @@ def test_nearest_points_are_those_of_a_tree(about, threads):
         found = search.distance(x, reach)
     expected = NearestInTree(points).distance(x, reach)
     assert same(found, expected) and (found[:100] == 0.0).all()
+    # with an end to the search: the same up to there, anything more beyond
+    for other in (search, NearestInTree(points)):
+        ended, within = other.distance(x, reach, 0.3), expected < 0.3
+        assert same(ended[within], expected[within]) and (ended[~within] >= 0.3).all() and 200 < within.sum() < 1900
     one = np.linalg.norm(points[None] - x[200:220, None], axis=2).min(axis=1)
     assert np.allclose(found[200:220], one, rtol=1e-14)

@@ -8,14 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from page_probe import VIEW, Modules, drag, hull, page, pointer, press, projected
+from page_probe import VIEW, Modules, drag, hull, pointer, press, projected
 from scipy.spatial.transform import Rotation
 
 from warpcage.cage.poses import move
-
-__all__ = ["page"]  # a fixture
-pytestmark = pytest.mark.xdist_group("chromium")
-
 
 # the wire ----------------------------------------------------------------------------------------------------------
 

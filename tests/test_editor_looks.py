@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from editor_browser import Window, browser, editor, until, window
+from editor_browser import Window, editor, until, window
 
-__all__ = ["browser", "editor", "window"]  # fixtures
-pytestmark = pytest.mark.xdist_group("chromium")
+__all__ = ["editor", "window"]  # fixtures
 
 #: Every control that can be seen and does not lie where it can be pressed; texts without contrast to what is behind.
 LAYOUT = """

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from editor_browser import CAGE, Window, below, browser, editor, posed, until, window
+from editor_browser import CAGE, Window, below, editor, posed, until, window
 
-__all__ = ["browser", "editor", "window"]  # fixtures
-pytestmark = pytest.mark.xdist_group("chromium")
+__all__ = ["editor", "window"]  # fixtures
 
 #: What a page of another origin tries; each must end with "no".
 HOSTILE = """

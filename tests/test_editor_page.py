@@ -9,8 +9,7 @@ from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
-import pytest
-from editor_browser import CAGE, Window, below, browser, editor, looks_cheap, posed, settle, tunnel, until, window
+from editor_browser import CAGE, CELLS, Window, below, editor, looks_cheap, posed, settle, tunnel, until, window
 from editor_pages import tiny_field
 from page_probe import projected
 
@@ -18,8 +17,7 @@ import warpcage
 from warpcage.cli import main
 from warpcage.editor.document import View, checked_view
 
-__all__ = ["browser", "editor", "window"]  # fixtures
-pytestmark = pytest.mark.xdist_group("chromium")
+__all__ = ["editor", "window"]  # fixtures
 
 
 def lasso(window: Window, around: np.ndarray, reach: float) -> np.ndarray:
@@ -91,7 +89,7 @@ def test_the_picture_is_that_of_the_posed_cage(window: Window, editor: Any) -> N
     view = editor.document.view
     across = 2 * np.degrees(np.arctan(np.tan(np.radians(view.fov) / 2) * width / height))
     eye = warpcage.Camera.look_at(view.eye, view.target, up=view.up, width=width, height=height, fov_degrees=across)
-    deformer = warpcage.Deformer(tiny_field(), CAGE, coordinates="mean_value", resolution=64)
+    deformer = warpcage.Deformer(tiny_field(), CAGE, coordinates="mean_value", resolution=CELLS)
     moved = deformer.pose(editor.posed[0]).render(eye).rgb
     still = deformer.pose(CAGE).render(eye).rgb
     inner = slice(0, int(0.8 * height)), slice(0, int(0.8 * width))  # the compass is in a corner

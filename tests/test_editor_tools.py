@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from page_probe import HEIGHT, VIEW, WIDTH, Modules, camera, flat, hull, looked, page, projected, whole
+from page_probe import HEIGHT, VIEW, WIDTH, Modules, camera, flat, hull, looked, projected, whole
 from scipy.optimize import minimize_scalar
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -14,9 +14,6 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from warpcage.cage.poses import move
-
-__all__ = ["page"]  # a fixture
-pytestmark = pytest.mark.xdist_group("chromium")
 
 
 @pytest.fixture(scope="module")

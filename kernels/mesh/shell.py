@@ -136,6 +136,15 @@ def beside(place: wp.float64, voxel: int):
 
 
 @wp.func
+def outwards(middle: int, step: int):
+    """The middle, the one after it, the one before it, the second after it, and so on."""
+    away = (step + 1) / 2
+    if step % 2 == 0:
+        away = -away
+    return middle + away
+
+
+@wp.func
 def least_squared(
     x: wp.vec3d,
     radius: wp.float64,
@@ -156,31 +165,38 @@ def least_squared(
     last_i = wp.min(int(wp.floor(place_x + reach)), shape[0] - 1)
     first_j = wp.max(int(wp.ceil(place_y - reach)), 0)
     last_j = wp.min(int(wp.floor(place_y + reach)), shape[1] - 1)
+    # from the middle outwards: what is found there leaves the least to search
+    middle_i = int(wp.floor(place_x + HALF))
+    middle_j = int(wp.floor(place_y + HALF))
     best = radius * radius
     room = best * voxels + BESIDE
-    for i in range(first_i, last_i + 1):
+    for m in range(2 * wp.max(last_i - middle_i, middle_i - first_i) + 1):
+        i = outwards(middle_i, m)
         off_x = beside(place_x, i)
-        for j in range(first_j, last_j + 1):
-            off_y = beside(place_y, j)
-            left = room - off_x * off_x - off_y * off_y
-            if left > ZERO:
-                half = wp.sqrt(left) + HALF + BESIDE
-                first_k = wp.max(int(wp.ceil(place_z - half)), 0)
-                last_k = wp.min(int(wp.floor(place_z + half)), shape[2] - 1)
-                if first_k <= last_k:
-                    row = (i * shape[1] + j) * shape[2]
-                    begin = starts[row + first_k]
-                    end = starts[row + last_k + 1]
-                    if begin < end:
-                        for p in range(begin, end):
-                            point = points[p]
-                            u = point[0] - x[0]
-                            v = point[1] - x[1]
-                            w = point[2] - x[2]
-                            squared = u * u + v * v + w * w
-                            if squared < best:
-                                best = squared
-                        room = best * voxels + BESIDE
+        left_x = room - off_x * off_x
+        if i >= first_i and i <= last_i and left_x > ZERO:
+            for n in range(2 * wp.max(last_j - middle_j, middle_j - first_j) + 1):
+                j = outwards(middle_j, n)
+                off_y = beside(place_y, j)
+                left = room - off_x * off_x - off_y * off_y
+                if j >= first_j and j <= last_j and left > ZERO:
+                    half = wp.sqrt(left) + HALF + BESIDE
+                    first_k = wp.max(int(wp.ceil(place_z - half)), 0)
+                    last_k = wp.min(int(wp.floor(place_z + half)), shape[2] - 1)
+                    if first_k <= last_k:
+                        row = (i * shape[1] + j) * shape[2]
+                        begin = starts[row + first_k]
+                        end = starts[row + last_k + 1]
+                        if begin < end:
+                            for p in range(begin, end):
+                                point = points[p]
+                                u = point[0] - x[0]
+                                v = point[1] - x[1]
+                                w = point[2] - x[2]
+                                squared = u * u + v * v + w * w
+                                if squared < best:
+                                    best = squared
+                            room = best * voxels + BESIDE
     return best
 
 
@@ -189,6 +205,7 @@ def measure_nearest(
     first: int,
     x: wp.array(dtype=wp.vec3d),
     about: wp.array(dtype=wp.float64),
+    most: wp.float64,
     points: wp.array(dtype=wp.vec3d),
     starts: wp.array(dtype=int),
     shape: wp.vec3i,
@@ -196,14 +213,14 @@ def measure_nearest(
     spacing: wp.float64,
     distance: wp.array(dtype=wp.float64),
 ):
-    """Distance (n,) from x (n,) to the nearest of the points, of which there is at least one.
+    """Distance (n,) from x (n,) to the nearest of the points, of which there is at least one; `most` if it is more.
 
     about (n,): radius greater than 0 in which the search begins; it grows until there is one within it.
     """
     n = first + wp.tid()
-    limit = about[n]
+    limit = wp.min(about[n], most)
     best = least_squared(x[n], limit, points, starts, shape, lower, spacing)
-    while best >= limit * limit:
-        limit = limit * GROWTH
+    while best >= limit * limit and limit < most:
+        limit = wp.min(limit * GROWTH, most)
         best = least_squared(x[n], limit, points, starts, shape, lower, spacing)
     distance[n] = wp.sqrt(best)

@@ -164,7 +164,7 @@ def shortfall(shell, vertices, faces, edges, need) -> np.ndarray:
     distance = shell.closed_distance_on_faces(vertices, faces, weights)
     f, s = np.nonzero(distance < level + 0.5 * shell.spacing)
     short = np.zeros(len(faces))
-    exact = shell.exact_distance(points_on(vertices, faces[f], weights[s]), distance[f, s] + shell.spacing)
+    exact = shell.exact_distance(points_on(vertices, faces[f], weights[s]), distance[f, s] + shell.spacing, level)
     np.maximum.at(short, f, level - exact)
     return short
 
