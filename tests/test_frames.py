@@ -20,7 +20,7 @@ def path(request, monkeypatch):
     """Both ways to a frame of the field itself, whatever its size."""
     shaded = request.param == "shaded"
     monkeypatch.setattr(marching, "NEAR_VOXELS", -1.0 if shaded else 1e9)
-    monkeypatch.setattr(marching, "CPU_RAYS_PER_VOXEL", 0.0)
+    monkeypatch.setattr(marching, "SHADES_ON_CPU", True)
     return request.param
 
 

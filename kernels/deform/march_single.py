@@ -127,8 +127,6 @@ def march_edit(
         place = lattice_start + t * lattice_rate
         position = edit.lower + spacing * place  # from few numbers that a ray keeps: registers are short
         mapped = bool(False)
-        leaves = bool(False)
-        room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage
         flags = int(0)
         leave = t
         n = int(0)
@@ -152,9 +150,6 @@ def march_edit(
                     if mapped:
                         entry = side_entry(sides, edit, n)
                         position = map_position(sides, edit, entry, f, wp.vec3(node[0], node[1], node[2]))
-                        if (flags & CELL_STAYS) == 0:
-                            room = 0.5 * (edit.slack - rest_distance(edit, position))
-                            leaves = room < 0.0
         g = grid_position(grid, position)
         gi = int(wp.floor(g[0]))
         gj = int(wp.floor(g[1]))
@@ -177,9 +172,21 @@ def march_edit(
             j = int(0)
             t = (float(k) + 0.5) * step
             continue
-        if mapped and count == 0 and (flags & CELL_STEEP) != 0:
+        # each function of the map stands once in this loop: registers are short
+        clears = not mapped and edit.keeps_source == 0 and empty == 0
+        room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage
+        if clears or (mapped and (flags & CELL_STAYS) == 0):
+            room = 0.5 * (edit.slack - rest_distance(edit, position))
+        leaves = mapped and room < 0.0
+        sigma = float(0.0)
+        if empty == 0 and not leaves:
+            sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
+        asks_length = mapped and count == 0 and (flags & CELL_STEEP) != 0
+        slope = spacing * lattice_rate
+        if mapped and (asks_length or sigma > 0.0):
             slope = map_slope(sides, edit, n, entry, f, lattice_rate)
-            stretch = wp.length(slope)
+        stretch = wp.length(slope)
+        if asks_length:
             count = int(1)
             if stretch > CUT_LENGTH:
                 count = wp.clamp(int(wp.ceil(stretch - 1.0e-3)), 1, MAX_SUB_SAMPLES)
@@ -189,43 +196,30 @@ def march_edit(
         next_index = k + 1
         if leaves:
             seen.outside += 1.0
-        elif empty == 0:
-            sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
-            if sigma > 0.0:
-                length = step / float(parts)
-                cleared = bool(False)
-                if not mapped and edit.keeps_source == 0:
-                    cleared = rest_distance(edit, position) <= 0.0
-                if cleared:
-                    if seen.cleared_transmittance > FAINT:
-                        kept = wp.exp(-sigma * length)
-                        seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
-                        seen.cleared_transmittance *= kept
-                else:
-                    along = spacing * lattice_rate
-                    if mapped:
-                        slope = map_slope(sides, edit, n, entry, f, lattice_rate)
-                        stretch = wp.length(slope)
-                        if options.arc_opacity == 1:
-                            length = length * stretch
-                        if stretch > 1.0e-6:
-                            along = slope / stretch
-                    kept = wp.exp(-sigma * length)
-                    weight = seen.transmittance * (1.0 - kept)
-                    pending += weight
-                    if pending > PENDING_WEIGHT:
-                        colour = row_colour(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
-                        seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
-                        pending = float(0.0)
-                    seen.depth += weight * t
-                    seen.transmittance *= kept
-                    if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
-                        seen.fold += weight
+        elif sigma > 0.0:
+            depth = sigma * step / float(parts)
+            if mapped and options.arc_opacity == 1:
+                depth = depth * stretch
+            kept = wp.exp(-depth)
+            if clears and room >= 0.5 * edit.slack:
+                if seen.cleared_transmittance > FAINT:
+                    seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
+                    seen.cleared_transmittance *= kept
+            else:
+                weight = seen.transmittance * (1.0 - kept)
+                pending += weight
+                if pending > PENDING_WEIGHT:
+                    along = wp.where(stretch > 1.0e-6, slope / stretch, spacing * lattice_rate)
+                    colour = row_colour(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
+                    seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                    pending = float(0.0)
+                seen.depth += weight * t
+                seen.transmittance *= kept
+                if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
+                    seen.fold += weight
         elif empty > 1 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
-            leave = t + wp.min(
-                wp.min(exit_of_cell(f, lattice_inverse, 1), float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH),
-                room,
-            )
+            hollow = float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH
+            leave = t + wp.min(wp.min(exit_of_cell(f, lattice_inverse, 1), hollow), room)
             next_index = wp.max(next_index, int(wp.ceil(leave / step - 0.5)))
         j += 1
         if j >= parts:

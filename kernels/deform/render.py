@@ -226,8 +226,23 @@ def march_edits(
             t = (float(k) + 0.5) * step
             continue
         point = flat_trace(edits, holder, x)
-        if point.path != 0 and point.cleared == 0 and count == 0 and (point.flags & CELL_STEEP) != 0:
-            stretch = wp.length(traced_slope(edits, x, direction, point.path))
+        # each function of the map stands once in this loop: registers are short
+        g = grid_position(grid, point.position)
+        gi = int(wp.floor(g[0]))
+        gj = int(wp.floor(g[1]))
+        gk = int(wp.floor(g[2]))
+        offset = g - wp.vec3(float(gi), float(gj), float(gk))
+        sigma = float(0.0)
+        if point.vacant == 0 and (point.cleared == 0 or seen.cleared_transmittance > FAINT):
+            if empty_distance(grid, g) == 0:
+                sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
+        mapped = point.path != 0 and point.cleared == 0
+        asks_length = mapped and count == 0 and (point.flags & CELL_STEEP) != 0
+        slope = direction
+        if mapped and (asks_length or sigma > 0.0):
+            slope = traced_slope(edits, x, direction, point.path)
+        stretch = wp.length(slope)
+        if asks_length:
             count = int(1)
             if stretch > CUT_LENGTH:
                 count = wp.clamp(int(wp.ceil(stretch - 1.0e-3)), 1, MAX_SUB_SAMPLES)
@@ -236,42 +251,26 @@ def march_edits(
         parts = wp.max(count, 1)
         if point.vacant == 1:
             seen.outside += float(point.outside)
-        elif point.cleared == 0 or seen.cleared_transmittance > FAINT:
-            g = grid_position(grid, point.position)
-            if empty_distance(grid, g) == 0:
-                gi = int(wp.floor(g[0]))
-                gj = int(wp.floor(g[1]))
-                gk = int(wp.floor(g[2]))
-                offset = g - wp.vec3(float(gi), float(gj), float(gk))
-                sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
-                if sigma > 0.0:
-                    length = step / float(parts)
-                    if point.cleared == 1:
-                        kept = wp.exp(-sigma * length)
-                        seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
-                        seen.cleared_transmittance *= kept
-                    else:
-                        along = direction
-                        if point.path != 0:
-                            slope = traced_slope(edits, x, direction, point.path)
-                            stretch = wp.length(slope)
-                            if options.arc_opacity == 1:
-                                length = length * stretch
-                            if stretch > 1.0e-6:
-                                along = slope / stretch
-                        kept = wp.exp(-sigma * length)
-                        weight = seen.transmittance * (1.0 - kept)
-                        pending += weight
-                        if pending > PENDING_WEIGHT:
-                            colour = row_colour(
-                                grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along)
-                            )
-                            seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
-                            pending = float(0.0)
-                        seen.depth += weight * t
-                        seen.transmittance *= kept
-                        if (point.flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
-                            seen.fold += weight
+        elif sigma > 0.0:
+            depth = sigma * step / float(parts)
+            if mapped and options.arc_opacity == 1:
+                depth = depth * stretch
+            kept = wp.exp(-depth)
+            if point.cleared == 1:
+                seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
+                seen.cleared_transmittance *= kept
+            else:
+                weight = seen.transmittance * (1.0 - kept)
+                pending += weight
+                if pending > PENDING_WEIGHT:
+                    along = wp.where(stretch > 1.0e-6, slope / stretch, direction)
+                    colour = row_colour(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
+                    seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                    pending = float(0.0)
+                seen.depth += weight * t
+                seen.transmittance *= kept
+                if (point.flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
+                    seen.fold += weight
         j += 1
         if j >= parts:
             k += 1

@@ -18,8 +18,8 @@ from .sparse import MatterSkip
 #: Voxels are shaded for a camera at least this many voxels away: nearer ones are seen under too many directions.
 NEAR_VOXELS = 16.0
 
-#: On the CPU, where rays are few, it pays from this many per voxel; on CUDA it takes no longer than packing rows.
-CPU_RAYS_PER_VOXEL = 0.3
+#: Whether that is done on a CPU too, where rays are few, and bands of a picture would each shade all voxels.
+SHADES_ON_CPU = False
 
 
 class MarchTables:
@@ -59,26 +59,25 @@ class MarchTables:
         """The rows as they are now: a RowTable of kernels/field/rows.py."""
         return row_table(self._grid, self.columns)
 
-    def image_kernel(self, centre: wp.vec3, rays: int, step: float) -> tuple[Kernel, list[Any]]:
+    def image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any]]:
         """What renders a view of the grid.
 
         Args:
             centre: Of the camera, relative to the grid's origin.
-            rays: Their number.
             step: March step, world units.
 
         Returns:
             A kernel, and its first inputs.
         """
         grid = self.grid()
-        if self._pays_shading(centre, rays):
+        if self._is_shaded(centre):
             return render_shaded_image, [grid, shaded_grid(grid, self.columns, centre, step)]
         return render_image, [grid, self.rows()]
 
-    def _pays_shading(self, centre: wp.vec3, rays: int) -> bool:
+    def _is_shaded(self, centre: wp.vec3) -> bool:
         """Whether voxels are shaded for a camera."""
         grid = self._grid
-        if grid.links.device.is_cpu and rays < CPU_RAYS_PER_VOXEL * grid.density.shape[0]:
+        if grid.links.device.is_cpu and not SHADES_ON_CPU:
             return False
         size = np.array(grid.voxel_size)
         lower = np.array(grid.lower)

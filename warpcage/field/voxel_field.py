@@ -251,7 +251,7 @@ class VoxelField:
         step, work = self.march_step(step, camera)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
-            kernel, inputs = self.marching.image_kernel(pinhole.centre, threads, step)
+            kernel, inputs = self.marching.image_kernel(pinhole.centre, step)
             inputs += [pinhole, colour, step, STOP_TRANSMITTANCE]
             outputs = [arrays[name] for name in PART_NAMES]
             launch(kernel, threads, inputs, outputs, device=self.device, work=work)
