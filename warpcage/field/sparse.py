@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
+from ..kernels.field.harmonics import vec9
+from .files.contents import BASIS_COUNT
 
 
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
@@ -113,3 +118,42 @@ def _spread(distance: wp.array) -> wp.array:
         launch(grid_skip.spread_distance, distance.size, [axis, distance], [spread], device=distance.device)
         distance, spread = spread, distance
     return distance
+
+
+def values_on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device) -> Any:
+    """An array of a Warp data type on a device.
+
+    Args:
+        array: On any device, or NumPy.
+        dtype: wp.int32 or wp.float32, or the type of a Warp array.
+        device: Warp device.
+
+    Returns:
+        The Warp array; the same one if it is there already.
+    """
+    if isinstance(array, wp.array):
+        return array if array.device == device else array.to(device)
+    host = np.ascontiguousarray(array, dtype=np.int32 if dtype == wp.int32 else np.float32)
+    return wp.array(host, dtype=dtype, device=device)
+
+
+def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
+    """Harmonics on a device, as kernels take them.
+
+    Args:
+        sh: (rows, 3) of vec9 on any device, or NumPy (rows, 9, 3).
+        device: Warp device.
+
+    Returns:
+        (rows, 3) of vec9 without gaps, as rows are read as runs of memory.
+
+    Raises:
+        ValueError: For another shape.
+    """
+    if isinstance(sh, wp.array):
+        array = values_on_device(sh, vec9, device)
+        return array if array.is_contiguous else array.contiguous()
+    host = np.asarray(sh, np.float32)
+    if host.ndim != 3 or host.shape[1:] != (BASIS_COUNT, 3):
+        raise ValueError(f"sh must be (rows, 9, 3), got {host.shape}")
+    return wp.array(np.ascontiguousarray(host.transpose(0, 2, 1)), dtype=vec9, device=device)
