@@ -185,6 +185,7 @@ def frames(device) -> None:
             deformer.render(camera())
             deformer.to_canonical(POINTS, np.ones((64, 3)))
     warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(), supersampling=2)
+    warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(camera())
 
 
 def edits(device) -> None:
