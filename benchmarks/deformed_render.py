@@ -1,5 +1,8 @@
 """Time of a canonical frame, a deformed frame with its lattice ready, a new pose with its frame, and poses in a loop.
 
+New poses are random and smooth, each another one: their median, 95th percentile and longest, and the first ten of a new
+Deformer, which meets buffers that are too small.
+
     python benchmarks/deformed_render.py --field field.npz --cage cage.obj --device cuda:0 --json render.json
     python benchmarks/deformed_render.py --field room.npz --cage cage.obj --scene DIR --device cuda:0
 
@@ -14,6 +17,7 @@ import argparse
 import json
 import time
 
+import numpy as np
 import warp as wp
 from timing import median_seconds, median_seconds_by_turns
 
@@ -30,7 +34,8 @@ def main() -> None:
     camera = chosen_camera(field, args)
     rows = []
 
-    def report(what, seconds, **more):
+    def report(what, seconds, spread=(), **more):
+        more |= {name: round(1e3 * value, 3) for name, value in spread}
         rows.append({"what": what, "milliseconds": round(1e3 * seconds, 3), **more})
         print(rows[-1], flush=True)
 
@@ -48,6 +53,11 @@ def main() -> None:
     for kind in args.kinds:
         deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution).pose(poses[0])
         report_frame("frame, lattice ready", deformer.render, kind=kind)
+        randoms = random_poses(rest, args.poses, args.seed)
+        report("pose and frame, random", *random_times(deformer, randoms, camera, device), kind=kind)
+        firsts = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution)
+        times = [pose_and_frame(firsts, cage, camera, device) for cage in randoms[:10]]
+        report("the first ten, the longest", max(times), kind=kind, each=[round(1e3 * t, 2) for t in times])
         cycle = Cycle(deformer, poses)
         report("pose", median_seconds(cycle.pose, device, runs=args.runs), kind=kind)
         report(
@@ -96,6 +106,8 @@ def parse_arguments():
     parser.add_argument("--bend", type=float, default=45.0)
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--kinds", nargs="+", default=["harmonic", "mean_value", "green"])
+    parser.add_argument("--poses", type=int, default=40, help="random poses")
+    parser.add_argument("--seed", type=int, default=0, help="of the random poses")
     parser.add_argument("--profile", action="store_true", help="list the kernels of a pose and its frame")
     parser.add_argument("--bake", action="store_true", help="bake the pose too, and compare with the live frame")
     parser.add_argument("--json")
@@ -108,6 +120,40 @@ def chosen_camera(field, args):
     return warpcage.turntable(
         field.center, 4.03, 30, 1, fov_degrees=39.6, width=args.size, height=args.size, start_degrees=30
     )[0]
+
+
+def random_poses(rest, count: int, seed: int) -> list:
+    """Cages moved by three waves each, of random directions, lengths above 1.4 times their size, and phases."""
+    random = np.random.default_rng(seed)
+    centre, size = rest.vertices.mean(axis=0), float(np.ptp(rest.bounds, axis=0).max())
+    places = (rest.vertices - centre) / size
+    poses = []
+    for _ in range(count):
+        moved = places.copy()
+        for _ in range(3):
+            wave = random.normal(size=3)
+            wave *= random.uniform(0.2, 0.7) / np.linalg.norm(wave)
+            phase = random.uniform(0, 2 * np.pi)
+            moved += 0.05 * random.normal(size=3) * np.sin(2 * np.pi * places @ wave + phase)[:, None]
+        poses.append(rest.with_vertices(centre + size * moved))
+    return poses
+
+
+def pose_and_frame(deformer, cage, camera, device) -> float:
+    """Seconds of a new pose and its frame, with the device idle before and after."""
+    wp.synchronize_device(device)
+    begin = time.perf_counter()
+    deformer.pose(cage).render(camera)
+    wp.synchronize_device(device)
+    return time.perf_counter() - begin
+
+
+def random_times(deformer, cages, camera, device):
+    """Median seconds of random poses and their frames, and what else is told of them."""
+    for cage in cages[:3]:
+        deformer.pose(cage).render(camera)
+    times = [pose_and_frame(deformer, cage, camera, device) for cage in cages]
+    return float(np.median(times)), [("percentile_95", float(np.percentile(times, 95))), ("longest", max(times))]
 
 
 class Cycle:

@@ -41,7 +41,8 @@ from warpcage.view.camera import camera_array
 #: Kernels that only one kind of device launches.
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
             "fitting.rmsprop.join_maximum", "mesh.shell.", "mesh.collapses."}  # fmt: skip
-CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps"}
+CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows", "field.shades.",
+             "field.render_shaded."}  # fmt: skip
 
 launched: set[str] = set()
 
@@ -107,6 +108,7 @@ def fields(device) -> None:
     field = ball_field(device)
     frame = field.render(camera(), supersampling=2)
     frame_pixels(frame, "rgb", 1.0, 8.0, 8, 6)
+    field.render(warpcage.Camera.look_at((0, 0, 0.1), (0, 0, 0), width=8, height=8))  # too near for shaded voxels
     field.sample(POINTS, np.ones((64, 3)))
     CAGE.contains(2.2 * POINTS, device=device)  # in it, at it and beside it
     cameras = camera_array([camera()], field.center, field.device)
@@ -183,6 +185,7 @@ def frames(device) -> None:
             deformer.render(camera())
             deformer.to_canonical(POINTS, np.ones((64, 3)))
     warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(), supersampling=2)
+    warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(camera())
 
 
 def edits(device) -> None:

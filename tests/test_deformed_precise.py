@@ -51,7 +51,7 @@ def test_cells_that_are_skipped_show_nothing(device):
 
 
 def test_kernels_of_a_module_share_a_block_size_and_modules_load_together(device):
-    assert module_block_dim(deformed_single.render_edit) == module_block_dim(deformed_single.join_cell_tables) == 64
+    assert module_block_dim(deformed_single.render_edit) == 64
     assert module_block_dim(volume_render.render_image) == module_block_dim(volume_render.record_weights)
     load_modules([edit_cells, volume_render], device)
     rest = Cage(*oracles.icosphere(1))

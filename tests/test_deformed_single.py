@@ -8,6 +8,7 @@ from warpcage.cage.cage import Cage
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.kernels.deform.render import render_edits
+from warpcage.kernels.deform.render_sides import render_edit_with_sides
 from warpcage.kernels.deform.render_single import render_edit
 from warpcage.view.camera import Camera
 
@@ -16,10 +17,11 @@ def both(deformer, camera, **options):
     """The frames of the kernel for one edit and of the one for any number."""
     edits = deformer._edits
     single = deformer.render(camera, **options)
-    assert edits.render_kernel is render_edit
-    kept, edits.render_kernel, edits.scene = edits.scene, render_edits, edits.array
+    kernel, scene = edits.render_kernel, edits.scene
+    assert kernel is (render_edit_with_sides if scene.has_sides else render_edit)
+    edits.render_kernel, edits.scene = render_edits, edits.flat_array()
     general = deformer.render(camera, **options)
-    edits.render_kernel, edits.scene = render_edit, kept
+    edits.render_kernel, edits.scene = kernel, scene
     return single, general
 
 

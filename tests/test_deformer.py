@@ -121,7 +121,7 @@ def test_skipping_empty_cells_changes_nothing(kind, device):
     assert all((skip.numpy() > 0).mean() > 0.3 for skip in deformer._edits.lattices.skips)  # there is something to skip
     for skip in deformer._edits.lattices.skips:
         skip.zero_()
-    deformer._edits.scene = deformer._edits.single_edit()
+    deformer._edits.scene = deformer._edits.flat_scene()
     assert psnr(deformer.render(camera).rgb, skipped.rgb) > 80
 
 

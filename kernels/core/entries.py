@@ -44,6 +44,43 @@ def vec3i_entry(array: wp.array(dtype=wp.vec3i), i: int) -> wp.vec3i:
 
 
 @wp.func_native("""
+    return (int)reinterpret_cast<const unsigned char*>(array.data)[(unsigned)i];
+""")
+def byte_entry(array: wp.array(dtype=wp.uint8), i: int) -> int:
+    """array[i], of an array without gaps."""
+    ...
+
+
+@wp.func_native("""
+    return (int)reinterpret_cast<const unsigned char*>(array.data)[
+        ((size_t)(unsigned)(i * array.shape[1] + j)) * (unsigned)array.shape[2] + (unsigned)k];
+""")
+def cell_byte(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int) -> int:
+    """array[i, j, k], of an array without gaps."""
+    ...
+
+
+@wp.func_native("""
+    const int ny = values.shape[1], nz = values.shape[2];
+    const int i = (int)floorf(g.c[0]), j = (int)floorf(g.c[1]), k = (int)floorf(g.c[2]);
+    if (i < 0 || j < 0 || k < 0 || i >= values.shape[0] - 1 || j >= ny - 1 || k >= nz - 1)
+        return beyond;
+    const float x = g.c[0] - (float)i, y = g.c[1] - (float)j, z = g.c[2] - (float)k;
+    const float* at = reinterpret_cast<const float*>(values.data) + ((size_t)(unsigned)(i * ny + j) * (unsigned)nz + k);
+    const float a = at[0] + z * (at[1] - at[0]);
+    const float b = at[nz] + z * (at[nz + 1] - at[nz]);
+    at += (size_t)ny * nz;
+    const float c = at[0] + z * (at[1] - at[0]);
+    const float d = at[nz] + z * (at[nz + 1] - at[nz]);
+    const float low = a + y * (b - a), high = c + y * (d - c);
+    return low + x * (high - low);
+""")
+def trilinear_entry(values: wp.array3d(dtype=float), g: wp.vec3, beyond: float) -> float:
+    """Trilinear value at node coordinates, of an array without gaps; `beyond` outside its nodes."""
+    ...
+
+
+@wp.func_native("""
 #if defined(__CUDA_ARCH__)
     return rsqrtf(x);
 #else

@@ -113,13 +113,7 @@ def empty_reach_of_cells(
 
 
 @wp.func
-def empty_reach(edit: LatticeEdit, x: wp.vec3, direction: wp.vec3):
-    """empty_reach_of_cells of an edit's lattice."""
-    return empty_reach_of_cells(edit.skip, edit.deformed.lower, edit.deformed.inverse_spacing, x, direction)
-
-
-@wp.func
-def empty_reach(edit: ClosedFormEdit, x: wp.vec3, direction: wp.vec3):  # noqa: F811
+def empty_reach(edit: ClosedFormEdit, x: wp.vec3, direction: wp.vec3):
     """empty_reach_of_cells of an edit's table."""
     table = edit.deformed_cells
     return empty_reach_of_cells(table.skip, table.lower, 1.0 / table.spacing, x, direction)

@@ -4,7 +4,7 @@ The "precise" mode of "Deforming Radiance Fields with Cages" (ECCV 2022), sectio
 deform/render on ClosedFormEdit; a module of its own, so that it is compiled only when it is used.
 
 Positions are exact everywhere. Lattices only save work whose result is known (see deform/settled_cells).
-Needs: deform/edits, deform/march, deform/render, field/grid, view/rays.
+Needs: deform/edits, deform/march, deform/pictures, field/grid, view/rays.
 """
 
 import warp as wp
@@ -13,7 +13,7 @@ from ..field.grid import VoxelGrid
 from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
 from .edits import ClosedFormEdit
 from .march import MarchOptions, march_deformed
-from .render import Picture, fill_pixel
+from .pictures import Picture, fill_pixel
 
 # small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})

@@ -2,20 +2,25 @@
 
 C = sum_k T_k (1 - exp(-sigma_k dt)) c_k + T_end background, T_k = exp(-sum_{j<k} sigma_j dt): Max 1995 as used by NeRF
 (Mildenhall et al. 2020, Eq. 3) and Plenoxels (2022, Eq. 1).
-Needs: field/grid, field/harmonics, field/samples, view/rays.
+Needs: core/entries, field/grid, field/harmonics, field/rows, field/samples, view/rays.
 """
 
 import warp as wp
 
+from ..core.entries import cell_byte
 from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
-from .grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance
+from .grid import VoxelGrid, cell_density, cell_sample, empty_distance
 from .harmonics import sh_basis
-from .samples import grid_ray, sample_beyond, sample_distance, sample_place
+from .rows import RowTable, row_colour, row_density
+from .samples import exit_of_cell, grid_ray, safe_inverse, sample_beyond, sample_distance, sample_place
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
 #: A pixel has a depth where it is at least this opaque.
 DEPTH_MIN_ALPHA = wp.constant(1.0e-3)
+
+#: Samples that together weigh no more than this take the colour of the next one: half of what an 8-bit image shows.
+PENDING_WEIGHT = wp.constant(1.0 / 512.0)
 
 
 @wp.struct
@@ -28,35 +33,67 @@ class Radiance:
 
 
 @wp.func
-def march(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, step: float, stop: float):
+def pending_colour(colour: wp.vec3, transmittance: float, pending: float):
+    """What samples add whose colour was not looked up: that of the others, or grey where there are none."""
+    looked_up = 1.0 - transmittance - pending
+    if looked_up > 0.5 * PENDING_WEIGHT:
+        return (pending / looked_up) * colour
+    return wp.vec3(0.5 * pending, 0.5 * pending, 0.5 * pending)
+
+
+@wp.func
+def march(grid: VoxelGrid, table: RowTable, origin: wp.vec3, direction: wp.vec3, step: float, stop: float):
     """Gather radiance along a ray until its transmittance falls below `stop`."""
     result = Radiance()
     result.transmittance = float(1.0)
     basis = sh_basis(direction)
     ray = grid_ray(grid, origin, direction, step)
-    k = ray.first
-    while sample_distance(ray, k) < ray.far and result.transmittance > stop:
-        g = sample_place(ray, k)
-        empty = empty_distance(grid, g)
+    inverse_slope = safe_inverse(ray.slope)
+    inverse_step = 1.0 / step
+    tops = wp.vec3i(grid.skip.shape[0] - 1, grid.skip.shape[1] - 1, grid.skip.shape[2] - 1)
+    pending = float(0.0)  # weight of samples whose colour is not looked up yet
+    k = float(ray.first)  # a whole number: no conversions in the loop, where each step waits for the one before
+    t = (k + 0.5) * step
+    while t < ray.far and result.transmittance > stop:
+        g = ray.start + t * ray.slope
+        ci = wp.clamp(int(g[0]), 0, tops[0])
+        cj = wp.clamp(int(g[1]), 0, tops[1])
+        ck = wp.clamp(int(g[2]), 0, tops[2])
+        empty = cell_byte(grid.skip, ci, cj, ck)
+        offset = g - wp.vec3(float(ci), float(cj), float(ck))
         if empty > 0:
-            k = sample_beyond(ray, k, g, empty)
+            leave = t + exit_of_cell(offset, inverse_slope, empty)
+            after = wp.ceil(leave * inverse_step - 0.5)
+            k = wp.where(after > k + 1.0, after, k + 1.0)
         else:
-            cell = cell_sample(grid, g)
-            sigma = cell_density(grid, cell)
+            sigma = row_density(grid.density, table.columns, ci, cj, ck, offset)
             if sigma > 0.0:
-                weight = result.transmittance * (1.0 - wp.exp(-sigma * step))
-                colour = wp.max(cell_colour(grid, cell, basis), wp.vec3(0.0, 0.0, 0.0))
-                result.colour += weight * colour
-                result.depth += weight * sample_distance(ray, k)
-                result.transmittance *= wp.exp(-sigma * step)
-            k += 1
+                kept = wp.exp(-sigma * step)
+                weight = result.transmittance * (1.0 - kept)
+                pending += weight
+                if pending > PENDING_WEIGHT:
+                    colour = row_colour(grid.sh, table.packed, table.columns, ci, cj, ck, offset, basis)
+                    result.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                    pending = float(0.0)
+                result.depth += weight * t
+                result.transmittance *= kept
+            k += 1.0
+        t = (k + 0.5) * step
+    result.colour += pending_colour(result.colour, result.transmittance, pending)
     return result
+
+
+@wp.func
+def visible_depth(depth: float, opacity: float):
+    """Expected distance along the ray, inf where almost nothing is seen. depth: sum of w_k t_k."""
+    return wp.where(opacity > DEPTH_MIN_ALPHA, depth / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
 
 
 @wp.kernel
 def render_image(
     first: int,
     grid: VoxelGrid,
+    table: RowTable,
     camera: PinholeCamera,
     background: wp.vec3,
     step: float,
@@ -71,12 +108,11 @@ def render_image(
     if column >= camera.width or row >= camera.height:
         return
     n = row * camera.width + column
-    direction = pixel_direction(camera, column, row)
-    seen = march(grid, camera.centre, direction, step, stop)
+    seen = march(grid, table, camera.centre, pixel_direction(camera, column, row), step, stop)
     opacity = 1.0 - seen.transmittance
     rgb[n] = seen.colour + seen.transmittance * background
     alpha[n] = opacity
-    depth[n] = wp.where(opacity > DEPTH_MIN_ALPHA, seen.depth / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
+    depth[n] = visible_depth(seen.depth, opacity)
 
 
 @wp.kernel

@@ -33,6 +33,27 @@ def exit_distance(g: wp.vec3, dg: wp.vec3, reach: int):
 
 
 @wp.func
+def safe_inverse(rate: wp.vec3):
+    """1 / rate by component; a large number where the rate is almost zero."""
+    result = wp.vec3(1.0e30, 1.0e30, 1.0e30)
+    for axis in range(3):
+        if wp.abs(rate[axis]) > 1.0e-12:
+            result[axis] = 1.0 / rate[axis]
+    return result
+
+
+@wp.func
+def exit_of_cell(offset: wp.vec3, inverse_rate: wp.vec3, reach: int):
+    """exit_distance from an offset in a cell, 0 to 1, with the divisions done once per ray."""
+    leave = float(1.0e30)
+    for axis in range(3):
+        plane = wp.where(inverse_rate[axis] > 0.0, float(reach), 1.0 - float(reach))
+        way = (plane - offset[axis]) * inverse_rate[axis]
+        leave = wp.where(way < leave, way, leave)  # a CPU takes less time for it than for min
+    return leave
+
+
+@wp.func
 def sample_index_after(t: float, step: float):
     """Index of the first sample at or beyond distance t."""
     return int(wp.ceil(t / step - 0.5))

@@ -27,6 +27,46 @@ def mark_cells(first: int, links: wp.array3d(dtype=wp.int32), distance: wp.array
 
 
 @wp.kernel
+def mark_matter(
+    first: int,
+    links: wp.array3d(dtype=wp.int32),
+    density: wp.array(dtype=wp.float32),
+    distance: wp.array3d(dtype=wp.uint8),
+):
+    """0 where any of a cell's eight nodes has a density above zero, SKIP_LIMIT elsewhere: no place in such a cell has
+    one, as trilinear weights are not negative. distance: (nx-1, ny-1, nz-1)."""
+    n = first + wp.tid()
+    k = n % distance.shape[2]
+    j = (n // distance.shape[2]) % distance.shape[1]
+    i = n // (distance.shape[2] * distance.shape[1])
+    value = int(SKIP_LIMIT)
+    for c in range(8):
+        row = links[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
+        if row >= 0:
+            if density[row] > 0.0:
+                value = int(0)
+    distance[i, j, k] = wp.uint8(value)
+
+
+@wp.kernel
+def note_signs(
+    first: int,
+    density: wp.array(dtype=wp.float32),
+    positive: wp.array(dtype=wp.uint8),
+    changed: wp.array(dtype=wp.int32),
+):
+    """Keep which densities (rows,) are above zero; `changed` (1,) becomes 1 where that is news.
+
+    All items write the same number there.
+    """
+    n = first + wp.tid()
+    value = wp.uint8(wp.where(density[n] > 0.0, 1, 0))
+    if positive[n] != value:
+        positive[n] = value
+        changed[0] = 1
+
+
+@wp.kernel
 def spread_distance(first: int, axis: int, source: wp.array3d(dtype=wp.uint8), distance: wp.array3d(dtype=wp.uint8)):
     """One pass of the transform along an axis."""
     n = first + wp.tid()

@@ -19,7 +19,7 @@ from ..field.rendering import STOP_TRANSMITTANCE
 from ..field.voxel_field import VoxelField
 from ..kernels.deform.edits import MAPPED
 from ..kernels.deform.march import MarchOptions
-from ..kernels.deform.render import Picture
+from ..kernels.deform.pictures import Picture
 from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
 from ..view.camera import Camera
@@ -276,7 +276,6 @@ class Deformer:
         supersampling: int | None,
     ) -> Frame:
         """`render` of a pose, which is worked out once the rest is checked."""
-        grid = self.field.grid
         options = MarchOptions()
         options.step, work = self.field.march_step(step, camera)
         options.stop = STOP_TRANSMITTANCE
@@ -285,11 +284,12 @@ class Deformer:
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
             edits = posed_edits()
             require_short_march(self._held or (), options.step)
+            grid = self.field.marching.grid()
             edits.prepare(grid, options.step)
             picture = Picture()
             for name, array in arrays.items():
                 setattr(picture, name, array)
-            inputs = [grid, edits.scene, pinhole, colour, options, picture]
+            inputs = [grid, *edits.row_tables(self.field), edits.scene, pinhole, colour, options, picture]
             launch(edits.render_kernel, threads, inputs, device=self.device, work=work * edits.sample_work)
 
         return self.field.render_by(march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)

@@ -10,6 +10,7 @@ from typing import Any
 import warp as wp
 
 from ..cage.cage import Cage
+from ..field.voxel_field import VoxelField
 from ..mesh.usable import require_usable
 
 #: Edits of one scene; the way of a sample through them is kept in the bits of an int.
@@ -80,6 +81,17 @@ class PosedEdits(abc.ABC):
         self.array: wp.array | None = None
         self.scene: Any = None
         self.sample_work = 1
+
+    def row_tables(self, field: VoxelField) -> list[Any]:
+        """What the render kernel reads of a field beside its VoxelGrid.
+
+        Args:
+            field: The field.
+
+        Returns:
+            Arguments of the kernel.
+        """
+        return []
 
     @abc.abstractmethod
     def pose(self, cages: Sequence[Cage | None]) -> None:

@@ -13,8 +13,9 @@ from ..cage.cage import Cage
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.modules import load_modules
+from ..field.voxel_field import VoxelField
 from ..kernels.deform import cells as cell_tables
-from ..kernels.deform import points, render, render_single
+from ..kernels.deform import flat_edits, points, render, render_sides, render_single
 from ..kernels.deform.edits import LatticeEdit
 from ..kernels.field import skip as grid_skip
 from ..kernels.lattice import (
@@ -43,7 +44,9 @@ from .edits import CageEdit, PosedEdits
 LATTICE_SLACK = 0.5
 
 #: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
-POSE_MODULES = (crossings, distance, nodes, rings, narrow_gaps, gap_sides, side_values, cell_tables, grid_skip)
+POSE_MODULES = (
+    *(crossings, distance, nodes, rings, narrow_gaps, gap_sides, side_values, cell_tables, flat_edits, grid_skip),
+)
 SOLVER_MODULES = {
     "harmonic": (harmonic, harmonic_coarse, cut_rows),
     "mean_value": (closed_form, fans, cut_rows, corrections),
@@ -86,11 +89,14 @@ class LatticeEdits(PosedEdits):
         device: wp.Device,
         store: str = "map",
     ):
-        self._device, self._is_single = device, len(edits) == 1
+        self._edits, self._device, self._is_single = edits, device, len(edits) == 1
         super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
-        load_pose_modules(coordinates, [render_single if self._is_single else render], device)
+        load_pose_modules(coordinates, [render_single, render_sides] if self._is_single else [render], device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store)
-        self._look: wp.array | None = None
+        self._flat: list[Any] = []
+
+    def row_tables(self, field: VoxelField) -> list[Any]:
+        return [field.marching.rows()]
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         self.lattices.pose(cages)
@@ -99,50 +105,65 @@ class LatticeEdits(PosedEdits):
     def prepare(self, grid: Any, step: float) -> None:
         scene, self.scene = self.scene, None  # an interrupt leaves none
         if self.lattices.mark_empty(grid, step) or scene is None:
-            scene = self.single_edit() if self._is_single else self.array
+            scene = self.flat_scene()
         self.scene = scene
 
-    def single_edit(self) -> Any:
-        """The one edit of a scene as its own kernel takes it: a SingleEdit of kernels/deform/render_single.py."""
-        ((edit, skip),) = self.lattices.posed()
-        node_count = edit.deformed.distance.size
-        if self._look is None or self._look.size != node_count:
-            self._look = wp.zeros(node_count, dtype=wp.uint8, device=self._device)
-        return flat_edit(edit, skip, self._look)
+    def flat_scene(self) -> Any:
+        """The posed edits with what `mark_empty` found, as their render kernel takes them.
+
+        Returns:
+            The one FlatEdit of kernels/deform/flat_edits.py, or an array of several.
+        """
+        last = [*self._flat, *[None] * len(self._edits)]
+        self._flat = [
+            flat_edit(edit, skip, old) for (edit, skip), old in zip(self.lattices.posed(), last, strict=False)
+        ]
+        if not self._is_single:
+            return self.flat_array()
+        (flat,) = self._flat
+        self.render_kernel = render_sides.render_edit_with_sides if flat.has_sides else render_single.render_edit
+        return flat
+
+    def flat_array(self) -> wp.array:
+        """(edits,) FlatEdit, as the kernel for several edits takes them."""
+        return wp.array(self._flat, dtype=flat_edits.FlatEdit, device=self._device)
 
 
-def flat_edit(edit: Any, skip: wp.array, look: wp.array) -> Any:
+def flat_edit(edit: Any, skip: wp.array, last: Any = None) -> Any:
     """A LatticeEdit with flat arrays.
 
     Args:
         edit: The posed LatticeEdit.
         skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
-        look: (nodes,) uint8 array to fill: what a sample reads of the cell above each node.
+        last: The FlatEdit of the last pose, whose arrays are used again where they fit, or None.
 
     Returns:
-        A SingleEdit of kernels/deform/render_single.py.
+        A FlatEdit of kernels/deform/flat_edits.py.
     """
-    single = render_single.SingleEdit()
-    single.lower, single.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
-    single.node_counts = wp.vec3i(*edit.deformed.distance.shape)
-    single.distance = edit.deformed.distance.flatten()
-    if not edit.removes:
-        single.positions = edit.deformed.positions.flatten()
-    single.look, single.rest = look, edit.rest
+    device, node_count = edit.deformed.distance.device, edit.deformed.distance.size
+    flat = flat_edits.FlatEdit()
+    flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
+    flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
+    if last is not None and last.look.size == node_count:
+        flat.look, flat.nodes = last.look, last.nodes
+    else:
+        flat.look = wp.zeros(node_count, dtype=wp.uint8, device=device)
+        flat.nodes = empty_array(node_count, wp.vec4, device)
+    flat.rest = edit.rest
     side_index = edit.deformed.side_index
-    single.has_sides = int(side_index is not None and side_index.size > 0)
-    if single.has_sides:
-        single.side_index, single.sides = side_index, edit.deformed.sides
-    single.tolerance, single.slack = edit.tolerance, edit.slack
-    single.keeps_source, single.removes = edit.keeps_source, edit.removes
+    flat.has_sides = int(side_index is not None and side_index.size > 0)
+    if flat.has_sides:
+        flat.side_index, flat.sides = side_index, edit.deformed.sides
+    flat.tolerance, flat.slack = edit.tolerance, edit.slack
+    flat.keeps_source, flat.removes = edit.keeps_source, edit.removes
     launch(
-        render_single.join_cell_tables,
-        edit.cells.size,
-        [edit.cells, skip, single.node_counts],
-        [look],
-        device=look.device,
+        flat_edits.join_cell_tables, edit.cells.size, [edit.cells, skip, flat.node_counts], [flat.look], device=device
     )
-    return single
+    positions = empty_array(0, wp.vec3, device) if edit.removes else edit.deformed.positions.flatten()
+    launch(
+        flat_edits.join_nodes, node_count, [positions, edit.deformed.distance.flatten()], [flat.nodes], device=device
+    )
+    return flat
 
 
 class EditLattices:
@@ -186,7 +207,7 @@ class EditLattices:
         self._cells: list[wp.array] = []
         self._structs: list[Any] = []
         self.array: wp.array | None = None
-        self._marked_step = 0.0
+        self._marked_step, self._marked_skip = 0.0, None
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         """Compute the maps.
@@ -223,9 +244,9 @@ class EditLattices:
             step: March step, world units.
 
         Returns:
-            Whether they were looked for: not again for the same pose and no longer step.
+            Whether they were looked for: not again for the same pose, the same matter and no longer step.
         """
-        if step <= self._marked_step:
+        if step <= self._marked_step and grid.skip is self._marked_skip:
             return False
         self._marked_step = 0.0  # an interrupt leaves tables that are half written
         for index, skip in enumerate(self.skips):  # in order: each looks at the ones before it
@@ -236,7 +257,7 @@ class EditLattices:
             for axis in range(3):
                 launch(grid_skip.spread_distance, skip.size, [axis, source], [target], device=self._device)
                 source, target = target, source
-        self._marked_step = step
+        self._marked_step, self._marked_skip = step, grid.skip
         return True
 
     def rest_maps(self) -> list[Any]:

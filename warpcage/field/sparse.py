@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
+from ..kernels.field.harmonics import vec9
+from .files.contents import BASIS_COUNT
 
 
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
@@ -56,12 +61,99 @@ def measure_skip(links: wp.array) -> wp.array:
     Returns:
         (nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with such a node.
     """
-    device = links.device
-    shape = tuple(n - 1 for n in links.shape)
-    distance = empty_array(shape, wp.uint8, device)
+    distance = _cell_bytes(links)
+    launch(grid_skip.mark_cells, distance.size, [links], [distance], device=links.device)
+    return _spread(distance)
+
+
+class MatterSkip:
+    """How far each cell is from the nearest in which there is any matter, for the densities as they are.
+
+    Rows reach further than matter does, so that marches that know this look at half as many samples. The densities may
+    change at any time, in a fit or under a caller's hand: what this holds depends on their signs alone, which are
+    compared at each call.
+
+    Args:
+        links: (nx, ny, nz) int32, row of each node or -1.
+    """
+
+    def __init__(self, links: wp.array):
+        self._links = links
+        self._positive: wp.array | None = None
+        self._distance: wp.array | None = None
+
+    def distance(self, density: wp.array) -> wp.array:
+        """The distances.
+
+        Args:
+            density: (rows,) float32, before the ReLU.
+
+        Returns:
+            (nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with a density above zero at a corner;
+            another array whenever any of it changes.
+        """
+        device = self._links.device
+        if self._positive is None or self._positive.size != density.size:
+            self._positive, self._distance = wp.zeros(density.size, dtype=wp.uint8, device=device), None
+        changed = wp.zeros(1, dtype=wp.int32, device=device)
+        launch(grid_skip.note_signs, density.size, [density], [self._positive, changed], device=device)
+        if changed.numpy()[0]:
+            self._distance = None
+        if self._distance is None:
+            distance = _cell_bytes(self._links)
+            launch(grid_skip.mark_matter, distance.size, [self._links, density], [distance], device=device)
+            self._distance = _spread(distance)
+        return self._distance
+
+
+def _cell_bytes(links: wp.array) -> wp.array:
+    """One byte for each cell."""
+    return empty_array(tuple(n - 1 for n in links.shape), wp.uint8, links.device)
+
+
+def _spread(distance: wp.array) -> wp.array:
+    """Distances from the cells that hold 0; the array is used."""
     spread = wp.empty_like(distance)
-    launch(grid_skip.mark_cells, distance.size, [links], [distance], device=device)
     for axis in range(3):
-        launch(grid_skip.spread_distance, distance.size, [axis, distance], [spread], device=device)
+        launch(grid_skip.spread_distance, distance.size, [axis, distance], [spread], device=distance.device)
         distance, spread = spread, distance
     return distance
+
+
+def values_on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device) -> Any:
+    """An array of a Warp data type on a device.
+
+    Args:
+        array: On any device, or NumPy.
+        dtype: wp.int32 or wp.float32, or the type of a Warp array.
+        device: Warp device.
+
+    Returns:
+        The Warp array; the same one if it is there already.
+    """
+    if isinstance(array, wp.array):
+        return array if array.device == device else array.to(device)
+    host = np.ascontiguousarray(array, dtype=np.int32 if dtype == wp.int32 else np.float32)
+    return wp.array(host, dtype=dtype, device=device)
+
+
+def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
+    """Harmonics on a device, as kernels take them.
+
+    Args:
+        sh: (rows, 3) of vec9 on any device, or NumPy (rows, 9, 3).
+        device: Warp device.
+
+    Returns:
+        (rows, 3) of vec9 without gaps, as rows are read as runs of memory.
+
+    Raises:
+        ValueError: For another shape.
+    """
+    if isinstance(sh, wp.array):
+        array = values_on_device(sh, vec9, device)
+        return array if array.is_contiguous else array.contiguous()
+    host = np.asarray(sh, np.float32)
+    if host.ndim != 3 or host.shape[1:] != (BASIS_COUNT, 3):
+        raise ValueError(f"sh must be (rows, 9, 3), got {host.shape}")
+    return wp.array(np.ascontiguousarray(host.transpose(0, 2, 1)), dtype=vec9, device=device)

@@ -17,15 +17,15 @@ from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..kernels.field.harmonics import vec9
-from ..kernels.field.render import render_image
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, Frame, checked_supersampling
 from .background import LayeredBackground
 from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field
+from .marching import MarchTables
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
-from .sparse import link_mask, measure_skip
+from .sparse import harmonics_on_device, link_mask, measure_skip, values_on_device
 from .surface import extract_mesh
 
 if TYPE_CHECKING:
@@ -69,7 +69,9 @@ class VoxelField:
         resolution: (nx, ny, nz) number of voxels along each axis.
         voxel_size: (3,) float64, world units.
         weights: (rows,) float32 Warp array or None.
-        grid: The VoxelGrid that kernels take; positions in it are relative to `center`.
+        grid: The VoxelGrid that kernels take; positions in it are relative to `center`. Its arrays may be written to at
+            any time, but for the links.
+        marching: What marches read instead of it.
     """
 
     def __init__(
@@ -101,18 +103,19 @@ class VoxelField:
 
         with device_turn(self.device):
             self.grid = self._filled_grid(links, density, sh, weights)
+        self.marching = MarchTables(self.grid)
 
     def _filled_grid(self, links: Any, density: Any, sh: Any, weights: Any) -> Any:
         """The VoxelGrid of the arrays that the constructor was given; their weights go to `weights`."""
         grid = VoxelGrid()
-        grid.links = _on_device(links, wp.int32, self.device)
-        grid.density = _on_device(density, wp.float32, self.device)
-        grid.sh = _sh_on_device(sh, self.device)
+        grid.links = values_on_device(links, wp.int32, self.device)
+        grid.density = values_on_device(density, wp.float32, self.device)
+        grid.sh = harmonics_on_device(sh, self.device)
         if grid.density.ndim != 1 or grid.sh.shape[0] != grid.density.shape[0]:
             raise ValueError(
                 f"density and sh must have one row per voxel, got {grid.density.shape} and {grid.sh.shape[0]} rows"
             )
-        self.weights = None if weights is None else _on_device(weights, wp.float32, self.device)
+        self.weights = None if weights is None else values_on_device(weights, wp.float32, self.device)
         if self.weights is not None and self.weights.shape != grid.density.shape:
             raise ValueError(f"weights must be one per row ({grid.density.shape[0]}), got {self.weights.shape}")
 
@@ -248,8 +251,10 @@ class VoxelField:
         step, work = self.march_step(step, camera)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
-            inputs = [self.grid, pinhole, colour, step, STOP_TRANSMITTANCE]
-            launch(render_image, threads, inputs, [arrays[name] for name in PART_NAMES], device=self.device, work=work)
+            kernel, inputs = self.marching.image_kernel(pinhole.centre, step)
+            inputs += [pinhole, colour, step, STOP_TRANSMITTANCE]
+            outputs = [arrays[name] for name in PART_NAMES]
+            launch(kernel, threads, inputs, outputs, device=self.device, work=work)
 
         return self.render_by(march, camera, background=background, supersampling=supersampling)
 
@@ -478,21 +483,3 @@ def _checked_up(up: ArrayLike) -> np.ndarray:
     if not length > 0:
         raise ValueError(f"up must be a direction, got {direction.tolist()}")
     return direction / length
-
-
-def _on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device) -> Any:
-    """An array of a Warp data type on a device, from one on any device or from NumPy."""
-    if isinstance(array, wp.array):
-        return array if array.device == device else array.to(device)
-    host = np.ascontiguousarray(array, dtype=np.int32 if dtype == wp.int32 else np.float32)
-    return wp.array(host, dtype=dtype, device=device)
-
-
-def _sh_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
-    """(rows, 3) of vec9 from that on a device, or from NumPy (rows, 9, 3)."""
-    if isinstance(sh, wp.array):
-        return _on_device(sh, vec9, device)
-    host = np.asarray(sh, np.float32)
-    if host.ndim != 3 or host.shape[1:] != (BASIS_COUNT, 3):
-        raise ValueError(f"sh must be (rows, 9, 3), got {host.shape}")
-    return wp.array(np.ascontiguousarray(host.transpose(0, 2, 1)), dtype=vec9, device=device)

@@ -1,0 +1,83 @@
+"""Edits on lattices as fast marches read them: flat arrays, nodes of four numbers, and one table of cells.
+
+The map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1.
+Needs: core/entries, lattice/cage_map.
+"""
+
+import warp as wp
+
+from ..core.entries import trilinear_entry
+from ..lattice.cage_map import CageMap
+
+wp.set_module_options({"enable_backward": False})
+
+#: `look` holds the flags of a cell that must be looked at, or this and the distance to the nearest such cell.
+LOOK_SKIP = wp.constant(32)
+
+
+@wp.struct
+class FlatEdit:
+    """A LatticeEdit with flat arrays: node (i, j, k), and the cell above it, is at (i * ny + j) * nz + k."""
+
+    lower: wp.vec3  # position of node (0, 0, 0)
+    inverse_spacing: float
+    node_counts: wp.vec3i
+    nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance
+    look: wp.array(dtype=wp.uint8)
+    has_sides: int  # 1: there are cells at narrow gaps of the cage with corner values for each side (see CageMap)
+    side_index: wp.array(dtype=int)
+    sides: wp.array2d(dtype=wp.vec4)
+    rest: CageMap
+    tolerance: float
+    slack: float
+    keeps_source: int
+    removes: int
+
+
+@wp.kernel
+def join_cell_tables(
+    first: int,
+    cells: wp.array3d(dtype=wp.uint8),
+    skip: wp.array3d(dtype=wp.uint8),
+    node_counts: wp.vec3i,
+    look: wp.array(dtype=wp.uint8),
+):
+    """The two tables of a LatticeEdit's cells as one, so that a sample reads one byte."""
+    n = first + wp.tid()
+    k = n % cells.shape[2]
+    j = (n // cells.shape[2]) % cells.shape[1]
+    i = n // (cells.shape[2] * cells.shape[1])
+    value = int(cells[i, j, k])
+    if skip[i, j, k] > wp.uint8(0):
+        value = LOOK_SKIP + int(skip[i, j, k])
+    look[(i * node_counts[1] + j) * node_counts[2] + k] = wp.uint8(value)
+
+
+@wp.kernel
+def join_nodes(
+    first: int, positions: wp.array(dtype=wp.vec3), distance: wp.array(dtype=float), nodes: wp.array(dtype=wp.vec4)
+):
+    """Position and distance of each node as four numbers. An edit that removes has no positions."""
+    n = first + wp.tid()
+    position = wp.vec3(0.0, 0.0, 0.0)
+    if positions.shape[0] > 0:
+        position = positions[n]
+    nodes[n] = wp.vec4(position[0], position[1], position[2], distance[n])
+
+
+@wp.func
+def rest_distance(edit: FlatEdit, x: wp.vec3):
+    """lattice/cage_map.map_distance of the rest cage."""
+    rest = edit.rest
+    return trilinear_entry(rest.distance, (x - rest.lower) * rest.inverse_spacing, 4.0 * rest.spacing)
+
+
+@wp.func
+def cell_exit(g: wp.vec3, inverse_rate: wp.vec3, reach: int):
+    """field/samples.exit_distance with the divisions done once per ray."""
+    leave = float(1.0e30)
+    for axis in range(3):
+        cell = wp.floor(g[axis])
+        plane = wp.where(inverse_rate[axis] > 0.0, cell + float(reach), cell - float(reach) + 1.0)
+        leave = wp.min(leave, (plane - g[axis]) * inverse_rate[axis])
+    return leave

@@ -1,0 +1,114 @@
+"""The trilinear map of an edit, and its derivative along a ray, from nodes of four numbers that are read at once.
+
+The map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1, is trilinear in each cell of its lattice. So
+the derivative along a direction (Eq. 4) is known at the point itself, and takes no other point of the map.
+Needs: lattice/cage_map.
+"""
+
+import warp as wp
+
+from ..lattice.cage_map import corner_share
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + n;
+    float r[4];
+    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + z), b1 = __ldg(begin + z + 1);
+    const float4 c0 = __ldg(begin + x), c1 = __ldg(begin + x + 1);
+    const float4 d0 = __ldg(begin + x + z), d1 = __ldg(begin + x + z + 1);
+    #define BLEND(m) { \\
+        const float p = a0.m + f.c[2] * (a1.m - a0.m), q = b0.m + f.c[2] * (b1.m - b0.m); \\
+        const float s = c0.m + f.c[2] * (c1.m - c0.m), t = d0.m + f.c[2] * (d1.m - d0.m); \\
+        const float u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s); \\
+        r[i++] = u + f.c[0] * (v - u); }
+    int i = 0;
+    BLEND(x) BLEND(y) BLEND(z) BLEND(w)
+    #undef BLEND
+    return wp::vec_t<4, wp::float32>(r[0], r[1], r[2], r[3]);
+#else
+    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
+    const four* begin = reinterpret_cast<const four*>(nodes.data) + n;
+    const four a = begin[0] + f.c[2] * (begin[1] - begin[0]);
+    const four b = begin[z] + f.c[2] * (begin[z + 1] - begin[z]);
+    const four c = begin[x] + f.c[2] * (begin[x + 1] - begin[x]);
+    const four d = begin[x + z] + f.c[2] * (begin[x + z + 1] - begin[x + z]);
+    const four u = a + f.c[1] * (b - a), v = c + f.c[1] * (d - c);
+    const four r = u + f.c[0] * (v - u);
+    return wp::vec_t<4, wp::float32>(r.x, r.y, r.z, r.w);
+#endif
+""")
+def node_blend(nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.int32, f: wp.vec3) -> wp.vec4:
+    """Trilinear value at a place f, 0 to 1, in the cell above node n. x, z: from a node to the next of axes 0 and 1."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + n;
+    float r[3];
+    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + z), b1 = __ldg(begin + z + 1);
+    const float4 c0 = __ldg(begin + x), c1 = __ldg(begin + x + 1);
+    const float4 d0 = __ldg(begin + x + z), d1 = __ldg(begin + x + z + 1);
+    #define SLOPE(m) { \\
+        const float ea = a1.m - a0.m, eb = b1.m - b0.m, ec = c1.m - c0.m, ed = d1.m - d0.m; \\
+        const float p = a0.m + f.c[2] * ea, q = b0.m + f.c[2] * eb, s = c0.m + f.c[2] * ec, t = d0.m + f.c[2] * ed; \\
+        const float u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s); \\
+        const float eu = ea + f.c[1] * (eb - ea), ev = ec + f.c[1] * (ed - ec); \\
+        const float g = (q - p) + f.c[0] * ((t - s) - (q - p)); \\
+        r[i++] = rate.c[0] * (v - u) + rate.c[1] * g + rate.c[2] * (eu + f.c[0] * (ev - eu)); }
+    int i = 0;
+    SLOPE(x) SLOPE(y) SLOPE(z)
+    #undef SLOPE
+    return wp::vec_t<3, wp::float32>(r[0], r[1], r[2]);
+#else
+    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
+    const four* begin = reinterpret_cast<const four*>(nodes.data) + n;
+    const four ea = begin[1] - begin[0], eb = begin[z + 1] - begin[z];
+    const four ec = begin[x + 1] - begin[x], ed = begin[x + z + 1] - begin[x + z];
+    const four p = begin[0] + f.c[2] * ea, q = begin[z] + f.c[2] * eb;
+    const four s = begin[x] + f.c[2] * ec, t = begin[x + z] + f.c[2] * ed;
+    const four u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s);
+    const four eu = ea + f.c[1] * (eb - ea), ev = ec + f.c[1] * (ed - ec);
+    const four g = (q - p) + f.c[0] * ((t - s) - (q - p));
+    const four r = rate.c[0] * (v - u) + rate.c[1] * g + rate.c[2] * (eu + f.c[0] * (ev - eu));
+    return wp::vec_t<3, wp::float32>(r.x, r.y, r.z);
+#endif
+""")
+def node_slope(
+    nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.int32, f: wp.vec3, rate: wp.vec3
+) -> wp.vec3:
+    """Derivative of node_blend's first three numbers where f moves at `rate`."""
+    ...
+
+
+@wp.func
+def share_slope(corner: int, offset: wp.vec3, rate: wp.vec3):
+    """Derivative of lattice/cage_map.corner_share where the offset moves at `rate`."""
+    total = float(0.0)
+    for axis in range(3):
+        high = (corner & (4 >> axis)) != 0
+        moved = offset
+        moved[axis] = wp.where(high, 1.0, 0.0)
+        total += wp.where(high, rate[axis], -rate[axis]) * corner_share(corner, moved)
+    return total
+
+
+@wp.func(inline=False)  # rare
+def side_slope(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3, rate: wp.vec3):
+    """Derivative of lattice/cage_map.side_position where the offset moves at `rate`."""
+    lowest = float(1.0e30)
+    chosen = int(0)
+    for side in range(entry % 8):
+        distance = float(0.0)
+        for corner in range(8):
+            distance += corner_share(corner, offset) * sides[entry / 8 + side, corner][3]
+        if distance < lowest:
+            lowest = distance
+            chosen = side
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for corner in range(8):
+        total += share_slope(corner, offset, rate) * sides[entry / 8 + chosen, corner]
+    return wp.vec3(total[0], total[1], total[2])

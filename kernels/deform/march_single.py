@@ -1,0 +1,232 @@
+"""The march through a voxel field that one edit deforms: that of deform/march, written for speed.
+
+The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
+of one edit on a lattice: flat arrays whose numbers are read many at once, one table of cells, and the map's derivative
+where matter is. Where the map compresses, a sample is cut into sub-samples as in deform/march.
+Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, field/grid, field/harmonics,
+field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from ..core.entries import byte_entry, cell_byte
+from ..field.grid import VoxelGrid, grid_position
+from ..field.harmonics import sh_basis
+from ..field.render import PENDING_WEIGHT, pending_colour
+from ..field.rows import RowTable, row_colour, row_density
+from ..field.samples import exit_of_cell, grid_span, safe_inverse, sample_index_after
+from ..lattice.cage_map import side_position
+from ..view.rays import box_span
+from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
+from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
+from .map_nodes import node_blend, node_slope, side_slope
+from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class NoSides:
+    """Says that no cell has corner values for each side of a narrow gap."""
+
+    unused: int
+
+
+@wp.struct
+class WithSides:
+    """Says that some have. Their functions are calls, around which a GPU keeps more registers, so that the march for
+    edits without them is compiled by itself."""
+
+    unused: int
+
+
+@wp.func
+def side_entry(sides: NoSides, edit: FlatEdit, n: int):
+    """Entry of the table of sides for the cell above node n, 0 for none."""
+    return 0
+
+
+@wp.func
+def side_entry(sides: WithSides, edit: FlatEdit, n: int):  # noqa: F811 (a Warp overload)
+    return edit.side_index[n]
+
+
+@wp.func
+def map_position(sides: NoSides, edit: FlatEdit, entry: int, f: wp.vec3, position: wp.vec3):
+    """Canonical position at a place in a cell whose corners alone say `position`."""
+    return position
+
+
+@wp.func
+def map_position(sides: WithSides, edit: FlatEdit, entry: int, f: wp.vec3, position: wp.vec3):  # noqa: F811
+    if entry != 0:
+        return side_position(edit.sides, entry, f)
+    return position
+
+
+@wp.func
+def map_slope(sides: NoSides, edit: FlatEdit, n: int, entry: int, f: wp.vec3, rate: wp.vec3):
+    """Derivative of the canonical position at a place in the cell above node n, which moves at `rate`."""
+    nz = edit.node_counts[2]
+    return node_slope(edit.nodes, n, edit.node_counts[1] * nz, nz, f, rate)
+
+
+@wp.func
+def map_slope(sides: WithSides, edit: FlatEdit, n: int, entry: int, f: wp.vec3, rate: wp.vec3):  # noqa: F811
+    if entry != 0:
+        return side_slope(edit.sides, entry, f, rate)
+    nz = edit.node_counts[2]
+    return node_slope(edit.nodes, n, edit.node_counts[1] * nz, nz, f, rate)
+
+
+@wp.func
+def march_edit(
+    sides: Any,
+    edit: FlatEdit,
+    grid: VoxelGrid,
+    table: RowTable,
+    origin: wp.vec3,
+    direction: wp.vec3,
+    options: MarchOptions,
+):
+    """Gather radiance along a ray through the deformed scene."""
+    seen = DeformedRadiance()
+    seen.transmittance = float(1.0)
+    seen.cleared_transmittance = float(1.0)
+    step = options.step
+    # the ray in lattice cells and in voxels
+    lattice_start = (origin - edit.lower) * edit.inverse_spacing
+    lattice_rate = direction * edit.inverse_spacing
+    tops = wp.vec3i(edit.node_counts[0] - 2, edit.node_counts[1] - 2, edit.node_counts[2] - 2)
+    corner = wp.vec3(float(tops[0] + 1), float(tops[1] + 1), float(tops[2] + 1))
+    box = box_span(lattice_start, lattice_rate, wp.vec3(0.0, 0.0, 0.0), corner)
+    span = grid_span(grid, origin, direction)
+    near = float(1.0e30)
+    far = float(-1.0)
+    if box[0] < box[1]:
+        near = box[0]
+        far = box[1]
+    if span[0] < span[1]:
+        near = wp.min(near, span[0])
+        far = wp.max(far, span[1])
+    lattice_inverse = safe_inverse(lattice_rate)
+    spacing = 1.0 / edit.inverse_spacing
+    nz = edit.node_counts[2]
+    nyz = edit.node_counts[1] * nz
+    cells = wp.vec3i(grid.skip.shape[0], grid.skip.shape[1], grid.skip.shape[2])
+
+    k = sample_index_after(near, step)
+    count = int(0)  # sub-samples of sample k; 0: not known, so one
+    j = int(0)
+    t = (float(k) + 0.5) * step
+    pending = float(0.0)  # weight of samples whose colour is not looked up yet
+    while t < far and seen.transmittance > options.stop:
+        # the canonical point
+        place = lattice_start + t * lattice_rate
+        position = edit.lower + spacing * place  # from few numbers that a ray keeps: registers are short
+        mapped = bool(False)
+        flags = int(0)
+        leave = t
+        n = int(0)
+        entry = int(0)
+        f = wp.vec3(0.0, 0.0, 0.0)
+        in_box = t >= box[0] and t < box[1]
+        if in_box:
+            ci = wp.clamp(int(place[0]), 0, tops[0])
+            cj = wp.clamp(int(place[1]), 0, tops[1])
+            ck = wp.clamp(int(place[2]), 0, tops[2])
+            n = ci * nyz + cj * nz + ck
+            f = place - wp.vec3(float(ci), float(cj), float(ck))
+            flags = byte_entry(edit.look, n)
+            if flags >= LOOK_SKIP:
+                leave = t + exit_of_cell(f, lattice_inverse, flags - LOOK_SKIP)
+                leave = wp.max(wp.min(leave, box[1]), t + 0.5 * step)
+            elif edit.removes == 0:
+                if (flags & CELL_OUTSIDE) == 0:
+                    node = node_blend(edit.nodes, n, nyz, nz, f)
+                    mapped = (flags & CELL_INSIDE) != 0 or node[3] <= edit.tolerance
+                    if mapped:
+                        entry = side_entry(sides, edit, n)
+                        position = map_position(sides, edit, entry, f, wp.vec3(node[0], node[1], node[2]))
+        g = grid_position(grid, position)
+        gi = int(wp.floor(g[0]))
+        gj = int(wp.floor(g[1]))
+        gk = int(wp.floor(g[2]))
+        offset = g - wp.vec3(float(gi), float(gj), float(gk))
+        empty = int(1)
+        if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2] and leave <= t:
+            empty = cell_byte(grid.skip, gi, gj, gk)
+        if not in_box:
+            if t < span[0] or not (t < span[1]):
+                leave = wp.where(t < span[0], span[0], wp.max(box[1], span[1]))
+            elif empty > 0:
+                inverse = wp.cw_mul(lattice_inverse, edit.inverse_spacing * grid.voxel_size)
+                leave = t + exit_of_cell(offset, inverse, empty)
+            if t < box[0] and box[0] < box[1]:
+                leave = wp.min(leave, box[0])
+        if leave > t:
+            k = wp.max(k + 1, int(wp.ceil(leave / step - 0.5)))
+            count = int(0)
+            j = int(0)
+            t = (float(k) + 0.5) * step
+            continue
+        # each function of the map stands once in this loop: registers are short
+        clears = not mapped and edit.keeps_source == 0 and empty == 0
+        room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage
+        if clears or (mapped and (flags & CELL_STAYS) == 0):
+            room = 0.5 * (edit.slack - rest_distance(edit, position))
+        leaves = mapped and room < 0.0
+        sigma = float(0.0)
+        if empty == 0 and not leaves:
+            sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
+        asks_length = mapped and count == 0 and (flags & CELL_STEEP) != 0
+        slope = spacing * lattice_rate
+        if mapped and (asks_length or sigma > 0.0):
+            slope = map_slope(sides, edit, n, entry, f, lattice_rate)
+        stretch = wp.length(slope)
+        if asks_length:
+            count = int(1)
+            if stretch > CUT_LENGTH:
+                count = wp.clamp(int(wp.ceil(stretch - 1.0e-3)), 1, MAX_SUB_SAMPLES)
+                t = (float(k) + 0.5 / float(count)) * step
+                continue
+        parts = wp.max(count, 1)
+        next_index = k + 1
+        if leaves:
+            seen.outside += 1.0
+        elif sigma > 0.0:
+            depth = sigma * step / float(parts)
+            if mapped and options.arc_opacity == 1:
+                depth = depth * stretch
+            kept = wp.exp(-depth)
+            if clears and room >= 0.5 * edit.slack:
+                if seen.cleared_transmittance > FAINT:
+                    seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
+                    seen.cleared_transmittance *= kept
+            else:
+                weight = seen.transmittance * (1.0 - kept)
+                pending += weight
+                if pending > PENDING_WEIGHT:
+                    along = wp.where(stretch > 1.0e-6, slope / stretch, spacing * lattice_rate)
+                    colour = row_colour(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
+                    seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                    pending = float(0.0)
+                seen.depth += weight * t
+                seen.transmittance *= kept
+                if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
+                    seen.fold += weight
+        elif empty > 1 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
+            hollow = float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH
+            leave = t + wp.min(wp.min(exit_of_cell(f, lattice_inverse, 1), hollow), room)
+            next_index = wp.max(next_index, int(wp.ceil(leave / step - 0.5)))
+        j += 1
+        if j >= parts:
+            k = next_index
+            count = int(0)
+            j = int(0)
+        parts = wp.max(count, 1)
+        t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
+    seen.colour += pending_colour(seen.colour, seen.transmittance, pending)
+    return seen

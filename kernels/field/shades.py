@@ -1,0 +1,147 @@
+"""What a camera sees of each voxel: its colour towards the camera and its optical depth, evaluated once per view.
+
+A march then reads eight numbers of 8 bytes a sample instead of 8 x 27 harmonics. Trilinear weights blend the directions
+to the eight nodes to the direction to the sample, but for the square of a voxel's angle from the camera, so that
+sum_i w_i c_i . Y(d_i) differs from (sum_i w_i c_i) . Y(d) by the change of c over a voxel times that angle.
+
+Needs: field/columns, field/grid, field/harmonics, field/rows.
+"""
+
+import warp as wp
+
+from .columns import Columns
+from .grid import VoxelGrid
+from .harmonics import sh_basis, vec9
+from .rows import cell_rows, eight_rows
+
+wp.set_module_options({"enable_backward": False, "block_dim": 128})
+
+
+@wp.struct
+class ShadedGrid:
+    """The rows of a grid in memory order, as one camera sees them."""
+
+    columns: Columns
+    centre: wp.vec3  # of the camera
+    step: float
+    shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue less 0.5 and optical depth of a step
+
+
+@wp.func_native("""
+    constexpr int N = sizeof(basis) / sizeof(wp::float32);
+#if defined(__CUDA_ARCH__)
+    // the rows of a warp are read as runs of memory, and turned over in shared memory
+    __shared__ float staged[4][32 * 3 * N];
+    const int lane = threadIdx.x & 31;
+    float* rows = staged[(threadIdx.x >> 5) & 3];
+    __syncwarp();
+    #pragma unroll 9
+    for (int part = 0; part < 3 * N; ++part)
+    {
+        const int entry = part * 32 + lane;
+        const int owner = entry / (3 * N);
+        const int place = entry - owner * 3 * N;
+        const int source = __shfl_sync(0xffffffffu, row, owner);
+        rows[entry] = reinterpret_cast<const float*>(sh.data)[(size_t)source * (3 * N) + place];
+    }
+    __syncwarp();
+    const float* c = rows + lane * 3 * N;
+#else
+    const float* c = reinterpret_cast<const float*>(sh.data) + (size_t)row * (3 * N);
+#endif
+    float sums[3];
+    for (int channel = 0; channel < 3; ++channel)
+    {
+        float sum = 0.0f;
+        for (int b = 0; b < N; ++b)
+            sum += basis.c[b] * c[channel * N + b];
+        sums[channel] = sum;
+    }
+    return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);
+""")
+def shade_colour(sh: wp.array2d(dtype=vec9), row: wp.int32, basis: vec9) -> wp.vec3:
+    """Harmonics of a row times a basis. All lanes, in blocks of at most 128 threads."""
+    ...
+
+
+@wp.func_native("""
+    const float limit = 65504.0f;
+#if defined(__CUDA_ARCH__)
+    const unsigned r = wp::float_to_half(fminf(fmaxf(value.c[0], -limit), limit)).u;
+    const unsigned g = wp::float_to_half(fminf(fmaxf(value.c[1], -limit), limit)).u;
+    const unsigned b = wp::float_to_half(fminf(fmaxf(value.c[2], -limit), limit)).u;
+    const unsigned d = wp::float_to_half(fminf(fmaxf(value.c[3], -limit), limit)).u;
+    reinterpret_cast<uint2*>(shades.data)[row] = make_uint2(r | (g << 16), b | (d << 16));
+#else
+    float* shade = reinterpret_cast<float*>(shades.data) + 4 * (size_t)row;
+    for (int i = 0; i < 4; ++i)  // also of what is no number
+        shade[i] = value.c[i] > limit ? limit : (value.c[i] >= -limit ? value.c[i] : -limit);
+#endif
+""")
+def write_shade(shades: wp.array2d(dtype=wp.uint32), row: wp.int32, value: wp.vec4):
+    """Keep red, green, blue and optical depth of a row: halves on CUDA, floats on a CPU."""
+    ...
+
+
+@wp.kernel
+def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), shaded: ShadedGrid):
+    """One thread per row, their number rounded up to whole warps. nodes: (rows,) of field/columns."""
+    item = first + wp.tid()
+    n = wp.min(item, nodes.shape[0] - 1)
+    node = nodes[n]
+    counts = shaded.columns.node_counts
+    k = node % counts[2]
+    j = (node // counts[2]) % counts[1]
+    i = node // (counts[2] * counts[1])
+    row = int(n)
+    if shaded.columns.order.shape[0] > 0:
+        row = shaded.columns.order[n]
+    place = grid.lower + wp.cw_mul(grid.voxel_size, wp.vec3(float(i), float(j), float(k)))
+    colour = shade_colour(grid.sh, row, sh_basis(wp.normalize(place - shaded.centre)))
+    if item < nodes.shape[0]:
+        write_shade(shaded.shades, n, wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step))
+
+
+@wp.func_native("""
+    float r = 0.0f, g = 0.0f, b = 0.0f, d = 0.0f;
+#if defined(__CUDA_ARCH__)
+    const uint2* shades = reinterpret_cast<const uint2*>(data.data);
+    #pragma unroll
+    for (int c = 0; c < 8; ++c)
+    {
+        uint2 shade = make_uint2(0u, 0u);
+        if (rows.c[c] >= 0)
+            shade = __ldg(shades + rows.c[c]);
+        const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0]) * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1])
+            * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
+        wp::half h;
+        h.u = shade.x & 0xffffu; r += weight * wp::half_to_float(h);
+        h.u = shade.x >> 16; g += weight * wp::half_to_float(h);
+        h.u = shade.y & 0xffffu; b += weight * wp::half_to_float(h);
+        h.u = shade.y >> 16; d += weight * wp::half_to_float(h);
+    }
+    return wp::vec_t<4, wp::float32>(r, g, b, d);
+#else
+    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
+    const four* shades = reinterpret_cast<const four*>(data.data);
+    four sum = 0.0f;
+    for (int c = 0; c < 8; ++c)
+        if (rows.c[c] >= 0)
+        {
+            #pragma clang fp contract(fast)
+            const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0])
+                * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1]) * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
+            sum += weight * shades[rows.c[c]];
+        }
+    return wp::vec_t<4, wp::float32>(sum.x, sum.y, sum.z, sum.w);
+#endif
+""")
+def blended_shades(data: wp.array2d(dtype=wp.uint32), rows: eight_rows, offset: wp.vec3) -> wp.vec4:
+    """Trilinear shade at a place, 0 to 1, in the cell of eight rows."""
+    ...
+
+
+@wp.func
+def shade_at(shaded: ShadedGrid, i: int, j: int, k: int, offset: wp.vec3):
+    """Trilinear shade at a place, 0 to 1, in the cell above node (i, j, k); the colour still lacks its 0.5."""
+    return blended_shades(shaded.shades, cell_rows(shaded.columns, i, j, k), offset)

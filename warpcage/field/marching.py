@@ -1,0 +1,86 @@
+"""What marches read of a field: tables that follow its arrays, whoever writes to them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.locks import owner_lock
+from ..core.modules import Kernel
+from ..kernels.field.grid import VoxelGrid
+from ..kernels.field.render import render_image
+from ..kernels.field.render_shaded import render_shaded_image
+from .shading import ColumnTable, row_table, shaded_grid
+from .sparse import MatterSkip
+
+#: Voxels are shaded for a camera at least this many voxels away: nearer ones are seen under too many directions.
+NEAR_VOXELS = 16.0
+
+#: Whether that is done on a CPU too, where rays are few, and bands of a picture would each shade all voxels.
+SHADES_ON_CPU = False
+
+
+class MarchTables:
+    """What marches read of a grid instead of its own arrays.
+
+    Values are read anew for each frame, so that none is shown that is no longer there. What is kept depends on the
+    links, which do not change, and on which densities are above zero, which is compared at each frame.
+
+    Args:
+        grid: The VoxelGrid.
+    """
+
+    def __init__(self, grid: Any):
+        self._grid = grid
+        self._columns: ColumnTable | None = None
+        self._matter = MatterSkip(grid.links)
+        self._lock = owner_lock(grid.links.device)  # threads may share a field
+
+    @property
+    def columns(self) -> ColumnTable:
+        """The rows told by bits, made when they are first asked for."""
+        with self._lock:
+            if self._columns is None:
+                self._columns = ColumnTable(self._grid.links)
+            return self._columns
+
+    def grid(self) -> Any:
+        """The VoxelGrid, with a `skip` that leaves out what holds no matter now."""
+        grid, own = VoxelGrid(), self._grid
+        grid.lower, grid.voxel_size, grid.inverse_voxel_size = own.lower, own.voxel_size, own.inverse_voxel_size
+        grid.links, grid.density, grid.sh = own.links, own.density, own.sh
+        with self._lock:
+            grid.skip = self._matter.distance(own.density)
+        return grid
+
+    def rows(self) -> Any:
+        """The rows as they are now: a RowTable of kernels/field/rows.py."""
+        return row_table(self._grid, self.columns)
+
+    def image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any]]:
+        """What renders a view of the grid.
+
+        Args:
+            centre: Of the camera, relative to the grid's origin.
+            step: March step, world units.
+
+        Returns:
+            A kernel, and its first inputs.
+        """
+        grid = self.grid()
+        if self._is_shaded(centre):
+            return render_shaded_image, [grid, shaded_grid(grid, self.columns, centre, step)]
+        return render_image, [grid, self.rows()]
+
+    def _is_shaded(self, centre: wp.vec3) -> bool:
+        """Whether voxels are shaded for a camera."""
+        grid = self._grid
+        if grid.links.device.is_cpu and not SHADES_ON_CPU:
+            return False
+        size = np.array(grid.voxel_size)
+        lower = np.array(grid.lower)
+        upper = lower + size * (np.array(grid.links.shape) - 1)
+        away = np.maximum(lower - np.array(centre), np.array(centre) - upper)
+        return bool(np.linalg.norm(np.maximum(away, 0.0)) > NEAR_VOXELS * size.max())

@@ -1,0 +1,112 @@
+"""What marches read of a field instead of its own arrays: columns, packed rows, and voxels shaded for a camera."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from ..core.arrays import empty_array
+from ..core.devices import launch
+from ..kernels.field import columns
+from ..kernels.field.rows import RowTable, pack_rows
+from ..kernels.field.shades import ShadedGrid, shade_rows
+from .files.contents import BASIS_COUNT
+
+#: 32-bit words of a packed row (kernels/field/rows), and of a shade (kernels/field/shades) on CUDA and on a CPU.
+_CHANNEL_WORDS = (BASIS_COUNT + 2) // 4
+PACKED_WORDS = -(-(2 + 3 * _CHANNEL_WORDS) // 4) * 4
+CUDA_SHADE_WORDS, CPU_SHADE_WORDS = 2, 4
+
+#: Rows that work together on CUDA.
+WARP_LANES = 32
+
+
+class ColumnTable:
+    """The rows of a grid told by bits, see kernels/field/columns.
+
+    Args:
+        links: (nx, ny, nz) int32, row of each node or -1.
+
+    Attributes:
+        columns: The Columns that kernels take.
+        nodes: (rows,) int32 flat index of each row's node.
+    """
+
+    def __init__(self, links: wp.array):
+        device = links.device
+        column_count = links.shape[0] * links.shape[1]
+        counts = empty_array(column_count, wp.int32, device)
+        launch(columns.count_rows, column_count, [links], [counts], device=device, work=links.shape[2])
+        wp.utils.array_scan(counts, counts, inclusive=True)
+        row_count = int(counts[-1:].numpy()[0])
+        self.nodes = empty_array(row_count, wp.int32, device)
+        order = empty_array(row_count, wp.int32, device)
+        block_count = -(-(links.shape[2] - 1) // int(columns.BLOCK_NODES))
+        self.columns = columns.Columns()
+        self.columns.node_counts = wp.vec3i(*links.shape)
+        self.columns.blocks = empty_array((column_count, block_count), wp.vec2i, device)
+        launch(
+            columns.mark_blocks,
+            column_count,
+            [links, counts],
+            [self.columns.blocks, self.nodes, order],
+            device=device,
+            work=links.shape[2],
+        )
+        unsorted = wp.zeros(1, dtype=wp.int32, device=device)
+        launch(columns.find_unsorted, row_count, [order], [unsorted], device=device)
+        if unsorted.numpy()[0]:
+            self.columns.order = order
+
+
+def whole_warps(rows: int, device: wp.Device) -> int:
+    """Threads of a kernel whose rows work together: rounded up on CUDA.
+
+    Args:
+        rows: Number of rows.
+        device: Warp device.
+
+    Returns:
+        The number.
+    """
+    return rows if device.is_cpu else -(-rows // WARP_LANES) * WARP_LANES
+
+
+def row_table(grid: Any, table: ColumnTable) -> Any:
+    """The rows of a grid as a march reads them.
+
+    Args:
+        grid: VoxelGrid.
+        table: Of its links.
+
+    Returns:
+        A RowTable of kernels/field/rows.py, of the values that the grid has now.
+    """
+    device, rows = grid.links.device, table.nodes.shape[0]
+    result = RowTable()
+    result.columns = table.columns
+    if not device.is_cpu:
+        result.packed = empty_array((rows, PACKED_WORDS), wp.uint32, device)
+        launch(pack_rows, whole_warps(rows, device), [grid, table.columns], [result.packed], device=device)
+    return result
+
+
+def shaded_grid(grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> Any:
+    """The rows of a grid as a camera sees them.
+
+    Args:
+        grid: VoxelGrid.
+        table: Of its links.
+        centre: Of the camera, relative to the grid's origin.
+        step: March step, world units.
+
+    Returns:
+        A ShadedGrid of kernels/field/shades.py, of the values that the grid has now.
+    """
+    device, rows = grid.links.device, table.nodes.shape[0]
+    shaded = ShadedGrid()
+    shaded.columns, shaded.centre, shaded.step = table.columns, centre, step
+    shaded.shades = empty_array((rows, CPU_SHADE_WORDS if device.is_cpu else CUDA_SHADE_WORDS), wp.uint32, device)
+    launch(shade_rows, whole_warps(rows, device), [grid, table.nodes, shaded], device=device)
+    return shaded
