@@ -1,53 +1,85 @@
-"""How the defaults of a fit do on scenes of several kinds: PSNR on held-out views, seconds, voxels.
+"""How the defaults of a fit do on scenes of several kinds: PSNR on held-out views, error of opacity, seconds, voxels.
 
     python benchmarks/fit_scenes.py --size 100 --json scenes.json
+    python benchmarks/fit_scenes.py --size 400 --folder data/lego_800 data/mic_800 data/dtu_scan24_half data/fox:2 \
+        --quality fast standard high --device cuda:0 --warm --json scenes.json --worst worst
     python benchmarks/fit_scenes.py --kind "20 views" thin --size 200 --views 60 --option epochs=16
-    python benchmarks/fit_scenes.py --kind --data ../shared/data/lego_800 --every 4 --downscale 8
+    python benchmarks/fit_scenes.py --kind --folder data/lego_800:8 --every 4
 
 Seconds run from images in host memory to the finished field. Those of the first scene include the compilation of
-kernels that are not in Warp's cache yet.
+kernels that are not in Warp's cache yet; with --warm a small fit compiles them before. The error of opacity is the mean
+absolute difference to the alphas of the held-out views. --worst FOLDER keeps the worst views, each beside its picture.
 """
 
 import argparse
 import ast
+import dataclasses
 import json
+import pathlib
 import platform
 import time
 
+import numpy as np
 import warp as wp
 
 import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.reference.fit_scenes import KINDS, synthetic_scene
+from warpcage.view.pictures import side_by_side, write_png
+
+#: Training views that are rendered to see how far a fit goes beyond what it generalises.
+TRAINING_VIEWS = 16
+
+#: Views of a scene that are named as its worst.
+WORST = 3
 
 
-def measure(name, scene, test, device, options: dict) -> dict:
+def measure(name, scene, test, device, options: dict) -> tuple[dict, warpcage.VoxelField]:
+    """One fit: what it reached, and its field."""
     begin = time.perf_counter()
     field = warpcage.fit(scene, device=device, progress=False, **options)
     wp.synchronize_device(device)
     seconds = time.perf_counter() - begin
-    return {
+    views = evaluate(field, test)
+    row = {
         "scene": name,
         "views": len(scene),
         "size": scene.images.shape[1],
         "options": options,
-        "psnr": mean_psnr(evaluate(field, test)),
-        "psnr_training": mean_psnr(evaluate(field, scene)),
+        "psnr": mean_psnr(views),
+        "psnr_training": mean_psnr(evaluate(field, every_nth(scene, max(1, len(scene) // TRAINING_VIEWS)))),
+        "alpha_error": alpha_error(field, test),
+        "worst": sorted((row["psnr"], row["view"]) for row in views)[:WORST],
         "seconds": seconds,
         "voxels": field.voxel_count,
         "resolution": field.resolution,
     }
+    return row, field
+
+
+def alpha_error(field, scene) -> float | None:
+    """Mean absolute difference of a field's opacity to a scene's, over its views."""
+    if scene.alphas is None:
+        return None
+    pairs = zip(scene.cameras, scene.alphas, strict=True)
+    return float(np.mean([np.abs(field.render(camera).alpha - alpha).mean() for camera, alpha in pairs]))
+
+
+def write_worst(folder: pathlib.Path, row: dict, field, test) -> None:
+    """The worst views of a fit as PNG files, what it renders on the left."""
+    folder.mkdir(parents=True, exist_ok=True)
+    stem = "_".join([pathlib.Path(row["scene"]).name, row["options"].get("quality", "standard")])
+    for place, (_, view) in enumerate(row["worst"]):
+        index = list(test.names).index(view)
+        pair = side_by_side([np.clip(field.render(test.cameras[index]).rgb, 0, 1), test.images[index]])
+        write_png(folder / f"{stem}_{place}.png".replace(" ", "_").replace(",", ""), pair)
 
 
 def every_nth(scene, n: int):
     """Every n-th view of a scene, from the first."""
-    alphas = None if scene.alphas is None else scene.alphas[::n]
-    return warpcage.Scene(scene.images[::n], alphas, scene.cameras[::n], scene.background, scene.names[::n])
-
-
-def without_alphas(scene):
-    return warpcage.Scene(scene.images, None, scene.cameras, scene.background, scene.names)
+    parts = {name: getattr(scene, name) for name in ("images", "alphas", "surroundings", "cameras", "names")}
+    return dataclasses.replace(scene, **{name: part if part is None else part[::n] for name, part in parts.items()})
 
 
 def scenes_of(args, device):
@@ -57,13 +89,14 @@ def scenes_of(args, device):
             kind, train_views=args.views, size=args.size, alpha=not args.opaque, device=device
         )
         yield kind, train, test
-    if args.data:
+    for folder in args.folder:
+        path, _, factor = folder.partition(":")
         train, test = (
-            warpcage.load_scene(args.data, split=split, downscale=args.downscale) for split in ("train", "test")
+            warpcage.load_scene(path, split=split, downscale=int(factor or 1)) for split in ("train", "test")
         )
         if args.opaque:
-            train = without_alphas(train)
-        yield f"{args.data}, every {args.every}.", every_nth(train, args.every), test
+            train = dataclasses.replace(train, alphas=None)
+        yield folder if args.every == 1 else f"{folder}, every {args.every}.", every_nth(train, args.every), test
 
 
 def main() -> None:
@@ -72,30 +105,38 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=60, help="training views, for kinds that do not fix their number")
     parser.add_argument("--size", type=int, default=100, help="pixels along each side")
     parser.add_argument("--opaque", action="store_true", help="fit without the alphas")
-    parser.add_argument("--data", help="one more scene: a folder with train and test splits")
-    parser.add_argument("--downscale", type=int, default=8, help="of --data")
-    parser.add_argument("--every", type=int, default=4, help="take every n-th training view of --data")
+    parser.add_argument("--folder", nargs="*", default=[], help="more scenes, each FOLDER or FOLDER:DOWNSCALE")
+    parser.add_argument("--every", type=int, default=1, help="take every n-th training view of each --folder")
+    parser.add_argument("--quality", nargs="*", default=["standard"], choices=["fast", "standard", "high"])
     parser.add_argument("--device", default=None)
+    parser.add_argument("--warm", action="store_true", help="compile kernels before the first fit")
     parser.add_argument("--option", nargs="*", default=[], help="FitOptions as name=value")
+    parser.add_argument("--worst", help="folder for the worst views")
     parser.add_argument("--json", help="file for the results")
     args = parser.parse_args()
     device = resolve_device(args.device)
     options = {name: ast.literal_eval(value) for name, value in (pair.split("=", 1) for pair in args.option)}
+    if args.warm:
+        train, _ = synthetic_scene("bricks", train_views=8, size=32, device=device)
+        for quality in args.quality:
+            warpcage.fit(train, device=device, progress=False, quality=quality).render(train.cameras[0])
     results = []
-    print(f"{'scene':32} views  PSNR dB  training  seconds    voxels  resolution")
+    print(f"{'scene':32} quality   views  PSNR dB  training  opacity  seconds    voxels  resolution")
     for name, scene, test in scenes_of(args, device):
-        row = measure(name, scene, test, device, options)
-        results.append(row)
-        size = "x".join(str(n) for n in row["resolution"])
-        print(
-            f"{name[-32:]:32} {row['views']:5d}  {row['psnr']:7.2f}  {row['psnr_training']:8.2f}"
-            f"  {row['seconds']:7.1f}  {row['voxels']:8d}  {size}",
-            flush=True,
-        )
-        if args.json:
-            with open(args.json, "w", encoding="utf-8") as file:
+        for quality in args.quality:
+            row, field = measure(name, scene, test, device, {"quality": quality, **options})
+            results.append(row)
+            opacity = "      -" if row["alpha_error"] is None else f"{row['alpha_error']:.5f}"
+            print(
+                f"{name[-32:]:32} {quality:8}  {row['views']:5d}  {row['psnr']:7.2f}  {row['psnr_training']:8.2f}"
+                f"  {opacity}  {row['seconds']:7.1f}  {row['voxels']:8d}  {'x'.join(map(str, row['resolution']))}",
+                flush=True,
+            )
+            if args.worst:
+                write_worst(pathlib.Path(args.worst), row, field, test)
+            if args.json:
                 content = {"device": device.name or platform.processor(), "warp": wp.__version__, "runs": results}
-                json.dump(content, file, indent=1)
+                pathlib.Path(args.json).write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

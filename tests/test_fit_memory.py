@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 import warp as wp
 from background_scenes import room_scene
+from order_oracle import shuffled
 from test_fit_edges import around, seen
 
 from warpcage import Scene, fit
+from warpcage.fitting import memory
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.level import Level, node_bytes, row_bytes
@@ -180,6 +182,39 @@ def test_more_memory_is_more_detail(scene, device):
     assert shapes[0] == shapes[1] and shapes[1][0] > shapes[2][0] > shapes[3][0]
 
 
+# More voxels than a launch has items
+
+
+def test_levels_have_no_more_voxels_than_a_launch_has_items(scene, device):
+    """Whatever the memory: a phone's capture at `quality="high"` asked for 95 million voxels of 28 numbers."""
+    optimizer = FieldOptimizer(scene, device=device, levels=2, resolution=16)
+    held, most = optimizer.memory(), 2**31 - 1
+    assert held.row_numbers == 28
+    coarse, planned = (360, 360, 360), (720, 720, 720)
+    shape = held.refinement(20_000_000, 12_000_000, coarse, planned, 10**15)
+    assert shape is not None and coarse < shape < planned
+    assert 12_000_000 * np.prod(shape) / np.prod(coarse) * 28 <= most
+    nearly = held.refinement(20_000_000, 9_000_000, coarse, planned, 10**15)
+    assert nearly == planned  # 72 million voxels fit
+    assert held.refinement(1000, 1000, (1024,) * 3, (2048,) * 3, 10**15)[0] < 1291  # nodes are counted too
+    shapes = held.first_shapes([(1500, 1500, 1500)], 10**8, 10**15)
+    assert np.prod(shapes[0]) <= most and 10**8 * np.prod(shapes[0]) / 1500**3 * 28 <= most
+
+
+def test_a_fit_that_meets_the_limit_says_so_and_goes_on(scene, device, monkeypatch, capsys):
+    monkeypatch.setattr(memory, "MOST_ITEMS", 28 * 4000)
+    field = fit(scene, device=device, least_steps=60)
+    said = [
+        line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line.startswith("fit: the field")
+    ]
+    assert field.voxel_count <= 4000 and mean_psnr(evaluate(field, scene)) > 24
+    size = "x".join(str(n) for n in field.resolution)
+    assert len(said) == 1 and f"has {size} instead of" in said[0]
+    monkeypatch.undo()
+    fit(scene, device=device, least_steps=60)
+    assert "instead of" not in capsys.readouterr().err
+
+
 # Pictures at 8 bits a channel
 
 
@@ -231,7 +266,8 @@ def test_a_loss_compares_with_either_precision(device, bits, masks):
     seen_part = scene.images - (1 - alphas[..., None]) * scene.background
     errors = ((seen_part - alphas[..., None] * field.background) ** 2).sum(axis=-1)
     places = (np.indices((2, 4, 4)) * np.array([1, 2, 2])[:, None, None, None]).reshape(3, -1).T
-    expected = [errors[v, r + n // 2, c + n % 2] for v, r, c in places[optimizer.rays.tiles.numpy()] for n in range(4)]
+    tiles = shuffled(optimizer.rays.tiles.numpy(), optimizer.rays.order)
+    expected = [errors[v, r + n // 2, c + n % 2] for v, r, c in places[tiles] for n in range(4)]
     found = optimizer.batches.squared_error.numpy()
     assert len(found) <= len(expected) and np.ptp(found) > 0.1
     np.testing.assert_allclose(found, expected[: len(found)], atol=2e-3 if bits == 16 else 8e-3)

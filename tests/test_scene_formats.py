@@ -120,6 +120,23 @@ def test_transforms(tmp_path, bricks, options):
     require_equal(load(tmp_path, format="transforms"), bricks.pick(KEPT))
 
 
+def test_pictures_that_are_not_there_are_left_out(tmp_path, bricks):
+    """As captures are published: the list names blurred pictures too, which were thrown away."""
+    write_transforms(tmp_path, bricks)
+    for number in (1, 4):
+        (tmp_path / "images" / f"view_{number:02d}.png").unlink()
+    kept = [number for number in range(len(bricks.names)) if number not in (1, 4)]
+    with pytest.warns(UserWarning, match=f"lists {len(bricks.names)} pictures, 2 of them are not there") as caught:
+        found = [load(tmp_path, split=split) for split in ("train", "test")]
+    assert "\n" not in str(caught[0].message) and "view_0" in str(caught[0].message)
+    names = sorted(name for scene in found for name in scene.names)
+    assert [name[:7] for name in names] == [bricks.names[number] for number in kept]
+    for number in kept:
+        (tmp_path / "images" / f"{bricks.names[number]}.png").unlink()
+    with pytest.raises(FileNotFoundError, match="view_"):
+        load(tmp_path)
+
+
 def test_transforms_splits_of_its_own(tmp_path, bricks):
     lists = {"train_filenames": ["images/view_03.png", "images/view_01.png"], "val_filenames": ["images/view_02.png"]}
     write_transforms(tmp_path / "lists", bricks, **lists)

@@ -4,7 +4,7 @@ Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. W
 background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
 hand-written adjoint of the march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop of unknown
 length).
-Needs: field/grid, field/harmonics, field/samples, fitting/pictures, view/rays.
+Needs: field/grid, field/harmonics, field/samples, fitting/pictures, fitting/shuffle, view/rays.
 """
 
 import warp as wp
@@ -14,6 +14,7 @@ from ..field.harmonics import sh_basis, vec9
 from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from ..view.rays import PinholeCamera, image_direction
 from .pictures import Pictures, picture_pixel
+from .shuffle import shuffled_place
 
 wp.set_module_options({"enable_backward": False})
 mat43 = wp.types.matrix(shape=(4, 3), dtype=wp.float32)
@@ -30,9 +31,12 @@ class TrainingRays:
     pictures: Pictures  # (views, h, w)
     height: int  # of a picture, pixels
     width: int
-    tiles: wp.array(dtype=wp.int32)  # shuffled flat tile indices: (view * tile rows + tile row) * tile columns + column
+    tiles: wp.array(
+        dtype=wp.int32
+    )  # flat indices of those that count: (view * tile rows + row) * tile columns + column
     tile_size: int
-    first_tile: int  # where this batch begins in `tiles`
+    order: int  # key of the order in which `tiles` are taken (fitting/shuffle)
+    first_tile: int  # where this batch begins in that order
     rays_per_side: int  # 1: through the middle of a pixel, 2: four rays, each somewhere in its quarter
 
 
@@ -42,7 +46,8 @@ def batch_pixel(rays: TrainingRays, n: int):
     size = rays.tile_size
     columns = (rays.width + size - 1) // size
     rows = (rays.height + size - 1) // size
-    tile = rays.tiles[(rays.first_tile + n // (size * size)) % rays.tiles.shape[0]]
+    count = rays.tiles.shape[0]
+    tile = rays.tiles[shuffled_place((rays.first_tile + n // (size * size)) % count, count, rays.order)]
     within = n % (size * size)
     view = tile // (rows * columns)
     row = (tile // columns) % rows * size + within // size

@@ -9,8 +9,8 @@ Needs: core/lanes, field/grid, field/harmonics, field/samples, fitting/loss, fit
 
 import warp as wp
 
-from ..core.lanes import ballot, from_lane, lowest_bit, without_lowest_bit
-from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from ..core.lanes import ballot, from_lane, index_from_lane, lowest_bit, without_lowest_bit
+from ..field.grid import CellSample, VoxelGrid, cell_density, cell_sample, empty_distance
 from ..field.harmonics import sh_basis
 from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
@@ -18,6 +18,12 @@ from .rmsprop import COEFFICIENTS, GRADIENT_ROW
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 LANES = wp.constant(32)
+
+#: Where a filled cell is at most this many cells away, the densities of the next samples are asked at once.
+NEAR = wp.constant(4)
+
+#: Sample at which a march has nothing to do.
+BEYOND = wp.constant(1 << 28)
 
 
 @wp.func
@@ -49,6 +55,15 @@ def channel_sum(value: float, lane: int, channel: int):
 def over_channels(value: float):
     """Sum of what the first lanes of red, green and blue hold."""
     return from_lane(value, 0) + from_lane(value, 9) + from_lane(value, 18)
+
+
+@wp.func
+def corner_weight(f: wp.vec3, corner: int):
+    """Trilinear weight of a corner of a cell. f: place within it."""
+    wx = wp.where((corner >> 2) == 1, f[0], 1.0 - f[0])
+    wy = wp.where(((corner >> 1) & 1) == 1, f[1], 1.0 - f[1])
+    wz = wp.where((corner & 1) == 1, f[2], 1.0 - f[2])
+    return wx * wy * wz
 
 
 @wp.func
@@ -92,7 +107,7 @@ def accumulate_photometric_gradient_by_warps(
                 grad_background[n] = wp.vec3()
         return
     channel = wp.min(lane // 9, 3)
-    camera = rays.cameras[pixel[0]]
+    number = wp.min(lane, COEFFICIENTS - 1)
     all_behind = background_behind(background, random_background, seed, n)
     if has_background:
         all_behind = own_background[n]
@@ -102,11 +117,13 @@ def accumulate_photometric_gradient_by_warps(
     # of this lane's channel
     subray_count = rays.rays_per_side * rays.rays_per_side
     colours = wp.vec4()
+    starts = wp.vec4i(BEYOND, BEYOND, BEYOND, BEYOND)  # where a sub-ray first comes near to anything
     left_over = float(0.0)  # transmittance, summed over the sub-rays
     grad_colour = float(0.0)
     march = int(0)
     while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
         subray = march % subray_count
+        camera = rays.cameras[pixel[0]]  # not kept from march to march: registers are what is short
         direction = subray_direction(rays, camera, pixel, subray, seed, n)
         all_basis = sh_basis(direction)
         basis = float(0.0)
@@ -118,18 +135,22 @@ def accumulate_photometric_gradient_by_warps(
         later = over_channels(colours[subray] * grad_colour)
         colour = float(0.0)
         transmittance = float(1.0)
-        k = ray.first
+        k = wp.where(march < subray_count, ray.first, starts[subray])
         while sample_distance(ray, k) < ray.far and transmittance > stop:
             g = sample_place(ray, k)
             empty = empty_distance(grid, g)
-            if empty > 0:
+            if empty > NEAR:
                 k = sample_beyond(ray, k, g, empty)
             else:
-                # density of 32 samples, one a lane
+                if march < subray_count:
+                    starts[subray] = wp.min(starts[subray], k)
+                # density of 32 samples, one a lane, which keeps the rows of its cell for the others
                 own_g = sample_place(ray, k + lane)
                 depth = float(0.0)
+                own = CellSample()
                 if sample_distance(ray, k + lane) < ray.far and empty_distance(grid, own_g) == 0:
-                    depth = wp.max(cell_density(grid, cell_sample(grid, own_g)), 0.0) * step
+                    own = cell_sample(grid, own_g)
+                    depth = wp.max(cell_density(grid, own), 0.0) * step
                 before = transmittance * wp.exp(-sum_before(depth, lane))
                 alpha = 1.0 - wp.exp(-depth)
                 matter = ballot(wp.where(depth > 0.0 and before > stop, 1, 0))
@@ -137,14 +158,15 @@ def accumulate_photometric_gradient_by_warps(
                 while matter != 0:
                     j = lowest_bit(matter)
                     matter = without_lowest_bit(matter)
-                    cell = cell_sample(grid, sample_place(ray, k + j))
+                    g_j = sample_place(ray, k + j)
+                    f = g_j - wp.vec3(wp.floor(g_j[0]), wp.floor(g_j[1]), wp.floor(g_j[2]))
                     left = from_lane(before, j)
                     weight = left * from_lane(alpha, j)
                     value = float(0.0)
-                    if lane < COEFFICIENTS:
-                        for c in range(8):
-                            if cell.rows[c] >= 0:
-                                value += cell.weights[c] * coefficients[cell.rows[c], lane]
+                    for c in range(8):  # no branches: all eight loads are on their way together
+                        row = index_from_lane(own.rows[c], j)
+                        there = wp.where(row >= 0, corner_weight(f, c), 0.0)
+                        value += there * coefficients[wp.max(row, 0), number]
                     raw = channel_sum(basis * value, lane, channel) + 0.5
                     radiance = wp.max(raw, 0.0)
                     if march < subray_count:
@@ -155,12 +177,15 @@ def accumulate_photometric_gradient_by_warps(
                         gradient = step * ((left - weight) * change - later)
                         if lane < COEFFICIENTS:
                             gradient = wp.where(raw > 0.0, weight * grad_colour * basis, 0.0)
-                        if lane < GRADIENT_ROW:
-                            for c in range(8):
-                                if cell.rows[c] >= 0:
-                                    if lane == c:
-                                        touched[cell.rows[c]] = wp.uint8(1)
-                                    wp.atomic_add(gradients, cell.rows[c], lane, cell.weights[c] * gradient)
+                        marked = int(-1)
+                        for c in range(8):
+                            row = index_from_lane(own.rows[c], j)
+                            if lane == c:
+                                marked = row
+                            if row >= 0 and lane < GRADIENT_ROW:
+                                wp.atomic_add(gradients, row, lane, corner_weight(f, c) * gradient)
+                        if marked >= 0:
+                            touched[marked] = wp.uint8(1)
                 k += LANES
         if march < subray_count:
             colours[subray] = colour + transmittance * behind

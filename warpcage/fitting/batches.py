@@ -24,6 +24,9 @@ TILE_BYTES, ERROR_BYTES = 4, 4
 #: Steps of a field's march along which a tile is looked through.
 ACTIVE_STEP = 2.0
 
+#: Keys of orders.
+ORDERS = 2**31
+
 #: Least mean squared error that a PSNR is computed from.
 LEAST_ERROR = 1e-12
 
@@ -73,9 +76,9 @@ class Batches:
         rays: TrainingRays, what the losses take.
         pictures: The scene's pictures on the device.
         tile_total: Tiles of all pictures.
-        tile_ids: (tiles,) int32, tiles that see anything of the field.
+        active_tiles: Tiles that see anything of the field.
         batch_tiles: Tiles per batch.
-        cursor: Where the next batch begins in the shuffled order.
+        cursor: Where the next batch begins in the order.
         squared_error: (rays,) float32 of the last batch, summed over the channels.
     """
 
@@ -98,8 +101,7 @@ class Batches:
         self.rays.tile_size = tile_size
         self.rays.rays_per_side = 1
         self.tile_total = count * -(-height // tile_size) * -(-width // tile_size)
-        self.tile_ids = np.empty(0, np.int32)
-        self.batch_tiles = self.cursor = 0
+        self.active_tiles = self.batch_tiles = self.cursor = 0
         self.squared_error = wp.zeros(0, dtype=wp.float32, device=device)
         self.pictures = TrainingPictures(scene, chosen_bits(scene, held + self.rays.cameras.capacity, limit), device)
         self.rays.pictures = self.pictures.seen
@@ -118,7 +120,7 @@ class Batches:
     @property
     def held_bytes(self) -> int:
         """Device memory of pictures, cameras, tiles and errors; of all tiles, where it is not known yet which count."""
-        tiles = len(self.tile_ids) or self.tile_total
+        tiles = self.active_tiles or self.tile_total
         errors = ERROR_BYTES * self.squared_error.size
         return self.pictures.held_bytes + self.rays.cameras.capacity + TILE_BYTES * tiles + errors
 
@@ -126,11 +128,6 @@ class Batches:
     def mark_bytes(self) -> int:
         """Device memory of one number for each tile of the pictures, held while the active ones are found."""
         return TILE_BYTES * self.tile_total
-
-    @property
-    def active_tiles(self) -> int:
-        """Tiles that see anything of the field."""
-        return len(self.tile_ids)
 
     @property
     def batch_rays(self) -> int:
@@ -146,9 +143,10 @@ class Batches:
         Raises:
             ValueError: Where no tile sees the field.
         """
-        self.tile_ids = np.arange(self.tile_total, dtype=np.int32) if field is None else self._seeing(field)
-        if len(self.tile_ids) == 0:
+        tiles = np.arange(self.tile_total, dtype=np.int32) if field is None else self._seeing(field)
+        if len(tiles) == 0:
             raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
+        self.take(tiles)
         self.shuffle()
 
     def _seeing(self, field: VoxelField) -> np.ndarray:
@@ -165,16 +163,25 @@ class Batches:
 
     def shuffle(self) -> None:
         """Another order of the active tiles, from its beginning."""
-        self.order(self.random.permutation(self.tile_ids), 0)
+        self.order(int(self.random.integers(ORDERS)), 0)
 
-    def order(self, tiles: np.ndarray, cursor: int) -> None:
+    def take(self, tiles: np.ndarray) -> None:
+        """Batches of these tiles from now on.
+
+        Args:
+            tiles: (tiles,) int32, those that count.
+        """
+        self.active_tiles = len(tiles)
+        self.rays.tiles = wp.array(tiles, dtype=wp.int32, device=self.device)
+
+    def order(self, key: int, cursor: int) -> None:
         """Go on in a given order.
 
         Args:
-            tiles: (tiles,) int32, the active tiles.
+            key: Of the order, see kernels/fitting/shuffle.
             cursor: Where the next batch begins.
         """
-        self.rays.tiles = wp.array(tiles, dtype=wp.int32, device=self.device)
+        self.rays.order = key
         self.cursor = cursor
 
     def advance(self, rays_per_side: int) -> None:

@@ -19,13 +19,13 @@ from ..core.threads import run_parallel
 from ..kernels.field.harmonics import vec9
 from ..scene.scene import Scene
 from .background import BackgroundOptimizer
-from .batches import Batches
+from .batches import ORDERS, Batches
 from .level import ROW_NUMBERS, Level
 from .pictures import PRECISIONS
 from .schedule import Schedule
 
-#: Version 3: the fingerprint takes in the whole scene. Those of earlier versions cannot be compared with it.
-KIND, VERSION = "warpcage fit", 3
+#: Version 4: tiles in their own order, with the key of the order in which they are taken.
+KIND, VERSION = "warpcage fit", 4
 
 #: Exponent bits of a bfloat16: all of them are set in numbers that are not finite.
 EXPONENT_BITS = 0x7F80
@@ -93,6 +93,7 @@ def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
                     "shapes": optimizer.shapes,
                     "picture_bits": batches.pictures.bits,
                     "cursor": batches.cursor,
+                    "order": batches.rays.order,
                     "random": optimizer.random.bit_generator.state,
                 }
             )
@@ -144,7 +145,7 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
     """Check everything before it reaches a kernel: kernels do not."""
     schedule, batches = optimizer.schedule, optimizer.batches
     state = json.loads(str(contents["state"]))
-    level, cursor = int(state["level"]), int(state["cursor"])
+    level, cursor, order = (int(state[name]) for name in ("level", "cursor", "order"))
     level_steps = [int(count) for count in state["level_steps"]]
     if not 0 <= level < len(optimizer.shapes) or len(level_steps) != len(schedule.level_steps):
         raise ValueError(f"level {level} of {len(level_steps)} steps")
@@ -175,6 +176,8 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
         raise ValueError(f"{len(tiles)} tiles of pixels, {batches.active_tiles} expected")
     if not 0 <= cursor <= len(tiles):
         raise ValueError(f"cursor {cursor} among {len(tiles)} tiles")
+    if not 0 <= order < ORDERS:
+        raise ValueError(f"order {order}, its key is below {ORDERS}")
     for target, values, dtype in (
         (optimizer.current.field.grid.density, density, wp.float32),
         (optimizer.current.field.grid.sh, sh, vec9),
@@ -186,7 +189,8 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
     schedule.step_count, schedule.level, schedule.level_steps = int(state["step_count"]), level, level_steps
     optimizer.shapes = shapes
     optimizer.random.bit_generator.state = state["random"]
-    batches.order(tiles, cursor)
+    batches.take(tiles)
+    batches.order(order, cursor)
 
 
 def fingerprint(optimizer: Fit) -> str:

@@ -322,6 +322,7 @@ def level_memory(shape: tuple[int, ...], shards: int, fixed: int, tiles: int) ->
         moment_row=MOMENT_BYTES,
         shards=shards,
         tiles=tiles,
+        row_numbers=ROW_NUMBERS,
     )
 
 

@@ -31,6 +31,9 @@ SHRINKAGE = 0.9
 #: Images that do not fit should take this share of the memory after they are shrunk.
 IMAGE_SHARE = 0.5
 
+#: Items that a launch, and numbers that an array's axis may have: both are counted in 32 bits with a sign.
+MOST_ITEMS = 2**31 - 1
+
 #: Bytes per node of a mask, and per row of a weight while a level is pruned.
 _MASK, _WEIGHT = 1, 4
 
@@ -82,6 +85,7 @@ class FitMemory:
         moment_row: The part of `row` that is the optimiser's second moments.
         shards: Copies of the weights while a level is pruned.
         tiles: One number for each tile of the images.
+        row_numbers: Numbers of a voxel's gradient; a launch has an item for each.
     """
 
     fixed: int
@@ -91,6 +95,11 @@ class FitMemory:
     moment_row: int
     shards: int
     tiles: int
+    row_numbers: int
+
+    def countable(self, rows: int, shape: tuple[int, ...]) -> bool:
+        """Whether a level of (nx, ny, nz) with `rows` voxels has few enough for one launch, whatever the memory."""
+        return rows * self.row_numbers <= MOST_ITEMS and math.prod(shape) <= MOST_ITEMS
 
     def without(self, size: int) -> FitMemory:
         """The same with `size` bytes less of what does not depend on the grid."""
@@ -108,17 +117,19 @@ class FitMemory:
             The shapes, made coarser where the first level would not fit. None where too few voxels would be left.
         """
         needed = self.level_bytes(rows, shapes[0])
-        if needed <= limit:
+        if needed <= limit and self.countable(rows, shapes[0]):
             return list(shapes)
-        factor = SHRINKAGE * max((limit - self.fixed) / (needed - self.fixed), 0.0) ** (1 / 3)
+        spare = (limit - self.fixed) / (needed - self.fixed)
+        most = MOST_ITEMS / max(rows * self.row_numbers, math.prod(shapes[0]))
+        factor = SHRINKAGE * max(min(spare, most), 0.0) ** (1 / 3)
         coarser = [scaled_shape(shape, factor) for shape in shapes]
         return None if max(coarser[0]) < SMALLEST_LEVEL else coarser
 
     def refusal(self, rows: int, shape: tuple[int, ...], limit: int) -> ValueError:
         """The error for a first level of (nx, ny, nz) with `rows` voxels that does not fit into `limit` bytes."""
         return ValueError(
-            f"a fit within {_text(limit)} (max_memory) is not possible: the images take "
-            f"{_text(self.fixed)}, the coarsest level {_text(self.level_bytes(rows, shape) - self.fixed)}"
+            f"a fit within {memory_text(limit)} (max_memory) is not possible: the images take "
+            f"{memory_text(self.fixed)}, the coarsest level {memory_text(self.level_bytes(rows, shape) - self.fixed)}"
         )
 
     def level_bytes(self, rows: int, shape: tuple[int, ...]) -> int:
@@ -160,7 +171,7 @@ class FitMemory:
             finer = new_shape if factor == whole else scaled_shape(shape, factor)
             grown = math.ceil(kept * math.prod(finer) / math.prod(shape) * ROUNDING)
             needed = max(self.level_bytes(grown, finer), self.change_bytes(rows, shape, grown, finer))
-            if needed <= limit:
+            if needed <= limit and self.countable(grown, finer):
                 return tuple(finer)
         return None
 
@@ -202,10 +213,11 @@ def require_image_memory(size: int, limit: int) -> None:
     if size > limit:
         factor = math.ceil(math.sqrt(size / (IMAGE_SHARE * limit)))
         raise ValueError(
-            f"the images take {_text(size)} of device memory and the fit may take {_text(limit)} "
+            f"the images take {memory_text(size)} of device memory and the fit may take {memory_text(limit)} "
             f"(max_memory): load them with downscale={factor}, or fewer of them"
         )
 
 
-def _text(size: float) -> str:
+def memory_text(size: float) -> str:
+    """A number of bytes as people read it."""
     return f"{size / 1e9:.2f} GB" if size >= 1e8 else f"{size / 1e6:.2f} MB"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import pathlib
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -27,7 +28,7 @@ from .background import BackgroundOptimizer, chosen_background, layers_that_fit,
 from .batches import Batch, Batches
 from .checkpoint import load_progress, require_writable, save_progress
 from .level import Level, level_memory
-from .memory import FitMemory, finest, memory_limit
+from .memory import FitMemory, finest, memory_limit, memory_text
 from .options import checked_options, checked_seed
 from .pictures import PRECISIONS, TrainingPictures
 from .plan import plan_batches, plan_grid
@@ -65,6 +66,7 @@ class FieldOptimizer:
         device: The Warp device.
         bounds: (2, 3) box of the field, world units.
         shapes: (nx, ny, nz) voxels of each level; made coarser during the fit where memory is short.
+        planned: (nx, ny, nz) voxels of each level if memory were not short.
         memory_limit: Bytes that the fit may take, beside the layers.
         psnr: Of the last measured batch, in dB.
     """
@@ -109,6 +111,7 @@ class FieldOptimizer:
         grid = plan_grid(scene, self.options, box, layered)
         self.options = dataclasses.replace(self.options, levels=grid.levels)
         self.bounds, self.shapes, self.variation = grid.bounds, grid.shapes, grid.variation
+        self.planned = list(grid.shapes)
 
         self.batches = Batches(
             scene,
@@ -231,6 +234,15 @@ class FieldOptimizer:
         """What levels of the fit take, as their owners state it."""
         return self.current.memory(self._fixed_bytes(), self.batches.mark_bytes)
 
+    @property
+    def coarser(self) -> str | None:
+        """One line that says how much coarser than planned the levels so far are, and why. None where none is."""
+        reached, planned = self.shapes[self.level], self.planned[self.level]
+        if math.prod(reached) >= math.prod(planned):
+            return None
+        sizes = " instead of ".join("x".join(str(n) for n in shape) for shape in (reached, planned))
+        return f"the field has {sizes} voxels: more do not fit into {memory_text(self.memory_limit)} or one launch"
+
     # Levels
 
     def _finest(self, memory: FitMemory, choice: Callable[[FitMemory], Any]) -> Any:
@@ -314,7 +326,7 @@ class FieldOptimizer:
             rays=self.rays,
             squared_error=self.batches.squared_error,
             seed=(self.seed * 1_000_003 + self.step_count) % (2**31 - 1),
-            random_background=self.random_background,
+            random_background=self.random_background and self.schedule.supervises_opacity,
             behind=behind,
             grad_behind=grad_behind,
         )
@@ -403,6 +415,8 @@ def fit(
                     save_progress(optimizer, held)
                 saved = time.monotonic()
     optimizer.measure_psnr()
+    if progress and optimizer.coarser:
+        print(f"fit: {optimizer.coarser}", file=sys.stderr)
     field = optimizer.finish()
     if held is not None:
         held.unlink(missing_ok=True)

@@ -82,7 +82,7 @@ class FitOptions:
         "Levels of the fit. The resolution doubles from each to the next. A fit adds levels if it "
         "has to start coarser.",
     )
-    level_growth: float = _positive(2.2, "Rays of a level over the rays of the level before.")
+    level_growth: float = _positive(2.6, "Rays of a level over the rays of the level before.")
     epochs: float = _positive(8.0, "Passes over the pixels that see the object.")
     least_steps: int = _whole(
         600,
@@ -96,8 +96,8 @@ class FitOptions:
     tile_size: int = _whole(
         2, 1, 64, "Side in pixels of the square tiles that make up a batch. Pixels of a tile share voxels."
     )
-    rate_density: float = _positive(0.25, "First learning rate of density, in optical depth per voxel of the level.")
-    rate_density_end: float = _positive(0.0125, "Last learning rate of density.")
+    rate_density: float = _positive(0.083, "First learning rate of density, in optical depth per voxel of the level.")
+    rate_density_end: float = _positive(0.0042, "Last learning rate of density.")
     rate_sh: float = _positive(3e-2, "First learning rate of the SH coefficients.")
     rate_sh_end: float = _positive(1.5e-3, "Last learning rate of the SH coefficients.")
     decay_power: float = _positive(
@@ -107,8 +107,11 @@ class FitOptions:
         None,
         SMALLEST,
         LARGEST,
-        "Learning rate of the coefficients that depend on direction over the rate of the "
+        "First learning rate of the coefficients that depend on direction over the rate of the "
         "constant ones. None follows the number of steps.",
+    )
+    directional_end: float | None = _number(
+        None, SMALLEST, LARGEST, "The same at the end. None is 0.7, or `directional` if that is more."
     )
     beta: float = _number(0.95, 0.0, 1.0 - 1e-6, "Decay of RMSProp's second moments per step.")
     scarcity: float | None = _number(
@@ -121,7 +124,7 @@ class FitOptions:
     variation_density: float = _weight(
         3e-6, "Weight of the total variation of density (per half of the box) per voxel of the box."
     )
-    variation_sh: float = _weight(3e-4, "Weight of the total variation of the SH coefficients per voxel of the box.")
+    variation_sh: float = _weight(6e-4, "Weight of the total variation of the SH coefficients per voxel of the box.")
     variation: float | None = _number(
         None,
         0.0,
@@ -156,6 +159,13 @@ class FitOptions:
         'What is behind the field. "random": random colours that supervise opacity, for images with alpha. '
         '"layers": a LayeredBackground, for whole or split images. "constant": the colour of the scene. '
         '"auto": what suits the scene.',
+    )
+    opacity_share: float = _number(
+        0.4,
+        0.0,
+        1.0,
+        "Share of the steps after which random colours supervise opacity less often, for images with alpha: most of "
+        "the steps then compare with the images as they are.",
     )
     background_layers: int = _whole(16, 2, MAX_LAYERS, "Layers behind the field.")
     background_side: int | None = _whole(

@@ -11,9 +11,9 @@ from ..scene.scene import Scene
 from ..view.camera import Camera
 from .options import MAX_LEVELS, FitOptions
 
-#: Factor on the total variation, at least, for pictures that were taken: they are fewer and less exact than rendered
-#: ones.
-CAPTURED_VARIATION = 30.0
+#: Factors on the total variations of density and of SH, at least, for pictures that were taken: they are fewer and
+#: less exact than rendered ones.
+CAPTURED_VARIATION, CAPTURED_SH_VARIATION = 30.0, 15.0
 
 #: Least rays of a batch that is made smaller for the sake of more steps.
 SMALLEST_BATCH = 4096
@@ -40,6 +40,9 @@ MOST_SCARCE = 32.0
 #: Directional coefficients step more slowly than the constant ones, so that they come about as far in a long fit as in
 #: one of this many steps; at least by this factor.
 DIRECTIONAL_STEPS, LEAST_DIRECTIONAL = 250.0, 0.15
+
+#: Late in a fit, when the surface has settled, they may go faster: they no longer stand for wrong geometry.
+LATE_DIRECTIONAL = 0.7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,8 +108,8 @@ def _variation(options: FitOptions, scarce: float, captured: bool) -> tuple[floa
     if options.variation is not None:
         factors = options.variation, options.variation
     else:
-        least = CAPTURED_VARIATION if captured else 0.0
-        factors = max(least, scarce**DENSITY_POWER), max(least, scarce**SH_POWER)
+        least = (CAPTURED_VARIATION, CAPTURED_SH_VARIATION) if captured else (0.0, 0.0)
+        factors = max(least[0], scarce**DENSITY_POWER), max(least[1], scarce**SH_POWER)
     return options.variation_density * factors[0], options.variation_sh * factors[1]
 
 

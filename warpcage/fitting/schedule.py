@@ -6,7 +6,11 @@ import dataclasses
 import math
 
 from .options import FitOptions
-from .plan import directional_rate
+from .plan import LATE_DIRECTIONAL, directional_rate
+
+#: Late in a fit every so many steps random colours supervise opacity still: without, parts of the background's colour
+#: may turn to glass.
+OPACITY_EVERY = 4
 
 #: Steps from one pass over the SH coefficients that shrinks them to the next.
 SHRINK_EVERY = 4
@@ -48,7 +52,9 @@ class Schedule:
     def __init__(self, options: FitOptions, level_steps: list[int], scarcity: float):
         self.options, self.scarcity, self.level_steps = options, scarcity, level_steps
         total = self.total_steps
-        self.directional = directional_rate(total) if options.directional is None else options.directional
+        first = directional_rate(total) if options.directional is None else options.directional
+        last = max(first, LATE_DIRECTIONAL) if options.directional_end is None else options.directional_end
+        self.directional = first, last
         self.step_count = self.level = 0
 
     @property
@@ -87,15 +93,22 @@ class Schedule:
         """Rays along each side of a pixel. Coarse voxels are wider than a part of a pixel: there it is one."""
         return self.options.supersampling if self.is_last_level else 1
 
+    @property
+    def supervises_opacity(self) -> bool:
+        """Whether random colours are behind the rays of the next step, where the pictures have alpha."""
+        early = self.step_count < self.options.opacity_share * self.total_steps
+        return early or self.step_count % OPACITY_EVERY == 0
+
     def rates(self) -> Rates:
         """How far the next step goes."""
         options = self.options
-        progress = (self.step_count / max(1, self.total_steps - 1)) ** options.decay_power
+        share = self.step_count / max(1, self.total_steps - 1)
+        progress = share**options.decay_power
         sh = _log_interpolate(options.rate_sh, options.rate_sh_end, progress)
         return Rates(
             density=_log_interpolate(options.rate_density, options.rate_density_end, progress),
             sh=sh,
-            directional=self.directional * sh,
+            directional=_log_interpolate(*self.directional, share) * sh,
             directional_kept=self._directional_kept(sh),
             background=_log_interpolate(options.rate_background, options.rate_background_end, progress),
         )
@@ -104,7 +117,7 @@ class Schedule:
         """The decay of the coefficients that depend on direction over SHRINK_EVERY steps, where it is due."""
         if self.scarcity <= 1 or self.step_count % SHRINK_EVERY:
             return 1.0
-        return max(0.0, 1.0 - rate * self.options.shrink_sh * self.scarcity) ** SHRINK_EVERY
+        return max(0.0, 1.0 - rate * self.options.shrink_sh * (self.scarcity - 1.0)) ** SHRINK_EVERY
 
 
 def _log_interpolate(start: float, end: float, progress: float) -> float:

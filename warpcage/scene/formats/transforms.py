@@ -8,6 +8,7 @@ on them, is undone by Scene.to_source.
 from __future__ import annotations
 
 import pathlib
+import warnings
 
 import numpy as np
 
@@ -67,13 +68,17 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         The scene.
 
     Raises:
-        FileNotFoundError: For a missing split or file.
+        FileNotFoundError: For a missing split or file, and where no picture is there.
         ValueError: For contents that cannot be used.
+
+    Warns:
+        UserWarning: Where some pictures are not there. Their frames are left out, as nerfstudio and instant-ngp do:
+            captures are often published without their blurred pictures.
     """
     single = folder / "transforms.json"
     path = single if single.is_file() else split_file(folder, split)
     transforms = read_json(path)
-    views = [_view(folder, transforms, where, frame) for where, frame in frames_of(transforms, path)]
+    views = _there([_view(folder, transforms, where, frame) for where, frame in frames_of(transforms, path)], path)
     if path == single:
         views.sort(key=lambda view: str(view.file))
         views = _of_split(views, transforms, split, folder, path)
@@ -86,6 +91,20 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         points=_points(folder, transforms, path),
         to_source=_to_source(transforms, path),
     )
+
+
+def _there(views: list[View], path: pathlib.Path) -> list[View]:
+    """The views whose picture is there; all of them where none is, so that the first is named as missing."""
+    there = [view for view in views if view.file.is_file()]
+    if not there or len(there) == len(views):
+        return views
+    missing = next(view.file for view in views if not view.file.is_file())
+    warnings.warn(
+        f"{path} lists {len(views)} pictures, {len(views) - len(there)} of them are not there and are left out, the "
+        f"first is {missing.name}",
+        stacklevel=2,
+    )
+    return there
 
 
 def _view(folder: pathlib.Path, transforms: dict, where: str, frame: dict) -> View:
