@@ -399,7 +399,8 @@ def test_an_edit_beside_the_field_changes_nothing(device):
     field, camera = shiny_field(device), view()
     cage = BOX.translate([5, 0, 0])
     frame = Deformer(field, cage, resolution=24).pose(cage.translate([0, 9, 0])).render(camera)
-    assert psnr(frame.rgb, field.render(camera).rgb) > 80
+    # on CUDA the field's own frame takes each voxel's colour at the voxel: 70 dB with voxels as coarse as these
+    assert psnr(frame.rgb, field.render(camera).rgb) > (80 if wp.get_device(device).is_cpu else 65)
 
 
 def test_background_and_step(device):
