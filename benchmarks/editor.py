@@ -31,6 +31,9 @@ import numpy as np
 #: Poses per second that a display's hand sends.
 RATE = 60.0
 
+#: Seconds that the editor may take to end: a second, if its disk answers.
+END_SECONDS = 120.0
+
 #: Seconds that are not measured: kernels are loaded, graphs captured, and the server learns what pictures cost.
 WARM = 3.0
 
@@ -39,7 +42,7 @@ def main() -> None:
     args = parse_arguments()
     with tempfile.TemporaryDirectory() as temporary:
         folder = pathlib.Path(temporary)
-        command = [sys.executable, "-m", "warpcage", "edit", "--no-browser", "--port", "0"]
+        command = [sys.executable, "-X", "faulthandler", "-m", "warpcage", "edit", "--no-browser", "--port", "0"]
         command += ["--device", args.device] if args.device else []
         if args.field is None:
             command += ["--demo", "--session", str(folder / "demo.session.json")]
@@ -57,13 +60,23 @@ def main() -> None:
             url = next(word for word in address.split() if word.startswith("http"))
             found = by_browser(url, args) if args.browser else asyncio.run(by_socket(url, args))
         finally:
-            server.send_signal(signal.SIGINT)
-            server.wait(60)
+            server.terminate()  # a shell's background jobs, and what they start, do not hear Ctrl-C
+            require_end(server)
     report = {"machine": platform.processor() or platform.machine(), "python": platform.python_version(), **found}
     for name, value in report.items():
         print(f"{name:22} {value}")
     if args.json:
         pathlib.Path(args.json).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+
+def require_end(server: subprocess.Popen) -> None:
+    """Wait until the editor has ended. Raises SystemExit where it does not, and its threads say where they are."""
+    try:
+        server.wait(END_SECONDS)
+    except subprocess.TimeoutExpired:
+        server.send_signal(signal.SIGABRT)  # faulthandler writes the stacks to stderr
+        server.wait()
+        raise SystemExit(f"the editor did not end within {END_SECONDS:g} s") from None
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -6,7 +6,7 @@ import dataclasses
 import math
 
 #: Seconds that a picture may take while the hand moves, on a CPU and on CUDA.
-MOVING_SECONDS = {"cpu": 0.06, "cuda": 0.022}
+MOVING_SECONDS = {"cpu": 0.05, "cuda": 0.022}
 
 #: Cells of lattices that are tried on a CPU while the hand moves, and the least side of a picture, pixels.
 COARSE_CELLS = (16, 20, 24, 32, 48, 64, 96, 128)
