@@ -16,6 +16,43 @@ wp.set_module_options({"enable_backward": False, "block_dim": 128})
 eight_rows = wp.types.vector(length=8, dtype=wp.int32)
 
 
+#: C++ of several functions below: where a cell lies among the blocks of its columns; the bits and the first row of one
+#: of its four columns; the harmonics of a warp's rows in shared memory (CUDA, all lanes, blocks of at most 128 threads).
+CELL_PLACE = """
+    const int block = k / 31;
+    const int place = k - 31 * block;
+    const unsigned low = (1u << place) - 1u;
+    const int width = columns.blocks.shape[1];
+    const int begin = (i * columns.node_counts.c[1] + j) * width + block;
+"""
+COLUMN_ENTRY = """        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
+#if defined(__CUDA_ARCH__)
+        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
+        const unsigned bits = entry.x >> place;
+        const int row = (int)entry.y + __popc(entry.x & low);
+#else
+        const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
+        const unsigned bits = entry[0] >> place;
+        const int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
+#endif
+"""
+STAGED_ROWS = """    // the rows of a warp are read as runs of memory, and turned over in shared memory
+    __shared__ float staged[4][32 * 3 * N];
+    const int lane = threadIdx.x & 31;
+    float* rows = staged[(threadIdx.x >> 5) & 3];
+    __syncwarp();
+    #pragma unroll 9
+    for (int part = 0; part < 3 * N; ++part)
+    {
+        const int entry = part * 32 + lane;
+        const int owner = entry / (3 * N);
+        const int source = __shfl_sync(0xffffffffu, row, owner);
+        rows[entry] = reinterpret_cast<const float*>(sh.data)[(size_t)source * (3 * N) + entry - owner * 3 * N];
+    }
+    __syncwarp();
+"""
+
+
 @wp.struct
 class RowTable:
     """A grid's rows as a march reads them."""
@@ -24,62 +61,39 @@ class RowTable:
     packed: wp.array2d(dtype=wp.uint32)  # (rows, words) on CUDA, else none
 
 
-@wp.func_native("""
-    const int block = k / 31;
-    const int place = k - 31 * block;
-    const unsigned low = (1u << place) - 1u;
-    const int width = columns.blocks.shape[1];
-    const int begin = (i * columns.node_counts.c[1] + j) * width + block;
-    wp::vec_t<8, wp::int32> rows;
+@wp.func_native(
+    CELL_PLACE
+    + """    wp::vec_t<8, wp::int32> rows;
 #if defined(__CUDA_ARCH__)
     #pragma unroll
 #endif
     for (int column = 0; column < 4; ++column)
     {
-        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
-#if defined(__CUDA_ARCH__)
-        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
-        const unsigned bits = entry.x >> place;
-        const int row = (int)entry.y + __popc(entry.x & low);
-#else
-        const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
-        const unsigned bits = entry[0] >> place;
-        const int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
-#endif
-        rows.c[2 * column] = (bits & 1u) ? row : -1;
+"""
+    + COLUMN_ENTRY
+    + """        rows.c[2 * column] = (bits & 1u) ? row : -1;
         rows.c[2 * column + 1] = (bits & 2u) ? row + (int)(bits & 1u) : -1;
     }
     return rows;
-""")
+"""
+)
 def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_rows:
     """Rows of the eight nodes of the cell above node (i, j, k), -1 for none; corner c is at (c & 4, c & 2, c & 1)."""
     ...
 
 
-@wp.func_native("""
-    const int block = k / 31;
-    const int place = k - 31 * block;
-    const unsigned low = (1u << place) - 1u;
-    const int width = columns.blocks.shape[1];
-    const int begin = (i * columns.node_counts.c[1] + j) * width + block;
-    const int* order = columns.order.data;
+@wp.func_native(
+    CELL_PLACE
+    + """    const int* order = columns.order.data;
     float sums[4];
 #if defined(__CUDA_ARCH__)
     #pragma unroll
 #endif
     for (int column = 0; column < 4; ++column)
     {
-        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
-#if defined(__CUDA_ARCH__)
-        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
-        const unsigned bits = entry.x >> place;
-        const int row = (int)entry.y + __popc(entry.x & low);
-#else
-        const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
-        const unsigned bits = entry[0] >> place;
-        const int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
-#endif
-        const int next = row + (int)(bits & 1u);
+"""
+    + COLUMN_ENTRY
+    + """        const int next = row + (int)(bits & 1u);
         float near = 0.0f, far = 0.0f;
         if (bits & 1u)
             near = density.data[order ? order[row] : row];
@@ -90,7 +104,8 @@ def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_
     const float begin_sum = sums[0] + offset.c[1] * (sums[1] - sums[0]);
     const float end_sum = sums[2] + offset.c[1] * (sums[3] - sums[2]);
     return begin_sum + offset.c[0] * (end_sum - begin_sum);
-""")
+"""
+)
 def row_density(
     density: wp.array(dtype=wp.float32), columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32, offset: wp.vec3
 ) -> wp.float32:
@@ -98,14 +113,12 @@ def row_density(
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
     constexpr int N = sizeof(basis) / sizeof(wp::float32);
-    const int block = k / 31;
-    const int place = k - 31 * block;
-    const unsigned low = (1u << place) - 1u;
-    const int width = columns.blocks.shape[1];
-    const int begin = (i * columns.node_counts.c[1] + j) * width + block;
-#if defined(__CUDA_ARCH__)
+"""
+    + CELL_PLACE
+    + """#if defined(__CUDA_ARCH__)
     constexpr int WORDS = (N + 2) / 4;  // of a channel
     constexpr int READS = (2 + 3 * WORDS + 3) / 4;
     float largest = 1.0e-20f;
@@ -218,7 +231,8 @@ def row_density(
     }
     return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);
 #endif
-""")
+"""
+)
 def row_colour(
     sh: wp.array2d(dtype=vec9),
     packed: wp.array2d(dtype=wp.uint32),
@@ -233,26 +247,15 @@ def row_colour(
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
     constexpr int N = sizeof(*sh.data) / sizeof(wp::float32);
 #if defined(__CUDA_ARCH__)
     constexpr int WORDS = (N + 2) / 4;
     constexpr int READS = (2 + 3 * WORDS + 3) / 4;
-    // the rows of a warp are read as runs of memory, and turned over in shared memory
-    __shared__ float staged[4][32 * 3 * N];
-    const int lane = threadIdx.x & 31;
-    float* rows = staged[(threadIdx.x >> 5) & 3];
-    __syncwarp();
-    #pragma unroll 9
-    for (int part = 0; part < 3 * N; ++part)
-    {
-        const int entry = part * 32 + lane;
-        const int owner = entry / (3 * N);
-        const int source = __shfl_sync(0xffffffffu, row, owner);
-        rows[entry] = reinterpret_cast<const float*>(sh.data)[(size_t)source * (3 * N) + entry - owner * 3 * N];
-    }
-    __syncwarp();
-    if (target < 0)
+"""
+    + STAGED_ROWS
+    + """    if (target < 0)
         return;
     const float* c = rows + lane * 3 * N;
     const float limit = 65504.0f;
@@ -283,7 +286,8 @@ def row_colour(
     for (int r = 0; r < READS; ++r)
         to[r] = make_uint4(words[4 * r], words[4 * r + 1], words[4 * r + 2], words[4 * r + 3]);
 #endif
-""")
+"""
+)
 def write_packed(sh: wp.array2d(dtype=vec9), row: wp.int32, packed: wp.array2d(dtype=wp.uint32), target: wp.int32):
     """Pack a row; -1 is no target. All lanes, in blocks of at most 128 threads."""
     ...

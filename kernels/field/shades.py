@@ -12,7 +12,7 @@ import warp as wp
 from .columns import Columns
 from .grid import VoxelGrid
 from .harmonics import sh_basis, vec9
-from .rows import cell_rows, eight_rows
+from .rows import STAGED_ROWS, cell_rows, eight_rows
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
@@ -27,25 +27,13 @@ class ShadedGrid:
     shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue less 0.5 and optical depth of a step
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
     constexpr int N = sizeof(basis) / sizeof(wp::float32);
 #if defined(__CUDA_ARCH__)
-    // the rows of a warp are read as runs of memory, and turned over in shared memory
-    __shared__ float staged[4][32 * 3 * N];
-    const int lane = threadIdx.x & 31;
-    float* rows = staged[(threadIdx.x >> 5) & 3];
-    __syncwarp();
-    #pragma unroll 9
-    for (int part = 0; part < 3 * N; ++part)
-    {
-        const int entry = part * 32 + lane;
-        const int owner = entry / (3 * N);
-        const int place = entry - owner * 3 * N;
-        const int source = __shfl_sync(0xffffffffu, row, owner);
-        rows[entry] = reinterpret_cast<const float*>(sh.data)[(size_t)source * (3 * N) + place];
-    }
-    __syncwarp();
-    const float* c = rows + lane * 3 * N;
+"""
+    + STAGED_ROWS
+    + """    const float* c = rows + lane * 3 * N;
 #else
     const float* c = reinterpret_cast<const float*>(sh.data) + (size_t)row * (3 * N);
 #endif
@@ -58,7 +46,8 @@ class ShadedGrid:
         sums[channel] = sum;
     }
     return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);
-""")
+"""
+)
 def shade_colour(sh: wp.array2d(dtype=vec9), row: wp.int32, basis: vec9) -> wp.vec3:
     """Harmonics of a row times a basis. All lanes, in blocks of at most 128 threads."""
     ...

@@ -130,7 +130,7 @@ class FitOptions:
         0.0,
         LARGEST_FACTOR,
         "Factor on both total variations. None follows the scarcity, and is at least 30 "
-        "with layers behind the field or with opacity from mask files.",
+        "(density) and 15 (SH) with layers behind the field or with opacity from mask files.",
     )
     shrink_sh: float = _weight(
         0.06,

@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=options.positive_float,
         metavar="FACTOR",
         help="factor on the total variation: higher is smoother (default: chosen from the pictures, at least 30 "
-        "with masks or layers)",
+        "for density and 15 for colours with masks or layers)",
     )
     parser.add_argument(
         "--bounds",
