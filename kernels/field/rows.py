@@ -17,7 +17,7 @@ eight_rows = wp.types.vector(length=8, dtype=wp.int32)
 
 
 #: C++ of several functions below: where a cell lies among the blocks of its columns; the bits and the first row of one
-#: of its four columns; the harmonics of a warp's rows in shared memory (CUDA, all lanes, blocks of at most 128 threads).
+#: of its four columns; the harmonics of a warp's rows in shared memory (CUDA, all lanes, at most 128 threads a block).
 CELL_PLACE = """
     const int block = k / 31;
     const int place = k - 31 * block;
