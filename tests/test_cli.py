@@ -49,7 +49,7 @@ def test_help_shows_an_example(name, capsys):
     assert leave.value.code == 0
     text = capsys.readouterr().out
     assert f"warpcage {name}" in text.split("example:")[1]
-    options = {"fit": ["--device", "--downscale"], "pose": ["--bend"], "kernels": ["copy"]}
+    options = {"fit": ["--device", "--downscale"], "pose": ["--bend"], "kernels": ["copy"], "edits": ["--edit"]}
     for option in options.get(name, ["--device"]):
         assert option in text
 

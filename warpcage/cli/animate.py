@@ -25,7 +25,7 @@ from ..view.motion import axis_rotation, cameras_along, frame_places
 from ..view.pictures import read_image, write_png
 from . import inputs, options, outputs, view
 from .arguments.animate import OF_SESSIONS, Default
-from .keyframes import Keyframes, is_preset, pose_file
+from .deformation import Deformation, read_deformation
 
 SETTINGS_NAME = "animation.json"
 
@@ -61,13 +61,11 @@ def run(args: argparse.Namespace) -> None:
         inputs.require_deformation(args, "--overlay")
     if args.show == "masks":
         inputs.require_deformation(args, "--show masks")
-    rest = inputs.read_rest(args)
-    keyframes = None if rest is None else Keyframes(rest, args.posed, args.interpolation, args.cage_up)
+    deformation = read_deformation(args, args.interpolation)
     field = inputs.read_field(args)
-    points = inputs.visible_points(field) if keyframes is None else keyframes.vertices
-    cameras = _chosen_cameras(args, points)
-    deformer = None if rest is None else inputs.make_deformer(field, rest, args)
-    shot = _Shot(field, deformer, keyframes, cameras, args)
+    cameras = _chosen_cameras(args, inputs.visible_points(field, deformation))
+    deformer = None if deformation is None else inputs.make_deformer(field, deformation, args)
+    shot = _Shot(field, deformer, deformation, cameras, args)
 
     from tqdm import tqdm
 
@@ -77,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
     elif output.suffix.lower() == ".gif":
         write_gif(output, map(shot.picture, frames), args.fps)
     else:
-        kept = _write_folder(output, shot, frames, _settings(args, cameras))
+        kept = _write_folder(output, shot, frames, _settings(args, cameras, deformation))
         print(f"wrote {output}: {args.frames - kept} frames, {kept} were there already")
         shot.warn()
         return
@@ -124,46 +122,47 @@ def _given_besides(args: argparse.Namespace) -> list[str]:
 class _Shot:
     """Renders frames by index, so that a folder can be continued anywhere.
 
-    deformer and keyframes are None where the field is shown as it is.
+    deformer and deformation are None where the field is shown as it is.
     """
 
     def __init__(
         self,
         field: VoxelField,
         deformer: Deformer | None,
-        keyframes: Keyframes | None,
+        deformation: Deformation | None,
         cameras: list[Camera],
         args: argparse.Namespace,
     ):
-        self.field, self.deformer, self.keyframes, self.cameras, self.args = field, deformer, keyframes, cameras, args
-        count = 1 if keyframes is None else len(keyframes.cages)
+        self.field, self.deformer, self.deformation = field, deformer, deformation
+        self.cameras, self.args = cameras, args
+        count = 1 if deformation is None else deformation.pose_count
         self.places = frame_places(args.frames, count, args.motion, args.interpolation)
         self.held: float | None = None  # the place that the deformer is posed at
         self.shares: dict[str, list[float]] = {}
         self.scale = self._scale() if args.show in ("depth", "disparity") else None
 
-    def frame(self, index: int) -> tuple[Frame, Cage | None]:
-        """The frame, and the cage that it shows."""
+    def frame(self, index: int) -> tuple[Frame, list[Cage]]:
+        """The frame, and the cages that it shows."""
         camera, background = self.cameras[index], inputs.background_option(self.args)
-        if self.deformer is None or self.keyframes is None:
-            return self.field.render(camera, **background), None
+        if self.deformer is None or self.deformation is None:
+            return self.field.render(camera, **background), []
         place = float(self.places[index])
         try:
-            cage = self.keyframes.at(place)
+            cages = self.deformation.at(place)
             if place != self.held:
-                self.deformer.pose(cage)
+                self.deformer.pose(cages)
                 self.held = place
         except ValueError as error:
             raise ValueError(f"frame {index}, between the poses: {error}") from error
-        return self.deformer.render(camera, **background), cage
+        return self.deformer.render(camera, **background), self.deformation.drawn(cages)
 
     def picture(self, index: int) -> np.ndarray:
         """What the film shows of a frame, (h, w, 3) or (h, w)."""
-        frame, cage = self.frame(index)
+        frame, cages = self.frame(index)
         if self.args.show == "masks":
             for name, share in outputs.mask_shares(frame).items():
                 self.shares.setdefault(name, []).append(share)
-        drawn = cage if self.args.overlay else None
+        drawn = cages if self.args.overlay else ()
         return outputs.picture(frame, self.args.show, self.cameras[index], drawn, self.scale)
 
     def _scale(self) -> tuple[float, float]:
@@ -226,7 +225,7 @@ def _checked_output(text: str) -> pathlib.Path:
     return path
 
 
-def _settings(args: argparse.Namespace, cameras: list[Camera]) -> dict:
+def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Deformation | None) -> dict:
     """All that decides how frames look, so that a folder never mixes two films."""
     names = (
         "frames",
@@ -245,18 +244,9 @@ def _settings(args: argparse.Namespace, cameras: list[Camera]) -> dict:
     settings = {name: getattr(args, name) for name in names}
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()
-    for name in ("field", "cage"):
-        settings[name] = _fingerprint(getattr(args, name))
-    settings["posed"] = [_fingerprint(text) for text in args.posed or ()]
+    settings["field"] = hashlib.sha256(pathlib.Path(args.field).read_bytes()).hexdigest()
+    settings |= {"cage": [], "posed": []} if deformation is None else deformation.fingerprints()
     return json.loads(json.dumps(settings))  # tuples as lists, as they come back from the file
-
-
-def _fingerprint(text: str | None) -> str | None:
-    """A hash of what a file holds, or the preset itself."""
-    if text is None or is_preset(text):
-        return text
-    path, name = pose_file(text) or (text, "")
-    return hashlib.sha256(pathlib.Path(path).read_bytes() + name.encode()).hexdigest()
 
 
 def _write_folder(folder: pathlib.Path, shot: _Shot, frames: Iterable[int], settings: dict) -> int:

@@ -6,14 +6,15 @@ import argparse
 
 from ..deform.bake import bake
 from . import inputs, options
+from .deformation import read_deformation
 
 
 def run(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, (".npz",), "field file")
     inputs.require_deformation(args, "bake")
-    cages = inputs.read_cages(args)
-    assert cages is not None
-    deformer = inputs.make_deformer(inputs.read_field(args), cages[0], args).pose(cages[1])
+    deformation = read_deformation(args)
+    assert deformation is not None
+    deformer = inputs.make_deformer(inputs.read_field(args), deformation, args).pose(deformation.posed)
     baked = bake(deformer, resolution=args.voxels)
     baked.save(output, format=args.format)
     size = "x".join(map(str, baked.resolution))

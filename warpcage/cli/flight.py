@@ -14,6 +14,7 @@ from ..view.motion import cameras_along
 from ..view.pictures import write_png
 from . import inputs, options, outputs, view
 from .arguments.render import STEPS
+from .deformation import read_deformation
 
 #: Frames per second of films.
 VIDEO_RATE, GIF_RATE = 24, 15
@@ -32,10 +33,10 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError(f"--cameras cannot be combined with --{name}, which is for one picture")
     if args.cameras == "given" and args.frames is not None:
         raise ValueError("--frames belongs to --cameras interpolate")
-    cages = inputs.read_cages(args)
+    deformation = read_deformation(args)
     cameras = chosen_cameras(args)
-    renderer = inputs.posed_renderer(inputs.read_field(args), cages, args)
-    drawn = cages[1] if cages and args.overlay else None
+    renderer = inputs.posed_renderer(inputs.read_field(args), deformation, args)
+    drawn = deformation.drawn(deformation.posed) if deformation and args.overlay else ()
 
     def pictures() -> Iterator[np.ndarray]:
         for camera in cameras:

@@ -18,6 +18,7 @@ from ..scene.scene import Scene
 from ..view.pictures import contact_sheet, shrink, write_png
 from . import inputs, options
 from .arguments.info import SHEET_PICTURES, SHEET_SIDE
+from .edit_words import is_edits_file, read_edits_file
 
 #: Names and values, one per printed line.
 Rows = list[tuple[str, object]]
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> None:
     elif path.suffix.lower() in options.CAGE_ENDINGS:
         rows = _cage(path)
     elif path.suffix.lower() == ".json":
-        rows = _poses(path)
+        rows = _edits(path) if is_edits_file(path) else _poses(path)
     else:
         raise ValueError(
             f"{args.field!r} is not a field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), pose file "
@@ -135,6 +136,12 @@ def _poses(path: pathlib.Path) -> Rows:
         moved = np.linalg.norm(poses[name].vertices - rest.vertices, axis=1)
         rows.append((f"pose {name!r}", f"{int((moved > 0).sum())} vertices moved by up to {moved.max():.4g}"))
     return rows
+
+
+def _edits(path: pathlib.Path) -> Rows:
+    edits = read_edits_file(path)
+    numbered = [(f"edit {number}", edit) for number, edit in enumerate(edits, 1)]
+    return [("kind", "edits"), ("edits", len(edits)), *numbered, ("file", _file_size(path))]
 
 
 def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | None) -> Rows:

@@ -124,7 +124,9 @@ def add_masks(parser: Arguments) -> None:
 
 def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
     """The cages of a deformation and how it is computed; keyframes: whether several poses may be given."""
-    group = parser.add_argument_group("deformation (without --cage and --posed the field is shown as it is)")
+    group = parser.add_argument_group(
+        "deformation (--cage and --posed, or --edit, or --edits; without them the field is shown as it is)"
+    )
     group.add_argument("--cage", metavar="REST", help=f"cage around the undeformed object ({' '.join(CAGE_ENDINGS)})")
     posed = (
         "the same cage with its vertices moved: a cage file, a keyframe of a pose file (poses.json:NAME), or a preset "
@@ -133,6 +135,7 @@ def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
     if keyframes:
         posed += ". Several, or all keyframes of a pose file (poses.json), follow one another"
     group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes else None, help=posed)
+    add_edits(group)
     add_cage_up(group)
     group.add_argument(
         "--coordinates", choices=COORDINATES, default="harmonic", help="kind of coordinates (default: %(default)s)"
@@ -151,6 +154,22 @@ def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
         default="opacity",
         help="opacity: parts keep their opacity when they are scaled; paper: they keep their density, as in the paper "
         "(default: %(default)s)",
+    )
+
+
+def add_edits(parser: Arguments) -> None:
+    """Several edits of one scene."""
+    parser.add_argument(
+        "--edit",
+        action="append",
+        metavar="CAGE:POSED[:keep]",
+        help="one of several edits; give it again for the next, which acts on what the ones before it left. POSED as "
+        "for --posed. CAGE:POSED:keep leaves a copy where it was, CAGE:remove takes away what is in the cage",
+    )
+    parser.add_argument(
+        "--edits",
+        metavar="FILE",
+        help="all edits from a file (warpcage edits writes one), or those of a session of the editor (.session.json)",
     )
 
 

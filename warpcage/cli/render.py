@@ -6,6 +6,7 @@ import argparse
 
 from ..view.pictures import write_png
 from . import flight, inputs, options, outputs, view
+from .deformation import read_deformation
 
 
 def run(args: argparse.Namespace) -> None:
@@ -23,12 +24,13 @@ def run(args: argparse.Namespace) -> None:
     }
     if args.masks is not None:
         inputs.require_deformation(args, "--masks")
-    cages = inputs.read_cages(args)
+    deformation = read_deformation(args)
     field = inputs.read_field(args)
 
-    camera = view.chosen_camera(args, inputs.visible_points(field, *(cages or ())))
-    frame = inputs.posed_renderer(field, cages, args).render(camera, **inputs.background_option(args))
-    write_png(output, outputs.picture(frame, "rgb", camera, cages[1] if cages and args.overlay else None))
+    camera = view.chosen_camera(args, inputs.visible_points(field, deformation))
+    frame = inputs.posed_renderer(field, deformation, args).render(camera, **inputs.background_option(args))
+    drawn = deformation.drawn(deformation.posed) if deformation and args.overlay else ()
+    write_png(output, outputs.picture(frame, "rgb", camera, drawn))
     for kind, path in extra.items():
         write_png(path, outputs.picture(frame, kind))
     names = " and ".join(map(str, [output, *extra.values()]))

@@ -27,7 +27,7 @@ def picture(
     frame: Frame,
     kind: str,
     camera: Camera | None = None,
-    cage: ClosedMesh | None = None,
+    cages: Sequence[ClosedMesh] = (),
     scale: tuple[float, float] | None = None,
 ) -> np.ndarray:
     """A picture of one part of a frame.
@@ -35,8 +35,8 @@ def picture(
     Args:
         frame: The frame.
         kind: "rgb", "alpha", "depth", "disparity" or "masks".
-        camera: The camera of the frame, needed with a cage.
-        cage: Its edges are drawn over the picture. None draws none.
+        camera: The camera of the frame, needed with cages.
+        cages: Their edges are drawn over the picture.
         scale: Low and high disparity of depth and disparity pictures. None is the range of this frame.
 
     Returns:
@@ -53,12 +53,15 @@ def picture(
         shown = frame.alpha * (1.0 - 0.85 * np.clip((seen - near) / max(far - near, 1e-12), 0.0, 1.0))
     else:
         shown = mask_picture(frame) if kind == "masks" else frame.rgb
-    if cage is None:
+    if not cages:
         return shown
     assert camera is not None
     if shown.ndim == 2:
         shown = np.repeat(shown[..., None], 3, axis=-1)
-    return draw_cage(np.clip(shown, 0.0, 1.0).astype(np.float32), camera, cage)
+    shown = np.clip(shown, 0.0, 1.0).astype(np.float32)
+    for cage in cages:
+        shown = draw_cage(shown, camera, cage)
+    return shown
 
 
 def mask_picture(frame: Frame) -> np.ndarray:

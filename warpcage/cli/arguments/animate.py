@@ -16,6 +16,7 @@ EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
   warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
+  warpcage animate lego.npz --edits lego.edits.json -o parts.mp4
   warpcage animate lego.npz --session lego.session.json -o film.mp4 --size 800 600
 
 An output without an ending is a folder of PNG files. If the command is interrupted, run it again: it renders only what

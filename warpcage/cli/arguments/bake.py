@@ -11,6 +11,7 @@ HELP = "resample a deformed field into a new field that needs no cage and render
 EXAMPLE = """\
   warpcage bake lego.npz --cage cage.obj --posed posed.obj -o bent.npz
   warpcage bake lego.npz --cage cage.obj --posed twist:60 -o twisted.npz --format svox2 --voxels 512
+  warpcage bake lego.npz --edits lego.edits.json -o parts.npz
 """
 
 

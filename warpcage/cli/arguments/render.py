@@ -14,6 +14,8 @@ EXAMPLE = """\
   warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --overlay \\
       --disparity bent_disparity.png --masks bent_masks.png --camera data/lego:test:3
   warpcage render lego.npz --cage cage.obj --posed twist:60 -o twisted.png
+  warpcage render lego.npz --cage cage.obj -o caged.png --overlay
+  warpcage render lego.npz --edit arm.obj:arm_up.obj:keep --edit cab.obj:remove -o parts.png
   warpcage render lego.npz -o views/ --cameras interpolate --scene data/lego:test --frames 60
 """
 

@@ -1,0 +1,224 @@
+"""Several edits of one scene on the command line: --edit, edits files, sessions of the editor, cages without a pose."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+from cli_runs import SMALL, run, succeed, write_files
+
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
+from warpcage.cli.edit_words import EditWords, parse_edit, read_edits_file, write_edits_file
+from warpcage.deform.deformer import Deformer
+from warpcage.deform.edits import CageEdit
+from warpcage.editor.document import Document, Selection, Settings, Timeline, View, new_edit
+from warpcage.editor.session_file import write_session
+from warpcage.field.voxel_field import VoxelField
+from warpcage.view.camera import Camera
+from warpcage.view.pictures import read_image
+
+VIEW = (*SMALL, "--eye", 0, -4, 0.5, "--target", 0, 0, 0, "--background", "white")
+TOP = Cage.box((-0.7, -0.7, 0.0), (0.7, 0.7, 0.7))
+LEFT = Cage.box((-0.7, -0.7, -0.7), (-0.2, 0.7, 0.7))
+POSED_TOP, ASIDE = TOP.translate([0.5, 0, 0.3]), LEFT.translate([-0.2, 0, -0.2])
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = write_files(tmp_path_factory.mktemp("cli"))
+    TOP.save(folder / "top.obj")
+    POSED_TOP.save(folder / "top_up.obj")
+    LEFT.save(folder / "left.obj")
+    ASIDE.save(folder / "aside.obj")
+    PoseFile(LEFT, {"near": LEFT.translate([-0.1, 0, 0]), "far": ASIDE}).save(folder / "left.json")
+    return folder
+
+
+def render(files, tmp_path, *words, name="picture"):
+    path = tmp_path / f"{name}.png"
+    succeed(files, "render", "@ball.npz", "-o", path, *VIEW, *words)
+    return read_image(path)
+
+
+def expected(files, edits, poses):
+    camera = Camera.look_at([0, -4, 0.5], (0, 0, 0), width=40, height=40, fov_degrees=40)
+    deformer = Deformer(VoxelField.load(files / "ball.npz"), edits, coordinates="mean_value", resolution=24)
+    return deformer.pose(poses).render(camera, background="white").rgb
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("cage.obj:posed.obj", EditWords("cage.obj", "posed.obj")),
+        ("cage.obj:posed.obj:keep", EditWords("cage.obj", "posed.obj", keep=True)),
+        ("a/cage.glb:remove", EditWords("a/cage.glb", remove=True)),
+        ("cage.PLY:bend:40:x:z:keep", EditWords("cage.PLY", "bend:40:x:z", keep=True)),
+        ("cage.obj:poses.json:wave", EditWords("cage.obj", "poses.json:wave")),
+        (r"C:\me\cage.obj:D:\posed.obj", EditWords(r"C:\me\cage.obj", r"D:\posed.obj")),
+        (r"C:cage.obj:C:poses.json:wave:keep", EditWords("C:cage.obj", "C:poses.json:wave", keep=True)),
+        ("my.obj files/a.obj:b.obj", EditWords("my.obj files/a.obj", "b.obj")),
+    ],
+)
+def test_words_of_an_edit(text, words):
+    assert parse_edit(text) == words
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("posed", "names no cage file"),
+        ("cage.obj", "there is no posed cage"),
+        ("cage.obj:keep", "there is no posed cage"),
+        ("cage.obj:keep:remove", "do not go together"),
+        ("cage.obj:posed.obj:remove", "needs no pose"),
+    ],
+)
+def test_what_is_no_edit_is_refused(text, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        parse_edit(text)
+    assert text in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_edits_of_one_command_act_in_their_order(files, tmp_path):
+    moved, removed = "@top.obj:@top_up.obj", "@left.obj:remove"
+    picture = render(files, tmp_path, "--edit", moved, "--edit", removed)
+    edits = [CageEdit(TOP), CageEdit(LEFT, remove=True)]
+    np.testing.assert_allclose(picture, expected(files, edits, [POSED_TOP, None]), atol=0.003)
+    other = render(files, tmp_path, "--edit", removed, "--edit", moved)
+    np.testing.assert_allclose(other, expected(files, edits[::-1], [None, POSED_TOP]), atol=0.003)
+    assert np.abs(picture - other).mean() > 0.01  # what was moved out of the other cage is not removed
+    copied = render(files, tmp_path, "--edit", "@left.obj:@aside.obj:keep")
+    np.testing.assert_allclose(copied, expected(files, [CageEdit(LEFT, keep_source=True)], [ASIDE]), atol=0.003)
+
+
+def test_one_edit_is_what_cage_and_posed_are(files, tmp_path):
+    one = render(files, tmp_path, "--edit", "@cage.obj:@posed.obj", "--overlay")
+    np.testing.assert_array_equal(
+        one, render(files, tmp_path, "--cage", "@cage.obj", "--posed", "@posed.obj", "--overlay")
+    )
+
+
+def test_an_edits_file_and_its_cages_move_together(files, tmp_path, capsys):
+    words = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:@left.json:far:keep", "--edit", "@other.obj:rest"]
+    folder = tmp_path / "house"
+    folder.mkdir()
+    for name in ("top.obj", "top_up.obj", "left.obj", "left.json", "other.obj"):
+        shutil.copy(files / name, folder)
+    succeed(folder, "edits", "-o", "@all.edits.json", *words)
+    said = capsys.readouterr().out
+    assert "3 edits, in this order" in said and "the source stays (a copy)" in said and "8 vertices" in said
+    wanted = render(files, tmp_path, *words)
+    moved = folder.rename(tmp_path / "moved")
+    np.testing.assert_array_equal(render(files, tmp_path, "--edits", moved / "all.edits.json"), wanted)
+    succeed(moved, "info", "@all.edits.json")
+    assert "edit 2  " in (said := capsys.readouterr().out) and "left.json:far" in said
+    content = json.loads((moved / "all.edits.json").read_text())
+    assert content["edits"][0] == {"cage": "top.obj", "posed": "top_up.obj"}
+    assert content["edits"][1] == {"cage": "left.obj", "posed": "left.json:far", "keep": True}
+    assert content["edits"][2]["posed"] == "rest"
+    # a fourth edit, in a file in another folder
+    succeed(moved, "edits", "@all.edits.json", "--edit", "@left.obj:remove", "-o", tmp_path / "more.json")
+    assert read_edits_file(tmp_path / "more.json")[0].cage == str(tmp_path / "moved" / "top.obj")
+    succeed(files, "edits", tmp_path / "more.json")
+    assert "4. " in capsys.readouterr().out
+
+
+def test_a_session_of_the_editor_is_an_edits_file(files, tmp_path, capsys):
+    hidden = dataclasses.replace(new_edit(3, LEFT, "hidden", "remove"), visible=False)
+    edits = (new_edit(1, TOP, "top", posed=POSED_TOP.vertices), new_edit(2, LEFT, "left", "remove"), hidden)
+    session = tmp_path / "ball.session.json"
+    document = Document(edits, Selection(), Settings(), View((0, -4, 0), (0, 0, 0), (0, 0, 1)), Timeline(), next_id=4)
+    write_session(session, document, VoxelField.load(files / "ball.npz"), "ball.npz")
+    picture = render(files, tmp_path, "--edits", session)
+    words = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:remove"]
+    np.testing.assert_allclose(picture, render(files, tmp_path, *words), atol=0.003)
+    succeed(files, "edits", session)
+    assert "2 edits" in capsys.readouterr().out
+    assert run(files, "edits", session, "-o", tmp_path / "x.json") == 2
+
+
+def test_a_film_of_several_edits(files, tmp_path, capsys):
+    """An edit with fewer poses than another stays in its last one; what is removed is not there from the start."""
+    words = ["animate", "@ball.npz", "-o", tmp_path / "film", *VIEW, "--turn", 0, "--motion", "once", "--quiet"]
+    words += ["--interpolation", "linear", "--frames", 3, "--edit", "@left.obj:@left.json"]
+    succeed(files, *words, "--edit", "@top.obj:@top_up.obj")
+    frames = [read_image(tmp_path / "film" / f"frame_000{index}.png") for index in range(3)]
+    both = ["--edit", "@left.obj:@left.json:far", "--edit", "@top.obj:@top_up.obj"]
+    np.testing.assert_allclose(frames[2], render(files, tmp_path, *both), atol=0.01)
+    both[1] = "@left.obj:@left.json:near"
+    np.testing.assert_allclose(frames[1], render(files, tmp_path, *both), atol=0.01)
+    np.testing.assert_allclose(frames[0], render(files, tmp_path), atol=0.01)
+    assert run(files, *words, "--edit", "@top.obj:remove") == 2
+    assert "other cage, posed" in capsys.readouterr().err
+
+
+def test_bake_takes_edits(files, tmp_path):
+    words = ["--edit", "@top.obj:@top_up.obj", "--edit", "@left.obj:remove"]
+    settings = ["--coordinates", "mean_value", "--resolution", 24]
+    succeed(files, "bake", "@ball.npz", "-o", tmp_path / "baked.npz", *words, *settings)
+    baked = tmp_path / "baked.png"
+    succeed(files, "render", tmp_path / "baked.npz", "-o", baked, *VIEW)
+    difference = np.abs(read_image(baked) - render(files, tmp_path, *words)).mean()
+    assert difference < 0.03 < np.abs(read_image(baked) - render(files, tmp_path)).mean()
+
+
+def test_a_cage_is_seen_without_a_pose(files, tmp_path):
+    plain = render(files, tmp_path)
+    over = render(files, tmp_path, "--cage", "@cage.obj", "--overlay")
+    drawn = np.abs(over - plain).max(axis=-1) > 0.05
+    assert 0.02 < drawn.mean() < 0.6
+    # several, and one whose content is removed
+    assert (
+        render(files, tmp_path, "--edit", "@top.obj:rest", "--edit", "@left.obj:remove", "--overlay") != plain
+    ).any()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--edit", "@gone.obj:rest"], "gone.obj"),
+        (["--edit", "@top.obj:rest", "--edit", "@left.obj:@posed.obj"], "edit 2 of 2: cage"),
+        (["--edit", "@left.obj:@left.json"], "holds 2 keyframes: name one"),
+        (["--edit", "@open.obj:rest"], "edit 1 of 1: cage"),
+        (["--cage", "@top.obj"], "--cage and --posed go together"),
+        (["--posed", "@top.obj"], "--posed needs --cage"),
+        (["--cage", "@top.obj", "--posed", "rest", "--edit", "@top.obj:rest"], "--cage and --edit do not go together"),
+        (["--edits", "@left.json"], "its format is 'warpcage poses'"),
+        (["--edits", "@text.txt"], "not an edits file"),
+        (["--edits", "@gone.json"], "gone.json"),
+    ],
+)
+def test_bad_edits_end_in_one_line(files, tmp_path, capsys, words, message):
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / "a.png", *VIEW, *words) == 2
+    said = capsys.readouterr().err
+    assert message in said and said.count("\n") == 1 and not (tmp_path / "a.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        ({"cage": "top.obj"}, "edit 1: there is no posed cage"),
+        ({"posed": "rest"}, "edit 1: it names no cage"),
+        ({"cage": "top.obj", "posed": "rest", "kept": True}, "edit 1: it has no 'kept', only cage, posed, keep"),
+        ({"cage": "top.obj", "posed": "rest", "keep": "yes"}, "edit 1: keep must be true or false"),
+        ({"cage": 3, "posed": "rest"}, "edit 1: cage must be a text"),
+        ("top.obj:rest", "edit 1: it must be an object"),
+    ],
+)
+def test_bad_edits_files_say_where(tmp_path, edit, message):
+    path = tmp_path / "bad.json"
+    write_edits_file(path, [EditWords("top.obj", "rest")])
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "edits": [edit]}))
+    with pytest.raises(ValueError, match=message):
+        read_edits_file(path)
+    for changes, wrong in (
+        ({"version": 2}, "version is 2"),
+        ({"edits": []}, "at least one"),
+        ({"format": 1}, "format"),
+    ):
+        path.write_text(json.dumps({**content, **changes}))
+        with pytest.raises(ValueError, match=wrong):
+            read_edits_file(path)

@@ -1,0 +1,242 @@
+"""The deformation that a command names: one cage (--cage, --posed), several edits (--edit), or a file of them."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import hashlib
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..cage.pose_file import cage_hash
+from ..core.files import require_file
+from ..deform.edits import MAX_EDITS, CageEdit
+from ..editor.session_file import FORMAT as SESSION_FORMAT
+from ..editor.session_file import read_session
+from .edit_words import EditWords, parse_edit, read_edits_file, read_edits_json
+from .keyframes import Keyframes
+
+
+@dataclasses.dataclass(frozen=True)
+class PosedEdit:
+    """One edit, and the poses that its cage goes through.
+
+    Args:
+        edit: As a Deformer takes it.
+        keyframes: The cage at rest and its poses. None for an edit that removes.
+    """
+
+    edit: CageEdit
+    keyframes: Keyframes | None
+
+    def at(self, place: float) -> Cage | None:
+        """The cage at a place, 0 at rest and 1 the first pose; after its last pose it stays. None: it is removed."""
+        if self.keyframes is None:
+            return None
+        return self.keyframes.at(min(place, len(self.keyframes.cages) - 1.0))
+
+
+class Deformation:
+    """Edits in the order in which they act, each with its poses.
+
+    Args:
+        parts: The edits, at least one.
+
+    Attributes:
+        parts: As given.
+        edits: The CageEdits, as a Deformer takes them.
+        pose_count: The cage at rest and the poses of the edit that has most of them.
+    """
+
+    def __init__(self, parts: Sequence[PosedEdit]):
+        self.parts = list(parts)
+        self.edits = [part.edit for part in self.parts]
+        self.pose_count = max((len(part.keyframes.cages) for part in self.parts if part.keyframes), default=1)
+
+    @property
+    def posed(self) -> list[Cage | None]:
+        """The last pose of each edit, None for one that removes."""
+        return self.at(self.pose_count - 1.0)
+
+    def at(self, place: float) -> list[Cage | None]:
+        """The cages at a place between the poses: 0 at rest, 1 the first pose, and so on."""
+        return [part.at(place) for part in self.parts]
+
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing moves: the scene is the field as it is."""
+        return not any(part.edit.remove or _moves(part) for part in self.parts)
+
+    def drawn(self, cages: Sequence[Cage | None]) -> list[Cage]:
+        """The cages that an overlay shows: posed ones, and at rest those whose content is removed."""
+        return [edit.cage if cage is None else cage for edit, cage in zip(self.edits, cages, strict=True)]
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(n, 3) vertices of all cages, at rest and posed, world units."""
+        cages = [part.edit.cage for part in self.parts]
+        cages += [cage for part in self.parts if part.keyframes for cage in part.keyframes.cages]
+        return np.concatenate([cage.vertices for cage in cages])
+
+    def fingerprints(self) -> dict[str, list[str]]:
+        """Hashes of the edits, "cage", and of their poses, "posed": all that decides how the scene moves."""
+        return {"cage": [_edit_hash(edit) for edit in self.edits], "posed": [_pose_hash(part) for part in self.parts]}
+
+
+def read_deformation(args: argparse.Namespace, interpolation: str | None = None) -> Deformation | None:
+    """The deformation that a command's options name.
+
+    A posed cage whose vertices or faces come in another order is matched, which a line on stderr says, or refused where
+    it does not fit.
+
+    Args:
+        args: What was given; see `options.add_deformation`.
+        interpolation: "smooth" or "linear", between several poses of an edit. None takes one pose an edit.
+
+    Returns:
+        The deformation. None where nothing is deformed.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For options that do not go together, and for edits that cannot be used.
+    """
+    ways = [f"--{name}" for name in ("cage", "edit", "edits") if getattr(args, name) is not None]
+    if len(ways) > 1:
+        raise ValueError(f"{ways[0]} and {ways[1]} do not go together: name each cage of several by --edit")
+    if args.posed is not None and args.cage is None:
+        raise ValueError("--posed needs --cage, the same cage at rest")
+    if args.cage is not None:
+        if args.posed is None and not getattr(args, "overlay", False):
+            raise ValueError(
+                "--cage and --posed go together: the cage at rest and the same cage posed (--overlay shows it at rest)"
+            )
+        texts = args.posed if isinstance(args.posed, list) else [args.posed or "rest"]
+        return Deformation([_read_edit(EditWords(args.cage, texts[0]), texts, args, interpolation)])
+    if args.edits is not None and is_session(args.edits):
+        return session_edits(args.edits, interpolation)[0]
+    words = [parse_edit(text) for text in args.edit or ()]
+    if args.edits is not None:
+        words = read_edits_file(args.edits)
+    return numbered_edits(words, args, interpolation) if words else None
+
+
+def numbered_edits(words: Sequence[EditWords], args: argparse.Namespace, interpolation: str | None) -> Deformation:
+    """The deformation of several edits; messages say which of them is wrong.
+
+    Args:
+        words: The edits in their order.
+        args: What was given; of it the axis of --cage-up.
+        interpolation: As for `read_deformation`.
+
+    Returns:
+        The deformation.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For an edit that cannot be used, or too many.
+    """
+    if len(words) > MAX_EDITS:
+        raise ValueError(f"a scene takes at most {MAX_EDITS} edits, got {len(words)}")
+    parts = []
+    for number, edit in enumerate(words, 1):
+        with _named(f"edit {number} of {len(words)}"):
+            parts.append(_read_edit(edit, [] if edit.posed is None else [edit.posed], args, interpolation))
+    return Deformation(parts)
+
+
+def is_deformed(args: argparse.Namespace) -> bool:
+    """Whether options name a deformation."""
+    return any(getattr(args, name, None) is not None for name in ("cage", "edit", "edits"))
+
+
+def is_session(path: str) -> bool:
+    """Whether a file of --edits is a session of the editor. Raises for a file that is not there or no JSON."""
+    file = require_file(path, "edits file")
+    try:
+        return read_edits_json(file).get("format") == SESSION_FORMAT
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def _read_edit(words: EditWords, texts: list[str], args: argparse.Namespace, interpolation: str | None) -> PosedEdit:
+    """An edit with the cages that its words name. texts: words of --posed."""
+    up = words.up or args.cage_up
+    rest = Cage.load(words.cage, up=up)
+    rest.require_usable(f"cage {words.cage!r}")
+    edit = CageEdit(rest, keep_source=words.keep, remove=words.remove)
+    if words.remove:
+        return PosedEdit(edit, None)
+    keyframes = Keyframes(rest, texts, interpolation or "smooth", up)
+    if interpolation is None and len(keyframes.cages) > 2:
+        text = texts[0]
+        raise ValueError(f"pose file {text!r} holds {len(keyframes.cages) - 1} keyframes: name one, as in {text}:NAME")
+    return PosedEdit(edit, keyframes)
+
+
+def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformation, list[str]]:
+    """The visible edits of a session of the editor, in the poses that it was left in.
+
+    Args:
+        path: The session's file.
+        interpolation: As for `read_deformation`.
+
+    Returns:
+        The deformation, and a line on each edit.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For a file that is damaged, or an edit that cannot be used, with its name.
+    """
+    visible = [edit for edit in read_session(path).edits if edit.visible]
+    if not visible:
+        raise ValueError(f"{path}: the session has no visible edit")
+    parts = []
+    for edit in visible:
+        with _named(f"{path}: edit {edit.name!r}"):
+            cage_edit, keyframes = edit.cage_edit, None
+            if not cage_edit.remove:
+                keyframes = Keyframes(cage_edit.cage, [], interpolation or "smooth")
+                posed = cage_edit.cage.with_vertices(edit.posed)
+                posed.require_usable("the posed cage")
+                keyframes.cages.append(posed)
+            parts.append(PosedEdit(cage_edit, keyframes))
+    return Deformation(parts), [f"{edit.name}: {edit.kind}" for edit in visible]
+
+
+@contextlib.contextmanager
+def _named(what: str) -> Iterator[None]:
+    """Put a name before what is wrong."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from error
+
+
+def _moves(part: PosedEdit) -> bool:
+    """Whether a cage has a pose that is another than the cage at rest."""
+    cages = [] if part.keyframes is None else part.keyframes.cages
+    return any(
+        cage is not part.edit.cage and not np.array_equal(cage.vertices, part.edit.cage.vertices) for cage in cages
+    )
+
+
+def _edit_hash(edit: CageEdit) -> str:
+    """A hash of an edit at rest."""
+    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove])
+
+
+def _pose_hash(part: PosedEdit) -> str:
+    """A hash of the poses of an edit."""
+    keyframes = part.keyframes
+    if keyframes is None:
+        return ""
+    preset = None if keyframes.preset is None else (keyframes.preset.family, keyframes.amounts)
+    return _hash([*map(cage_hash, keyframes.cages), preset])
+
+
+def _hash(parts: Sequence[object]) -> str:
+    """sha256 of the texts of some values."""
+    return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()

@@ -1,0 +1,209 @@
+"""Edits in words: `--edit CAGE:POSED:keep`, and edits files, which hold the same as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pathlib
+import re
+from typing import Any
+
+from ..core.checks import checked_number, listed
+from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
+from .keyframes import is_preset
+from .options import CAGE_ENDINGS
+
+FORMAT, VERSION = "warpcage edits", 1
+
+#: How an edit is written in one word.
+EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep or CAGE:remove"
+
+#: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
+#: Windows drive (C:\cage.obj) separates nothing.
+_CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, CAGE_ENDINGS))}))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+
+
+@dataclasses.dataclass(frozen=True)
+class EditWords:
+    """One edit as it is written.
+
+    Args:
+        cage: File of the cage at rest.
+        posed: A word of --posed: a cage file, a keyframe of a pose file, or a preset. None for an edit that removes.
+        keep: Leave a copy where it was.
+        remove: Draw nothing in its place.
+        up: Axis that points up in its cage files, "y" or "z". None is that of the format or of --cage-up.
+
+    Raises:
+        ValueError: For words that do not go together.
+    """
+
+    cage: str
+    posed: str | None = None
+    keep: bool = False
+    remove: bool = False
+    up: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.keep and self.remove:
+            raise ValueError("keep and remove do not go together: choose one")
+        if self.remove and self.posed is not None:
+            raise ValueError(f"what is removed needs no pose, got {self.posed!r}")
+        if not self.remove and self.posed is None:
+            raise ValueError(f"there is no posed cage: write {EDIT_SHAPE}")
+        if self.up not in (None, "y", "z"):
+            raise ValueError(f"up must be 'y' or 'z', got {self.up!r}")
+
+    def __str__(self) -> str:
+        if self.remove:
+            return f"{self.cage}: removed"
+        return f"{self.cage} -> {self.posed}{', the source stays (a copy)' if self.keep else ''}"
+
+
+def parse_edit(text: str) -> EditWords:
+    """An edit of --edit.
+
+    Args:
+        text: CAGE:POSED, with ":keep" or ":remove" at its end.
+
+    Returns:
+        Its words.
+
+    Raises:
+        ValueError: For a text that is no edit, with what would be right.
+    """
+    found = _CAGE.fullmatch(text)
+    if found is None:
+        raise ValueError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
+    cage, rest = found[1], found[2]
+    words: dict[str, Any] = {}
+    while rest is not None:
+        before, _, last = rest.rpartition(":")
+        if last not in ("keep", "remove") or pathlib.Path(rest).exists():
+            break
+        words[last] = True
+        rest = before or None
+    try:
+        return EditWords(cage, rest or None, **words)
+    except ValueError as error:
+        raise ValueError(f"--edit {text!r}: {error}") from None
+
+
+def read_edits_file(path: PathLike) -> list[EditWords]:
+    """The edits of an edits file; its paths are relative to its folder.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The edits in their order, their paths as this process opens them.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: What is wrong with it, in one line with its name.
+    """
+    path = require_file(path, "edits file")
+    try:
+        content = read_edits_json(path)
+        if content.get("format") != FORMAT:
+            raise ValueError(f"its format is {str(content.get('format'))[:40]!r}, not {FORMAT!r}")
+        version, edits = content.get("version"), content.get("edits")
+        if type(version) is not int or version < 1:
+            raise ValueError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
+        if version > VERSION:
+            raise ValueError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
+        if not isinstance(edits, list) or not edits:
+            raise ValueError("its edits must be a list of at least one edit")
+        return [_words(edit, number, path.parent) for number, edit in enumerate(edits, 1)]
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def is_edits_file(path: pathlib.Path) -> bool:
+    """Whether a file holds edits, rather than poses, say."""
+    try:
+        return read_edits_json(path).get("format") == FORMAT
+    except ValueError:
+        return False
+
+
+def read_edits_json(path: pathlib.Path) -> dict[str, Any]:
+    """What a JSON file holds. Raises ValueError where it is no JSON object."""
+    try:
+        content = json.loads(read_limited(path, "edits file", JSON_ROOM).decode("utf-8"))
+    except (RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"not an edits file: {type(error).__name__} {error}") from None
+    if not isinstance(content, dict):
+        raise ValueError("not an edits file: it holds no JSON object")
+    return content
+
+
+def write_edits_file(path: PathLike, edits: list[EditWords]) -> None:
+    """Write an edits file, whole or not at all; paths are kept relative to its folder where there is a way.
+
+    Args:
+        path: The file, usually .json.
+        edits: The edits in their order.
+
+    Raises:
+        OSError: If the file cannot be written. What was there stays.
+    """
+    folder = pathlib.Path(path).absolute().parent
+    content = {"format": FORMAT, "version": VERSION, "edits": [_json(edit, folder) for edit in edits]}
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _words(edit: Any, number: int, folder: pathlib.Path) -> EditWords:
+    """One edit of a file."""
+    try:
+        if not isinstance(edit, dict):
+            raise ValueError(f"it must be an object with a cage, got {type(edit).__name__}")
+        known = {field.name: field for field in dataclasses.fields(EditWords)}
+        # what a later version adds has a higher version: an unknown word is a slip, and would be lost in silence
+        if unknown := [name for name in edit if name not in known]:
+            raise ValueError(f"it has no {unknown[0]!r}, only {listed(known)}")
+        given = {name: value for name, value in edit.items() if value is not None}
+        for name, value in given.items():
+            _require_kind(name, value, known[name].type)
+        if "cage" not in given:
+            raise ValueError("it names no cage")
+        words = EditWords(**given)
+    except ValueError as error:
+        raise ValueError(f"edit {number}: {error}") from None
+    posed = words.posed
+    if posed is not None and not is_preset(posed):
+        posed = os.path.join(folder, posed)
+    return dataclasses.replace(words, cage=os.path.join(folder, words.cage), posed=posed)
+
+
+def _require_kind(name: str, value: Any, kind: Any) -> None:
+    """Raise ValueError where a value of a file is of another kind."""
+    if "bool" in str(kind):
+        good, wanted = isinstance(value, bool), "true or false"
+    elif "float" in str(kind):
+        checked_number(value, name)
+        return
+    else:
+        good, wanted = isinstance(value, str) and bool(value), "a text"
+    if not good:
+        raise ValueError(f"{name} must be {wanted}, got {str(value)[:40]!r}")
+
+
+def _json(edit: EditWords, folder: pathlib.Path) -> dict[str, Any]:
+    """An edit as JSON takes it: what differs from the default."""
+    posed = edit.posed
+    if posed is not None and not is_preset(posed):
+        posed = _relative(posed, folder)
+    content = dataclasses.asdict(dataclasses.replace(edit, cage=_relative(edit.cage, folder), posed=posed))
+    defaults = {field.name: field.default for field in dataclasses.fields(EditWords)}
+    return {name: value for name, value in content.items() if value != defaults[name]}
+
+
+def _relative(path: str, folder: pathlib.Path) -> str:
+    """A path from a folder, with slashes, so that both can be moved together and read on any system."""
+    try:
+        return pathlib.PurePath(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # on another drive
+        return os.path.abspath(path)
