@@ -12,8 +12,11 @@ EDIT = [
     "platformdirs>=4.0",  # where the demo is kept
 ]
 
+EXR = ["OpenEXR>=3.3"]  # pictures of light, opacity and depth: from 3.3 on it takes NumPy arrays
+
 TEST = [
     *EDIT,
+    *EXR,
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
     "pytest>=8.0",
     "pytest-xdist>=3.6",  # over all cores
@@ -54,7 +57,7 @@ setup(
         "scipy>=1.11",
         "tqdm>=4.66",
     ],
-    extras_require={"edit": EDIT, "test": TEST, "dev": DEV},
+    extras_require={"edit": EDIT, "exr": EXR, "test": TEST, "dev": DEV},
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[
         "Programming Language :: Python :: 3",

@@ -271,8 +271,8 @@ def test_folders_with_something_in_them_stay_as_they_are(field, tmp_path):
 @pytest.mark.parametrize(
     ("name", "film", "message"),
     [
-        ("film.mov", TINY, "must end in .mp4 or .gif, or have no ending"),
-        ("film.mp4", Film(40, 30, transparent=True), "has no opacity: write a folder of PNG files"),
+        ("film.avi", TINY, "must end in .mp4, .gif, .mov, .webm, or have no ending"),
+        ("film.mp4", Film(40, 30, transparent=True), "has no opacity: give .mov"),
     ],
 )
 def test_films_that_cannot_be_written(field, tmp_path, name, film, message):
@@ -398,7 +398,7 @@ def test_sessions_that_are_not_there_and_of_other_fields(saved, tmp_path, capsys
     for words, message in (
         ([saved / "ball.npz", "--session", "nothing.json"], "session file 'nothing.json' is not there"),
         ([files / "ball.npz", "--session", files / "text.txt"], "text.txt: not a session file"),
-        ([saved / "ball.npz", "--transparent"], "--transparent goes with --session"),
+        ([saved / "ball.npz", "--transparent"], "a film that ends in .mp4 has no opacity"),
     ):
         assert main(["animate", *map(str, words), "-o", str(tmp_path / "film.mp4"), "--device", "cpu"]) == 2
         error = capsys.readouterr().err

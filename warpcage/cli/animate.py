@@ -6,7 +6,7 @@ import argparse
 import hashlib
 import json
 import pathlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,10 +19,11 @@ from ..editor.session_file import read_session
 from ..editor.timeline import frame_times
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
-from ..view.film import checked_rate, write_gif, write_video
+from ..view.exr import read_exr
+from ..view.film import FILM_ENDINGS, checked_rate, write_film
 from ..view.frame import Frame
 from ..view.motion import axis_rotation, cameras_along, frame_places
-from ..view.pictures import read_image, write_png
+from ..view.pictures import read_image
 from . import inputs, options, outputs, view
 from .arguments.animate import OF_SESSIONS, Default
 from .deformation import Deformation, read_deformation
@@ -37,6 +38,8 @@ WITH_SESSION = (
     "output",
     "session",
     "transparent",
+    "background",
+    "format",
     "overlay",
     "size",
     "scene_scale",
@@ -49,12 +52,14 @@ def run(args: argparse.Namespace) -> None:
     if args.session is not None:
         _run_session(args)
         return
-    if args.transparent:
-        raise ValueError("--transparent goes with --session")
     for name in OF_SESSIONS:
         default = getattr(args, name)
         setattr(args, name, default.value if isinstance(default, Default) else default)
     output = _checked_output(args.output)
+    if outputs.checked_opacity(args, output) and args.show != "rgb":
+        raise ValueError(f"--show {args.show} has no opacity: leave out --background transparent")
+    if args.format == "exr" and args.show != "rgb":
+        raise ValueError("--format exr holds colours, opacity and depth together: leave out --show")
     if output.suffix:
         checked_rate(args.fps, output.suffix.lower())
     if args.overlay:
@@ -70,19 +75,15 @@ def run(args: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     frames = tqdm(range(args.frames), desc="animate", disable=args.quiet)
-    if output.suffix.lower() == ".mp4":
-        write_video(output, map(shot.picture, frames), args.fps)
-    elif output.suffix.lower() == ".gif":
-        write_gif(output, map(shot.picture, frames), args.fps)
+    if output.suffix:
+        write_film(output, map(shot.picture, frames), args.fps)
     else:
         kept = _write_folder(output, shot, frames, _settings(args, cameras, deformation))
         print(f"wrote {output}: {args.frames - kept} frames, {kept} were there already")
         shot.warn()
         return
-    print(
-        f"wrote {output}: {args.frames} frames of {cameras[0].width}x{cameras[0].height}, "
-        f"{output.stat().st_size / 1e6:.2f} MB"
-    )
+    size = outputs.size_text(cameras[0].width, cameras[0].height, output)
+    print(f"wrote {output}: {args.frames} frames of {size}, {output.stat().st_size / 1e6:.2f} MB")
     shot.warn()
 
 
@@ -94,7 +95,12 @@ def _run_session(args: argparse.Namespace) -> None:
     options.check_parent(output)
     require_file(args.session, "session file")  # before a field is read, which takes a while
     width, height = view.image_size(args) or DEFAULT_SIZE
-    film = Film(width, height, args.overlay, args.transparent)
+    if args.format is not None:
+        raise ValueError("--session writes PNG files into a folder: leave --format out")
+    transparent = outputs.checked_opacity(args, output)
+    if args.background is not None and not transparent:
+        raise ValueError("--session cannot be combined with --background: the session decides that")
+    film = Film(width, height, args.overlay, transparent)
     field = inputs.read_field(args)
     document = read_session(args.session, field)
 
@@ -106,7 +112,7 @@ def _run_session(args: argparse.Namespace) -> None:
             bar.update(round((share or 0.0) * bar.total) - bar.n)
 
         count = export_film(document, field, output, film, report)
-    print(f"wrote {output}: {count} frames of {width}x{height}")
+    print(f"wrote {output}: {count} frames of {outputs.size_text(width, height, output)}")
 
 
 def _given_besides(args: argparse.Namespace) -> list[str]:
@@ -157,13 +163,22 @@ class _Shot:
         return self.deformer.render(camera, **background), self.deformation.drawn(cages)
 
     def picture(self, index: int) -> np.ndarray:
-        """What the film shows of a frame, (h, w, 3) or (h, w)."""
+        """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4)."""
+        return self._shown(*self.frame(index), self.cameras[index])
+
+    def write(self, path: pathlib.Path, index: int) -> None:
+        """Write a frame's picture."""
         frame, cages = self.frame(index)
+        outputs.write_picture(path, self._shown(frame, cages, self.cameras[index]), frame, self.cameras[index])
+
+    def _shown(self, frame: Frame, cages: Sequence[Cage], camera: Camera) -> np.ndarray:
         if self.args.show == "masks":
             for name, share in outputs.mask_shares(frame).items():
                 self.shares.setdefault(name, []).append(share)
         drawn = cages if self.args.overlay else ()
-        return outputs.picture(frame, self.args.show, self.cameras[index], drawn, self.scale)
+        if self.args.show == "rgb":
+            return outputs.colours(frame, camera, drawn, inputs.is_transparent(self.args))
+        return outputs.picture(frame, self.args.show, camera, drawn, self.scale)
 
     def _scale(self) -> tuple[float, float]:
         """From a few frames, always the same ones, so that a folder that is continued keeps its colours."""
@@ -218,9 +233,9 @@ def turned_cameras(camera: Camera, pivot: np.ndarray, up: ArrayLike, degrees: fl
 def _checked_output(text: str) -> pathlib.Path:
     path = pathlib.Path(text)
     if path.suffix:
-        return options.check_output(text, (".mp4", ".gif"), "film (a folder has no ending)")
+        return options.check_output(text, FILM_ENDINGS, "film (a folder has no ending)")
     if path.exists() and not path.is_dir():
-        raise ValueError(f"film {text!r} is a file without an ending: give .mp4, .gif or a folder")
+        raise ValueError(f"film {text!r} is a file without an ending: give {', '.join(FILM_ENDINGS)} or a folder")
     options.check_parent(path)
     return path
 
@@ -234,7 +249,6 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
         "turn",
         "show",
         "overlay",
-        "background",
         "coordinates",
         "resolution",
         "density",
@@ -242,6 +256,8 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
         "scene_scale",
     )
     settings = {name: getattr(args, name) for name in names}
+    settings["background"] = options.TRANSPARENT if inputs.is_transparent(args) else args.background
+    settings["format"] = args.format or "png"
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()
     settings["field"] = hashlib.sha256(pathlib.Path(args.field).read_bytes()).hexdigest()
@@ -263,24 +279,25 @@ def _write_folder(folder: pathlib.Path, shot: _Shot, frames: Iterable[int], sett
                 f"folder {str(folder)!r} holds frames of another film (other {', '.join(changed)}): "
                 "give another folder, or empty this one"
             )
-    elif folder.is_dir() and any(folder.glob("frame_*.png")):
+    elif folder.is_dir() and any(folder.glob("frame_*.*")):
         raise ValueError(f"folder {str(folder)!r} holds other frames (no {SETTINGS_NAME}): give another folder")
     else:
         with atomic_path(note) as temporary:
             temporary.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
     kept = 0
     for index in frames:
-        path = folder / f"frame_{index:04d}.png"
+        path = folder / f"frame_{index:04d}.{settings['format']}"
         if _holds_picture(path, shot.cameras[index]):
             kept += 1
         else:
-            write_png(path, shot.picture(index))
+            shot.write(path, index)
     return kept
 
 
 def _holds_picture(path: pathlib.Path, camera: Camera) -> bool:
     """Whether a file is a whole picture from a camera. What was cut, on a full disk or by hand, is rendered again."""
     try:
-        return read_image(path).shape[:2] == (camera.height, camera.width)
-    except (OSError, ValueError):
+        shape = read_exr(path)["Z"].shape if path.suffix == ".exr" else read_image(path).shape[:2]
+        return shape == (camera.height, camera.width)
+    except (OSError, ValueError, KeyError):
         return False

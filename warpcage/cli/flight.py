@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from ..view.camera import Camera
-from ..view.film import write_gif, write_video
+from ..view.film import FILM_ENDINGS, write_film
+from ..view.frame import Frame
 from ..view.motion import cameras_along
-from ..view.pictures import write_png
 from . import inputs, options, outputs, view
 from .arguments.render import STEPS
 from .deformation import read_deformation
@@ -26,6 +26,7 @@ SINGLE = ("disparity", "depth", "alpha", "masks", "camera", "eye", "target")
 def run(args: argparse.Namespace) -> None:
     """Render them all."""
     output = _checked_output(args.output)
+    transparent = outputs.checked_opacity(args, output)
     if args.scene is None:
         raise ValueError("--cameras needs --scene, the scene of the cameras")
     if any(getattr(args, name) is not None for name in SINGLE):
@@ -38,13 +39,14 @@ def run(args: argparse.Namespace) -> None:
     renderer = inputs.posed_renderer(inputs.read_field(args), deformation, args)
     drawn = deformation.drawn(deformation.posed) if deformation and args.overlay else ()
 
-    def pictures() -> Iterator[np.ndarray]:
+    def pictures() -> Iterator[tuple[np.ndarray, Frame, Camera]]:
         for camera in cameras:
             frame = renderer.render(camera, **inputs.background_option(args))
-            yield outputs.picture(frame, "rgb", camera, drawn)
+            yield outputs.colours(frame, camera, drawn, transparent), frame, camera
 
-    _write(output, pictures())
-    print(f"wrote {output}: {len(cameras)} pictures of {cameras[0].width}x{cameras[0].height}")
+    _write(output, pictures(), args.format or "png")
+    size = outputs.size_text(cameras[0].width, cameras[0].height, output)
+    print(f"wrote {output}: {len(cameras)} pictures of {size}")
 
 
 def chosen_cameras(args: argparse.Namespace) -> list[Camera]:
@@ -58,18 +60,17 @@ def chosen_cameras(args: argparse.Namespace) -> list[Camera]:
 def _checked_output(text: str) -> pathlib.Path:
     path = pathlib.Path(text)
     if path.suffix:
-        return options.check_output(text, (".mp4", ".gif"), "film (a folder of pictures has no ending)")
+        return options.check_output(text, FILM_ENDINGS, "film (a folder of pictures has no ending)")
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise ValueError(f"{text!r} exists already: --cameras writes a new or an empty folder, .mp4 or .gif")
+        raise ValueError(f"{text!r} exists already: --cameras writes a new or an empty folder, or a film")
     options.check_parent(path)
     return path
 
 
-def _write(output: pathlib.Path, pictures: Iterable[np.ndarray]) -> None:
-    if output.suffix.lower() == ".mp4":
-        write_video(output, pictures, VIDEO_RATE)
-    elif output.suffix.lower() == ".gif":
-        write_gif(output, pictures, GIF_RATE)
-    else:
-        for index, picture in enumerate(pictures):
-            write_png(output / f"view_{index:04d}.png", picture)
+def _write(output: pathlib.Path, pictures: Iterable[tuple[np.ndarray, Frame, Camera]], kind: str) -> None:
+    if output.suffix:
+        rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
+        write_film(output, (image for image, _, _ in pictures), rate)
+        return
+    for index, (image, frame, camera) in enumerate(pictures):
+        outputs.write_picture(output / f"view_{index:04d}.{kind}", image, frame, camera)

@@ -11,6 +11,7 @@ from ..core.devices import resolve_device
 from ..core.files import require_file
 from ..deform.deformer import Deformer
 from ..field.voxel_field import VoxelField
+from . import options
 from .deformation import Deformation, is_deformed
 
 
@@ -78,6 +79,15 @@ def posed_renderer(
     return make_deformer(field, deformation, args).pose(deformation.posed)
 
 
+def is_transparent(args: argparse.Namespace) -> bool:
+    """Whether pictures have opacity instead of a background. Raises ValueError where both are asked for."""
+    if args.transparent and args.background not in (None, options.TRANSPARENT):
+        raise ValueError("--transparent cannot be combined with --background: give one of them")
+    return args.transparent or args.background == options.TRANSPARENT
+
+
 def background_option(args: argparse.Namespace) -> dict:
-    """The option `background` of a render, empty where the field's own is taken."""
+    """The option `background` of a render, empty where the field's own is taken. Behind opacity there is black."""
+    if is_transparent(args):
+        return {"background": "black"}
     return {} if args.background is None else {"background": args.background}

@@ -20,6 +20,9 @@ PICTURE_KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
 #: Colours behind pictures, for help texts.
 COLOUR_NAMES = ", ".join(BACKGROUNDS)
 
+#: The word for no background: pictures with opacity.
+TRANSPARENT = "transparent"
+
 #: What takes arguments: a parser, or a group of its arguments.
 Arguments = argparse._ActionsContainer
 
@@ -100,6 +103,19 @@ def add_background(parser: Arguments, default_text: str, more: str = "") -> None
         type=colour,
         metavar="COLOUR",
         help=f"{COLOUR_NAMES}, or three numbers in [0, 1] such as 0.2,0.3,0.4 (default: {default_text}){more}",
+    )
+
+
+def add_clear_background(parser: Arguments) -> None:
+    """The background of pictures that may have none, and the files that a folder of them holds."""
+    add_background(parser, "the field's own", f"; {TRANSPARENT}: none, for files that keep opacity")
+    parser.add_argument("--transparent", action="store_true", help=f"the same as --background {TRANSPARENT}")
+    parser.add_argument(
+        "--format",
+        choices=("png", "exr"),
+        default=None,
+        help="what a folder of pictures holds: png (straight colours), or exr (linear light, multiplied by opacity, "
+        "with depth) (default: png)",
     )
 
 

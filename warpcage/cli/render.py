@@ -16,7 +16,11 @@ def run(args: argparse.Namespace) -> None:
         return flight.run(args)
     if args.scene is not None or args.frames is not None:
         raise ValueError("--scene and --frames belong to --cameras")
-    output = options.check_output(args.output, (".png",), "picture")
+    if args.format is not None:
+        raise ValueError("--format is for folders of pictures: the ending of a single one says what it is")
+    output = options.check_output(args.output, (".png", ".exr"), "picture")
+    outputs.require_format(output)
+    transparent = inputs.is_transparent(args)
     extra = {
         kind: options.check_output(getattr(args, kind), (".png",), "picture")
         for kind in ("disparity", "depth", "alpha", "masks")
@@ -30,7 +34,7 @@ def run(args: argparse.Namespace) -> None:
     camera = view.chosen_camera(args, inputs.visible_points(field, deformation))
     frame = inputs.posed_renderer(field, deformation, args).render(camera, **inputs.background_option(args))
     drawn = deformation.drawn(deformation.posed) if deformation and args.overlay else ()
-    write_png(output, outputs.picture(frame, "rgb", camera, drawn))
+    outputs.write_picture(output, outputs.colours(frame, camera, drawn, transparent), frame, camera)
     for kind, path in extra.items():
         write_png(path, outputs.picture(frame, kind))
     names = " and ".join(map(str, [output, *extra.values()]))

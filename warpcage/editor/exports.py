@@ -17,9 +17,8 @@ from ..core.checks import checked_whole
 from ..core.files import PathLike
 from ..deform.bake import bake
 from ..field.voxel_field import VoxelField
-from ..view.camera import Camera
-from ..view.film import checked_rate, write_gif, write_video
-from ..view.frame import Frame
+from ..view.film import FILM_ENDINGS, checked_rate, require_clear_film, write_film
+from ..view.opacity import rgba_picture
 from ..view.overlay import draw_cage
 from ..view.pictures import write_png
 from .document import Document
@@ -44,7 +43,7 @@ class Film:
         width: Width of its pictures, pixels.
         height: Height of its pictures, pixels.
         overlay: Draw the cages of visible edits into the pictures.
-        transparent: Write pictures with opacity instead of a background: for folders of PNG files.
+        transparent: Write pictures with opacity instead of a background: for .mov, .webm and folders of PNG files.
 
     Raises:
         ValueError: For sizes that are not 1 to LARGEST_SIDE.
@@ -75,7 +74,7 @@ def export_film(
     Args:
         document: The document.
         field: The radiance field.
-        path: The film: .mp4 or .gif, or a folder of PNG files, which must not be there or be empty.
+        path: The film (.mp4, .gif, .mov or .webm), or a folder of PNG files, which must not be there or be empty.
         film: Size and kind of its pictures. None is the default of each.
         report: Told after each frame. What it raises ends the work.
 
@@ -89,14 +88,12 @@ def export_film(
     film = film or Film()
     target, times = checked_film_path(path), frame_times(document.timeline)
     ending = target.suffix.lower()
-    if film.transparent and ending:
-        raise ValueError(f"a film ({ending}) has no opacity: write a folder of PNG files, which has no ending")
+    if film.transparent:
+        require_clear_film(target)
     rate = checked_rate(frame_rate(document.timeline), ending) if ending else None
     pictures = film_pictures(document, field, film, report)
-    if ending == ".mp4" and rate is not None:
-        write_video(target, pictures, rate)
-    elif rate is not None:
-        write_gif(target, pictures, rate, loop=document.timeline.loop != "once")
+    if rate is not None:
+        write_film(target, pictures, rate, loop=document.timeline.loop != "once")
     else:
         with atomic_folder(target) as folder:
             digits = max(4, len(str(len(times) - 1)))
@@ -143,7 +140,7 @@ def checked_film_path(path: PathLike) -> pathlib.Path:
     """The path of a film, once it is clear that one can be written there.
 
     Args:
-        path: .mp4, .gif, or a folder without an ending.
+        path: One of FILM_ENDINGS, or a folder without an ending.
 
     Returns:
         The path.
@@ -152,11 +149,12 @@ def checked_film_path(path: PathLike) -> pathlib.Path:
         ValueError: For another ending, a folder that ends so, or a folder with something in it.
     """
     target = pathlib.Path(path)
-    if target.suffix.lower() in (".mp4", ".gif"):
+    if target.suffix.lower() in FILM_ENDINGS:
         if target.is_dir():
             raise ValueError(f"film {str(target)!r} is a folder")
     elif target.suffix:
-        raise ValueError(f"film {str(target)!r} must end in .mp4 or .gif, or have no ending: a folder of PNG files")
+        endings = ", ".join(FILM_ENDINGS)
+        raise ValueError(f"film {str(target)!r} must end in {endings}, or have no ending: a folder of PNG files")
     elif target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise ValueError(f"{str(target)!r} holds something already: give the name of a new folder")
     return target
@@ -263,7 +261,7 @@ def export_command(
         session: The session's file.
         field: The field's file.
         film: Size and kind of its pictures. None is the default of each.
-        output: The film: .mp4, .gif, or a folder without an ending.
+        output: The film (.mp4, .gif, .mov or .webm), or a folder without an ending.
         scene_scale: The factor that the field was loaded with.
 
     Returns:
@@ -297,20 +295,8 @@ def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
         [edit.posed_cage for edit in document.edits if edit.visible and edit.kind != "remove"] if film.overlay else []
     )
     if film.transparent:
-        return _with_opacity(frame, looking, cages)
+        return rgba_picture(frame, looking, cages)
     shown = np.clip(frame.rgb, 0.0, 1.0)
     for cage in cages:
         shown = draw_cage(shown, looking, cage)
     return shown
-
-
-def _with_opacity(frame: Frame, looking: Camera, cages: list[Cage]) -> np.ndarray:
-    """(h, w, 4) colours and opacity of a frame on black, whose colours are multiplied by opacity."""
-    colours = np.maximum(frame.rgb, 0.0)
-    clear = np.repeat(1.0 - np.clip(frame.alpha, 0.0, 1.0)[..., None], 3, axis=-1)
-    for cage in cages:
-        colours = draw_cage(colours, looking, cage)
-        clear = draw_cage(clear, looking, cage, color=(0.0, 0.0, 0.0))  # what is behind, through the same lines
-    alpha = 1.0 - clear[..., :1]
-    straight = np.divide(colours, alpha, out=np.zeros_like(colours), where=alpha > 0.0)
-    return np.concatenate([np.clip(straight, 0.0, 1.0), alpha], axis=-1).astype(np.float32)

@@ -31,12 +31,17 @@ LOADABLE = {**dict.fromkeys(ENDINGS, "cage"), ".json": "poses", ".npz": "field"}
 #: What can be exported, and the endings of its files.
 EXPORTS = {
     "mp4": (".mp4",),
+    "mov": (".mov",),
+    "webm": (".webm",),
     "gif": (".gif",),
     "png": ("",),
     "cage": exports.CAGE_ENDINGS,
     "poses": (".json",),
     "bake": (".npz",),
 }
+
+#: Those of them that are films, or pictures of one.
+FILMS = ("mp4", "gif", "mov", "webm", "png")
 
 #: Files that are listed at most.
 MAX_FILES = 1000
@@ -291,7 +296,7 @@ class Tasks:
         if what in ("cage", "poses"):
             number = document.edit(number).id
         rest = checked_flag(message.get("rest", False), "rest")
-        film = _film(message) if what in ("mp4", "gif", "png") else None
+        film = _film(message) if what in FILMS else None
 
         def work(progress: Progress) -> Outcome:
             self.free_path(path.name, EXPORTS[what])  # it may have waited for others

@@ -16,12 +16,16 @@ EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
   warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mov --background transparent
   warpcage animate lego.npz --edits lego.edits.json -o parts.mp4
   warpcage animate lego.npz --session lego.session.json -o film.mp4 --size 800 600
 
-An output without an ending is a folder of PNG files. If the command is interrupted, run it again: it renders only what
-is missing. The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from
-pose to pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
+An output without an ending is a folder of pictures, PNG or EXR (--format). Opacity is kept by those, .mov (ProRes 4444)
+and .webm (VP9); colours are straight, but in EXR files multiplied by opacity. If the command is interrupted, run it
+again: it renders only what is missing of a folder.
+
+The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from pose to
+pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
 
 --session makes the film of a session of the editor: its keys, its camera and its settings. A folder is new or empty
 then, and appears when all of its pictures are there.
@@ -48,7 +52,7 @@ class Default:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     parser.add_argument(
-        "-o", "--output", required=True, metavar="FILM", help="film (.mp4, .gif) or folder of PNG files"
+        "-o", "--output", required=True, metavar="FILM", help="film (.mp4, .gif, .mov, .webm) or folder of pictures"
     )
     parser.add_argument(
         "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"
@@ -75,9 +79,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     session = parser.add_argument_group("a session of the editor")
     session.add_argument("--session", metavar="FILE", help="session file (.session.json), instead of all that it holds")
-    session.add_argument(
-        "--transparent", action="store_true", help="with --session and a folder: PNG files with opacity, no background"
-    )
     path = parser.add_argument_group("camera path")
     path.add_argument(
         "--turn",
@@ -99,7 +100,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "folds, what it uncovers and what it loses, with a warning of how much (default: %(default)s)",
     )
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the pictures")
-    options.add_background(parser, "the field's own")
+    options.add_clear_background(parser)
     options.add_deformation(parser, keyframes=True)
     options.add_view(parser)
     options.add_scene_scale(parser)

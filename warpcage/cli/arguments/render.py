@@ -16,6 +16,7 @@ EXAMPLE = """\
   warpcage render lego.npz --cage cage.obj --posed twist:60 -o twisted.png
   warpcage render lego.npz --cage cage.obj -o caged.png --overlay
   warpcage render lego.npz --edit arm.obj:arm_up.obj:keep --edit cab.obj:remove -o parts.png
+  warpcage render lego.npz -o lego.exr --background transparent
   warpcage render lego.npz -o views/ --cameras interpolate --scene data/lego:test --frames 60
 """
 
@@ -25,7 +26,7 @@ STEPS = 8
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument("-o", "--output", required=True, metavar="PICTURE", help="picture to write (.png)")
+    parser.add_argument("-o", "--output", required=True, metavar="PICTURE", help="picture to write (.png, .exr)")
     _add_many(parser)
     parser.add_argument("--disparity", metavar="PICTURE", help="also write the disparity in colour (.png)")
     parser.add_argument("--depth", metavar="PICTURE", help="also write the depth in grey, near is white (.png)")
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "rest cage (yellow) (.png), and warn of how much there is of each",
     )
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the picture")
-    options.add_background(parser, "the field's own")
+    options.add_clear_background(parser)
     options.add_deformation(parser)
     options.add_view(parser)
     options.add_scene_scale(parser)
@@ -50,7 +51,7 @@ def _add_many(parser: argparse.ArgumentParser) -> None:
         "--cameras",
         choices=("interpolate", "given"),
         help="given: one picture from each camera of --scene; interpolate: pictures along a smooth path through "
-        "them. The output is then a folder, .mp4 or .gif",
+        "them. The output is then a folder or a film (.mp4, .gif, .mov, .webm)",
     )
     group.add_argument(
         "--scene", metavar="SCENE[:SPLIT]", help="scene of the cameras, e.g. data/lego:test (default split: train)"

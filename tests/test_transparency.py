@@ -1,0 +1,163 @@
+"""Pictures and films with opacity, opened again and compared with what was rendered."""
+
+import av
+import numpy as np
+import pytest
+from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+
+from warpcage.view.camera import Camera
+from warpcage.view.exr import depth_along_view, read_exr, write_exr
+from warpcage.view.film import write_film
+from warpcage.view.frame import Frame
+from warpcage.view.opacity import linear_light, rgba_picture, with_spread_colours
+from warpcage.view.pictures import read_image
+
+VIEW = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_files(tmp_path_factory.mktemp("clear"))
+
+
+def read_film(path):
+    """(n, h, w, 4) float of a film with opacity, by the decoder that knows of it."""
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        vp9 = stream.codec_context.name == "vp9"  # FFmpeg's own decoder leaves opacity out
+        decoder = av.CodecContext.create("libvpx-vp9", "r") if vp9 else stream.codec_context
+        packets = (packet if packet.size else None for packet in container.demux(stream))
+        frames = [frame for packet in packets for frame in decoder.decode(packet)]
+    # whole colours first: swscale loses the last odd column on the way from 4:2:0 to RGB
+    whole = [frame.reformat(format="yuva444p") if vp9 else frame for frame in frames]
+    return np.array([one.reformat(format="rgba64le", src_colorspace="ITU709").to_ndarray() for one in whole]) / 65535
+
+
+def over(rgba, colour):
+    """Straight colours before a background, as a screen mixes them."""
+    return rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:]) * np.asarray(colour, float)
+
+
+def test_a_still_with_opacity_lies_over_any_colour(files, tmp_path):
+    for colour in ("transparent", "white", "black"):
+        succeed(
+            files, "render", "@ball.npz", "-o", tmp_path / f"{colour}.png", *DEFORMED, *VIEW, "--background", colour
+        )
+    rgba = read_image(tmp_path / "transparent.png")
+    assert rgba.shape == (40, 40, 4) and rgba[0, 0, 3] == 0 and rgba[20, 20, 3] == 1
+    for name, colour in (("white", 1.0), ("black", 0.0)):
+        assert np.abs(over(rgba, [colour] * 3) - read_image(tmp_path / f"{name}.png")).max() < 2.5 / 255
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "same.png", *DEFORMED, *VIEW, "--transparent")
+    assert (tmp_path / "same.png").read_bytes() == (tmp_path / "transparent.png").read_bytes()
+
+
+def test_an_exr_holds_light_times_opacity_and_depth(files, tmp_path):
+    words = ["render", "@ball.npz", *DEFORMED, *VIEW]
+    succeed(files, *words, "--transparent", "-o", tmp_path / "ball.png")
+    succeed(files, *words, "--transparent", "-o", tmp_path / "ball.exr")
+    succeed(files, *words, "--background", "white", "-o", tmp_path / "white.exr")
+    straight, channels = read_image(tmp_path / "ball.png"), read_exr(tmp_path / "ball.exr")
+    rgba, depth = channels["RGBA"].astype(float), channels["Z"]
+    assert channels["RGBA"].dtype == np.float16 and depth.dtype == np.float32
+    np.testing.assert_allclose(rgba[..., 3], straight[..., 3], atol=3e-3)
+    # IEC 61966-2-1, written out again
+    light = np.where(straight <= 0.04045, straight / 12.92, ((straight + 0.055) / 1.055) ** 2.4)[..., :3]
+    np.testing.assert_allclose(rgba[..., :3], light * straight[..., 3:], atol=6e-3)
+    assert depth[0, 0] == np.float32(1e10) and 2.2 < depth[20, 20] < 3.0
+    white = read_exr(tmp_path / "white.exr")
+    assert set(white) == {"RGB", "Z"} and (white["RGB"][0, 0] == 1).all()
+
+
+def test_depth_in_a_file_is_along_the_view():
+    camera = Camera.look_at([0, -4, 0], (0, 0, 0), width=9, height=7, fov_degrees=80)
+    origins, directions = camera.rays()
+    along = directions.reshape(7, 9, 3) @ [0.0, 1.0, 0.0]  # a wall across the view, 4 before the camera
+    depth = np.where(np.arange(9) == 0, np.inf, 4.0 / along)
+    frame = Frame(9, 7, np.zeros((63, 3)), np.ones(63), depth.reshape(-1))
+    np.testing.assert_allclose(depth_along_view(frame, camera)[:, 1:], 4.0, rtol=1e-5)
+    assert (depth_along_view(frame, camera)[:, 0] == np.float32(1e10)).all()
+
+
+@pytest.mark.parametrize("ending", ["mov", "webm"])
+def test_a_film_with_opacity_opened_again(files, tmp_path, ending):
+    """Over black, white and green it looks as the frames themselves do: no dark rim, no loss of opacity."""
+    words = ["animate", "@ball.npz", *DEFORMED, *VIEW, "--size", 65, 49, "--frames", 3, "--turn", 0, "--quiet"]
+    words += ["--background", "transparent"]
+    succeed(files, *words, "-o", tmp_path / "frames")
+    succeed(files, *words, "-o", tmp_path / f"film.{ending}")
+    frames = np.array([read_image(path) for path in sorted((tmp_path / "frames").glob("*.png"))])
+    film = read_film(tmp_path / f"film.{ending}")
+    assert film.shape == frames.shape == (3, 49, 65, 4)
+    assert np.abs(film[..., 3] - frames[..., 3]).mean() < (0.002 if ending == "mov" else 0.01)
+    for colour in ([0, 0, 0], [1, 1, 1], [0, 1, 0]):
+        error = over(film, colour) - over(frames, colour)
+        assert 10 * np.log10(1 / np.mean(error**2)) > (45 if ending == "mov" else 29)
+    assert np.abs(frames[1] - frames[0]).mean() > 0.01
+
+
+def test_a_folder_of_exr_files_goes_on_where_it_was_left(files, tmp_path, capsys):
+    folder = tmp_path / "frames"
+    words = ["animate", "@ball.npz", "-o", folder, *VIEW, "--frames", 3, "--quiet", "--transparent", "--format", "exr"]
+    succeed(files, *words)
+    whole = [path.read_bytes() for path in sorted(folder.glob("*.exr"))]
+    assert len(whole) == 3
+    (folder / "frame_0001.exr").write_bytes(whole[1][:-50])
+    capsys.readouterr()
+    succeed(files, *words)
+    assert "1 frames, 2 were there already" in capsys.readouterr().out
+    again = [read_exr(path) for path in sorted(folder.glob("*.exr"))]
+    assert len(again) == 3 and all(set(one) == {"RGBA", "Z"} for one in again)
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "views", "--cameras", "given", "--scene", "@scene:test",
+            "--transparent", "--format", "exr")  # fmt: skip
+    assert read_exr(tmp_path / "views" / "view_0001.exr")["RGBA"].shape == (24, 24, 4)
+
+
+def test_colours_go_on_beyond_an_edge():
+    rgba = np.zeros((9, 9, 4), np.float32)
+    rgba[4, 4] = [0.2, 0.4, 0.6, 1.0]
+    spread = with_spread_colours(rgba, reach=2)
+    np.testing.assert_array_equal(spread[..., 3], rgba[..., 3])
+    np.testing.assert_allclose(spread[4, 2, :3], [0.2, 0.4, 0.6])
+    assert (spread[0, 0] == 0).all()
+    np.testing.assert_array_equal(with_spread_colours(np.zeros((2, 2, 4))), np.zeros((2, 2, 4)))
+
+
+def test_straight_colours_of_a_frame():
+    colours = np.array([[[0.2, 0.1, 0.0], [0.0, 0.0, 0.0]]])
+    rgba = rgba_picture(Frame(2, 1, colours, np.array([[0.5, 0.0]]), np.ones((1, 2))))
+    np.testing.assert_allclose(rgba, [[[0.4, 0.2, 0.0, 0.5], [0, 0, 0, 0]]], atol=1e-6)
+    np.testing.assert_allclose(linear_light([0.0, 0.5, 1.0]), [0.0, 0.21404, 1.0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["-o", "@new.mp4", "--background", "transparent"], "a film that ends in .mp4 has no opacity: give .mov"),
+        (["-o", "@new.gif", "--transparent"], "a film that ends in .gif has no opacity"),
+        (["-o", "@new.mov", "--transparent", "--background", "red"], "give one of them"),
+        (["-o", "@new", "--transparent", "--show", "depth"], "--show depth has no opacity"),
+        (["-o", "@new.mov", "--format", "exr"], "--format is for folders"),
+        (["-o", "@new", "--format", "exr", "--show", "alpha"], "leave out --show"),
+    ],
+)
+def test_what_has_no_opacity_is_refused_before_anything_is_written(files, words, message, capsys):
+    before = sorted(files.rglob("*"))
+    assert run(files, "animate", "@ball.npz", "--size", 16, "--frames", 2, "--quiet", *words) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert sorted(files.rglob("*")) == before
+
+
+def test_films_and_pictures_that_cannot_be(tmp_path, monkeypatch):
+    with pytest.raises(ValueError, match="must end in .mp4, .gif, .mov, .webm"):
+        write_film(tmp_path / "film.avi", [np.zeros((4, 4, 3))])
+    with pytest.raises(ValueError, match="one size"):
+        write_film(tmp_path / "film.mov", [np.zeros((16, 16, 4)), np.zeros((16, 16, 3))])
+    with pytest.raises(ValueError, match="at least one frame"):
+        write_film(tmp_path / "film.webm", [])
+    with pytest.raises(ValueError, match="depth must be"):
+        write_exr(tmp_path / "one.exr", np.zeros((4, 4, 3)), np.zeros((2, 2)))
+    monkeypatch.setitem(__import__("sys").modules, "OpenEXR", None)
+    with pytest.raises(ValueError, match=r'pip install "warpcage\[exr\]"'):
+        write_exr(tmp_path / "one.exr", np.zeros((4, 4, 3)))
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,102 @@
+"""OpenEXR pictures: light, opacity and depth, as compositing programs take them."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core.files import atomic_path, require_file
+from .camera import Camera
+from .frame import Frame
+from .opacity import linear_light
+from .pictures import path_with_ending
+
+#: Depth where nothing is seen, as Blender writes it.
+NOTHING = 1e10
+
+#: Corners of the colours of sRGB and BT.709, and its white: x and y each.
+_PRIMARIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+
+
+def require_openexr() -> Any:
+    """The OpenEXR library. Raises ValueError where it is not installed."""
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise ValueError('OpenEXR pictures need its library: pip install "warpcage[exr]"') from error
+    return OpenEXR
+
+
+def depth_along_view(frame: Frame, camera: Camera) -> np.ndarray:
+    """Depth of a frame along the axis of its camera, as compositing programs compare it.
+
+    Args:
+        frame: The frame.
+        camera: Its camera.
+
+    Returns:
+        (h, w) float32, world units; NOTHING where nothing is seen.
+    """
+    x = (np.arange(frame.width) + 0.5 - camera.cx) / camera.fx
+    y = (np.arange(frame.height) + 0.5 - camera.cy) / camera.fy
+    length = np.sqrt(1.0 + x[None, :] ** 2 + y[:, None] ** 2)  # of a ray that goes one unit along the axis
+    return np.where(np.isfinite(frame.depth), frame.depth / length, NOTHING).astype(np.float32)
+
+
+def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None = None) -> None:
+    """Write an OpenEXR file, whole or not at all: half floats of linear light, and depth in full floats.
+
+    Colours are multiplied by opacity in the file, as its format has it ("associated alpha").
+
+    Args:
+        path: The file; it must end in .exr.
+        image: (h, w, 3), or (h, w, 4) with straight colours, as screens take them (sRGB): 0 is black and 1 white.
+        depth: (h, w) world units, channel Z. None writes none.
+
+    Raises:
+        ValueError: For another shape or ending, values that are not finite, or where OpenEXR is not installed.
+    """
+    path = path_with_ending(path, ".exr")
+    exr = require_openexr()
+    pixels = np.asarray(image, np.float32)
+    if pixels.ndim != 3 or pixels.shape[-1] not in (3, 4) or 0 in pixels.shape:
+        raise ValueError(f"an EXR picture must be (h, w, 3) or (h, w, 4), got {pixels.shape}")
+    if not np.isfinite(pixels).all():
+        raise ValueError("an image holds values that are not finite")
+    light = linear_light(pixels[..., :3])
+    channels: dict[str, np.ndarray] = {"RGB": light.astype(np.float16)}
+    if pixels.shape[-1] == 4:
+        alpha = np.clip(pixels[..., 3:], 0.0, 1.0)
+        channels = {"RGBA": np.concatenate([light * alpha, alpha], axis=-1).astype(np.float16)}
+    if depth is not None:
+        channels["Z"] = np.ascontiguousarray(depth, np.float32)
+        if channels["Z"].shape != pixels.shape[:2]:
+            raise ValueError(f"depth must be {pixels.shape[:2]} as the picture, got {channels['Z'].shape}")
+    header = {"type": exr.scanlineimage, "compression": exr.ZIP_COMPRESSION, "chromaticities": _PRIMARIES}
+    with atomic_path(path) as temporary:
+        exr.File(header, channels).write(str(temporary))
+
+
+def read_exr(path: str | os.PathLike) -> dict[str, np.ndarray]:
+    """Read an OpenEXR file of one part.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Channels by name, as they are in the file: "RGB" (h, w, 3) or "RGBA" (h, w, 4), "Z" (h, w).
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it cannot be read, or where OpenEXR is not installed.
+    """
+    path = require_file(path, "image")
+    exr = require_openexr()
+    try:
+        with exr.File(str(path)) as file:
+            return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    except RuntimeError as error:
+        raise ValueError(f"image {str(path)!r} cannot be read: {' '.join(str(error).split())}") from error

@@ -1,0 +1,80 @@
+"""Pictures with opacity: straight colours, colours that go on beyond an edge, and linear light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..mesh.closed_mesh import ClosedMesh
+from .camera import Camera
+from .frame import Frame
+from .overlay import draw_cage
+
+#: How far colours go on beyond an edge, pixels: the blocks of video codecs are 8 to 32 pixels wide.
+REACH = 24
+
+#: Opacity below which 8 bits show nothing.
+CLEAR = 0.5 / 255.0
+
+
+def rgba_picture(frame: Frame, camera: Camera | None = None, cages: Sequence[ClosedMesh] = ()) -> np.ndarray:
+    """Straight colours and opacity of a frame: its colours are not multiplied by its opacity.
+
+    Args:
+        frame: The frame, rendered on black: its colours are multiplied by its opacity.
+        camera: Its camera, needed with cages.
+        cages: Their edges are drawn into the picture.
+
+    Returns:
+        (h, w, 4) float32 in [0, 1]; black where nothing is seen.
+    """
+    colours = np.maximum(frame.rgb, 0.0)
+    clear = np.repeat(1.0 - np.clip(frame.alpha, 0.0, 1.0)[..., None], 3, axis=-1)
+    for cage in cages:
+        assert camera is not None
+        colours = draw_cage(colours, camera, cage)
+        clear = draw_cage(clear, camera, cage, color=(0.0, 0.0, 0.0))  # what is behind, through the same lines
+    alpha = 1.0 - clear[..., :1]
+    straight = np.divide(colours, alpha, out=np.zeros_like(colours), where=alpha > 0.0)
+    return np.concatenate([np.clip(straight, 0.0, 1.0), alpha], axis=-1).astype(np.float32)
+
+
+def with_spread_colours(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
+    """A picture whose colours go on where it is clear, each from the nearest place that is not.
+
+    Codecs keep colours and opacity apart, colours often at half the size: the black behind a clear pixel would show as
+    a dark rim around the object.
+
+    Args:
+        rgba: (h, w, 4) straight colours and opacity, in [0, 1].
+        reach: How far they go on, pixels.
+
+    Returns:
+        (h, w, 4) float32, the same where it is not clear.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    spread = np.array(rgba, np.float32)
+    clear = spread[..., 3] < CLEAR
+    if clear.all() or not clear.any():
+        return spread
+    # SciPy's stubs know no more than that it returns something
+    distance, (row, column) = distance_transform_edt(clear, return_indices=True)  # pyright: ignore
+    filled = clear & (distance <= reach)
+    spread[filled, :3] = spread[row[filled], column[filled], :3]
+    return spread
+
+
+def linear_light(colours: ArrayLike) -> np.ndarray:
+    """Light of colours as screens take them (sRGB, IEC 61966-2-1).
+
+    Args:
+        colours: Of any shape; 0 is black and 1 white, more is brighter.
+
+    Returns:
+        float32 of the same shape, proportional to light.
+    """
+    coded = np.maximum(np.asarray(colours, np.float32), 0.0)
+    return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
