@@ -291,7 +291,8 @@ def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):
         "--posed",
         tmp_path / "posed.obj",
     )
-    assert "with another axis up" in capsys.readouterr().err
+    assert "posed.obj' has y up, and is turned to its rest cage" in capsys.readouterr().err
+    assert np.abs(read_image(tmp_path / "mixed.png") - read_image(tmp_path / "z.png")).max() < 0.02
 
 
 def test_animate_takes_a_folder_up_where_it_was_left(files, tmp_path, capsys):

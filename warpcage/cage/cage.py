@@ -10,12 +10,13 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import PointsLike
+from ..core.checks import warn_caller
 from ..core.files import PathLike
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField
 from ..mesh.closed_mesh import TriangleMesh, require_mesh
 from ..mesh.containment import inside_mesh
-from ..mesh.files.files import read_mesh, write_mesh
+from ..mesh.files.files import write_mesh
 from ..mesh.match import matched_vertices
 from ..mesh.usable import require_usable
 from .check import check_cage
@@ -26,6 +27,7 @@ from .refine import subdivided, symmetrised
 from .repair import repaired_faces
 from .report import CageReport
 from .shapes import box, cylinder, icosphere
+from .upright import load_standing
 
 
 class Cage(PosableMesh):
@@ -139,26 +141,41 @@ class Cage(PosableMesh):
     # -- Files
 
     @classmethod
-    def load(cls, path: PathLike, *, up: str | None = None) -> Cage:
+    def load(
+        cls,
+        path: PathLike,
+        *,
+        up: str | None = None,
+        reference: Cage | VoxelField | NodeSelection | TriangleMesh | None = None,
+    ) -> Cage:
         """Read an OBJ, PLY, OFF or glTF file. All vertices keep their order, used or not; polygons are cut.
 
         Args:
             path: The file; its ending says which format it has.
             up: The axis that points up in the file, "z" or "y" (as Blender writes OBJ by default). A cage with y up is
-                turned: (x, y, z) -> (x, -z, y). None is "y" for glTF, as its specification says, "z" for the others.
+                turned: (x, y, z) -> (x, -z, y). "auto" finds it from the reference, and warns where it is not that of
+                the format: "y" for glTF, as its specification says, "z" for the others. None does so where there is a
+                reference, and is that of the format where there is none.
+            reference: What the cage belongs to: the field or the mesh that a cage at rest stands around, or the Cage
+                at rest that it is a pose of. A given axis is obeyed, with a warning where another would fit much
+                better. None compares the cage with nothing.
 
         Returns:
             The cage.
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: File name and line of what cannot be read.
+            ValueError: File name and line of what cannot be read, "auto" without a reference, or a cage that holds
+                nothing of its object.
         """
-        path, vertices, faces = read_mesh(path, up)
-        try:
-            return cls(vertices, faces)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+        if up == "auto" and reference is None:
+            raise ValueError(
+                "up='auto' needs a reference: the field that a cage at rest stands around, or the rest cage of a pose"
+            )
+        cage, standing = load_standing(cls, path, up=None if up == "auto" else up, reference=reference)
+        if standing.doubtful or standing.turned:
+            warn_caller(f"cage {str(path)!r} {standing.note} (up='y' or up='z' says which it is)")
+        return cage
 
     def save(self, path: PathLike, *, up: str | None = None) -> None:
         """Write an OBJ, PLY (binary), OFF or glTF (.glb, .gltf) file. It appears whole or not at all.

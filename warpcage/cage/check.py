@@ -13,6 +13,7 @@ from ..mesh.intersections import intersecting_faces
 from ..mesh.match import matched_vertices
 from ..mesh.usable import coincident_vertices, degenerate_faces, first_problem, inward_parts
 from .report import COST_RESOLUTION, CageReport, PoseReport
+from .upright import other_standing
 
 
 def check_cage(
@@ -59,9 +60,16 @@ def check_cage(
         unused_vertices=tuples(topology.unused_vertices),
         mesh_enclosed=mesh_enclosed, field_enclosed=field_enclosed,
         leaking_faces=_nearest_faces(cage, outside), hull_ratio=_hull_ratio(cage, objects),
-        lattice_nodes=_lattice_nodes(cage), notes=tuple(getattr(field, "notes", ())), problem=problem,
+        standing=_standing(cage, field, mesh), lattice_nodes=_lattice_nodes(cage),
+        notes=tuple(getattr(field, "notes", ())), problem=problem,
         pose=None if pose is None or problem else check_pose(cage, pose),
     )  # fmt: skip
+
+
+def _standing(cage: ClosedMesh, *things: object) -> str:
+    """What speaks for another axis up, by the first object that does."""
+    notes = [other_standing(cage, thing) for thing in things if thing is not None]
+    return next((note for note in notes if note), "")
 
 
 def _enclosed(

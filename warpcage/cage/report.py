@@ -85,6 +85,8 @@ class CageReport:
         leaking_faces: (face, count) of the faces nearest to what lies outside, the leakiest first.
         hull_ratio: Volume over that of the convex hull of what should be enclosed; None where there is nothing.
         lattice_nodes: Nodes of a lattice of 128 cells along the longest side.
+        standing: What speaks for another axis up in the cage's file, or that the cage holds nothing; empty where
+            nothing does.
         notes: What a selection left out of the field.
         problem: Why the cage cannot be used; empty where it can.
         pose: What a pose does; None without a pose.
@@ -111,6 +113,7 @@ class CageReport:
     leaking_faces: tuple
     hull_ratio: float | None
     lattice_nodes: int
+    standing: str
     notes: tuple
     problem: str
     pose: PoseReport | None = None
@@ -182,6 +185,7 @@ class CageReport:
                 rows.append((f"{what} enclosed", f"{100 * share:.3f} %", advice))
         if self.hull_ratio is not None:
             rows.append(("volume over the object's convex hull", f"{self.hull_ratio:.2f}", ""))
+        rows += [("stands around its object", "no", f"the cage {self.standing}")] if self.standing else []
         rows += [("selection", "", note) for note in self.notes]
         if self.leaking_faces:
             shown = ", ".join(f"{face} ({count})" for face, count in self.leaking_faces[:5])

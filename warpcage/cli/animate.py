@@ -66,8 +66,8 @@ def run(args: argparse.Namespace) -> None:
         inputs.require_deformation(args, "--overlay")
     if args.show == "masks":
         inputs.require_deformation(args, "--show masks")
-    deformation = read_deformation(args, args.interpolation)
     field = inputs.read_field(args)
+    deformation = read_deformation(args, field, args.interpolation)
     cameras = _chosen_cameras(args, inputs.visible_points(field, deformation))
     deformer = None if deformation is None else inputs.make_deformer(field, deformation, args)
     shot = _Shot(field, deformer, deformation, cameras, args)
@@ -253,6 +253,7 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
         "resolution",
         "density",
         "cage_up",
+        "posed_up",
         "scene_scale",
     )
     settings = {name: getattr(args, name) for name in names}

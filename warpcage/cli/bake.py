@@ -12,9 +12,10 @@ from .deformation import read_deformation
 def run(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, (".npz",), "field file")
     inputs.require_deformation(args, "bake")
-    deformation = read_deformation(args)
+    field = inputs.read_field(args)
+    deformation = read_deformation(args, field)
     assert deformation is not None
-    deformer = inputs.make_deformer(inputs.read_field(args), deformation, args).pose(deformation.posed)
+    deformer = inputs.make_deformer(field, deformation, args).pose(deformation.posed)
     baked = bake(deformer, resolution=args.voxels)
     baked.save(output, format=args.format)
     size = "x".join(map(str, baked.resolution))

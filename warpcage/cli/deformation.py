@@ -16,8 +16,10 @@ from ..core.files import require_file
 from ..deform.edits import MAX_EDITS, CageEdit
 from ..editor.session_file import FORMAT as SESSION_FORMAT
 from ..editor.session_file import read_session
+from ..field.voxel_field import VoxelField
 from .edit_words import EditWords, parse_edit, read_edits_file, read_edits_json
 from .keyframes import Keyframes
+from .standing import posed_up, read_rest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,7 +88,9 @@ class Deformation:
         return {"cage": [_edit_hash(edit) for edit in self.edits], "posed": [_pose_hash(part) for part in self.parts]}
 
 
-def read_deformation(args: argparse.Namespace, interpolation: str | None = None) -> Deformation | None:
+def read_deformation(
+    args: argparse.Namespace, field: VoxelField, interpolation: str | None = None
+) -> Deformation | None:
     """The deformation that a command's options name.
 
     A posed cage whose vertices or faces come in another order is matched, which a line on stderr says, or refused where
@@ -94,6 +98,7 @@ def read_deformation(args: argparse.Namespace, interpolation: str | None = None)
 
     Args:
         args: What was given; see `options.add_deformation`.
+        field: The field that is deformed, by which the axes of cage files are found.
         interpolation: "smooth" or "linear", between several poses of an edit. None takes one pose an edit.
 
     Returns:
@@ -114,22 +119,25 @@ def read_deformation(args: argparse.Namespace, interpolation: str | None = None)
                 "--cage and --posed go together: the cage at rest and the same cage posed (--overlay shows it at rest)"
             )
         texts = args.posed if isinstance(args.posed, list) else [args.posed or "rest"]
-        return Deformation([_read_edit(EditWords(args.cage, texts[0]), texts, args, interpolation)])
+        return Deformation([_read_edit(EditWords(args.cage, texts[0]), texts, args, interpolation, field)])
     if args.edits is not None and is_session(args.edits):
         return session_edits(args.edits, interpolation)[0]
     words = [parse_edit(text) for text in args.edit or ()]
     if args.edits is not None:
         words = read_edits_file(args.edits)
-    return numbered_edits(words, args, interpolation) if words else None
+    return numbered_edits(words, args, interpolation, field) if words else None
 
 
-def numbered_edits(words: Sequence[EditWords], args: argparse.Namespace, interpolation: str | None) -> Deformation:
+def numbered_edits(
+    words: Sequence[EditWords], args: argparse.Namespace, interpolation: str | None, field: VoxelField | None = None
+) -> Deformation:
     """The deformation of several edits; messages say which of them is wrong.
 
     Args:
         words: The edits in their order.
         args: What was given; of it the axis of --cage-up.
         interpolation: As for `read_deformation`.
+        field: As for `read_deformation`. None takes the axes of the formats.
 
     Returns:
         The deformation.
@@ -143,7 +151,8 @@ def numbered_edits(words: Sequence[EditWords], args: argparse.Namespace, interpo
     parts = []
     for number, edit in enumerate(words, 1):
         with _named(f"edit {number} of {len(words)}"):
-            parts.append(_read_edit(edit, [] if edit.posed is None else [edit.posed], args, interpolation))
+            texts = [] if edit.posed is None else [edit.posed]
+            parts.append(_read_edit(edit, texts, args, interpolation, field, part=True))
     return Deformation(parts)
 
 
@@ -161,15 +170,20 @@ def is_session(path: str) -> bool:
         raise ValueError(f"{file}: {error}") from None
 
 
-def _read_edit(words: EditWords, texts: list[str], args: argparse.Namespace, interpolation: str | None) -> PosedEdit:
-    """An edit with the cages that its words name. texts: words of --posed."""
-    up = words.up or args.cage_up
-    rest = Cage.load(words.cage, up=up)
-    rest.require_usable(f"cage {words.cage!r}")
+def _read_edit(
+    words: EditWords,
+    texts: list[str],
+    args: argparse.Namespace,
+    interpolation: str | None,
+    field: VoxelField | None,
+    part: bool = False,
+) -> PosedEdit:
+    """An edit with the cages that its words name. texts: words of --posed; part: whether it is one of several."""
+    rest, expected = read_rest(words.cage, words.up or args.cage_up, field, part=part)
     edit = CageEdit(rest, keep_source=words.keep, remove=words.remove)
     if words.remove:
         return PosedEdit(edit, None)
-    keyframes = Keyframes(rest, texts, interpolation or "smooth", up)
+    keyframes = Keyframes(rest, texts, interpolation or "smooth", words.up or posed_up(args), expected)
     if interpolation is None and len(keyframes.cages) > 2:
         text = texts[0]
         raise ValueError(f"pose file {text!r} holds {len(keyframes.cages) - 1} keyframes: name one, as in {text}:NAME")

@@ -18,6 +18,7 @@ from ..editor.edit import edit, require_libraries
 from ..editor.session_file import free_session_path, session_path
 from ..field.voxel_field import VoxelField
 from . import inputs
+from .standing import read_rest
 
 
 def run(args: argparse.Namespace) -> None:
@@ -36,16 +37,14 @@ def run(args: argparse.Namespace) -> None:
         args.field, demo_cage = map(str, demo_files(device))
     require_file(args.field, "field file")
     kept = pathlib.Path(args.session) if args.session else session_path(args.field)
-    cages = [Cage.load(path, up=args.cage_up) for path in args.cage or ()]
-    for path, cage in zip(args.cage or (), cages, strict=True):
-        cage.require_usable(f"cage {path!r}")
-    if kept.exists() and cages and not args.new:
+    if kept.exists() and args.cage and not args.new:
         raise ValueError(
             f"{str(kept)!r} holds a session of this field: leave --cage out to go on with it, or give --new"
         )
+    field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=device)
+    cages = [read_rest(path, args.cage_up, field, part=True)[0] for path in args.cage or ()]
     if args.demo and (args.new or not kept.exists()):
         cages = [Cage.load(demo_cage)]
-    field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=device)
     options = {
         "field_path": args.field,
         "scene_scale": args.scene_scale,

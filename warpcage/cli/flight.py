@@ -34,9 +34,10 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError(f"--cameras cannot be combined with --{name}, which is for one picture")
     if args.cameras == "given" and args.frames is not None:
         raise ValueError("--frames belongs to --cameras interpolate")
-    deformation = read_deformation(args)
     cameras = chosen_cameras(args)
-    renderer = inputs.posed_renderer(inputs.read_field(args), deformation, args)
+    field = inputs.read_field(args)
+    deformation = read_deformation(args, field)
+    renderer = inputs.posed_renderer(field, deformation, args)
     drawn = deformation.drawn(deformation.posed) if deformation and args.overlay else ()
 
     def pictures() -> Iterator[tuple[np.ndarray, Frame, Camera]]:

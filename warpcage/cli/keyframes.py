@@ -5,13 +5,15 @@ from __future__ import annotations
 import pathlib
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
+from ..cage.upright import load_standing
 from ..view.motion import keyframe_weights, pose_along
+from .standing import ending, say_standing
 
 #: Preset -> the amount that changes nothing, and how many axes it may name.
 PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0, 1), "stretch": (1.0, 1),
@@ -78,14 +80,17 @@ def pose_file(text: str) -> tuple[str, str] | None:
     return (found[1], found[2] or "") if found else None
 
 
-def read_poses(rest: Cage, text: str, up: str | None = None, usable: bool = True) -> list[Cage]:
+def read_poses(
+    rest: Cage, text: str, up: str | None = None, usable: bool = True, expected: Mapping[str, str] | None = None
+) -> list[Cage]:
     """The posed cages that a word of --posed names.
 
     Args:
         rest: The cage at rest.
         text: A cage file, a preset, a pose file, or one keyframe of it.
-        up: Axis that points up in a cage file, "y" or "z". None is that of the format.
+        up: Axis that points up in a cage file, "y" or "z". None finds it from the rest cage.
         usable: Whether to refuse cages that cannot be used.
+        expected: Axis by ending of a cage file where nothing speaks for another. None is that of the format.
 
     Returns:
         One cage, or all of a pose file in their order.
@@ -104,15 +109,20 @@ def read_poses(rest: Cage, text: str, up: str | None = None, usable: bool = True
             raise ValueError(f"pose file {path!r} holds no keyframes")
         poses = [file[name] for name in ([name] if name else file.names)]
     else:
-        poses = [matched(rest, Cage.load(text, up=up), text)]
+        likely = (expected or {}).get(ending(text))
+        posed, standing = load_standing(Cage, text, up=up, reference=rest, expected=likely)
+        say_standing(text, standing, "--posed-up")
+        poses = [matched(rest, posed, text)]
     for posed in poses if usable else ():
         posed.require_usable(f"cage {text!r}")
     return poses
 
 
-def read_pose(rest: Cage, text: str, up: str | None = None, usable: bool = True) -> Cage:
+def read_pose(
+    rest: Cage, text: str, up: str | None = None, usable: bool = True, expected: Mapping[str, str] | None = None
+) -> Cage:
     """The one posed cage that a word of --posed names; see `read_poses`."""
-    poses = read_poses(rest, text, up, usable)
+    poses = read_poses(rest, text, up, usable, expected)
     if len(poses) > 1:
         raise ValueError(f"pose file {text!r} holds {len(poses)} keyframes: name one, as in {text}:NAME")
     return poses[0]
@@ -121,7 +131,7 @@ def read_pose(rest: Cage, text: str, up: str | None = None, usable: bool = True)
 def matched(rest: Cage, posed: Cage, name: str) -> Cage:
     """A posed cage with vertices and faces in the order of the cage at rest.
 
-    A line on stderr says so where the order was another, and warns where another axis seems to point up.
+    A line on stderr says so where the order was another.
 
     Args:
         rest: The cage at rest.
@@ -140,21 +150,27 @@ def matched(rest: Cage, posed: Cage, name: str) -> Cage:
         raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
     if not np.array_equal(posed.faces, rest.faces) or len(posed.vertices) != len(rest.vertices):
         print(f"warpcage: cage {name!r} has another order than its rest cage: matched", file=sys.stderr)
-    if lies_on_its_side(rest.vertices, found.vertices):
-        print(
-            f"warpcage: warning: cage {name!r} would lie much nearer to its rest cage with another axis up: write "
-            "both with the same one (see --cage-up)",
-            file=sys.stderr,
-        )
     return found
 
 
-def lies_on_its_side(rest: np.ndarray, posed: np.ndarray) -> bool:
-    """Whether exchanging y up and z up would halve the distance between vertices (v, 3) at rest and posed."""
-    x, y, z = posed.T
-    exchanged = [np.stack(turned, axis=1) for turned in ((x, -z, y), (x, z, -y))]
-    here, *there = (np.linalg.norm(vertices - rest) for vertices in (posed, *exchanged))
-    return bool(min(there) < 0.5 * here)
+def expected_ups(rest: Cage, texts: Sequence[str], expected: Mapping[str, str] | None = None) -> dict[str, str]:
+    """The axis that points up in files of poses, by their ending: what is sure of one holds for those that say nothing.
+
+    Args:
+        rest: The cage at rest.
+        texts: Words of --posed.
+        expected: What is known beforehand.
+
+    Returns:
+        Axis by ending.
+    """
+    found = dict(expected or {})
+    files = [text for text in texts if not is_preset(text) and not pose_file(text)]
+    for text in files if len(files) > 1 else ():
+        standing = load_standing(Cage, text, reference=rest, expected=found.get(ending(text)))[1]
+        if standing.turned:
+            found[ending(text)] = standing.up
+    return found
 
 
 class Keyframes:
@@ -167,7 +183,8 @@ class Keyframes:
         rest: The cage at rest.
         texts: Words of --posed, in order.
         interpolation: "smooth" or "linear".
-        up: Axis that points up in cage files, "y" or "z". None is that of the format.
+        up: Axis that points up in cage files, "y" or "z". None finds it from the rest cage, file by file.
+        expected: Axis by ending of cage files where nothing speaks for another. None is that of the format.
 
     Attributes:
         rest: The cage at rest.
@@ -181,9 +198,17 @@ class Keyframes:
         ValueError: For words and cages that `read_poses` refuses.
     """
 
-    def __init__(self, rest: Cage, texts: list[str], interpolation: str, up: str | None = None):
+    def __init__(
+        self,
+        rest: Cage,
+        texts: list[str],
+        interpolation: str,
+        up: str | None = None,
+        expected: Mapping[str, str] | None = None,
+    ):
         self.rest, self.interpolation = rest, interpolation
-        self.cages = [rest] + [pose for text in texts for pose in read_poses(rest, text, up)]
+        likely = expected_ups(rest, texts, expected) if up is None else None
+        self.cages = [rest] + [pose for text in texts for pose in read_poses(rest, text, up, expected=likely)]
         self.preset: Preset | None = None
         self.amounts: list[tuple[float, ...]] = []
         presets = [Preset(text) for text in texts if is_preset(text)]

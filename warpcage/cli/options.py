@@ -81,14 +81,19 @@ def add_scene_scale(parser: Arguments) -> None:
     )
 
 
-def add_cage_up(parser: Arguments) -> None:
-    """The axis that points up in cage files."""
-    parser.add_argument(
-        "--cage-up",
-        choices=("y", "z"),
-        help="axis that points up in cage files (default: y for glTF, z for other formats; Blender exports "
-        "OBJ with y unless told otherwise)",
-    )
+def add_cage_up(parser: Arguments, *, found: bool = False, posed: bool = False) -> None:
+    """The axis that points up in cage files; found: whether there is an object to find it by; posed: poses too."""
+    default = "y for glTF, z for other formats; Blender exports OBJ with y unless told otherwise"
+    if found:
+        default = "found by what the cage holds of the object; where that does not tell, y for glTF, z for others"
+    parser.add_argument("--cage-up", choices=("y", "z"), help=f"axis that points up in cage files (default: {default})")
+    if posed:
+        parser.add_argument(
+            "--posed-up",
+            choices=("y", "z"),
+            help="axis that points up in posed cage files (default: that of --cage-up; or found, file by file, where "
+            "it is not given)",
+        )
 
 
 def add_quiet(parser: Arguments) -> None:
@@ -152,7 +157,7 @@ def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
         posed += ". Several, or all keyframes of a pose file (poses.json), follow one another"
     group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes else None, help=posed)
     add_edits(group)
-    add_cage_up(group)
+    add_cage_up(group, found=True, posed=True)
     group.add_argument(
         "--coordinates", choices=COORDINATES, default="harmonic", help="kind of coordinates (default: %(default)s)"
     )

@@ -28,8 +28,8 @@ def run(args: argparse.Namespace) -> None:
     }
     if args.masks is not None:
         inputs.require_deformation(args, "--masks")
-    deformation = read_deformation(args)
     field = inputs.read_field(args)
+    deformation = read_deformation(args, field)
 
     camera = view.chosen_camera(args, inputs.visible_points(field, deformation))
     frame = inputs.posed_renderer(field, deformation, args).render(camera, **inputs.background_option(args))

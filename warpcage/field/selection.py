@@ -19,6 +19,9 @@ from .surface import DensityField, node_grid
 #: A node whose opacity across one voxel, or whose largest weight in any image, reaches this can be seen.
 VISIBLE_OPACITY = 0.01
 
+#: Nodes along the longest side of a grid that a sample of its visible nodes looks at, at least.
+SAMPLED_SIDE = 128
+
 #: Largest distance from a seed point to the nearest visible node, in voxels.
 SEED_VOXELS = 4
 
@@ -37,6 +40,41 @@ def visible_nodes(field: DensityField, threshold: float | None = None) -> np.nda
         ValueError: For densities that are not finite, or a threshold that is not positive.
     """
     return _centres(field, np.argwhere(visible_mask(field, threshold)))
+
+
+def some_visible_nodes(field: DensityField, count: int = 20_000) -> np.ndarray:
+    """About so many of the nodes of a field that can be seen, evenly over it, without a look at all of them.
+
+    Args:
+        field: A VoxelField, a NodeSelection or the like.
+        count: About how many nodes there are at most.
+
+    Returns:
+        (n, 3) float64, world units; the same for the same field.
+
+    Raises:
+        ValueError: For densities that are not finite.
+    """
+    grid = getattr(field, "grid", None)
+    if grid is None:
+        points = visible_nodes(field)
+    else:
+        # a node in each block of so many along each axis; of grids of a few million nodes, all
+        step = max(1, int(max(grid.links.shape) / SAMPLED_SIDE))
+        links = grid.links[::step, ::step, ::step].numpy()
+        cells = np.argwhere(links >= 0)
+        rows = links[tuple(cells.T)]
+        weights = getattr(field, "weights", None)
+        densities = grid.density.numpy()[rows]
+        if not np.isfinite(densities).all():
+            raise ValueError("a field with densities that are not finite has no visible nodes")
+        if weights is None:
+            seen = densities >= -np.log1p(-VISIBLE_OPACITY) / np.prod(field.voxel_size) ** (1.0 / 3.0)
+        else:
+            seen = (weights.numpy()[rows] >= VISIBLE_OPACITY) & (densities > 0.0)
+        points = _centres(field, step * cells[seen])
+    chosen = np.random.default_rng(0).permutation(len(points))[:count]
+    return points[np.sort(chosen)]
 
 
 def visible_mask(field: DensityField, threshold: float | None = None) -> np.ndarray:

@@ -7,7 +7,7 @@ import argparse
 from .. import options
 
 NAME = "check"
-HELP = "examine a cage, what it encloses and what a pose does to it; exit status 1 if it cannot be used"
+HELP = "examine a cage, what it encloses and what a pose does to it; exit status 1 if it is of no use"
 EXAMPLE = """\
   warpcage check cage.obj
   warpcage check cage.obj --object lego.npz --posed posed.obj
@@ -30,6 +30,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="repair what can be repaired safely, print what was done, write the cage to this file and examine it",
     )
     parser.add_argument("--json", action="store_true", help="print the report as JSON instead of a table")
-    options.add_cage_up(parser)
+    options.add_cage_up(parser, found=True, posed=True)
     options.add_scene_scale(parser)
     options.add_device(parser)

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"cage at rest ({' '.join(options.CAGE_ENDINGS)}); repeat it for several edits "
         "(default: the session's, or none; the page can make one)",
     )
-    options.add_cage_up(parser)
+    options.add_cage_up(parser, found=True)
     parser.add_argument("--session", metavar="FILE", help="the session's file (default: beside the field)")
     parser.add_argument(
         "--new", action="store_true", help="begin anew; a session that is there is kept under another name"

@@ -23,6 +23,9 @@ _WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": wri
 #: Endings of mesh files, lower case.
 ENDINGS = tuple(_READERS)
 
+#: Axes that may point up in a file.
+UPS = ("z", "y")
+
 
 def read_mesh(path: PathLike, up: str | None = None) -> tuple[pathlib.Path, np.ndarray, np.ndarray]:
     """Read a mesh file. Polygons are cut into triangles without folds.
@@ -45,9 +48,29 @@ def read_mesh(path: PathLike, up: str | None = None) -> tuple[pathlib.Path, np.n
     if not len(vertices) or not len(polygons):
         raise ValueError(f"{path}: no {'faces' if len(vertices) else 'vertices'} in it")
     triangles = polygons if isinstance(polygons, np.ndarray) else _cut(path, vertices, polygons)
-    if turned:
-        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
-    return path, vertices, triangles
+    return path, turned_up(vertices, "y", "z") if turned else vertices, triangles
+
+
+def turned_up(vertices: np.ndarray, was: str, up: str) -> np.ndarray:
+    """Points of a world in which one axis points up, in one in which another does.
+
+    Args:
+        vertices: (n, 3) float64.
+        was: The axis that points up, "y" or "z".
+        up: The axis that shall point up.
+
+    Returns:
+        (n, 3) float64: (x, -z, y) from y to z, (x, z, -y) from z to y.
+    """
+    if was == up:
+        return vertices
+    x, y, z = vertices.T
+    return np.stack([x, -z, y] if up == "z" else [x, z, -y], axis=1)
+
+
+def file_up(path: PathLike) -> str:
+    """The axis that points up in a mesh file by its format: "y" for glTF, as its specification says, "z" for others."""
+    return "y" if _format(pathlib.Path(path)) in (".glb", ".gltf") else "z"
 
 
 def _cut(path: pathlib.Path, vertices: np.ndarray, polygons: Polygons) -> np.ndarray:
@@ -84,7 +107,7 @@ def write_mesh(path: PathLike, vertices: ArrayLike, faces: ArrayLike, up: str | 
     writer = _WRITERS[_format(path)]
     vertices = np.asarray(vertices, dtype=np.float64)
     if _turned(path, up):
-        vertices = np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1)
+        vertices = turned_up(vertices, "z", "y")
     with atomic_path(path) as temporary:
         temporary.write_bytes(writer(vertices, np.asarray(faces, dtype=np.int32)))
 
@@ -98,6 +121,6 @@ def _format(path: pathlib.Path) -> str:
 
 def _turned(path: pathlib.Path, up: str | None) -> bool:
     """Whether the file has y up."""
-    if up not in (None, "y", "z"):
+    if up not in (None, *UPS):
         raise ValueError(f"up must be 'z' or 'y', or None for the format's own, got {up!r}")
-    return up == "y" or (up is None and _format(path) in (".glb", ".gltf"))
+    return (up or file_up(path)) == "y"

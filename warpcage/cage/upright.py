@@ -1,0 +1,287 @@
+"""Which axis points up in a cage file: found from the object that the cage stands around, or from its rest cage.
+
+Formats do not say it (OBJ, PLY, OFF), or programs write another one than they say. Two ways of standing are compared,
+z up and y up. A cage that holds a whole object in one of them and misses much of it in the other was written with the
+first; a cage that holds a part in both tells nothing. A posed cage was written with the axis in which it comes near its
+rest cage, unless a turn by 90 degrees of everything explains the same.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..core.files import PathLike
+from ..field.selection import some_visible_nodes
+from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.containment import inside_mesh
+from ..mesh.files.files import UPS, file_up, read_mesh, turned_up
+from ..mesh.match import matched_vertices
+from ..mesh.usable import first_problem
+
+Mesh = TypeVar("Mesh", bound=ClosedMesh)
+
+#: A cage holds a whole object from this share of it on, and misses nothing up to this share.
+_WHOLE, _MISSED = 0.9, 0.02
+
+#: Another axis is taken where the cage misses less than this share of what it misses otherwise.
+_CLEARLY_LESS = 0.25
+
+#: Where a cage holds the object in both ways of standing, the room on its sides tells them apart from this share on.
+_UNEVEN = 0.04
+
+#: A cage that holds less than this share of the object in each way of standing is not a cage of it.
+_NOTHING = 1e-4
+
+#: A cage that stood beside the object is turned where it then holds this share of it.
+_SOMETHING = 0.01
+
+#: A vertex stays in a pose within this share of the cage's size: files hold 6 digits.
+_STAYS = 1e-4
+
+#: A pose is near its rest cage with another axis where it has this share of the distance.
+_NEARER = 0.5
+
+#: Largest turn of a whole pose that is near its rest cage, and least one of a pose on its side, in degrees.
+_LEVEL, _ON_ITS_SIDE = 25.0, 60.0
+
+#: A pose that is a similarity up to this share of the cage's size may be turned as a whole, on purpose.
+_SIMILAR = 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """How a cage file stands.
+
+    Attributes:
+        up: The axis that points up in the file, "y" or "z".
+        turned: Whether it is another one than was expected.
+        note: Why, or what speaks against it; empty where there is nothing to say.
+        doubtful: Whether the note says that something may be wrong.
+        lost: Whether the cage holds nothing of its object, however it stands.
+    """
+
+    up: str
+    turned: bool = False
+    note: str = ""
+    doubtful: bool = False
+    lost: bool = False
+
+
+def load_standing(
+    make: Callable[[np.ndarray, np.ndarray], Mesh],
+    path: PathLike,
+    *,
+    up: str | None = None,
+    reference: object = None,
+    expected: str | None = None,
+    anywhere: bool = False,
+) -> tuple[Mesh, Standing]:
+    """Read a cage file, and say how the cage stands.
+
+    Args:
+        make: Makes a cage of vertices (v, 3) and faces (f, 3).
+        path: The file.
+        up: The axis that points up in the file, "z" or "y". None finds it from the reference.
+        reference: What the cage belongs to: the cage at rest that it is a pose of, or the field, selection or mesh
+            that it stands around. None takes the axis that is expected.
+        expected: The axis that is taken where nothing speaks for another. None is that of the format.
+        anywhere: Whether to take a cage that holds nothing of its object too.
+
+    Returns:
+        The cage, and how it stands.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: File name and line of what cannot be read, or a cage that holds nothing of its object where no
+            axis was given.
+    """
+    chosen = up or expected or file_up(path)
+    path, vertices, faces = read_mesh(path, chosen)
+    try:
+        cage, standing = make(vertices, faces), Standing(chosen)
+        if reference is not None:
+            given = up is not None
+            if isinstance(reference, ClosedMesh):
+                standing = standing_of_pose(cage, chosen, reference, given=given)
+            else:
+                standing = standing_of_rest(cage, chosen, reference, given=given)
+        if standing.lost and up is None and not anywhere:
+            raise ValueError(standing.note)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return restood(cage, chosen, standing.up), standing
+
+
+def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = False) -> Standing:
+    """How a cage at rest stands, by what it holds of its object.
+
+    Args:
+        cage: The cage, turned from the axis `up` to z.
+        up: The axis that is expected.
+        thing: The field, a selection of it, or a mesh (anything with vertices).
+        given: Whether the user named the axis: it is kept, whatever the cage holds.
+
+    Returns:
+        How it stands. For a cage that cannot be used, or an object that shows nothing, as expected.
+    """
+    points = _object_points(thing)
+    if not len(points) or first_problem(cage):
+        return Standing(up)
+    here, other = _share_inside(cage, points), _other(up)
+    turned = restood(cage, up, other)
+    if here >= 1.0 - _MISSED:
+        snug = _unevenness(turned, points) <= _CLEARLY_LESS * _unevenness(cage, points)
+        if given or not snug or _unevenness(cage, points) < _UNEVEN or _share_inside(turned, points) < here:
+            return Standing(up)
+        return Standing(up, note=f"holds the object either way, but would fit it closer with {other} up", doubtful=True)
+    there = _share_inside(turned, points)
+    whole = there >= _WHOLE and 1.0 - there <= _CLEARLY_LESS * (1.0 - here)
+    if whole or (here < _NOTHING and there >= _SOMETHING):
+        held = f"it holds {_percent(there)} of the object so, with {up} up {_percent(here)}"
+        if given:
+            return Standing(up, note=f"seems to have {other} up: {held}", doubtful=True)
+        return Standing(other, turned=True, note=f"has {other} up, and is turned: {held}")
+    if here < _NOTHING:
+        places = f"{_span(*cage.bounds)}, the object {_span(points.min(axis=0), points.max(axis=0))}"
+        nothing = f"holds nothing of the object, with z up or with y up: it lies at {places}"
+        return Standing(up, note=nothing, doubtful=True, lost=True)
+    more = f"; with {other} up it would hold {_percent(there)}" if there > here else ""
+    return Standing(up, note=f"holds {_percent(here)} of the object, the rest of it stays where it is{more}")
+
+
+def other_standing(cage: ClosedMesh, thing: object) -> str:
+    """What speaks for another axis up of a cage that was read already, by what it holds of its object.
+
+    Args:
+        cage: The cage.
+        thing: The field, a selection of it, or a mesh.
+
+    Returns:
+        A note, empty where nothing does.
+    """
+    found = [standing_of_rest(cage, up, thing, given=True) for up in UPS]
+    return next((each.note for each in found if each.doubtful), "")
+
+
+def standing_of_pose(cage: ClosedMesh, up: str, rest: ClosedMesh, *, given: bool = False) -> Standing:
+    """How a posed cage stands, by its rest cage.
+
+    Args:
+        cage: The posed cage, turned from the axis `up` to z, in any order that `Cage.match` takes.
+        up: The axis that is expected.
+        rest: The cage at rest.
+        given: Whether the user named the axis: it is kept, whatever the pose looks like.
+
+    Returns:
+        How it stands. For cages that do not match, as expected.
+    """
+    other = _other(up)
+    here, there = (_pose_of(rest, each) for each in (cage, restood(cage, up, other)))
+    if here is None or there is None:
+        return Standing(up)
+    nearer = there.distance <= _NEARER * here.distance
+    on_its_side = nearer and there.turn <= _LEVEL and here.turn >= _ON_ITS_SIDE
+    if there.similar:  # a turn of everything would look the same
+        sure = False
+    else:
+        sure = on_its_side or (there.still >= 0.05 and there.still_count >= 3 and there.still > 4.0 * here.still)
+    if sure and not given:
+        return Standing(other, turned=True, note=f"has {other} up, and is turned to its rest cage")
+    if sure or nearer:
+        note = f"would lie much nearer to its rest cage with another axis up: {other} instead of {up}"
+        return Standing(up, note=note, doubtful=True)
+    return Standing(up)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Pose:
+    """A pose beside its rest cage.
+
+    distance: root of the mean squared distance of vertices, of the cage's size. turn: degrees by which all is turned
+    (Kabsch 1976). similar: whether the pose is a similarity. still, still_count: share and number of the vertices that
+    stay, of those that another axis would move.
+    """
+
+    distance: float
+    turn: float
+    similar: bool
+    still: float
+    still_count: int
+
+
+def _pose_of(rest: ClosedMesh, cage: ClosedMesh) -> _Pose | None:
+    try:
+        posed = matched_vertices(rest, cage)
+    except ValueError:
+        return None
+    used = rest.topology.used_vertices
+    before, after, size = rest.vertices[used], posed[used], max(rest.size, 1e-300)
+    moved = np.linalg.norm(after - before, axis=1) / size
+    telling = np.linalg.norm(turned_up(before, "y", "z") - before, axis=1) > 10.0 * _STAYS * size
+    still = int(np.count_nonzero(moved[telling] <= _STAYS))
+    rotation, residual = _similarity(before, after)
+    cosine = np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)
+    return _Pose(
+        distance=float(np.sqrt(np.mean(moved**2))),
+        turn=float(np.degrees(np.arccos(cosine))),
+        similar=residual <= _SIMILAR * size,
+        still=still / max(1, int(np.count_nonzero(telling))),
+        still_count=still,
+    )
+
+
+def _similarity(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, float]:
+    """The rotation (3, 3) that takes points (n, 3) nearest to others, and what a similarity leaves (Umeyama 1991)."""
+    one, two = before - before.mean(axis=0), after - after.mean(axis=0)
+    left, values, right = np.linalg.svd(two.T @ one)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0])
+    rotation = (left * signs) @ right
+    scale = float((values * signs).sum() / max((one**2).sum(), 1e-300))
+    return rotation, float(np.sqrt(np.mean(((two - scale * one @ rotation.T) ** 2).sum(axis=1))))
+
+
+def _other(up: str) -> str:
+    return next(each for each in UPS if each != up)
+
+
+def restood(cage: Mesh, was: str, up: str) -> Mesh:
+    """A cage that was read with one axis up, as it is read with another.
+
+    Args:
+        cage: The cage.
+        was: The axis that it was read with, "y" or "z".
+        up: The axis that it shall be read with.
+
+    Returns:
+        The cage, z up.
+    """
+    return cage if was == up else cage.with_vertices(turned_up(cage.vertices, up, was))
+
+
+def _object_points(thing: Any) -> np.ndarray:
+    """(n, 3) points of a field, a selection or a mesh, world units."""
+    vertices = getattr(thing, "vertices", None)
+    return some_visible_nodes(thing) if vertices is None else np.asarray(vertices, dtype=np.float64)
+
+
+def _share_inside(cage: ClosedMesh, points: np.ndarray) -> float:
+    return float(np.mean(inside_mesh(points, cage)))
+
+
+def _unevenness(cage: ClosedMesh, points: np.ndarray) -> float:
+    """How much the room between a cage's box and that of its object differs from side to side, of the object's size."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = np.concatenate([low - cage.bounds[0], cage.bounds[1] - high])
+    return float(np.ptp(room) / max(float((high - low).max()), 1e-300))
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %"
+
+
+def _span(low: np.ndarray, high: np.ndarray) -> str:
+    return f"{low.round(3).tolist()} to {high.round(3).tolist()}"

@@ -1,0 +1,61 @@
+"""How cage files stand: which axis points up in them, and the lines that say so."""
+
+from __future__ import annotations
+
+import argparse
+import pathlib
+import sys
+
+from ..cage.cage import Cage
+from ..cage.upright import Standing, load_standing
+
+
+def read_rest(path: str, up: str | None, thing: object = None, *, part: bool = False) -> tuple[Cage, dict[str, str]]:
+    """A cage at rest around an object, usable.
+
+    Where its axis is not given it is found by what the cage holds of the object, which a line on stderr says.
+
+    Args:
+        path: The cage's file.
+        up: Axis that points up in it, "y" or "z". None finds it.
+        thing: The field or mesh that it stands around. None takes the axis of the format.
+        part: Whether it may hold a part alone without a word, as one of several cages.
+
+    Returns:
+        The cage, and the axis to expect in files of its ending.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For a file that cannot be read, a cage that cannot be used, or one that holds nothing of the object.
+    """
+    rest, standing = load_standing(Cage, path, up=up, reference=thing)
+    rest.require_usable(f"cage {path!r}")
+    if standing.turned or standing.doubtful or not part:
+        say_standing(path, standing, "--cage-up")
+    return rest, {ending(path): standing.up}
+
+
+def posed_up(args: argparse.Namespace) -> str | None:
+    """The axis that points up in posed cage files, None where it is to be found."""
+    return getattr(args, "posed_up", None) or args.cage_up
+
+
+def say_standing(name: str, standing: Standing, option: str) -> None:
+    """Print a line on stderr on how a cage file stands, if there is anything to say.
+
+    Args:
+        name: The file.
+        standing: What was found.
+        option: The option that names its axis.
+    """
+    if standing.turned:
+        print(f"warpcage: cage {name!r} {standing.note} ({option} says otherwise)", file=sys.stderr)
+    elif standing.doubtful:
+        print(f"warpcage: warning: cage {name!r} {standing.note} (see {option})", file=sys.stderr)
+    elif standing.note:
+        print(f"warpcage: cage {name!r} {standing.note}", file=sys.stderr)
+
+
+def ending(text: str) -> str:
+    """The ending of a file, lower case."""
+    return pathlib.Path(text).suffix.lower()
