@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_number, listed
+from ..core.checks import checked_number, checked_positive, listed
 from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
+from ..core.names import require_name
 from ..mesh.closed_mesh import require_mesh
+from ..view.keys import EASINGS, LOOPS, value_at
+from ..view.motion import value_along
 from .cage import Cage
 
 _FORMAT, _VERSION = "warpcage poses", 1
@@ -22,9 +25,9 @@ class PoseFile:
     """Named keyframes of a rest cage.
 
     The file is JSON: format, version, cage (sha256 over its faces and float64 vertices, and both in full) and
-    keyframes (name and vertices, each number with all its digits; where it was given one, time and easing). Readers
-    ignore keys that they do not know, so later versions may add some. A version that changes the meaning of these keys
-    has a higher number.
+    keyframes (name and vertices, each number with all its digits; where it was given one, time and easing); where they
+    were given, fps and loop. Readers ignore keys that they do not know, so later versions may add some. A version that
+    changes the meaning of these keys has a higher number.
 
     Args:
         rest: The cage that is posed.
@@ -38,6 +41,8 @@ class PoseFile:
         rest: The cage that is posed.
         times: When a keyframe is reached, by name, seconds. A keyframe need not have one, and `at` does not ask for it.
         easings: How the way from a keyframe to the next goes, by name: a word such as "smooth", "linear" or "hold".
+        fps: Frames per second of its film. None leaves it open.
+        loop: What its film does at its end, "once", "loop" or "ping-pong". None leaves it open.
     """
 
     def __init__(self, rest: Cage, keyframes: Mapping[str, Cage | ArrayLike] | Iterable[tuple[str, Any]] = ()):
@@ -46,6 +51,8 @@ class PoseFile:
         self._poses: dict[str, Cage] = {}
         self.times: dict[str, float] = {}
         self.easings: dict[str, str] = {}
+        self.fps: float | None = None
+        self.loop: str | None = None
         for name, pose in dict(keyframes).items():
             self[name] = pose
 
@@ -95,7 +102,7 @@ class PoseFile:
         return self.rest.with_vertices(vertices)
 
     def at(self, time: float, names: Iterable[str] | None = None) -> Cage:
-        """The cage at a time, on a Catmull-Rom spline through keyframes.
+        """The cage at a place among keyframes, on a smooth way that never goes beyond them.
 
         Args:
             time: Keyframes from the first one: 0 is the first, 0.5 halfway to the second.
@@ -110,13 +117,43 @@ class PoseFile:
         names = list(self.names if names is None else names)
         if not names or not 0.0 <= time <= len(names) - 1:
             raise ValueError(f"time must be 0 to {len(names) - 1} for {len(names)} keyframes, got {time}")
-        k = min(int(time), max(len(names) - 2, 0))
-        t = time - k
-        p0, p1, p2, p3 = (self[names[int(np.clip(j, 0, len(names) - 1))]].vertices for j in range(k - 1, k + 3))
-        vertices = p1 + 0.5 * t * (
-            p2 - p0 + t * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + t * (3.0 * (p1 - p2) + p3 - p0))
-        )
-        return self.rest.with_vertices(vertices)
+        return self.rest.with_vertices(value_along([self[name].vertices for name in names], time))
+
+    @property
+    def timed(self) -> tuple[str, ...]:
+        """Names of the keyframes that have a time, by their times. Those of one time keep their order."""
+        return tuple(sorted((name for name in self._poses if name in self.times), key=lambda name: self.times[name]))
+
+    @property
+    def length(self) -> float:
+        """Seconds from 0 to the last time, 0 where there is none."""
+        return max([0.0, *self.times.values()])
+
+    def at_time(self, seconds: float) -> Cage:
+        """The cage at a time of its film. Before the first time and after the last one it is still.
+
+        A keyframe without an easing has "smooth". Where the film loops, from a keyframe at 0 to an equal one at its
+        end, it goes through them without stopping.
+
+        Args:
+            seconds: The time.
+
+        Returns:
+            The pose; `warpcage.view.keys.value_at` says how it goes.
+
+        Raises:
+            ValueError: If no keyframe has a time, or one has an easing that is not known.
+        """
+        names = self.timed
+        if not names:
+            raise ValueError("no keyframe has a time")
+        times, values = [self.times[name] for name in names], [self._poses[name].vertices for name in names]
+        easings = [self.easings.get(name, "smooth") for name in names]
+        for name, easing in zip(names, easings, strict=True):
+            if easing not in EASINGS:
+                raise ValueError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}")
+        closed = self.loop == "loop" and times[0] == 0.0 and np.array_equal(values[0], values[-1])
+        return self.rest.with_vertices(value_at(times, values, seconds, easings, closed=closed))
 
     def save(self, path: PathLike) -> None:
         """Write the file, whole or not at all.
@@ -125,7 +162,8 @@ class PoseFile:
             path: The file, usually .json.
 
         Raises:
-            ValueError: For a time or an easing of no keyframe, a time that is not finite, or an easing that is no word.
+            ValueError: For a time or an easing of no keyframe, a time that is not finite, an easing that is no word, a
+                rate that is not positive, or a loop that is not known.
         """
         self._check_moments()
         document = {
@@ -137,6 +175,7 @@ class PoseFile:
                 for name, pose in self._poses.items()
             ],
         }  # fmt: skip
+        document |= {key: value for key, value in (("fps", self.fps), ("loop", self.loop)) if value is not None}
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
 
@@ -153,6 +192,10 @@ class PoseFile:
         for name, easing in self.easings.items():
             if not isinstance(easing, str) or not easing.strip():
                 raise ValueError(f"the easing of keyframe {name!r} must be a word, got {easing!r}")
+        if self.fps is not None:
+            self.fps = checked_positive(self.fps, "fps")
+        if self.loop is not None:
+            require_name(self.loop, LOOPS, "loop")
 
     @classmethod
     def load(cls, path: PathLike, rest: Cage | None = None) -> PoseFile:
@@ -192,6 +235,7 @@ class PoseFile:
             file = cls(own if rest is None else rest, poses)
             file.times = {frame["name"]: frame["time"] for frame in keyframes if "time" in frame}
             file.easings = {frame["name"]: frame["easing"] for frame in keyframes if "easing" in frame}
+            file.fps, file.loop = document.get("fps"), document.get("loop")
             file._check_moments()
             return file
         except (KeyError, TypeError, OverflowError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:

@@ -12,7 +12,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..cage.upright import load_standing
-from ..view.motion import keyframe_weights, pose_along
+from ..view.motion import pose_along, value_along
 from .standing import ending, say_standing
 
 #: Preset -> the amount that changes nothing, and how many axes it may name.
@@ -222,9 +222,8 @@ class Keyframes:
         """The cage at a place: 0 at rest, 1 the first pose, and so on, or between them."""
         if self.preset is None:
             return pose_along(self.cages, place, self.interpolation)
-        weights = keyframe_weights(place, len(self.amounts), self.interpolation)
-        columns = zip(*self.amounts, strict=True)
-        return self.preset.at(self.rest, [float(weights @ list(column)) for column in columns])
+        amount = value_along([np.array(amount) for amount in self.amounts], place, self.interpolation)
+        return self.preset.at(self.rest, amount.tolist())
 
     @property
     def vertices(self) -> np.ndarray:

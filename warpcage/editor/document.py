@@ -14,6 +14,8 @@ from ..deform.edits import MAX_EDITS, CageEdit
 from ..mesh.closed_mesh import ClosedMesh
 from ..view.backgrounds import parse_background
 from ..view.frame import MAX_SUPERSAMPLING
+from ..view.keys import EASINGS as EASINGS
+from ..view.keys import LOOPS as LOOPS
 from .checked import (
     MAX_ID,
     MAX_KEYS,
@@ -37,8 +39,6 @@ KINDS = ("move", "copy", "remove")
 SHOWN = ("rgb", "disparity", "alpha", "masks")
 MODES = ("pose", "rest")
 PICKS = ("vertex", "edge", "face")
-EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")
-LOOPS = ("once", "loop", "ping-pong")
 
 
 @dataclasses.dataclass(frozen=True)

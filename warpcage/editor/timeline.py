@@ -7,29 +7,24 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import TypeVar
 
 import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
-from ..view.film import MAX_DENOMINATOR
+from ..view import keys as between
 from .checked import MAX_KEYS, MAX_NAME, MAX_SECONDS, frozen_vertices
 from .document import EASINGS, Document, Key, Timeline, View
 
 #: Fields of view, degrees: a smooth way may swing beyond those of its keys.
 LEAST_FOV, LARGEST_FOV = 1.0, 150.0
 
-Time = TypeVar("Time", float, Fraction)
-
 
 def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], View | None]:
     """The poses and the view of a film at a time.
 
-    Before the first key and after the last one all is still. The way from a key to the next goes as the easing of the
-    earlier one says. "smooth" is a Catmull-Rom spline: the velocity at a key is that from the key before to the key
-    after, so that it does not jump. It is zero at the first and the last key, next to a "hold", and where the key
-    before or after has the same pose, which then stays still.
+    The way from a key to the next goes as the easing of the earlier one says (see `warpcage.view.keys.value_at`). A
+    film that loops, from a key at its start to an equal one at its end, goes through them without stopping.
 
     Args:
         document: The document.
@@ -39,16 +34,17 @@ def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], Vi
         Posed vertices (v, 3), read-only, by the number of the edit, for those edits that keys hold; the others stay as
         the document has them. And the view, or None where there is no key of cameras.
     """
-    keys = document.timeline.keys
+    moments = document.timeline.keys
     poses = {}
     for edit in document.edits:
         # a key may be older than the cage and hold vertices that it no longer has
-        track = [(key, key.poses[edit.id]) for key in keys if key.poses is not None and edit.id in key.poses]
+        track = [(key, key.poses[edit.id]) for key in moments if key.poses is not None and edit.id in key.poses]
         track = [(key, vertices) for key, vertices in track if vertices.shape == edit.posed.shape]
         if track:
-            poses[edit.id] = _value_at(track, time)
-    views = _view_track(keys)
-    return poses, _view_at(views, time) if views else None
+            poses[edit.id] = _value_at(track, time, _closes(document.timeline, track))
+    views = _view_track(moments)
+    closed = bool(views) and _closes(document.timeline, views)
+    return poses, _view_at(views, time, closed) if views else None
 
 
 def document_at(document: Document, time: float) -> Document:
@@ -76,7 +72,7 @@ def looped_time(timeline: Timeline, elapsed: float) -> float:
     Returns:
         Seconds from the film's start, 0 to its length.
     """
-    return _looped(timeline.loop, timeline.length, elapsed)
+    return between.looped_time(timeline.loop, timeline.length, elapsed)
 
 
 def frame_times(timeline: Timeline) -> list[float]:
@@ -91,11 +87,7 @@ def frame_times(timeline: Timeline) -> list[float]:
     Returns:
         Seconds from the film's start, one number per frame, at least one.
     """
-    rate, length = frame_rate(timeline), Fraction(repr(float(timeline.length)))
-    period = 2 * length if timeline.loop == "ping-pong" else length
-    exact = period * rate
-    count = exact.__floor__() + 1 if timeline.loop == "once" else max(1, exact.__ceil__())
-    return [float(_looped(timeline.loop, length, index / rate)) for index in range(count)]
+    return between.frame_times(timeline.length, timeline.fps, timeline.loop)
 
 
 def frame_rate(timeline: Timeline) -> Fraction:
@@ -107,7 +99,7 @@ def frame_rate(timeline: Timeline) -> Fraction:
     Returns:
         The nearest fraction whose denominator is at most 1001.
     """
-    return Fraction(repr(float(timeline.fps))).limit_denominator(MAX_DENOMINATOR)
+    return between.frame_rate(timeline.fps)
 
 
 def pose_file(document: Document, number: int) -> PoseFile:
@@ -136,6 +128,7 @@ def pose_file(document: Document, number: int) -> PoseFile:
         file.times[name], file.easings[name] = key.time, key.easing
     if not len(file):
         raise ValueError(f"no key holds a pose of {edit.name!r}: add one first")
+    file.fps, file.loop = float(document.timeline.fps), document.timeline.loop
     return file
 
 
@@ -218,60 +211,26 @@ def _without_pose(key: Key, number: int) -> Key:
     return dataclasses.replace(key, poses=rest or None)
 
 
-def _looped(loop: str, length: Time, elapsed: Time) -> Time:
-    """`looped_time`, for floats and for fractions."""
-    zero = length - length
-    if length <= 0:
-        return zero
-    if loop == "once":
-        return min(max(elapsed, zero), length)
-    if loop == "loop":
-        return elapsed % length
-    place = elapsed % (length + length)
-    return place if place <= length else length + length - place
-
-
-def _value_at(track: Sequence[tuple[Key, np.ndarray]], time: float) -> np.ndarray:
+def _value_at(track: Sequence[tuple[Key, np.ndarray]], time: float, closed: bool = False) -> np.ndarray:
     """The value of keys at a time, read-only. At a key it is the key's own array."""
-    index = bisect.bisect_right([key.time for key, _ in track], time) - 1
-    if index < 0 or index == len(track) - 1:
-        return track[max(index, 0)][1]
-    (key, begin), (after, end) = track[index : index + 2]
-    length = after.time - key.time
-    share = (time - key.time) / length
-    if share == 0.0 or key.easing == "hold" or np.array_equal(begin, end):
-        return begin
-    if key.easing == "smooth":
-        eased = share * share * (3.0 - 2.0 * share)
-        value = begin + eased * (end - begin)
-        value += length * share * (1.0 - share) ** 2 * _velocity(track, index)
-        value -= length * share * share * (1.0 - share) * _velocity(track, index + 1)
-    else:
-        eased = {"linear": share, "ease-in": share * share, "ease-out": share * (2.0 - share)}[key.easing]
-        value = begin + eased * (end - begin)
-    value.setflags(write=False)
-    return value
+    times, easings = [key.time for key, _ in track], [key.easing for key, _ in track]
+    return between.value_at(times, [value for _, value in track], time, easings, closed=closed)
 
 
-def _velocity(track: Sequence[tuple[Key, np.ndarray]], index: int) -> np.ndarray | float:
-    """What a smooth way has at a key; see `state_at`."""
-    if index in (0, len(track) - 1):
-        return 0.0
-    (before, one), (key, value), (after, two) = track[index - 1 : index + 2]
-    if "hold" in (before.easing, key.easing) or before.time == key.time or key.time == after.time:
-        return 0.0
-    if np.array_equal(one, value) or np.array_equal(value, two):
-        return 0.0
-    return (two - one) / (after.time - before.time)
+def _closes(film: Timeline, track: Sequence[tuple[Key, np.ndarray]]) -> bool:
+    """Whether a film goes on at its end as it began, so that smooth ways go through it without stopping."""
+    (first, begin), (last, end) = track[0], track[-1]
+    whole = first.time == 0.0 and last.time == film.length
+    return film.loop == "loop" and whole and np.array_equal(begin, end)
 
 
-def _view_track(keys: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
+def _view_track(moments: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
     """Keys of cameras as numbers, such that a camera turns about its target by the shorter way.
 
     They are (10,): target, logarithm of the distance, angle about the first key's up, angle above the plane across it,
     up, and field of view.
     """
-    views = [(key, key.view) for key in keys if key.view is not None]
+    views = [(key, key.view) for key in moments if key.view is not None]
     if not views:
         return []
     frame = _frame(np.array(views[0][1].up))
@@ -286,10 +245,10 @@ def _view_track(keys: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
     ]
 
 
-def _view_at(track: Sequence[tuple[Key, np.ndarray]], time: float) -> View:
+def _view_at(track: Sequence[tuple[Key, np.ndarray]], time: float, closed: bool) -> View:
     """The view at a time."""
     place = max(bisect.bisect_right([key.time for key, _ in track], time) - 1, 0)
-    value = _value_at(track, time)
+    value = _value_at(track, time, closed)
     first, held = track[0][0].view, track[place][0].view
     assert first is not None and held is not None
     if value is track[place][1]:

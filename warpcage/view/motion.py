@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..mesh.closed_mesh import ClosedMesh
 from .camera import Camera
+from .keys import value_at
 
 #: How a film goes through its keyframes: there and back, there, or at the last one throughout.
 MOTIONS = ("swing", "once", "hold")
@@ -67,39 +68,25 @@ def frame_places(count: int, keyframe_count: int, motion: str = "swing", interpo
     return weights * (keyframe_count - 1)
 
 
-def keyframe_weights(place: float, keyframe_count: int, interpolation: str = "smooth") -> np.ndarray:
-    """Weights by which keyframes make up the state at a place among them.
+def value_along(values: Sequence[np.ndarray], place: float, interpolation: str = "smooth") -> np.ndarray:
+    """The value at a place among keyframes.
 
     Args:
-        place: 0 for the first keyframe to keyframe_count - 1 for the last.
-        keyframe_count: Number of keyframes.
+        values: Their values, arrays of one shape: (d,) d numbers of their own, or (..., d) vectors.
+        place: 0 for the first keyframe to len(values) - 1 for the last.
         interpolation: "linear" joins keyframes by straight lines, "smooth" by cubics whose speed does not jump at
-            keyframes (Catmull and Rom 1974; straight at both ends).
+            keyframes and that never go beyond them (see `warpcage.view.keys.value_at`; straight at both ends).
 
     Returns:
-        (keyframe_count,) float64 of sum 1.
+        The value.
 
     Raises:
         ValueError: For a place beyond the keyframes, or another name.
     """
     _check_interpolation(interpolation)
-    if not 0 <= place <= keyframe_count - 1:
-        raise ValueError(f"a place among {keyframe_count} keyframes must be 0 to {keyframe_count - 1}, got {place}")
-    weights = np.zeros(keyframe_count)
-    if keyframe_count == 1:
-        return np.ones(1)
-    begin = min(int(place), keyframe_count - 2)
-    f = place - begin
-    weights[begin], weights[begin + 1] = 1 - f, f
-    if interpolation == "smooth" and keyframe_count > 2:
-        # Hermite form; what is added to the straight line, for tangents m_i = (p_(i+1) - p_(i-1)) / 2
-        value_begin, value_end = 2 * f**3 - 3 * f**2 + 1, 3 * f**2 - 2 * f**3
-        weights[begin], weights[begin + 1] = value_begin, value_end
-        for index, share in ((begin, f**3 - 2 * f**2 + f), (begin + 1, f**3 - f**2)):
-            after, before = min(index + 1, keyframe_count - 1), max(index - 1, 0)
-            weights[after] += share / (after - before)
-            weights[before] -= share / (after - before)
-    return weights
+    if not 0 <= place <= len(values) - 1:
+        raise ValueError(f"a place among {len(values)} keyframes must be 0 to {len(values) - 1}, got {place}")
+    return value_at(range(len(values)), values, place, [interpolation] * len(values), still_ends=False)
 
 
 def pose_between(rest: Mesh, posed: Mesh, weight: float) -> Mesh:
@@ -122,7 +109,7 @@ def pose_along(keyframes: Sequence[Mesh], place: float, interpolation: str = "sm
     Args:
         keyframes: Cages of the same faces.
         place: 0 for the first keyframe to len(keyframes) - 1 for the last.
-        interpolation: As for `keyframe_weights`.
+        interpolation: As for `value_along`.
 
     Returns:
         The first cage with the vertices moved.
@@ -130,9 +117,7 @@ def pose_along(keyframes: Sequence[Mesh], place: float, interpolation: str = "sm
     Raises:
         ValueError: For a place beyond the keyframes, or another interpolation.
     """
-    weights = keyframe_weights(place, len(keyframes), interpolation)
-    vertices = sum(weight * cage.vertices for weight, cage in zip(weights, keyframes, strict=True))
-    return keyframes[0].with_vertices(vertices)
+    return keyframes[0].with_vertices(value_along([cage.vertices for cage in keyframes], place, interpolation))
 
 
 def cameras_along(cameras: Sequence[Camera], count: int, interpolation: str = "smooth") -> list[Camera]:
@@ -143,7 +128,7 @@ def cameras_along(cameras: Sequence[Camera], count: int, interpolation: str = "s
     Args:
         cameras: The keyframes, all of one picture size.
         count: Number of cameras, the first and the last keyframe included.
-        interpolation: As for `keyframe_weights`.
+        interpolation: As for `value_along`.
 
     Returns:
         `count` cameras.
@@ -175,14 +160,14 @@ def axis_rotation(axis: ArrayLike, angle: float) -> np.ndarray:
 
 
 def _camera_at(cameras: Sequence[Camera], place: float, interpolation: str) -> Camera:
-    weights = keyframe_weights(place, len(cameras), interpolation)
     begin = min(int(place), max(0, len(cameras) - 2))
     end = min(begin + 1, len(cameras) - 1)
     pose = np.eye(4)
-    pose[:3, 3] = sum(weight * camera.centre for weight, camera in zip(weights, cameras, strict=True))
+    pose[:3, 3] = value_along([camera.centre[None] for camera in cameras], place, interpolation)
     pose[:3, :3] = _rotation_between(cameras[begin].rotation, cameras[end].rotation, place - begin)
     names = ("fx", "fy", "cx", "cy")
-    lens = {name: float(sum(w * getattr(c, name) for w, c in zip(weights, cameras, strict=True))) for name in names}
+    lenses = [np.array([getattr(camera, name) for name in names]) for camera in cameras]
+    lens = dict(zip(names, value_along(lenses, place, interpolation).tolist(), strict=True))
     return dataclasses.replace(cameras[begin], camera_to_world=pose, **lens)
 
 

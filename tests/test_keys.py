@@ -1,0 +1,95 @@
+"""Keys in time: what is held stays, nothing overshoots, turned scenes move alike, loops close."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from warpcage.view.keys import EASINGS, frame_times, limited_velocity, value_at
+
+STEPS = st.floats(0.05, 3.0)
+HEIGHTS = st.sampled_from([-1.0, 0.0, 0.0, 0.3, 1.0, 1.0, 7.0])
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(STEPS, HEIGHTS), min_size=2, max_size=7), st.booleans())
+def test_nothing_goes_beyond_its_keys(keys, still_ends):
+    times = np.cumsum([step for step, _ in keys]).tolist()
+    values = [np.array([height, -height]) for _, height in keys]
+    for k in range(len(keys) - 1):
+        way = [value_at(times, values, t, still_ends=still_ends) for t in np.linspace(times[k], times[k + 1], 21)]
+        heights = np.array([value[0] for value in way])
+        low, high = sorted((keys[k][1], keys[k + 1][1]))
+        assert heights.min() >= low - 1e-12 and heights.max() <= high + 1e-12
+        steps = np.diff(heights) * np.sign(keys[k + 1][1] - keys[k][1])
+        assert (steps >= -1e-12).all()  # it rises where its keys do, and falls where they fall
+        np.testing.assert_allclose([value[1] for value in way], -heights, atol=1e-12)
+
+
+def test_what_two_keys_have_in_common_stays_still_while_the_rest_moves():
+    rng = np.random.default_rng(3)
+    values = [rng.normal(size=(6, 3)) for _ in range(4)]
+    values[2][:3] = values[1][:3]
+    for time in np.linspace(1.0, 2.0, 13):
+        value = value_at(range(4), values, time)
+        np.testing.assert_allclose(value[:3], values[1][:3], atol=1e-14)
+    moved = value_at(range(4), values, 1.5)
+    assert np.abs(moved[3:] - values[1][3:]).min() > 1e-4
+
+
+def test_a_turned_scene_moves_in_the_same_way():
+    rng = np.random.default_rng(4)
+    values = [rng.normal(size=(20, 3)) for _ in range(5)]
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    times = [0.0, 0.4, 1.0, 1.1, 3.0]
+    for time in np.linspace(0, 3, 31):
+        there = value_at(times, [value @ turn for value in values], time)
+        np.testing.assert_allclose(there, value_at(times, values, time) @ turn, atol=1e-12)
+
+
+def test_a_circle_is_gone_round_without_stopping():
+    """Keys at every quarter: the ways at a right angle to one another do not hinder each other."""
+    corners = [np.array([[np.cos(a), np.sin(a)]]) for a in np.pi / 2 * np.arange(5)]
+    speed = [
+        np.linalg.norm(value_at(range(5), corners, t + 1e-5) - value_at(range(5), corners, t - 1e-5)) / 2e-5
+        for t in np.linspace(1, 3, 41)
+    ]
+    assert min(speed) > 0.9
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_loop_goes_through_its_seam(closed):
+    values = [np.array([value]) for value in (0.0, 1.0, 0.0, -1.0, 0.0)]
+    end = (value_at(range(5), values, 4.0)[0] - value_at(range(5), values, 4.0 - 1e-6, closed=closed)[0]) / 1e-6
+    begin = (value_at(range(5), values, 1e-6, closed=closed)[0] - 0.0) / 1e-6
+    assert begin == pytest.approx(1.0 if closed else 0.0, abs=1e-4)
+    assert end == pytest.approx(begin, abs=1e-4)
+
+
+def test_velocities_by_hand():
+    def velocity(before, after):
+        return limited_velocity(np.array([before]), np.array([after]), 1.0, 1.0)[0].tolist()
+
+    assert velocity([1.0, 0.0], [1.0, 0.0]) == [1.0, 0.0]
+    assert velocity([1.0, 0.0], [0.0, 0.0]) == [0.0, 0.0]  # a hold
+    assert velocity([1.0, 0.0], [-0.5, 0.0]) == [0.0, 0.0]  # a turning point
+    assert velocity([1.0, 0.0], [9.0, 0.0]) == pytest.approx([3.0, 0.0])  # three times the slower
+    assert velocity([1.0, 0.0], [0.0, 1.0]) == [0.5, 0.5]
+    assert limited_velocity(np.array([1.0, 1.0]), np.array([3.0, -3.0]), 1.0, 3.0).tolist() == [2.5, 0.0]
+
+
+@pytest.mark.parametrize("easing", EASINGS)
+def test_values_are_read_only_and_keys_are_their_own(easing):
+    values = [np.zeros((2, 3)), np.ones((2, 3))]
+    for value in values:
+        value.setflags(write=False)
+    between = value_at([0.0, 1.0], values, 0.3, [easing] * 2)
+    assert not between.flags.writeable
+    assert value_at([0.0, 1.0], values, 1.0, [easing] * 2) is values[1]
+
+
+def test_frames_of_lengths_that_floats_cannot_hold():
+    assert len(frame_times(23 / 24, 24.0)) == 24
+    assert len(frame_times(1001 / 30000 * 10, 30000 / 1001)) == 11
+    with pytest.raises(ValueError, match="at most 1000000 frames"):
+        frame_times(1e9, 24.0)
