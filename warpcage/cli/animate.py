@@ -6,30 +6,26 @@ import argparse
 import hashlib
 import json
 import pathlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.files import atomic_path, require_file
+from ..core.files import require_file
 from ..deform.deformer import Deformer
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.session_file import read_session
 from ..editor.timeline import frame_times
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
-from ..view.exr import read_exr
 from ..view.film import FILM_ENDINGS, checked_rate, write_film
 from ..view.frame import Frame
 from ..view.motion import axis_rotation, cameras_along, frame_places
-from ..view.pictures import read_image
 from . import inputs, options, outputs, view
 from .arguments.animate import OF_SESSIONS, Default
 from .deformation import Deformation, read_deformation
-
-SETTINGS_NAME = "animation.json"
-
+from .frame_folder import write_folder
 
 #: Options that go with --session.
 WITH_SESSION = (
@@ -78,7 +74,8 @@ def run(args: argparse.Namespace) -> None:
     if output.suffix:
         write_film(output, map(shot.picture, frames), args.fps)
     else:
-        kept = _write_folder(output, shot, frames, _settings(args, cameras, deformation))
+        settings = _settings(args, cameras, deformation)
+        kept = write_folder(output, frames, cameras, shot.rendered, settings, overwrite=bool(args.overwrite))
         print(f"wrote {output}: {args.frames - kept} frames, {kept} were there already")
         shot.warn()
         return
@@ -166,10 +163,11 @@ class _Shot:
         """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4)."""
         return self._shown(*self.frame(index), self.cameras[index])
 
-    def write(self, path: pathlib.Path, index: int) -> None:
-        """Write a frame's picture."""
-        frame, cages = self.frame(index)
-        outputs.write_picture(path, self._shown(frame, cages, self.cameras[index]), frame, self.cameras[index])
+    def rendered(self, index: int) -> Callable[[pathlib.Path], None]:
+        """Render a frame; what is returned writes its picture to a file."""
+        (frame, cages), camera = self.frame(index), self.cameras[index]
+        picture = self._shown(frame, cages, camera)
+        return lambda path: outputs.write_picture(path, picture, frame, camera)
 
     def _shown(self, frame: Frame, cages: Sequence[Cage], camera: Camera) -> np.ndarray:
         if self.args.show == "masks":
@@ -253,7 +251,6 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
         "resolution",
         "density",
         "cage_up",
-        "posed_up",
         "scene_scale",
     )
     settings = {name: getattr(args, name) for name in names}
@@ -264,41 +261,3 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
     settings["field"] = hashlib.sha256(pathlib.Path(args.field).read_bytes()).hexdigest()
     settings |= {"cage": [], "posed": []} if deformation is None else deformation.fingerprints()
     return json.loads(json.dumps(settings))  # tuples as lists, as they come back from the file
-
-
-def _write_folder(folder: pathlib.Path, shot: _Shot, frames: Iterable[int], settings: dict) -> int:
-    """Write the frames that are not there yet, and return how many are. A frame's file appears whole or not at all."""
-    note = folder / SETTINGS_NAME
-    if note.exists():
-        try:
-            found = json.loads(note.read_text(encoding="utf-8"))
-        except ValueError:
-            found = None
-        if found != settings:
-            changed = [name for name in settings if not isinstance(found, dict) or found.get(name) != settings[name]]
-            raise ValueError(
-                f"folder {str(folder)!r} holds frames of another film (other {', '.join(changed)}): "
-                "give another folder, or empty this one"
-            )
-    elif folder.is_dir() and any(folder.glob("frame_*.*")):
-        raise ValueError(f"folder {str(folder)!r} holds other frames (no {SETTINGS_NAME}): give another folder")
-    else:
-        with atomic_path(note) as temporary:
-            temporary.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
-    kept = 0
-    for index in frames:
-        path = folder / f"frame_{index:04d}.{settings['format']}"
-        if _holds_picture(path, shot.cameras[index]):
-            kept += 1
-        else:
-            shot.write(path, index)
-    return kept
-
-
-def _holds_picture(path: pathlib.Path, camera: Camera) -> bool:
-    """Whether a file is a whole picture from a camera. What was cut, on a full disk or by hand, is rendered again."""
-    try:
-        shape = read_exr(path)["Z"].shape if path.suffix == ".exr" else read_image(path).shape[:2]
-        return shape == (camera.height, camera.width)
-    except (OSError, ValueError, KeyError):
-        return False

@@ -77,6 +77,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at "
         "both ends (default: %(default)s)",
     )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        default=None,
+        help="replace the frames of another film that are in the folder",
+    )
     session = parser.add_argument_group("a session of the editor")
     session.add_argument("--session", metavar="FILE", help="session file (.session.json), instead of all that it holds")
     path = parser.add_argument_group("camera path")

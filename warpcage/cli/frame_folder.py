@@ -1,0 +1,141 @@
+"""A folder of a film's frames: a run that was interrupted is continued, and two films are never mixed."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import pathlib
+import re
+from collections.abc import Callable, Iterable, Iterator
+
+from ..core.files import atomic_path
+from ..view.camera import Camera
+from ..view.exr import read_exr
+from ..view.pictures import read_image
+
+#: The note beside the frames that says which film they are of.
+SETTINGS_NAME = "animation.json"
+
+#: What frames are called.
+FRAME_NAME = re.compile(r"frame_[0-9]{4,}\.(png|exr)")
+
+
+def write_folder(
+    folder: pathlib.Path,
+    frames: Iterable[int],
+    cameras: list[Camera],
+    render: Callable[[int], Callable[[pathlib.Path], None]],
+    settings: dict,
+    *,
+    overwrite: bool = False,
+) -> int:
+    """Write the frames of a film that are not there yet. A frame's file appears whole or not at all.
+
+    A run that makes no frame leaves nothing: the note is written once the first picture is rendered, and goes again
+    where that cannot be written. A note without frames binds nobody.
+
+    Args:
+        folder: The folder; it is made if it is not there.
+        frames: Numbers of the frames.
+        cameras: Their cameras.
+        render: Renders a frame, and returns what writes its picture to a file.
+        settings: All that decides how frames look, as JSON has it. Its "format" is the ending of the frames.
+        overwrite: Whether frames of another film are replaced, as soon as the first of this one is rendered.
+
+    Returns:
+        How many frames were there already.
+
+    Raises:
+        ValueError: Where frames of another film are there, with what can be done.
+    """
+    foreign = _other_film(folder, settings)
+    if foreign and not overwrite:
+        raise ValueError(
+            f"folder {str(folder)!r} holds {foreign}: give another folder, or --overwrite to replace those frames; "
+            "with the options of that film it is continued"
+        )
+    kept, begun = 0, False
+    with _nothing_left_without_frames(folder):
+        for index in frames:
+            path = folder / f"frame_{index:04d}.{settings['format']}"
+            if not (foreign and not begun) and _holds_picture(path, cameras[index]):
+                kept += 1
+                continue
+            save = render(index)
+            if not begun:
+                for other in frame_files(folder) if foreign else ():
+                    other.unlink()
+                _write_note(folder / SETTINGS_NAME, settings)
+                begun = True
+            save(path)
+    return kept
+
+
+def frame_files(folder: pathlib.Path) -> list[pathlib.Path]:
+    """The frames in a folder, in their order; none where there is no such folder."""
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [file for file in files if FRAME_NAME.fullmatch(file.name)]
+
+
+def _other_film(folder: pathlib.Path, settings: dict) -> str:
+    """Whose frames a folder holds, empty where it holds none or those of this film."""
+    note = folder / SETTINGS_NAME
+    held = _read_note(note) if note.exists() else None
+    if not frame_files(folder) or held == settings:
+        return ""
+    if held is None:
+        return f"other frames (no {SETTINGS_NAME} says of which film)"
+    names = [name for name in settings if held.get(name) != settings[name]]
+    changed = [_difference(name, held.get(name), settings[name]) for name in names]
+    return f"frames of another film (other {', '.join(changed) or 'settings'})"
+
+
+def _read_note(note: pathlib.Path) -> dict:
+    """What a note says. Raises ValueError for a file of that name that is none: it is not ours to replace."""
+    try:
+        found = json.loads(note.read_text(encoding="utf-8"))
+    except ValueError:
+        found = None
+    if not isinstance(found, dict) or not {"frames", "field", "camera"} <= found.keys():
+        raise ValueError(f"{str(note)!r} is no note of frames that warpcage wrote: give another folder")
+    return found
+
+
+def _difference(name: str, there: object, here: object) -> str:
+    """A setting that differs, with both values where they are short words or numbers."""
+    if all(isinstance(value, str | int | float | None) and len(str(value)) <= 12 for value in (there, here)):
+        return f"{name}: {_word(there)} there, {_word(here)} now"
+    return name
+
+
+def _word(value: object) -> str:
+    return "default" if value is None else str(value)
+
+
+def _write_note(note: pathlib.Path, settings: dict) -> None:
+    with atomic_path(note) as temporary:
+        temporary.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+
+
+@contextlib.contextmanager
+def _nothing_left_without_frames(folder: pathlib.Path) -> Iterator[None]:
+    """Where the block fails before the folder has a frame, take the note and the folders away that it made."""
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        yield
+    except BaseException:
+        if not frame_files(folder):
+            with contextlib.suppress(OSError):  # what others put there stays
+                (folder / SETTINGS_NAME).unlink(missing_ok=True)
+                for each in made:
+                    each.rmdir()
+        raise
+
+
+def _holds_picture(path: pathlib.Path, camera: Camera) -> bool:
+    """Whether a file is a whole picture from a camera. What was cut, on a full disk or by hand, is rendered again."""
+    try:
+        shape = read_exr(path)["Z"].shape if path.suffix == ".exr" else read_image(path).shape[:2]
+        return shape == (camera.height, camera.width)
+    except (OSError, ValueError, KeyError):
+        return False
