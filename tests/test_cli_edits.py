@@ -58,6 +58,8 @@ def expected(files, edits, poses):
         ("cage.obj:poses.json:wave", EditWords("cage.obj", "poses.json:wave")),
         (r"C:\me\cage.obj:D:\posed.obj", EditWords(r"C:\me\cage.obj", r"D:\posed.obj")),
         (r"C:cage.obj:C:poses.json:wave:keep", EditWords("C:cage.obj", "C:poses.json:wave", keep=True)),
+        ("cage.obj:posed.obj:keep:falloff=0.5", EditWords("cage.obj", "posed.obj", keep=True, falloff=0.5)),
+        ("a.obj:twist:30:held=3,4:falloff=1", EditWords("a.obj", "twist:30", falloff=1.0, held="3,4")),
         ("my.obj files/a.obj:b.obj", EditWords("my.obj files/a.obj", "b.obj")),
     ],
 )
@@ -73,6 +75,8 @@ def test_words_of_an_edit(text, words):
         ("cage.obj:keep", "there is no posed cage"),
         ("cage.obj:keep:remove", "do not go together"),
         ("cage.obj:posed.obj:remove", "needs no pose"),
+        ("cage.obj:posed.obj:falloff=wide", "falloff|finite number"),
+        ("cage.obj:posed.obj:held=left:falloff=1", "held must be cut, still, or numbers"),
     ],
 )
 def test_what_is_no_edit_is_refused(text, message):
@@ -91,6 +95,20 @@ def test_edits_of_one_command_act_in_their_order(files, tmp_path):
     assert np.abs(picture - other).mean() > 0.01  # what was moved out of the other cage is not removed
     copied = render(files, tmp_path, "--edit", "@left.obj:@aside.obj:keep")
     np.testing.assert_allclose(copied, expected(files, [CageEdit(LEFT, keep_source=True)], [ASIDE]), atol=0.003)
+
+
+def test_a_part_fades_to_rest_in_a_band(files, tmp_path):
+    """--falloff for all edits, falloff= for one of them; the overlay shows the cage with its held walls."""
+    band = CageEdit(TOP, falloff=0.3)
+    lifted = expected(files, [band], [POSED_TOP])
+    for words in (["@top.obj:@top_up.obj", "--falloff", 0.3], ["@top.obj:@top_up.obj:falloff=0.3"]):
+        np.testing.assert_allclose(render(files, tmp_path, "--edit", *words), lifted, atol=0.003)
+    torn = render(files, tmp_path, "--edit", "@top.obj:@top_up.obj")
+    assert np.abs(torn - lifted).mean() > 0.01
+    over = render(files, tmp_path, "--cage", "@top.obj", "--posed", "@top_up.obj", "--falloff", 0.3, "--overlay")
+    at_rest = render(files, tmp_path, "--cage", "@top.obj", "--overlay")
+    drawn, rest = np.abs(over - lifted).max(axis=-1) > 0.3, np.abs(at_rest - render(files, tmp_path)).max(axis=-1) > 0.3
+    assert (drawn & rest).sum() > 5  # the held wall
 
 
 def test_one_edit_is_what_cage_and_posed_are(files, tmp_path):

@@ -10,7 +10,7 @@ Two kinds of edit share these functions: LatticeEdit looks the map and the signe
 ClosedFormEdit evaluates mean value or Green coordinates and winding numbers at the point itself; tables over lattice
 cells tell it where the answer is the same for a whole cell. A module compiles only the kind that its kernels take. All
 positions are relative to one origin that the caller keeps to.
-Needs: coordinates/green, coordinates/mean_value, lattice/cage_map, mesh/containment.
+Needs: coordinates/green, coordinates/mean_value, lattice/cage_map, mesh/containment, mesh/walls.
 """
 
 from typing import Any
@@ -21,6 +21,7 @@ from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
 from ..lattice.cage_map import CageMap, cell_sides, map_distance, side_position
 from ..mesh.containment import cage_distance, winding_number
+from ..mesh.walls import Walls, faded_position
 
 wp.set_module_options({"enable_backward": False})
 UNCHANGED = wp.constant(0)
@@ -83,6 +84,7 @@ class ClosedFormEdit:
     fans: wp.array(dtype=wp.vec4)  # of the deformed cage: see mesh/fans
     deformed_cells: CellTable
     rest_cells: CellTable  # its `skip` is not used
+    walls: Walls  # the map fades to the identity towards them
     size: float  # longest side of the deformed cage
     is_green: int  # 1: Green, 0: mean value
     tolerance: float
@@ -228,11 +230,14 @@ def in_rest_cage(edit: ClosedFormEdit, x: wp.vec3, slack: float):  # noqa: F811
 @wp.func(inline=False)
 def edit_position(edit: ClosedFormEdit, x: wp.vec3):
     """The map of an edit, from its deformed into its rest cage."""
+    mapped = x
     if edit.is_green == 1:
-        return green_position(
+        mapped = green_position(
             x, edit.deformed_vertices, edit.faces, edit.fans, edit.rest_vertices, edit.rest_normals, edit.size
         )
-    return mean_value_position(x, edit.deformed_vertices, edit.faces, edit.fans, edit.rest_vertices, edit.size)
+    else:
+        mapped = mean_value_position(x, edit.deformed_vertices, edit.faces, edit.fans, edit.rest_vertices, edit.size)
+    return faded_position(edit.walls, x, mapped)
 
 
 @wp.func

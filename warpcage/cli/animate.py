@@ -157,7 +157,7 @@ class _Shot:
                 self.held = place
         except ValueError as error:
             raise ValueError(f"frame {index}, between the poses: {error}") from error
-        return self.deformer.render(camera, **background), self.deformation.drawn(cages)
+        return self.deformer.render(camera, **background), self.deformation.drawn(self.deformer.deformed or cages)
 
     def picture(self, index: int) -> np.ndarray:
         """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4)."""

@@ -180,7 +180,10 @@ def _read_edit(
 ) -> PosedEdit:
     """An edit with the cages that its words name. texts: words of --posed; part: whether it is one of several."""
     rest, expected = read_rest(words.cage, words.up or args.cage_up, field, part=part)
-    edit = CageEdit(rest, keep_source=words.keep, remove=words.remove)
+    falloff = 0.0 if words.remove else words.falloff
+    if falloff is None:
+        falloff = getattr(args, "falloff", None) or 0.0
+    edit = CageEdit(rest, keep_source=words.keep, remove=words.remove, falloff=falloff, held=words.walls)
     if words.remove:
         return PosedEdit(edit, None)
     keyframes = Keyframes(rest, texts, interpolation or "smooth", words.up or posed_up(args), expected)
@@ -239,7 +242,7 @@ def _moves(part: PosedEdit) -> bool:
 
 def _edit_hash(edit: CageEdit) -> str:
     """A hash of an edit at rest."""
-    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove])
+    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove, edit.falloff, edit.held])
 
 
 def _pose_hash(part: PosedEdit) -> str:

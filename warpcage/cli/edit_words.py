@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import json
 import os
@@ -12,12 +13,15 @@ from typing import Any
 from ..core.checks import checked_number, listed
 from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
 from .keyframes import is_preset
-from .options import CAGE_ENDINGS
+from .options import CAGE_ENDINGS, positive_float
 
 FORMAT, VERSION = "warpcage edits", 1
 
 #: How an edit is written in one word.
-EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep or CAGE:remove"
+EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remove"
+
+#: Words after the cages.
+_LAST_WORD = re.compile(r"(keep|remove)|(falloff|held)=([^:]*)")
 
 #: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
 #: Windows drive (C:\cage.obj) separates nothing.
@@ -33,6 +37,8 @@ class EditWords:
         posed: A word of --posed: a cage file, a keyframe of a pose file, or a preset. None for an edit that removes.
         keep: Leave a copy where it was.
         remove: Draw nothing in its place.
+        falloff: Width of the band in which the edit fades to rest, world units; see `CageEdit`.
+        held: The walls that it fades towards: "cut", "still", or numbers of faces between commas.
         up: Axis that points up in its cage files, "y" or "z". None is that of the format or of --cage-up.
 
     Raises:
@@ -43,6 +49,8 @@ class EditWords:
     posed: str | None = None
     keep: bool = False
     remove: bool = False
+    falloff: float | None = None
+    held: str = "cut"
     up: str | None = None
 
     def __post_init__(self) -> None:
@@ -52,20 +60,37 @@ class EditWords:
             raise ValueError(f"what is removed needs no pose, got {self.posed!r}")
         if not self.remove and self.posed is None:
             raise ValueError(f"there is no posed cage: write {EDIT_SHAPE}")
+        if self.falloff is not None and checked_number(self.falloff, "falloff") < 0.0:
+            raise ValueError(f"falloff must be a width, 0 or more, got {self.falloff:g}")
+        _ = self.walls  # refuses others
         if self.up not in (None, "y", "z"):
             raise ValueError(f"up must be 'y' or 'z', got {self.up!r}")
+
+    @property
+    def walls(self) -> str | tuple[int, ...]:
+        """`held` as a CageEdit takes it. Raises ValueError for other words."""
+        if self.held in ("cut", "still"):
+            return self.held
+        try:
+            return tuple(int(number) for number in self.held.split(","))
+        except ValueError:
+            raise ValueError(
+                f"held must be cut, still, or numbers of faces such as 4,5,17, got {self.held!r}"
+            ) from None
 
     def __str__(self) -> str:
         if self.remove:
             return f"{self.cage}: removed"
-        return f"{self.cage} -> {self.posed}{', the source stays (a copy)' if self.keep else ''}"
+        copy = ", the source stays (a copy)" if self.keep else ""
+        fades = f", fades to rest over {self.falloff:g}" if self.falloff else ""
+        return f"{self.cage} -> {self.posed}{copy}{fades}"
 
 
 def parse_edit(text: str) -> EditWords:
     """An edit of --edit.
 
     Args:
-        text: CAGE:POSED, with ":keep" or ":remove" at its end.
+        text: CAGE:POSED, with ":keep", ":remove", ":falloff=WIDTH" or ":held=WALLS" at its end.
 
     Returns:
         Its words.
@@ -80,13 +105,16 @@ def parse_edit(text: str) -> EditWords:
     words: dict[str, Any] = {}
     while rest is not None:
         before, _, last = rest.rpartition(":")
-        if last not in ("keep", "remove") or pathlib.Path(rest).exists():
+        word = _LAST_WORD.fullmatch(last)
+        if word is None or pathlib.Path(rest).exists():
             break
-        words[last] = True
+        words |= {word[1]: True} if word[1] else {word[2]: word[3]}
         rest = before or None
     try:
+        if "falloff" in words:
+            words["falloff"] = positive_float(words["falloff"])
         return EditWords(cage, rest or None, **words)
-    except ValueError as error:
+    except (ValueError, argparse.ArgumentTypeError) as error:
         raise ValueError(f"--edit {text!r}: {error}") from None
 
 

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> None:
     field = inputs.read_field(args)
     deformation = read_deformation(args, field)
     renderer = inputs.posed_renderer(field, deformation, args)
-    drawn = deformation.drawn(deformation.posed) if deformation and args.overlay else ()
+    drawn = inputs.drawn_cages(renderer, deformation) if args.overlay else ()
 
     def pictures() -> Iterator[tuple[np.ndarray, Frame, Camera]]:
         for camera in cameras:

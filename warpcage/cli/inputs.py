@@ -7,6 +7,7 @@ import argparse
 import numpy as np
 import warp as wp
 
+from ..cage.cage import Cage
 from ..core.devices import resolve_device
 from ..core.files import require_file
 from ..deform.deformer import Deformer
@@ -84,6 +85,14 @@ def is_transparent(args: argparse.Namespace) -> bool:
     if args.transparent and args.background not in (None, options.TRANSPARENT):
         raise ValueError("--transparent cannot be combined with --background: give one of them")
     return args.transparent or args.background == options.TRANSPARENT
+
+
+def drawn_cages(renderer: VoxelField | Deformer, deformation: Deformation | None) -> list[Cage]:
+    """The cages that an overlay shows: as the Deformer has them, whose held walls stay at rest."""
+    if deformation is None:
+        return []
+    posed = renderer.deformed if isinstance(renderer, Deformer) else None
+    return deformation.drawn(deformation.posed if posed is None else posed)
 
 
 def background_option(args: argparse.Namespace) -> dict:

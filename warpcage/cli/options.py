@@ -185,7 +185,15 @@ def add_edits(parser: Arguments) -> None:
         action="append",
         metavar="CAGE:POSED[:keep]",
         help="one of several edits; give it again for the next, which acts on what the ones before it left. POSED as "
-        "for --posed. CAGE:POSED:keep leaves a copy where it was, CAGE:remove takes away what is in the cage",
+        "for --posed. CAGE:POSED:keep leaves a copy where it was, CAGE:remove takes away what is in the cage, "
+        "CAGE:POSED:falloff=WIDTH is a --falloff of its own",
+    )
+    parser.add_argument(
+        "--falloff",
+        type=positive_float,
+        metavar="WIDTH",
+        help="hold the walls of a cage that cut through matter, and let the edit fade to rest in a band of this width "
+        "inside them, world units, so that a part does not tear off (default: no wall is held)",
     )
     parser.add_argument(
         "--edits",

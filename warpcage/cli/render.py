@@ -32,8 +32,9 @@ def run(args: argparse.Namespace) -> None:
     deformation = read_deformation(args, field)
 
     camera = view.chosen_camera(args, inputs.visible_points(field, deformation))
-    frame = inputs.posed_renderer(field, deformation, args).render(camera, **inputs.background_option(args))
-    drawn = deformation.drawn(deformation.posed) if deformation and args.overlay else ()
+    renderer = inputs.posed_renderer(field, deformation, args)
+    frame = renderer.render(camera, **inputs.background_option(args))
+    drawn = inputs.drawn_cages(renderer, deformation) if args.overlay else ()
     outputs.write_picture(output, outputs.colours(frame, camera, drawn, transparent), frame, camera)
     for kind, path in extra.items():
         write_png(path, outputs.picture(frame, kind))

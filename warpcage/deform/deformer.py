@@ -25,6 +25,7 @@ from ..mesh.usable import require_usable
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
 from .edits import CageEdit, PosedEdits, checked_edits
+from .falloff import FalloffBand
 from .lattice_edits import LatticeEdits
 from .precise_edits import ClosedFormEdits
 
@@ -104,10 +105,12 @@ class Deformer:
         self._held: list[Cage | None] | None = None  # the pose that is in the buffers
         self._edits: PosedEdits
         with self.lock:
+            self._bands = [FalloffBand(edit, self.field) if edit.falloff > 0.0 else None for edit in self.edits]
+            origin, device = self.field.center, self.device
             if resolution is None:
-                self._edits = ClosedFormEdits(self.edits, coordinates, self.field.center, self.device)
+                self._edits = ClosedFormEdits(self.edits, coordinates, origin, device, self._bands)
             else:
-                self._edits = LatticeEdits(self.edits, coordinates, resolution, self.field.center, self.device, store)
+                self._edits = LatticeEdits(self.edits, coordinates, resolution, origin, device, store, self._bands)
 
     def __reduce__(self):
         raise TypeError("a Deformer is held on a device and not copied between processes: make one in each of them")
@@ -169,9 +172,8 @@ class Deformer:
         cages = list(deformed) if isinstance(deformed, list | tuple) else [deformed]
         if len(cages) != len(self.edits):
             raise ValueError(f"a pose needs one cage per edit, {len(self.edits)}, got {len(cages)}")
-        return [
-            checked_pose(edit, cage, index) for index, (edit, cage) in enumerate(zip(self.edits, cages, strict=True))
-        ]
+        numbered = enumerate(zip(self.edits, cages, self._bands, strict=True))
+        return [checked_pose(edit, cage, index, band) for index, (edit, cage, band) in numbered]
 
     def _hold(self, cages: list[Cage | None]) -> PosedEdits:
         """The edits with this pose in their buffers, computed where another one is there. Needs the lock."""
@@ -358,16 +360,17 @@ class PosedDeformer:
             return shared._render(lambda: shared._hold(self.deformed), camera, background, step, supersampling)
 
 
-def checked_pose(edit: CageEdit, cage: Any, index: int) -> Cage | None:
+def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None = None) -> Cage | None:
     """The posed cage of an edit.
 
     Args:
         edit: The edit.
         cage: What the caller gave.
         index: Number of the edit, for messages.
+        band: Where the edit fades to rest, or None.
 
     Returns:
-        The cage; None for an edit that removes.
+        The cage, with the walls of the band at rest; None for an edit that removes.
 
     Raises:
         ValueError: For something else than a Cage, other faces than the rest cage's, or a cage that cannot be used.
@@ -377,6 +380,10 @@ def checked_pose(edit: CageEdit, cage: Any, index: int) -> Cage | None:
     require_type(cage, Cage, f"the pose of edit {index} must be")
     require_same_faces(edit.cage, cage)
     require_usable(cage, "the deformed cage")
+    if band is None:
+        return cage
+    cage = band.held(cage)
+    require_usable(cage, "the deformed cage, its cut walls held at rest,")
     return cage
 
 

@@ -7,11 +7,16 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from ..cage.cage import Cage
+from ..core.checks import checked_number
 from ..field.voxel_field import VoxelField
 from ..mesh.usable import require_usable
+
+#: Walls that a falloff may hold: those that cut matter, and those that a pose leaves in place.
+HELD = ("cut", "still")
 
 #: Edits of one scene; the way of a sample through them is kept in the bits of an int.
 MAX_EDITS = 31
@@ -25,14 +30,21 @@ class CageEdit:
         cage: The cage at rest.
         keep_source: Leave a copy where it was (a duplicate).
         remove: Draw nothing in its place: it is deleted, and needs no pose.
+        falloff: Width of the band inside held walls in which the edit fades to rest, world units: so that a part which
+            the cage cuts off does not tear. 0 holds no wall.
+        held: The walls that a falloff holds: "cut", the faces of the cage that cut matter; "still", those whose
+            vertices a pose leaves in place; or the numbers of the faces.
 
     Raises:
-        ValueError: For both at once, or a cage that cannot be used.
+        ValueError: For keeping and removing at once, a cage that cannot be used, a falloff that is no width or goes
+            with removing, or walls that are not there.
     """
 
     cage: Cage
     keep_source: bool = False
     remove: bool = False
+    falloff: float = 0.0
+    held: str | tuple[int, ...] = "cut"
 
     def __post_init__(self) -> None:
         if not isinstance(self.cage, Cage):
@@ -40,6 +52,37 @@ class CageEdit:
         if self.keep_source and self.remove:
             raise ValueError("an edit that removes its cage's content cannot keep the source: choose one")
         require_usable(self.cage, "the rest cage")
+        object.__setattr__(self, "falloff", checked_number(self.falloff, "the falloff of an edit"))
+        if self.falloff < 0.0:
+            raise ValueError(f"the falloff of an edit must be a width, 0 or more, got {self.falloff}")
+        if self.falloff > 0.0 and self.remove:
+            raise ValueError("an edit that removes its cage's content has no pose to fade: leave the falloff out")
+        object.__setattr__(self, "held", checked_walls(self.held, len(self.cage.faces)))
+
+
+def checked_walls(held: Any, face_count: int) -> str | tuple[int, ...]:
+    """The walls that an edit holds.
+
+    Args:
+        held: "cut", "still", or numbers of faces.
+        face_count: Faces of the cage.
+
+    Returns:
+        The same, numbers as a tuple.
+
+    Raises:
+        ValueError: For other words, no numbers, and numbers that are no faces.
+    """
+    if isinstance(held, str):
+        if held not in HELD:
+            raise ValueError(f"held must be {' or '.join(map(repr, HELD))} or numbers of faces, got {held!r}")
+        return held
+    faces = np.asarray(held)
+    if faces.ndim != 1 or not len(faces) or faces.dtype.kind not in "iu":
+        raise ValueError(f"held must be {' or '.join(map(repr, HELD))} or numbers of faces, got {str(held)[:60]}")
+    if faces.min() < 0 or faces.max() >= face_count:
+        raise ValueError(f"held names face {faces.max()}, the cage has faces 0 to {face_count - 1}")
+    return tuple(int(face) for face in np.unique(faces))
 
 
 def checked_edits(rest: Cage | CageEdit | Sequence[Cage | CageEdit]) -> list[CageEdit]:

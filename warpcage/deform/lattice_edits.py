@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import empty_array
+from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.modules import load_modules
 from ..field.voxel_field import VoxelField
@@ -38,6 +40,7 @@ from ..lattice.lattice import CageLattice
 from ..lattice.position_map import PositionMap
 from ..mesh.containment import SURFACE_TOLERANCE
 from .edits import CageEdit, PosedEdits
+from .falloff import FalloffBand, faded_map, folded_cells
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
 #: the trilinear signed distance errs by up to half a cell at corners.
@@ -75,6 +78,7 @@ class LatticeEdits(PosedEdits):
         origin: (3,) world point that positions on the device are relative to.
         device: Warp device.
         store: "map" or "weights", as Deformer has it.
+        bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
 
     Attributes:
         lattices: The EditLattices that hold the maps.
@@ -88,11 +92,12 @@ class LatticeEdits(PosedEdits):
         origin: ArrayLike,
         device: wp.Device,
         store: str = "map",
+        bands: Sequence[FalloffBand | None] = (),
     ):
         self._edits, self._device, self._is_single = edits, device, len(edits) == 1
         super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
         load_pose_modules(coordinates, [render_single, render_sides] if self._is_single else [render], device)
-        self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store)
+        self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands)
         self._flat: list[Any] = []
 
     def row_tables(self, field: VoxelField) -> list[Any]:
@@ -176,6 +181,7 @@ class EditLattices:
         origin: (3,) world point that positions on the device are relative to.
         device: Warp device.
         store: "map" or "weights", as Deformer has it.
+        bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
 
     Attributes:
         rests: A CageLattice of each rest cage.
@@ -192,8 +198,12 @@ class EditLattices:
         origin: ArrayLike,
         device: wp.Device,
         store: str = "map",
+        bands: Sequence[FalloffBand | None] = (),
     ):
-        self._edits, self._device = edits, device
+        self._edits, self._device, self._origin = edits, device, origin
+        self._bands = list(bands) or [None] * len(edits)
+        self._plain: list[Any] = [None] * len(edits)
+        self._faded: list[Any] = [None] * len(edits)
         self.rests = [CageLattice(edit.cage, resolution, origin=origin, device=device).measure() for edit in edits]
         options: dict[str, Any] = {
             "coordinates": coordinates,
@@ -215,11 +225,10 @@ class EditLattices:
         Args:
             cages: The deformed cages in the order of the edits, None for an edit that removes.
         """
+        self._faded = [self._posed_map(index, cage) for index, cage in enumerate(cages)]
         self._structs = [
-            posed_struct(
-                edit, rest, None if position_map is None or cage is None else position_map.pose(cage).data, cage
-            )
-            for edit, rest, position_map, cage in zip(self._edits, self.rests, self.maps, cages, strict=True)
+            posed_struct(edit, rest, cage_map, cage)
+            for edit, rest, cage_map, cage in zip(self._edits, self.rests, self._faded, cages, strict=True)
         ]
         shapes = [cell_shape(struct.deformed) for struct in self._structs]
         self._cells = cell_buffers(self._cells, shapes, self._device)
@@ -227,6 +236,33 @@ class EditLattices:
         for struct, cells, skip in zip(self._structs, self._cells, self.skips, strict=True):
             struct.cells, struct.skip = cells, skip
         self.settle_cells()
+        self._warn_of_folds(cages)
+
+    def _posed_map(self, index: int, cage: Cage | None) -> Any:
+        """The CageMap of a posed edit, faded where it has a band. None for an edit that removes."""
+        position_map, band = self.maps[index], self._bands[index]
+        if position_map is None or cage is None:
+            return None
+        data = self._plain[index] = position_map.pose(cage).data
+        if band is None:
+            return data
+        return faded_map(data, band.on_device(cage, self._origin, self._device), self._faded[index])
+
+    def _warn_of_folds(self, cages: Sequence[Cage | None]) -> None:
+        """Warn where a band is too narrow for its pose: where it folds matter over, which the map alone does not."""
+        for index, (edit, struct, cells) in enumerate(zip(self._edits, self._structs, self._cells, strict=True)):
+            band = self._bands[index]
+            if band is None or not folded_cells(cells).any():
+                continue
+            plain = posed_struct(edit, self.rests[index], self._plain[index], cages[index])
+            plain.skip, plain.cells = struct.skip, wp.empty_like(cells)
+            launch(cell_tables.mark_edit_cases, cells.size, [plain], [plain.cells], device=self._device)
+            folded = np.argwhere(folded_cells(cells) & ~folded_cells(plain.cells))
+            if band.has_matter(struct.deformed.positions.numpy()[tuple(folded.T)] + self._origin):
+                warn_caller(
+                    f"the map of edit {index} folds over in its falloff band of {edit.falloff:.3g}: make the band "
+                    "wider, or move the cage less"
+                )
 
     def settle_cells(self) -> None:
         """Make the tables of the posed maps anew, of what holds for whole cells."""

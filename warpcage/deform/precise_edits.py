@@ -17,6 +17,7 @@ from ..kernels.deform.edits import CellTable, ClosedFormEdit
 from ..mesh.containment import SURFACE_TOLERANCE
 from ..mesh.fans import prepared_fans
 from .edits import CageEdit, PosedEdits
+from .falloff import FalloffBand
 from .lattice_edits import EditLattices, cell_shape, load_pose_modules
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, as a share of the cage's size:
@@ -39,18 +40,27 @@ class ClosedFormEdits(PosedEdits):
         coordinates: "mean_value" or "green".
         origin: (3,) world point that positions on the device are relative to.
         device: Warp device.
+        bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
 
     Attributes:
         guide: The EditLattices that find those cells.
     """
 
-    def __init__(self, edits: list[CageEdit], coordinates: str, origin: np.ndarray, device: wp.Device):
+    def __init__(
+        self,
+        edits: list[CageEdit],
+        coordinates: str,
+        origin: np.ndarray,
+        device: wp.Device,
+        bands: Sequence[FalloffBand | None] = (),
+    ):
         super().__init__(points_precise.map_points_precisely, render_precise.render_precisely)
         self._edits, self._origin, self._device = edits, origin, device
         self.sample_work = sum(len(edit.cage.faces) for edit in edits)  # each face is looked at
         self._is_green = coordinates == "green"
         load_pose_modules(coordinates, [render_precise, settled_cells], device)
-        self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device)
+        self._bands = list(bands) or [None] * len(edits)
+        self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device, bands=bands)
         self._rest_cells = [
             settled_rest_cells(rest, CLOSED_FORM_SLACK * edit.cage.size, device)
             for edit, rest in zip(edits, self.guide.rest_maps(), strict=True)
@@ -60,9 +70,9 @@ class ClosedFormEdits(PosedEdits):
     def pose(self, cages: Sequence[Cage | None]) -> None:
         self.guide.pose(cages)
         self._structs = [
-            self._struct(edit, cage, rest_cells, settled_deformed_cells(guide, skip, self._device))
-            for edit, cage, rest_cells, (guide, skip) in zip(
-                self._edits, cages, self._rest_cells, self.guide.posed(), strict=True
+            self._struct(edit, cage, band, rest_cells, settled_deformed_cells(guide, skip, self._device))
+            for edit, cage, band, rest_cells, (guide, skip) in zip(
+                self._edits, cages, self._bands, self._rest_cells, self.guide.posed(), strict=True
             )
         ]
         self.array = self.scene = wp.array(self._structs, dtype=ClosedFormEdit, device=self._device)
@@ -72,7 +82,9 @@ class ClosedFormEdits(PosedEdits):
         margin = GUIDE_MARGIN * max(guide.deformed.spacing for guide, _ in self.guide.posed())
         self.guide.mark_empty(grid, step + margin)
 
-    def _struct(self, edit: CageEdit, cage: Cage | None, rest_cells: Any, deformed_cells: Any) -> Any:
+    def _struct(
+        self, edit: CageEdit, cage: Cage | None, band: FalloffBand | None, rest_cells: Any, deformed_cells: Any
+    ) -> Any:
         """An edit for kernels, with the tables of its cells. cage: None for an edit that removes."""
         rest, fans = edit.cage, edit.cage.topology.fans
         deformed = rest if cage is None else cage
@@ -84,6 +96,8 @@ class ClosedFormEdits(PosedEdits):
         if self._is_green:
             normals = stretched_normals(deformed, rest)[fans.order].astype(np.float32)
             struct.rest_normals = wp.array(normals, dtype=wp.vec3, device=self._device)
+        if band is not None and cage is not None:
+            struct.walls = band.on_device(cage, self._origin, self._device)
         struct.size = deformed.size
         struct.tolerance = SURFACE_TOLERANCE * deformed.size
         struct.slack = CLOSED_FORM_SLACK * rest.size

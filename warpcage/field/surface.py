@@ -107,7 +107,7 @@ def surface_density(densities: np.ndarray, voxel_size: ArrayLike) -> float:
     occupied = densities[densities > 0.0]
     if not len(occupied):
         raise ValueError("the field is empty: it has no density above 0")
-    half_opaque = float(0.5 * np.log(2.0) / np.prod(np.asarray(voxel_size, dtype=np.float64)) ** (1.0 / 3.0))
+    half_opaque = half_opaque_density(voxel_size)
     if np.mean(occupied > half_opaque) >= _LEAST_SHARE:
         return half_opaque
     lowest, highest = float(occupied.min()), float(occupied.max())
@@ -115,6 +115,18 @@ def surface_density(densities: np.ndarray, voxel_size: ArrayLike) -> float:
         return 0.5 * highest
     # normalised, so that the histogram's edges do not depend on the unit of length
     return float(skimage.filters.threshold_otsu(occupied.astype(np.float64) / highest)) * highest
+
+
+def half_opaque_density(voxel_size: ArrayLike) -> float:
+    """The density at which a ray across two voxels becomes half opaque.
+
+    Args:
+        voxel_size: (3,) world units.
+
+    Returns:
+        The density, per world unit.
+    """
+    return float(0.5 * np.log(2.0) / np.prod(np.asarray(voxel_size, dtype=np.float64)) ** (1.0 / 3.0))
 
 
 def node_grid(field: DensityField) -> tuple[np.ndarray, np.ndarray]:

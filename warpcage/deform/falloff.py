@@ -1,0 +1,269 @@
+"""The band inside the walls of a local cage in which an edit fades to rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..cage.cage import Cage
+from ..core.arrays import empty_array
+from ..core.devices import launch
+from ..field.surface import half_opaque_density
+from ..field.voxel_field import VoxelField
+from ..kernels.deform import falloff as kernels
+from ..kernels.deform.edits import CELL_FOLDED, CELL_INSIDE
+from ..kernels.lattice.cage_map import CageMap
+from ..kernels.mesh.walls import Walls
+from ..mesh.topology import connected_parts
+from .edits import CageEdit
+
+#: Samples of a face, one a voxel, that must lie in matter for it to cut matter: less is a speck of a fit.
+LEAST_SAMPLES = 4
+
+#: Most samples along each side of a face.
+MOST_SAMPLES_A_SIDE = 256
+
+#: Vertices nearer to rest than this share of the cage's size are in place.
+STILL = 1e-6
+
+#: Faces of one wall meet at less than this angle, degrees.
+WALL_ANGLE = 30.0
+
+
+class FalloffBand:
+    """The walls of a cage that an edit holds, and the band inside them in which its map fades to the identity.
+
+    At a held wall the map is the identity, and so is its derivative: positions and directions go on without a jump into
+    the scene outside. Vertices of held walls stay at rest, and those within the band move by their share.
+
+    Args:
+        edit: The edit, with a falloff.
+        field: The field, in which walls that cut matter are found.
+
+    Attributes:
+        faces: (k,) the held faces. None where each pose decides: those that it leaves in place.
+
+    Raises:
+        ValueError: Where no wall is held, so that there is nothing to fade towards.
+    """
+
+    def __init__(self, edit: CageEdit, field: VoxelField):
+        self._cage, self._width, self._field = edit.cage, edit.falloff, field
+        self.faces: np.ndarray | None = None
+        if edit.held == "cut":
+            self.faces = cut_faces(edit.cage, field)
+            if not len(self.faces):
+                raise ValueError(
+                    "no wall of the cage cuts matter, so that nothing tears there and no falloff is needed: leave it "
+                    'out, or say which walls are held (held="still", or face numbers)'
+                )
+        elif edit.held != "still":
+            self.faces = np.asarray(edit.held, dtype=np.int64)
+
+    def held(self, posed: Cage) -> Cage:
+        """A pose with the held walls at rest.
+
+        Args:
+            posed: The pose.
+
+        Returns:
+            The pose that is rendered.
+        """
+        faces = self.held_faces(posed)
+        rest = self._cage.vertices
+        share = walls_share(rest, wall_corners(self._cage, faces), self._width)
+        share[np.unique(self._cage.faces[faces])] = 0.0
+        moved = rest + share[:, None] * (posed.vertices - rest)
+        return posed.with_vertices(np.where(share[:, None] < 1.0, moved, posed.vertices))
+
+    def held_faces(self, posed: Cage) -> np.ndarray:
+        """(k,) the faces that do not move in a pose."""
+        return still_faces(self._cage, posed) if self.faces is None else self.faces
+
+    def has_matter(self, points: np.ndarray) -> bool:
+        """Whether any of the points (n, 3), world units, at rest, lies in matter of the field."""
+        return bool(in_matter(self._field, points).any())
+
+    def on_device(self, posed: Cage, origin: ArrayLike, device: wp.Device) -> Any:
+        """The walls as kernels take them.
+
+        Args:
+            posed: The pose, with its held walls at rest.
+            origin: (3,) world point that positions on the device are relative to.
+            device: Warp device.
+
+        Returns:
+            A Walls of kernels/mesh/walls.py.
+        """
+        walls = wall_corners(self._cage, self.held_faces(posed))
+        data = Walls()
+        if not walls:
+            return data
+        corners = np.concatenate(walls).reshape(-1, 3) - np.asarray(origin)
+        data.corners = wp.array(corners.astype(np.float32), dtype=wp.vec3, device=device)
+        data.starts = wp.array(np.cumsum([0, *map(len, walls)]), dtype=wp.int32, device=device)
+        data.lower = wp.vec3(*(corners.min(axis=0) - self._width))
+        data.upper = wp.vec3(*(corners.max(axis=0) + self._width))
+        data.width = self._width
+        return data
+
+
+def faded_map(cage_map: Any, walls: Any, held: Any = None) -> Any:
+    """A map on a lattice, faded towards walls.
+
+    Args:
+        cage_map: The CageMap of a posed cage; it stays as it is.
+        walls: A Walls of kernels/mesh/walls.py.
+        held: The faded map of the last pose, whose arrays are used again where they fit, or None.
+
+    Returns:
+        A CageMap with positions of its own.
+    """
+    if walls.width == 0.0:
+        return cage_map
+    positions, device = cage_map.positions, cage_map.positions.device
+    faded = CageMap()
+    faded.lower, faded.spacing, faded.inverse_spacing = cage_map.lower, cage_map.spacing, cage_map.inverse_spacing
+    faded.distance = cage_map.distance
+    if held is not None and held.positions is not None and held.positions.shape == positions.shape:
+        faded.positions = held.positions
+    else:
+        faded.positions = empty_array(positions.shape, wp.vec3, device)
+    launch(kernels.fade_nodes, positions.size, [cage_map, walls], [faded.positions], device=device)
+    if cage_map.side_index is not None and cage_map.side_index.size:
+        faded.side_index, faded.sides = cage_map.side_index, wp.clone(cage_map.sides)
+        launch(kernels.fade_sides, positions.size, [cage_map, walls], [faded.sides], device=device)
+    return faded
+
+
+def folded_cells(cells: wp.array) -> np.ndarray:
+    """Which cells wholly inside a posed cage are turned over by its map.
+
+    Args:
+        cells: (nx-1, ny-1, nz-1) uint8, CELL_... flags.
+
+    Returns:
+        bool of the same shape.
+    """
+    flags = cells.numpy()
+    return (flags & (CELL_FOLDED | CELL_INSIDE)) == (CELL_FOLDED | CELL_INSIDE)
+
+
+def walls_share(points: np.ndarray, walls: Sequence[np.ndarray], width: float) -> np.ndarray:
+    """How much of an edit is left at points: the formula of kernels/mesh/walls.py, in float64.
+
+    Args:
+        points: (n, 3) world positions.
+        walls: (k, 3, 3) corners of the faces of each wall.
+        width: Width of the band, world units.
+
+    Returns:
+        (n,) shares, 0 to 1.
+    """
+    share = np.ones(len(points))
+    for corners in walls:
+        t = np.minimum(triangle_distance(points, corners) / width, 1.0)
+        share *= t**3 * (t * (6.0 * t - 15.0) + 10.0)
+    return share
+
+
+def triangle_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(n,) distance of points (n, 3) to the nearest of triangles (k, 3, 3)."""
+    import trimesh
+
+    nearest = np.full(len(points), np.inf)
+    for triangle in corners:
+        at = trimesh.triangles.closest_point(np.broadcast_to(triangle, (len(points), 3, 3)), points)
+        nearest = np.minimum(nearest, np.linalg.norm(points - at, axis=1))
+    return nearest
+
+
+def wall_corners(cage: Cage, faces: np.ndarray) -> list[np.ndarray]:
+    """Faces of a cage as walls: sets that meet at less than WALL_ANGLE.
+
+    Args:
+        cage: The cage.
+        faces: (k,) numbers of faces.
+
+    Returns:
+        (m, 3, 3) corners of the faces of each wall, world units.
+    """
+    if not len(faces):
+        return []
+    corners = cage.vertices[cage.faces[faces]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    edges = np.sort(
+        np.stack([cage.faces[faces][:, [0, 1]], cage.faces[faces][:, [1, 2]], cage.faces[faces][:, [2, 0]]], 1)
+    )
+    keys = (edges[..., 0].astype(np.int64) * len(cage.vertices) + edges[..., 1]).reshape(-1)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    order = np.argsort(keys, kind="stable")
+    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
+    one, two = owner[order[same]], owner[order[same + 1]]
+    flat = np.einsum("ij,ij->i", normals[one], normals[two]) > np.cos(np.radians(WALL_ANGLE))
+    part, count = connected_parts(len(faces), one[flat], two[flat])
+    return [corners[part == number] for number in range(count)]
+
+
+def still_faces(rest: Cage, posed: Cage) -> np.ndarray:
+    """(k,) the faces whose vertices a pose leaves in place."""
+    moved = np.linalg.norm(posed.vertices - rest.vertices, axis=1) > STILL * rest.size
+    return np.flatnonzero(~moved[rest.faces].any(axis=1))
+
+
+def cut_faces(cage: Cage, field: VoxelField) -> np.ndarray:
+    """The faces of a cage that cut the matter of a field.
+
+    Args:
+        cage: The cage at rest.
+        field: The field; matter is what is half opaque across two voxels.
+
+    Returns:
+        (k,) numbers of faces, ascending.
+    """
+    points, owner = face_samples(cage, float(field.voxel_size.min()))
+    counts = np.bincount(owner[in_matter(field, points)], minlength=len(cage.faces))
+    return np.flatnonzero(counts >= LEAST_SAMPLES)
+
+
+def in_matter(field: VoxelField, points: np.ndarray) -> np.ndarray:
+    """Which points lie in matter.
+
+    Args:
+        field: The field; matter is what is half opaque across two voxels.
+        points: (n, 3) world positions.
+
+    Returns:
+        (n,) bool.
+    """
+    found = ((points > field.bounds[0]) & (points < field.bounds[1])).all(axis=1)
+    inner = points[found]
+    _, density = field.sample(inner, np.broadcast_to([0.0, 0.0, 1.0], inner.shape))
+    found[found] = np.asarray(density) > half_opaque_density(field.voxel_size)
+    return found
+
+
+def face_samples(cage: Cage, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points spread evenly over the faces of a cage.
+
+    Args:
+        cage: The cage.
+        spacing: About how far they are apart, world units.
+
+    Returns:
+        (n, 3) points, world units, and (n,) the face of each.
+    """
+    points, owner = [], []
+    for number, (a, b, c) in enumerate(cage.vertices[cage.faces]):
+        longest = max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b))
+        count = int(np.clip(np.ceil(longest / spacing), 2, MOST_SAMPLES_A_SIDE))
+        u, v = (np.indices((count, count)).reshape(2, -1) + 0.5) / count
+        kept = u + v < 1.0
+        points.append(a + u[kept, None] * (b - a) + v[kept, None] * (c - a))
+        owner.append(np.full(np.count_nonzero(kept), number))
+    return np.concatenate(points), np.concatenate(owner)
