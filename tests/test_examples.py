@@ -39,7 +39,7 @@ def run_here(monkeypatch, name, *words, cwd):
 def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("*.py")}
     assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
-                     "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py"}  # fmt: skip
+                     "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py", "edit_parts.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
@@ -68,6 +68,39 @@ def test_cage_contact_sheet(tmp_path):
     orange = np.abs(sheet[:48] - [1.0, 0.45, 0.0]).max(axis=-1) < 0.1
     assert orange[:, :48].sum() == 0 and orange[:, 52:100].sum() > 50
     assert Cage.load(tmp_path / "out" / "bricks_42.obj").check().usable
+
+
+def test_edit_parts_of_the_bricks(tmp_path, device):
+    """On a field of the brick model's own surface: its boxes are those of the fitted scene."""
+    model_field(80, device).save(tmp_path / "bricks.npz")
+    words = ["--field", "bricks.npz", "--out", "out", "--size", 48, "--resolution", 24, "--device", device]
+    run("edit_parts.py", *words, cwd=tmp_path)
+    order = read_image(tmp_path / "out" / "order.png").reshape(48, -1, 3)
+    panels = [order[:, 52 * i : 52 * i + 48] for i in range(5)]
+    shown = [(panel < 0.95).any(axis=-1).sum() for panel in panels]
+    assert shown[1] > shown[0] + 40 and shown[2] < shown[1] - 15  # a second cabin, no bucket
+    said = succeed_here("edits", tmp_path / "out" / "excavator.edits.json")
+    assert said == 0
+
+
+def model_field(resolution, device):
+    """The surface of the brick model as a thin grey shell of voxels."""
+    from warpcage.field.voxel_field import VoxelField
+    from warpcage.reference.bricks import brick_model
+
+    vertices, faces, _ = brick_model()
+    low, high = vertices.min(axis=0) - 0.1, vertices.max(axis=0) + 0.1
+    random = np.random.default_rng(0).dirichlet([1, 1, 1], (len(faces), 200))
+    points = np.einsum("fkc,fci->fki", random, vertices[faces]).reshape(-1, 3)
+    density = np.zeros((resolution,) * 3)
+    density[tuple(((points - low) / (high - low) * resolution).astype(int).T)] = 80.0
+    return VoxelField.from_dense(density, np.zeros((*density.shape, 9, 3)), [low, high], device=device)
+
+
+def succeed_here(*words):
+    from warpcage.cli import main
+
+    return main([str(word) for word in words])
 
 
 def test_edit_dtu_on_a_room(tmp_path, device, monkeypatch):
