@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.checks import checked_bounds
 from ..view.backgrounds import parse_background
-from ..view.camera import Camera
+from ..view.camera import Camera, common_up
 
 #: Images may leave [0, 1] by this much, as renders of a field do; values further out are in other units.
 IMAGE_ROOM = 1.0
@@ -111,18 +111,7 @@ class Scene:
         It is normal to the sideward axes of all cameras, as for level ones. Where that says too little or something
         else, it is the mean of their upward axes, and z where they have none.
         """
-        mean = -np.mean([camera.rotation[:, 1] for camera in self.cameras], axis=0)
-        length = np.linalg.norm(mean)
-        if length < 1e-3:
-            return np.array([0.0, 0.0, 1.0])
-        mean /= length
-        sideward = np.stack([camera.rotation[:, 0] for camera in self.cameras])
-        variances, axes = np.linalg.eigh(sideward.T @ sideward / len(sideward))  # ascending
-        across = axes[:, 0] * np.sign(axes[:, 0] @ mean)
-        nearest = np.round(across)  # a world axis, up to the digits of the file
-        across = nearest if np.linalg.norm(across - nearest) < 2e-3 else across
-        level = variances[1] > 0.02 and variances[0] < 0.2 * variances[1]
-        return across if level and across @ mean > 0.7 else mean
+        return common_up(self.cameras)
 
 
 def _checked_images(images: np.ndarray) -> np.ndarray:

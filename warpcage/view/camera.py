@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points
 from ..core.checks import checked_number
+from ..core.files import PathLike
 from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
 
 #: Rotations of a pose may be off by this much: files hold few digits.
@@ -110,6 +111,43 @@ class Camera:
         pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, place
         focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
         return cls(focal, focal, width / 2, height / 2, width, height, pose)
+
+    def save(self, path: PathLike) -> None:
+        """Write the camera to a JSON file; see `warpcage.view.camera_file.CameraFile.save`.
+
+        Args:
+            path: The file; it must end in .json.
+
+        Raises:
+            ValueError: For another ending.
+        """
+        from .camera_file import CameraFile  # which needs cameras
+
+        CameraFile([self]).save(path)
+
+    @classmethod
+    def load(cls, path: PathLike, name: str = "", *, size: tuple[int, int] | None = None) -> Camera:
+        """Read a camera from a file of `save` or from glTF, as Blender exports its cameras.
+
+        Args:
+            path: The file (.json, .glb, .gltf).
+            name: Name or number of the camera; empty where the file holds one.
+            size: Width and height of a glTF camera's picture; see `warpcage.view.camera_file.CameraFile.load`.
+
+        Returns:
+            The camera.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: What is wrong in which file, and for a name of no camera or of several.
+        """
+        from .camera_file import CameraFile
+
+        cameras = CameraFile.load(path, size=size)
+        try:
+            return cameras.named(name)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
 
     @property
     def centre(self) -> np.ndarray:
@@ -280,6 +318,32 @@ def framing_orbit(
     if distance <= 0.0:
         distance = 1.0  # one point alone: any distance shows it
     return turntable(target, distance, elevation_degrees, count, **circle)
+
+
+def common_up(cameras: Sequence[Camera]) -> np.ndarray:
+    """Up in the world as cameras were held.
+
+    It is normal to the sideward axes of all cameras, as for level ones. Where that says too little or something else,
+    it is the mean of their upward axes, and z where they have none.
+
+    Args:
+        cameras: At least one camera.
+
+    Returns:
+        (3,) unit vector.
+    """
+    mean = -np.mean([camera.rotation[:, 1] for camera in cameras], axis=0)
+    length = np.linalg.norm(mean)
+    if length < 1e-3:
+        return np.array([0.0, 0.0, 1.0])
+    mean /= length
+    sideward = np.stack([camera.rotation[:, 0] for camera in cameras])
+    variances, axes = np.linalg.eigh(sideward.T @ sideward / len(sideward))  # ascending
+    across = axes[:, 0] * np.sign(axes[:, 0] @ mean)
+    nearest = np.round(across)  # a world axis, up to the digits of the file
+    across = nearest if np.linalg.norm(across - nearest) < 2e-3 else across
+    level = variances[1] > 0.02 and variances[0] < 0.2 * variances[1]
+    return across if level and across @ mean > 0.7 else mean
 
 
 def camera_struct(camera: Camera, origin: ArrayLike) -> Any:

@@ -1,0 +1,150 @@
+"""Files of cameras: one camera, or the keys of a path. JSON of our own; glTF is read too."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+from collections.abc import Sequence
+from typing import Any
+
+from ..core.checks import checked_positive, listed
+from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
+from ..core.names import require_name
+from .camera import Camera
+from .camera_path import CameraKey
+from .keys import LOOPS
+
+_FORMAT, _VERSION = "warpcage cameras", 1
+
+#: Numbers of a camera, by the names of its arguments.
+_NUMBERS = ("fx", "fy", "cx", "cy", "width", "height")
+
+#: Endings of camera files.
+ENDINGS = (".json", ".glb", ".gltf")
+
+
+class CameraFile(list[CameraKey]):
+    """The cameras of a file, in their order.
+
+    Args:
+        keys: Cameras, or keys with times, names and easings.
+        fps: Frames per second of the film. None leaves it open.
+        loop: What the film does at its end, "once", "loop" or "ping-pong". None leaves it open.
+
+    Raises:
+        ValueError: For a rate that is not positive, or another loop.
+    """
+
+    def __init__(self, keys: Sequence[Camera | CameraKey] = (), *, fps: float | None = None, loop: str | None = None):
+        super().__init__(key if isinstance(key, CameraKey) else CameraKey(key) for key in keys)
+        self.fps = None if fps is None else checked_positive(fps, "the rate of a camera file")
+        if loop is not None:
+            require_name(loop, LOOPS, "loop")
+        self.loop = loop
+
+    def named(self, name: str) -> Camera:
+        """One of the cameras.
+
+        Args:
+            name: Its name, or its number from 0; empty where there is only one.
+
+        Returns:
+            The camera.
+
+        Raises:
+            ValueError: If there is no such camera, or several of that name.
+        """
+        found = [key for key in self if key.name == name] if name else list(self)
+        if not found and name.isdigit() and int(name) < len(self):
+            found = [self[int(name)]]
+        if len(found) == 1:
+            return found[0].camera
+        names = listed(key.name or str(index) for index, key in enumerate(self))
+        if not name:
+            raise ValueError(f"it holds {len(self)} cameras: name one of {names}")
+        raise ValueError(f"it holds {len(found) or 'no'} cameras {name!r}, only {names}")
+
+    def save(self, path: PathLike) -> None:
+        """Write the file as JSON, whole or not at all. All numbers keep their digits.
+
+        The file holds format, version and cameras: for each width, height, fx, fy, cx and cy in pixels, the (4, 4)
+        camera_to_world in OpenCV axes and world units, and what there is of name, time, easing and target; besides fps
+        and loop where they are given. Readers ignore keys that they do not know.
+
+        Args:
+            path: The file; it must end in .json.
+
+        Raises:
+            ValueError: For another ending, or no cameras.
+        """
+        path = pathlib.Path(path)
+        if path.suffix.lower() != ".json":
+            raise ValueError(f"camera file {str(path)!r} must end in .json")
+        if not self:
+            raise ValueError("a camera file needs at least one camera")
+        document: dict[str, Any] = {"format": _FORMAT, "version": _VERSION, "cameras": [_as_json(key) for key in self]}
+        document |= {name: value for name, value in (("fps", self.fps), ("loop", self.loop)) if value is not None}
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: PathLike, *, size: tuple[int, int] | None = None) -> CameraFile:
+        """Read a file.
+
+        Args:
+            path: A file that `save` wrote, or a glTF file (.glb, .gltf) with perspective cameras, as Blender exports
+                them; those that are animated become keys at the times of the file.
+            size: Width and height of the pictures of glTF cameras, which have none. None is 400 pixels in width, and
+                the height that the file says. Cameras of JSON files have their own.
+
+        Returns:
+            The cameras.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: What is wrong in which file.
+        """
+        path = require_file(path, "camera file")
+        if path.suffix.lower() in (".glb", ".gltf"):
+            from .gltf_cameras import read_gltf_cameras
+
+            return cls(read_gltf_cameras(path, size))
+        try:
+            document = json.loads(read_limited(path, "camera file", JSON_ROOM).decode("utf-8"))
+            if document["format"] != _FORMAT:
+                raise ValueError(f"its format is {str(document['format'])[:40]!r}, not {_FORMAT!r}")
+            version = document["version"]
+            if type(version) is not int or version < 1:
+                raise ValueError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
+            if version > _VERSION:
+                raise ValueError(f"its version is {version}, this warpcage reads up to {_VERSION}: upgrade")
+            cameras = document["cameras"]
+            if not isinstance(cameras, list) or not cameras:
+                raise ValueError("its cameras must be a list of at least one")
+            keys = [_from_json(entry, index) for index, entry in enumerate(cameras)]
+            return cls(keys, fps=document.get("fps"), loop=document.get("loop"))
+        except (KeyError, TypeError, OverflowError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise ValueError(f"{path}: not a camera file: {type(error).__name__} {error}") from None
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+
+def _as_json(key: CameraKey) -> dict[str, Any]:
+    camera = key.camera
+    entry: dict[str, Any] = {"name": key.name} if key.name else {}
+    entry |= {} if key.time is None else {"time": key.time}
+    entry |= {} if key.easing == "smooth" else {"easing": key.easing}
+    entry |= {name: getattr(camera, name) for name in _NUMBERS}
+    entry["camera_to_world"] = camera.camera_to_world.tolist()
+    return entry if key.target is None else entry | {"target": key.target.tolist()}
+
+
+def _from_json(entry: dict[str, Any], index: int) -> CameraKey:
+    name = entry.get("name", "")
+    if not isinstance(name, str):
+        raise ValueError(f"the name of camera {index} must be a text, got {str(name)[:40]!r}")
+    try:
+        camera = Camera(**{number: entry[number] for number in _NUMBERS}, camera_to_world=entry["camera_to_world"])
+        return CameraKey(camera, entry.get("time"), name, entry.get("easing", "smooth"), entry.get("target"))
+    except ValueError as error:
+        raise ValueError(f"camera {name or index}: {error}") from None

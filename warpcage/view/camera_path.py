@@ -1,0 +1,204 @@
+"""Camera keys, and the camera at a time between them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..core.checks import checked_number, checked_vector
+from ..core.names import require_name
+from .camera import Camera, common_up
+from .keys import EASINGS, value_at
+
+#: Directions in which the axes of cameras say this little, of what they say in others, are taken to say nothing.
+_LEAST_CONDITION = 1e-4
+
+#: A common point nearer to a camera than this share of its middle distance is not what the cameras look at.
+_LEAST_SHARE = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraKey:
+    """A camera of a path.
+
+    Args:
+        camera: The camera.
+        time: When it is reached, seconds from the film's start. None leaves it open.
+        name: A name, empty for none.
+        easing: How the way to the next key goes: "smooth", "linear", "hold", "ease-in" or "ease-out".
+        target: (3,) the point ahead that the camera turns about, world units. None takes what all keys look at.
+
+    Raises:
+        ValueError: For a time that is not a finite number from 0 on, another easing, or a target that is none.
+    """
+
+    camera: Camera
+    time: float | None = None
+    name: str = ""
+    easing: str = "smooth"
+    target: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.time is not None:
+            time = checked_number(self.time, "the time of a camera")
+            if time < 0.0:
+                raise ValueError(f"the time of a camera must be from 0 on, got {time:g}")
+            object.__setattr__(self, "time", time)
+        require_name(self.easing, EASINGS, "easing")
+        if self.target is not None:
+            object.__setattr__(self, "target", checked_vector(self.target, "the target of a camera"))
+
+
+def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[CameraKey]:
+    """Keys that all have a time, in the order of their times.
+
+    Args:
+        keys: The keys.
+        length: Seconds over which keys are spread where none has a time. None takes a second from each to the next.
+
+    Returns:
+        The keys.
+
+    Raises:
+        ValueError: For no keys, for times of some keys alone, and for two keys at one time.
+    """
+    if not keys:
+        raise ValueError("a camera path needs at least one camera")
+    untimed = [key for key in keys if key.time is None]
+    if len(untimed) == len(keys):
+        spread = np.linspace(0.0, len(keys) - 1.0 if length is None else length, len(keys)).tolist()
+        keys = [dataclasses.replace(key, time=time) for key, time in zip(keys, spread, strict=True)]
+    elif untimed:
+        raise ValueError(f"{len(untimed)} of {len(keys)} cameras have no time: give all of them one, or none")
+    ordered = sorted(keys, key=lambda key: key.time or 0.0)
+    for one, two in zip(ordered, ordered[1:], strict=False):
+        if one.time == two.time:
+            raise ValueError(f"two cameras of a path are at {one.time:g} s: give each a time of its own")
+    return ordered
+
+
+def camera_at(keys: Sequence[CameraKey], time: float, *, closed: bool = False) -> Camera:
+    """The camera of a path at a time. Before the first and after the last key it stands still.
+
+    Where the cameras look at a point in common, or keys name targets, a camera goes around its target: the target, the
+    distance, the angles about what is up for all of them, and the roll go as `warpcage.view.keys.value_at` says. So it
+    keeps its distance where that of the keys is the same. Otherwise, as in a pan, the eye goes so, and the angles of
+    what it looks along. At a key it is the key's own camera.
+
+    Args:
+        keys: The keys, all with times, all of one picture size; see `timed_keys`.
+        time: Seconds.
+        closed: Whether the last key is the first one again: a loop, which goes through it without stopping.
+
+    Returns:
+        The camera.
+
+    Raises:
+        ValueError: For no keys, keys without times, or pictures of several sizes.
+    """
+    ordered = timed_keys(keys)
+    sizes = sorted({(key.camera.width, key.camera.height) for key in ordered})
+    if len(sizes) > 1:
+        raise ValueError(f"cameras of a path must have one picture size, got {sizes}")
+    times, easings = [key.time or 0.0 for key in ordered], [key.easing for key in ordered]
+    for key, at in zip(ordered, times, strict=True):
+        if at == time or (time < at and key is ordered[0]) or (time > at and key is ordered[-1]):
+            return key.camera
+    distances = _target_distances(ordered)
+    frame = _frame(common_up([key.camera for key in ordered]))
+    points, angles, lenses = _track(ordered, distances, frame)
+    point, (azimuth, elevation, roll, reach), (fx, fy, cx, cy) = (
+        value_at(times, values, time, easings, closed=closed) for values in (points, angles, lenses)
+    )
+    rotation = frame @ _held(azimuth, elevation, roll)
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = point[0] if distances is None else point[0] - math.exp(reach) * rotation[:, 2]
+    return dataclasses.replace(ordered[0].camera, fx=fx, fy=fy, cx=cx, cy=cy, camera_to_world=pose)
+
+
+def path_cameras(keys: Sequence[CameraKey], count: int) -> list[Camera]:
+    """Cameras evenly over a path, the first and the last key included.
+
+    Args:
+        keys: The keys, with times or without.
+        count: Number of cameras.
+
+    Returns:
+        The cameras.
+
+    Raises:
+        ValueError: As for `camera_at`, and for no cameras.
+    """
+    if count < 1:
+        raise ValueError(f"a film needs at least one camera, got {count}")
+    ordered = timed_keys(keys)
+    times = np.linspace(ordered[0].time or 0.0, ordered[-1].time or 0.0, count)
+    return [camera_at(ordered, float(time)) for time in times]
+
+
+def _track(
+    keys: Sequence[CameraKey], distances: np.ndarray | None, frame: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
+    """What goes from key to key: points (1, 3), angles with the logarithm of the distance (4,), lenses (4,)."""
+    cameras = [key.camera for key in keys]
+    points = np.array([camera.centre for camera in cameras])
+    reach = np.zeros(len(keys))
+    if distances is not None:
+        points = points + distances[:, None] * np.array([camera.rotation[:, 2] for camera in cameras])
+        reach = np.log(distances)
+    angles = np.array([_angles(frame.T @ camera.rotation) for camera in cameras])
+    angles[:, [0, 2]] = np.unwrap(angles[:, [0, 2]], axis=0)  # by the shorter way
+    lenses = np.array([[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras])
+    return list(points[:, None]), list(np.column_stack([angles, reach])), list(lenses)
+
+
+def _angles(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Azimuth and elevation of where a camera looks from, about +z, and its roll; radians."""
+    backward, up = -rotation[:, 2], -rotation[:, 1]
+    elevation = math.asin(min(max(backward[2], -1.0), 1.0))
+    # seen from straight above or below, its upward axis tells the side that it stands on
+    across = backward if math.hypot(*backward[:2]) > 1e-3 else -math.copysign(1.0, elevation) * up
+    azimuth = math.atan2(across[1], across[0])
+    level = _held(azimuth, elevation, 0.0)
+    return azimuth, elevation, math.atan2(up @ level[:, 0], -(up @ level[:, 1]))
+
+
+def _held(azimuth: float, elevation: float, roll: float) -> np.ndarray:
+    """The rotation (3, 3) of a camera that has these angles: right, down and forward as columns."""
+    aside, above = (np.array([math.cos(angle), math.sin(angle)]) for angle in (azimuth, elevation))
+    forward = -np.array([above[0] * aside[0], above[0] * aside[1], above[1]])
+    level = np.array([-aside[1], aside[0], 0.0])
+    up = np.cross(level, forward)
+    right = math.cos(roll) * level - math.sin(roll) * up
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def _target_distances(keys: Sequence[CameraKey]) -> np.ndarray | None:
+    """(n,) distance of each camera's target ahead of it, None where the cameras look at nothing in common.
+
+    The target lies on the optical axis, nearest to the point that the key names, or to the one that is nearest to the
+    axes of all cameras (least squares).
+    """
+    centres = np.stack([key.camera.centre for key in keys])
+    axes = np.stack([key.camera.rotation[:, 2] for key in keys])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    system = across.sum(axis=0)
+    middle = centres.mean(axis=0)  # where the axes say nothing of a direction, the point is as far along as this
+    pull = (across @ (centres - middle)[:, :, None])[..., 0].sum(axis=0)
+    common = middle + np.linalg.pinv(system, rcond=_LEAST_CONDITION, hermitian=True) @ pull
+    offsets = np.array([common if key.target is None else key.target for key in keys]) - centres
+    distances = (offsets * axes).sum(axis=1)
+    least = _LEAST_SHARE * float(np.median(np.linalg.norm(offsets, axis=1)))
+    return distances if distances.min() > max(least, 0.0) else None
+
+
+def _frame(up: np.ndarray) -> np.ndarray:
+    """(3, 3) columns: two directions across `up`, and `up`."""
+    side = np.eye(3)[int(np.argmin(np.abs(up)))]
+    across = np.cross(up, side)
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(up, across), up], axis=1)
