@@ -19,6 +19,7 @@ from ..editor.session_file import read_session
 from ..editor.timeline import frame_times
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
+from ..view.camera_path import path_cameras
 from ..view.film import FILM_ENDINGS, checked_rate, write_film
 from ..view.frame import Frame
 from ..view.motion import axis_rotation, cameras_along, frame_places
@@ -52,6 +53,7 @@ def run(args: argparse.Namespace) -> None:
         default = getattr(args, name)
         setattr(args, name, default.value if isinstance(default, Default) else default)
     output = _checked_output(args.output)
+    view.check_saved(args)
     if outputs.checked_opacity(args, output) and args.show != "rgb":
         raise ValueError(f"--show {args.show} has no opacity: leave out --background transparent")
     if args.format == "exr" and args.show != "rgb":
@@ -64,9 +66,12 @@ def run(args: argparse.Namespace) -> None:
         inputs.require_deformation(args, "--show masks")
     field = inputs.read_field(args)
     deformation = read_deformation(args, field, args.interpolation)
-    cameras = _chosen_cameras(args, inputs.visible_points(field, deformation))
+    cameras = _chosen_cameras(args, inputs.visible_points(field, deformation, args.frame))
+    view.warn_of_edges(args, cameras[0], deformation)
     deformer = None if deformation is None else inputs.make_deformer(field, deformation, args)
     shot = _Shot(field, deformer, deformation, cameras, args)
+
+    view.save_cameras(args, cameras, args.fps)
 
     from tqdm import tqdm
 
@@ -193,8 +198,10 @@ def _chosen_cameras(args: argparse.Namespace, points: np.ndarray) -> list[Camera
     if args.cameras is None:
         camera, pivot = view.chosen_camera(args, points), view.chosen_target(args, points)
         return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)
-    if any(given is not None for given in (args.turn, args.camera, args.eye, args.target)):
-        raise ValueError("--cameras cannot be combined with --turn, --camera, --eye or --target")
+    if any(given is not None for given in (args.turn, args.camera, args.view, args.eye, args.target)):
+        raise ValueError("--cameras cannot be combined with --turn, --camera, --view, --eye or --target")
+    if view.camera_file(args.cameras):
+        return path_cameras(view.camera_keys(args, args.cameras), args.frames)
     return cameras_along(view.sized_cameras(args, args.cameras), args.frames, args.interpolation)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from ..view.camera import Camera
+from ..view.camera_path import path_cameras
 from ..view.film import FILM_ENDINGS, write_film
 from ..view.frame import Frame
 from ..view.motion import cameras_along
@@ -20,7 +21,7 @@ from .deformation import read_deformation
 VIDEO_RATE, GIF_RATE = 24, 15
 
 #: Options that are for a single picture.
-SINGLE = ("disparity", "depth", "alpha", "masks", "camera", "eye", "target")
+SINGLE = ("disparity", "depth", "alpha", "masks", "camera", "view", "frame", "eye", "target")
 
 
 def run(args: argparse.Namespace) -> None:
@@ -32,6 +33,7 @@ def run(args: argparse.Namespace) -> None:
     if any(getattr(args, name) is not None for name in SINGLE):
         name = next(name for name in SINGLE if getattr(args, name) is not None)
         raise ValueError(f"--cameras cannot be combined with --{name}, which is for one picture")
+    view.check_saved(args)
     if args.cameras == "given" and args.frames is not None:
         raise ValueError("--frames belongs to --cameras interpolate")
     cameras = chosen_cameras(args)
@@ -45,6 +47,7 @@ def run(args: argparse.Namespace) -> None:
             frame = renderer.render(camera, **inputs.background_option(args))
             yield outputs.colours(frame, camera, drawn, transparent), frame, camera
 
+    view.save_cameras(args, cameras)
     _write(output, pictures(), args.format or "png")
     size = outputs.size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {len(cameras)} pictures of {size}")
@@ -52,6 +55,11 @@ def run(args: argparse.Namespace) -> None:
 
 def chosen_cameras(args: argparse.Namespace) -> list[Camera]:
     """One camera per picture."""
+    if view.camera_file(args.scene):
+        keys = view.camera_keys(args, args.scene)
+        if args.cameras == "interpolate":
+            return path_cameras(keys, args.frames or max(1, STEPS * (len(keys) - 1) + 1))
+        return [key.camera for key in keys]
     cameras = view.sized_cameras(args, args.scene)
     if args.cameras == "given":
         return cameras

@@ -48,17 +48,19 @@ def require_deformation(args: argparse.Namespace, what: str) -> None:
         raise ValueError(f"{what} needs a deformation: --cage and --posed, --edit or --edits")
 
 
-def visible_points(field: VoxelField, deformation: Deformation | None = None) -> np.ndarray:
-    """Points around what there is to see.
+def visible_points(field: VoxelField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
+    """Points around what a picture shows.
 
     Args:
         field: The field that is shown.
         deformation: Its edits. None shows the field as it is.
+        frame: What is in the picture, "posed" for the cages at rest and posed. Otherwise the field at rest, so that
+            pictures before and after an edit, and of all its poses, can be compared.
 
     Returns:
-        (n, 3) the vertices of the cages at rest and posed, or the corners of the field's box, world units.
+        (n, 3) the vertices of the cages, or the corners of the field's box, world units.
     """
-    if deformation is not None:
+    if deformation is not None and frame == "posed":
         return deformation.vertices
     low, high = field.bounds
     return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)

@@ -17,6 +17,9 @@ MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
 #: What a film may show of its frames.
 PICTURE_KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
 
+#: Sides that pictures are taken from.
+VIEWS = ("corner", "front", "back", "left", "right", "top", "bottom")
+
 #: Colours behind pictures, for help texts.
 COLOUR_NAMES = ", ".join(BACKGROUNDS)
 
@@ -209,9 +212,20 @@ def add_view(parser: Arguments) -> None:
     )
     group.add_argument(
         "--camera",
-        metavar="SCENE:[SPLIT:]INDEX",
-        help="camera of a scene's picture, e.g. data/lego:test:3 (default split: train)",
+        metavar="FILE[:NAME]|SCENE:[SPLIT:]INDEX",
+        help="camera of a file (--save-camera writes one; .glb and .gltf as Blender exports them), or of a scene's "
+        "picture, e.g. data/lego:test:3 (default split: train)",
     )
+    group.add_argument(
+        "--view", choices=VIEWS, help="side that the camera looks from, with the field's up (default: corner)"
+    )
+    group.add_argument(
+        "--frame",
+        choices=("rest", "posed"),
+        help="what is in the picture where no camera is given: the field at rest, so that pictures of all poses can "
+        "be compared, or the cages at rest and posed (default: rest)",
+    )
+    group.add_argument("--save-camera", metavar="FILE", help="also write the camera, or all of a film (.json)")
     group.add_argument(
         "--eye", type=float, nargs=3, metavar=("X", "Y", "Z"), help="position of the camera, world units"
     )

@@ -20,6 +20,7 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError("--format is for folders of pictures: the ending of a single one says what it is")
     output = options.check_output(args.output, (".png", ".exr"), "picture")
     outputs.require_format(output)
+    view.check_saved(args)
     transparent = inputs.is_transparent(args)
     extra = {
         kind: options.check_output(getattr(args, kind), (".png",), "picture")
@@ -31,13 +32,15 @@ def run(args: argparse.Namespace) -> None:
     field = inputs.read_field(args)
     deformation = read_deformation(args, field)
 
-    camera = view.chosen_camera(args, inputs.visible_points(field, deformation))
+    camera = view.chosen_camera(args, inputs.visible_points(field, deformation, args.frame))
+    view.warn_of_edges(args, camera, deformation)
     renderer = inputs.posed_renderer(field, deformation, args)
     frame = renderer.render(camera, **inputs.background_option(args))
     drawn = inputs.drawn_cages(renderer, deformation) if args.overlay else ()
     outputs.write_picture(output, outputs.colours(frame, camera, drawn, transparent), frame, camera)
     for kind, path in extra.items():
         write_png(path, outputs.picture(frame, kind))
+    view.save_cameras(args, [camera])
     names = " and ".join(map(str, [output, *extra.values()]))
     print(f"wrote {names}: {frame.width}x{frame.height}, {100 * float(frame.alpha.mean()):.1f} % covered")
     if args.masks is not None:

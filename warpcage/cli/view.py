@@ -3,15 +3,36 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import pathlib
+import re
+import sys
+from collections.abc import Sequence
+from fractions import Fraction
 
 import numpy as np
 
 from ..scene.load import load_scene
 from ..view.camera import Camera, framing_orbit
+from ..view.camera_file import CameraFile
+from ..view.camera_path import CameraKey
+from . import options
+from .deformation import Deformation
 
-#: Width and height of a picture, and where a camera stands, in degrees, where neither is given.
-DEFAULT_SIZE, ELEVATION, AZIMUTH = (400, 400), 25.0, -60.0
+#: Width and height of a picture where none is given.
+DEFAULT_SIZE = (400, 400)
+
+#: Where a camera stands for each --view, degrees: above the ground, and around from +x to +y where z is up. Not quite
+#: straight above, so that what is behind the object is above it in the picture.
+SIDES = {
+    "corner": (25.0, -60.0),
+    "front": (0.0, -90.0),
+    "right": (0.0, 0.0),
+    "back": (0.0, 90.0),
+    "left": (0.0, 180.0),
+    "top": (89.99, -90.0),
+    "bottom": (-89.99, -90.0),
+}
 
 
 def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
@@ -27,18 +48,71 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
     """The camera of the view options. Where none is given, it sees all points (n, 3)."""
     size = image_size(args)
     if args.camera is not None:
-        if args.eye is not None or args.target is not None:
-            raise ValueError("--camera cannot be combined with --eye or --target")
-        camera = scene_camera(args.camera)
-        return camera if size is None else fitted(camera, *size)
+        if args.eye is not None or args.target is not None or args.view is not None:
+            raise ValueError("--camera cannot be combined with --eye, --target or --view")
+        if named := camera_file(args.camera):
+            return fitted_to(Camera.load(*named, size=size), size)
+        return fitted_to(scene_camera(args.camera), size)
     width, height = size or DEFAULT_SIZE
     view = {"up": args.up, "fov_degrees": args.fov, "width": width, "height": height}
-    framed = framing_orbit(points, 1, elevation_degrees=ELEVATION, start_degrees=AZIMUTH, **view)[0]
+    elevation, azimuth = SIDES[args.view or "corner"]
+    framed = framing_orbit(points, 1, elevation_degrees=elevation, start_degrees=azimuth, **view)[0]
     if args.eye is None and args.target is None:
         return framed
+    if args.eye is not None and args.view is not None:
+        raise ValueError("--view cannot be combined with --eye: both say where the camera stands")
     target = chosen_target(args, points)
     eye = framed.centre + target - middle(points) if args.eye is None else args.eye
     return Camera.look_at(eye, target, **view)
+
+
+def camera_file(text: str) -> tuple[str, str] | None:
+    """File and name of a camera ("" for all) where a word names a camera file, None for other words."""
+    found = re.fullmatch(r"(.+\.(?:json|glb|gltf))(?::(.*))?", text, re.IGNORECASE)
+    return (found[1], found[2] or "") if found else None
+
+
+def camera_keys(args: argparse.Namespace, text: str) -> list[CameraKey]:
+    """The cameras of a file as keys, at --size where it is given."""
+    size = image_size(args)
+    path, name = camera_file(text) or (text, "")
+    cameras = CameraFile.load(path, size=size)
+    keys = cameras.moving(name) if name else cameras
+    return [dataclasses.replace(key, camera=fitted_to(key.camera, size)) for key in keys]
+
+
+def check_saved(args: argparse.Namespace) -> None:
+    """Check the path of --save-camera before any long work."""
+    if args.save_camera is not None:
+        options.check_output(args.save_camera, (".json",), "camera file")
+
+
+def save_cameras(args: argparse.Namespace, cameras: Sequence[Camera], fps: float | Fraction | None = None) -> None:
+    """Write the file of --save-camera, if it was asked for; those of a film at the times of their frames."""
+    if args.save_camera is None:
+        return
+    times = [None] * len(cameras) if fps is None else [float(index / Fraction(fps)) for index in range(len(cameras))]
+    keys = [CameraKey(camera, time) for camera, time in zip(cameras, times, strict=True)]
+    CameraFile(keys, fps=None if fps is None else float(fps)).save(args.save_camera)
+
+
+def warn_of_edges(args: argparse.Namespace, camera: Camera, deformation: Deformation | None) -> None:
+    """Say on stderr where a posed cage reaches out of a picture that is framed by the field at rest."""
+    if (
+        deformation is None
+        or deformation.is_still
+        or args.frame is not None
+        or any((args.camera, args.eye, args.target, args.cameras))
+    ):
+        return
+    pixels, depth = camera.project(np.concatenate([cage.vertices for cage in deformation.posed if cage is not None]))
+    beyond = (pixels < 0.0) | (pixels > (camera.width, camera.height))
+    if (beyond.any(axis=1) | (depth <= 0.0)).any():
+        print(
+            "warpcage: the cage reaches out of the picture, which is framed by the object at rest: --frame posed shows "
+            "all of it",
+            file=sys.stderr,
+        )
 
 
 def chosen_target(args: argparse.Namespace, points: np.ndarray) -> np.ndarray:
@@ -49,6 +123,11 @@ def chosen_target(args: argparse.Namespace, points: np.ndarray) -> np.ndarray:
 def middle(points: np.ndarray) -> np.ndarray:
     """(3,) middle of the bounding box of points (n, 3)."""
     return (points.min(axis=0) + points.max(axis=0)) / 2
+
+
+def fitted_to(camera: Camera, size: tuple[int, int] | None) -> Camera:
+    """A camera at the size of --size, at its own where it is not given."""
+    return camera if size is None else fitted(camera, *size)
 
 
 def fitted(camera: Camera, width: int, height: int) -> Camera:
@@ -71,8 +150,8 @@ def scene_cameras(text: str) -> list[Camera]:
 
 def sized_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
     """The cameras that SCENE[:SPLIT] names, at --size where it is given."""
-    cameras, size = scene_cameras(text), image_size(args)
-    return cameras if size is None else [fitted(camera, *size) for camera in cameras]
+    size = image_size(args)
+    return [fitted_to(camera, size) for camera in scene_cameras(text)]
 
 
 def scene_camera(text: str) -> Camera:

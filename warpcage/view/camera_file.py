@@ -42,6 +42,21 @@ class CameraFile(list[CameraKey]):
             require_name(loop, LOOPS, "loop")
         self.loop = loop
 
+    def moving(self, name: str) -> list[CameraKey]:
+        """The keys of one camera that moves.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            All keys of that name.
+
+        Raises:
+            ValueError: If there is none.
+        """
+        keys = [key for key in self if key.name == name]
+        return keys or [CameraKey(self.named(name))]
+
     def named(self, name: str) -> Camera:
         """One of the cameras.
 
@@ -105,10 +120,6 @@ class CameraFile(list[CameraKey]):
             ValueError: What is wrong in which file.
         """
         path = require_file(path, "camera file")
-        if path.suffix.lower() in (".glb", ".gltf"):
-            from .gltf_cameras import read_gltf_cameras
-
-            return cls(read_gltf_cameras(path, size))
         try:
             document = json.loads(read_limited(path, "camera file", JSON_ROOM).decode("utf-8"))
             if document["format"] != _FORMAT:

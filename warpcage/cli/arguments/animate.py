@@ -95,8 +95,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     path.add_argument(
         "--cameras",
-        metavar="SCENE[:SPLIT]",
-        help="move through the cameras of a scene's pictures instead, e.g. data/lego:test (default split: train)",
+        metavar="FILE|SCENE[:SPLIT]",
+        help="move through the cameras of a file instead (.json, .glb, .gltf; at their times where they have some), or "
+        "of a scene's pictures, e.g. data/lego:test (default split: train)",
     )
     parser.add_argument(
         "--show",

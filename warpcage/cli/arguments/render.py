@@ -54,7 +54,9 @@ def _add_many(parser: argparse.ArgumentParser) -> None:
         "them. The output is then a folder or a film (.mp4, .gif, .mov, .webm)",
     )
     group.add_argument(
-        "--scene", metavar="SCENE[:SPLIT]", help="scene of the cameras, e.g. data/lego:test (default split: train)"
+        "--scene",
+        metavar="FILE|SCENE[:SPLIT]",
+        help="camera file, or scene of the cameras, e.g. data/lego:test (default split: train)",
     )
     group.add_argument(
         "--frames",

@@ -1,0 +1,122 @@
+"""Where the camera of a picture or a film stands: framing, sides, camera files."""
+
+import numpy as np
+import pytest
+from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+
+from warpcage.view.camera import Camera, turntable
+from warpcage.view.camera_file import CameraFile
+from warpcage.view.camera_path import CameraKey
+from warpcage.view.pictures import read_image
+
+LENS = {"fov_degrees": 50, "width": 40, "height": 40}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_files(tmp_path_factory.mktemp("views"))
+
+
+def cameras_of(files, tmp_path, *words):
+    """The camera that a command takes."""
+    path = tmp_path / "camera.json"
+    succeed(files, *words, "--save-camera", path)
+    return CameraFile.load(path)
+
+
+def is_same(one, two):
+    return np.allclose(one.camera_to_world, two.camera_to_world, atol=1e-12) and np.allclose(one.fx, two.fx)
+
+
+def test_the_object_stays_where_it_is_whatever_the_pose(files, tmp_path, capsys):
+    plain = ["render", "@ball.npz", "-o", tmp_path / "x.png", *SMALL]
+    at_rest = cameras_of(files, tmp_path, *plain)[0].camera
+    moved = ["--cage", "@cage.obj", "--posed", "translate:0:0:1.5"]
+    for words in (DEFORMED, moved):
+        capsys.readouterr()
+        assert is_same(cameras_of(files, tmp_path, *plain, *words)[0].camera, at_rest)
+        said = capsys.readouterr().err
+        assert ("reaches out of the picture" in said) == (words is moved)
+    film = ["animate", "@ball.npz", "-o", tmp_path / "x.gif", *SMALL, "--frames", 3, "--quiet", *moved]
+    assert is_same(cameras_of(files, tmp_path, *film)[0].camera, at_rest)
+    capsys.readouterr()
+    posed = cameras_of(files, tmp_path, *plain, *moved, "--frame", "posed")[0].camera
+    assert "reaches out" not in capsys.readouterr().err
+    corners = np.array([[x, y, z] for x in (-0.7, 0.7) for y in (-0.7, 0.7) for z in (-0.7, 2.2)])
+    pixels = posed.project(corners)[0]
+    assert (pixels > 0).all() and (pixels < 40).all()
+
+
+@pytest.mark.parametrize(
+    "view, ahead, up",
+    [
+        ("front", (0, 1, 0), (0, 0, 1)),
+        ("back", (0, -1, 0), (0, 0, 1)),
+        ("right", (-1, 0, 0), (0, 0, 1)),
+        ("left", (1, 0, 0), (0, 0, 1)),
+        ("top", (0, 0, -1), (0, 1, 0)),
+        ("bottom", (0, 0, 1), (0, -1, 0)),
+    ],
+)
+def test_sides(files, tmp_path, view, ahead, up):
+    words = ["render", "@ball.npz", "-o", tmp_path / "x.png", *SMALL, "--view", view]
+    rotation = cameras_of(files, tmp_path, *words)[0].camera.rotation
+    np.testing.assert_allclose(rotation[:, 2], ahead, atol=1e-3)
+    np.testing.assert_allclose(-rotation[:, 1], up, atol=1e-3)
+
+
+def test_a_saved_camera_gives_the_same_picture(files, tmp_path):
+    words = ["render", "@ball.npz", "-o", tmp_path / "one.png", *SMALL, *DEFORMED]
+    succeed(files, *words, "--view", "left", "--save-camera", tmp_path / "left.json")
+    words[3] = tmp_path / "two.png"
+    succeed(files, *words[:4], *SMALL[2:], *DEFORMED, "--camera", tmp_path / "left.json")
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+    camera = Camera.load(tmp_path / "left.json")
+    succeed(files, *words, "--camera", tmp_path / "left.json", "--save-camera", tmp_path / "again.json")
+    assert (tmp_path / "left.json").read_text() == (tmp_path / "again.json").read_text()
+    assert camera.width == 40
+
+
+def test_films_go_along_the_keys_of_a_file(files, tmp_path):
+    ring = turntable((0, 0, 0), 4.0, 20, 4, **LENS)
+    times = (0.0, 1.0, 2.0, 6.0)
+    CameraFile([CameraKey(camera, time) for camera, time in zip(ring, times, strict=True)]).save(tmp_path / "path.json")
+    film = ["animate", "@ball.npz", "-o", tmp_path / "film", *SMALL, "--quiet", "--cameras", tmp_path / "path.json"]
+    found = cameras_of(files, tmp_path, *film, "--frames", 7)
+    assert all(is_same(found[index].camera, ring[index]) for index in range(3)) and is_same(found[6].camera, ring[3])
+    assert [key.time for key in found] == [index / 24 for index in range(7)] and found.fps == 24
+    for key in found:
+        np.testing.assert_allclose(np.linalg.norm(key.camera.centre), 4.0)
+
+    view = ["render", "@ball.npz", *SMALL]
+    succeed(files, *view, "-o", tmp_path / "given", "--cameras", "given", "--scene", tmp_path / "path.json")
+    assert len(list((tmp_path / "given").iterdir())) == 4
+    way = ["--cameras", "interpolate", "--scene", tmp_path / "path.json", "--frames", 7]
+    succeed(files, *view, "-o", tmp_path / "way", *way)
+    for name in ("view_0000.png", "view_0004.png", "view_0006.png"):
+        along = read_image(tmp_path / "way" / name)
+        frame = read_image(tmp_path / "film" / f"frame{name[4:]}")
+        np.testing.assert_array_equal(along, frame)
+    one = ["--camera", f"{tmp_path / 'path.json'}:1", "-o", tmp_path / "one.png"]
+    succeed(files, *view, *one)
+    np.testing.assert_array_equal(read_image(tmp_path / "one.png"), read_image(tmp_path / "given" / "view_0001.png"))
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["--camera", "@two.json"], "two.json: it holds 2 cameras: name one of 0, 1"),
+        (["--camera", "@two.json:9"], "it holds no cameras '9'"),
+        (["--camera", "@none.json"], "none.json' is not there"),
+        (["--camera", "@two.json:0", "--view", "top"], "cannot be combined"),
+        (["--eye", 0, 0, 3, "--view", "top"], "cannot be combined"),
+        (["--save-camera", "camera.txt"], "must end in .json"),
+        (["--cameras", "given", "--scene", "@two.json", "--view", "top"], "cannot be combined with --view"),
+    ],
+)
+def test_wrong_views(files, tmp_path, capsys, words, said):
+    CameraFile(turntable((0, 0, 0), 3.0, 10, 2, **LENS)).save(files / "two.json")
+    output = "views" if "--cameras" in words else "x.png"
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / output, *SMALL, *words) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1 and list(tmp_path.iterdir()) == []
