@@ -25,6 +25,9 @@ from .scene.load import load_scene as load_scene
 from .scene.scene import Scene as Scene
 from .view.camera import Camera as Camera
 from .view.camera import turntable as turntable
+from .view.camera_file import CameraFile as CameraFile
+from .view.camera_path import CameraKey as CameraKey
+from .view.camera_path import camera_at as camera_at
 from .view.frame import Frame as Frame
 
 __version__: str
@@ -33,6 +36,8 @@ __all__ = [
     "CageEdit",
     "CageReport",
     "Camera",
+    "CameraFile",
+    "CameraKey",
     "Deformer",
     "FieldOptimizer",
     "FitOptions",
@@ -43,6 +48,7 @@ __all__ = [
     "Scene",
     "VoxelField",
     "bake",
+    "camera_at",
     "deform_points",
     "edit",
     "evaluate",

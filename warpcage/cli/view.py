@@ -98,14 +98,11 @@ def save_cameras(args: argparse.Namespace, cameras: Sequence[Camera], fps: float
 
 def warn_of_edges(args: argparse.Namespace, camera: Camera, deformation: Deformation | None) -> None:
     """Say on stderr where a posed cage reaches out of a picture that is framed by the field at rest."""
-    if (
-        deformation is None
-        or deformation.is_still
-        or args.frame is not None
-        or any((args.camera, args.eye, args.target, args.cameras))
-    ):
+    chosen = (args.frame, args.camera, args.eye, args.target, args.cameras)
+    if deformation is None or deformation.is_still or any(given is not None for given in chosen):
         return
-    pixels, depth = camera.project(np.concatenate([cage.vertices for cage in deformation.posed if cage is not None]))
+    posed = [cage.vertices for cage in deformation.posed if cage is not None]
+    pixels, depth = camera.project(np.concatenate(posed or [np.zeros((0, 3))]))
     beyond = (pixels < 0.0) | (pixels > (camera.width, camera.height))
     if (beyond.any(axis=1) | (depth <= 0.0)).any():
         print(
