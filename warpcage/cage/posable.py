@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.principal import own_axis, principal_axes
 from . import poses
 
 Posed = TypeVar("Posed", bound="PosableMesh")
@@ -28,8 +29,8 @@ class PosableMesh(ClosedMesh):
         self: Posed,
         degrees: float,
         *,
-        axis: str = "z",
-        towards: str = "x",
+        axis: str | ArrayLike = "z",
+        towards: str | ArrayLike = "x",
         limits: Sequence[float] = (0.0, 1.0),
         centre: ArrayLike | None = None,
     ) -> Posed:
@@ -37,8 +38,10 @@ class PosableMesh(ClosedMesh):
 
         Args:
             degrees: Angle of the arc.
-            axis: "x", "y" or "z", the axis that is bent.
-            towards: The direction that it is bent to: another axis, "-x" against it.
+            axis: "x", "y" or "z", the axis that is bent; one of the mesh's own, "long", "middle" or "short" (see
+                `principal_axes`); or a direction (3,) of any length.
+            towards: The direction that it is bent to: another axis, "-x" against it, or a direction (3,), of which what
+                is across the axis counts.
             limits: (2,) where the arc begins and ends, as shares of the bounding box along the axis. What is beyond
                 follows rigidly.
             centre: (3,) a point on the line that is bent, world units. None is the middle of the bounding box.
@@ -55,7 +58,7 @@ class PosableMesh(ClosedMesh):
         self: Posed,
         degrees: float,
         *,
-        axis: str = "z",
+        axis: str | ArrayLike = "z",
         limits: Sequence[float] = (0.0, 1.0),
         centre: ArrayLike | None = None,
     ) -> Posed:
@@ -63,7 +66,7 @@ class PosableMesh(ClosedMesh):
 
         Args:
             degrees: Angle at the upper limit, anticlockwise seen against the axis.
-            axis: "x", "y" or "z".
+            axis: "x", "y", "z", "long", "middle", "short", or a direction (3,).
             limits: (2,) where the angle begins and ends to grow, as shares of the bounding box along the axis.
             centre: (3,) a point on the line that it turns about, world units. None is the middle of the bounding box.
 
@@ -79,7 +82,7 @@ class PosableMesh(ClosedMesh):
         self: Posed,
         factor: float,
         *,
-        axis: str = "z",
+        axis: str | ArrayLike = "z",
         limits: Sequence[float] = (0.0, 1.0),
         centre: ArrayLike | None = None,
     ) -> Posed:
@@ -87,7 +90,7 @@ class PosableMesh(ClosedMesh):
 
         Args:
             factor: Factor at the upper limit, positive; it is 1 at the lower.
-            axis: "x", "y" or "z".
+            axis: "x", "y", "z", "long", "middle", "short", or a direction (3,).
             limits: (2,) where the factor begins and ends to change, as shares of the bounding box along the axis.
             centre: (3,) a point on the line that it scales about, world units. None is the middle of the bounding box.
 
@@ -103,7 +106,7 @@ class PosableMesh(ClosedMesh):
         self: Posed,
         factor: float,
         *,
-        axis: str = "z",
+        axis: str | ArrayLike = "z",
         limits: Sequence[float] = (0.0, 1.0),
         keep_volume: bool = False,
         centre: ArrayLike | None = None,
@@ -112,7 +115,7 @@ class PosableMesh(ClosedMesh):
 
         Args:
             factor: Length afterwards over length before, positive.
-            axis: "x", "y" or "z".
+            axis: "x", "y", "z", "long", "middle", "short", or a direction (3,).
             limits: (2,) what is stretched, as shares of the bounding box along the axis. What is beyond moves along.
             keep_volume: Whether to make it thinner across the axis by the square root of the factor. This needs the
                 limits (0, 1).
@@ -161,7 +164,7 @@ class PosableMesh(ClosedMesh):
 
         Args:
             degrees: Angle, anticlockwise seen against the axis.
-            axis: "x", "y", "z", or a direction (3,) of any length.
+            axis: "x", "y", "z", "long", "middle", "short", or a direction (3,) of any length.
             centre: (3,) a point on the axis, world units. None is the middle of the bounding box.
 
         Returns:
@@ -198,6 +201,20 @@ class PosableMesh(ClosedMesh):
         """
         return self.with_vertices(poses.move(self.vertices, offset, group=group, centre=centre, radius=radius))
 
+    @property
+    def principal_axes(self) -> np.ndarray:
+        """(3, 3) unit vectors, one a row: the directions in which the surface reaches farthest, less and least.
+
+        They are the principal axes of the surface's area, right-handed, each towards the positive side of the world
+        axis that it is nearest to. In poses they are called "long", "middle" and "short", with "-long" against it.
+        """
+        return principal_axes(self)[0]
+
     def _posed(self: Posed, pose: Callable[..., np.ndarray], *arguments: Any, **options: Any) -> Posed:
         """A pose that goes by the bounding box of the vertices in use."""
-        return self.with_vertices(pose(self.vertices, *arguments, bounds=self.bounds, **options))
+        for name in ("axis", "towards"):
+            if isinstance(options.get(name), str):
+                options[name] = own_axis(self, options[name])
+        oblique = any(not isinstance(options.get(name, "z"), str) for name in ("axis", "towards"))
+        bounds = self.vertices[self.topology.used_vertices] if oblique else self.bounds
+        return self.with_vertices(pose(self.vertices, *arguments, bounds=bounds, **options))

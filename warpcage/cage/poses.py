@@ -5,26 +5,32 @@ lies below the lower limit stays. What lies above the upper one follows rigidly 
 takes the last factor (taper). Notation: w the coordinate along the axis, [w0, w1] the limits in world units, s = w - w0
 clamped to [0, w1 - w0], t = s / (w1 - w0), c the centre.
 
-`bounds` stands in for the bounding box of the vertices, to pose a part or a point cloud along with something larger.
+An axis is "x", "y", "z", or a direction (3,) of any length; along a direction the bounding box is the one that lies
+along it, and its middle stays that of the world's.
+
+`bounds` stands in for the bounding box of the vertices, to pose a part or a point cloud along with something larger:
+its two corners, or points whose box it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arrays import PointsLike, as_host_points
 from ..core.checks import AXES, axis_index, checked_number, checked_positive, checked_vector
+from .directions import direction, frame_along, signed_axis
 
 
 def bend(
     vertices: PointsLike,
     degrees: float,
     *,
-    axis: str = "z",
-    towards: str = "x",
+    axis: str | ArrayLike = "z",
+    towards: str | ArrayLike = "x",
     limits: Sequence[float] = (0.0, 1.0),
     centre: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
@@ -42,11 +48,11 @@ def bend(
     Args:
         vertices: (n, 3) world units.
         degrees: Angle of the arc.
-        axis: "x", "y" or "z".
-        towards: Another axis, "-x" against it.
+        axis: "x", "y", "z", or a direction (3,) of any length.
+        towards: Another axis, "-x" against it, or a direction (3,), of which what is across the axis counts.
         limits: (2,) where the arc begins and ends, as shares of the bounding box along the axis.
         centre: (3,) a point on the line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, world units. None is that of the vertices.
+        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
 
     Returns:
         (n, 3) float64, world units.
@@ -54,8 +60,10 @@ def bend(
     Raises:
         ValueError: For values that are not finite, and for other axes or limits.
     """
+    if not (isinstance(axis, str) and isinstance(towards, str)):
+        return _along(bend, vertices, degrees, axis, towards, limits=limits, centre=centre, bounds=bounds)
     angle, along = np.deg2rad(checked_number(degrees, "degrees")), axis_index(axis)
-    sign, across = _signed_axis(towards)
+    sign, across = signed_axis(towards)
     if across == along:
         raise ValueError(f"bend needs two different axes, got axis {axis!r} and towards {towards!r}")
     rest, box, middle = _prepared(vertices, bounds, centre)
@@ -79,7 +87,7 @@ def twist(
     vertices: PointsLike,
     degrees: float,
     *,
-    axis: str = "z",
+    axis: str | ArrayLike = "z",
     limits: Sequence[float] = (0.0, 1.0),
     centre: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
@@ -89,10 +97,10 @@ def twist(
     Args:
         vertices: (n, 3) world units.
         degrees: Angle at the upper limit, anticlockwise seen against the axis.
-        axis: "x", "y" or "z".
+        axis: "x", "y", "z", or a direction (3,) of any length.
         limits: (2,) where the angle begins and ends to grow, as shares of the bounding box along the axis.
         centre: (3,) a point on the line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, world units. None is that of the vertices.
+        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
 
     Returns:
         (n, 3) float64, world units.
@@ -100,6 +108,8 @@ def twist(
     Raises:
         ValueError: For values that are not finite, and for other axes or limits.
     """
+    if not isinstance(axis, str):
+        return _along(twist, vertices, degrees, axis, limits=limits, centre=centre, bounds=bounds)
     angle, along = np.deg2rad(checked_number(degrees, "degrees")), axis_index(axis)
     rest, box, middle = _prepared(vertices, bounds, centre)
     turn = angle * _share(rest, limits, box, along)
@@ -115,7 +125,7 @@ def taper(
     vertices: PointsLike,
     factor: float,
     *,
-    axis: str = "z",
+    axis: str | ArrayLike = "z",
     limits: Sequence[float] = (0.0, 1.0),
     centre: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
@@ -125,10 +135,10 @@ def taper(
     Args:
         vertices: (n, 3) world units.
         factor: Factor at the upper limit, positive.
-        axis: "x", "y" or "z".
+        axis: "x", "y", "z", or a direction (3,) of any length.
         limits: (2,) where the factor begins and ends to change, as shares of the bounding box along the axis.
         centre: (3,) a point on the line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, world units. None is that of the vertices.
+        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
 
     Returns:
         (n, 3) float64, world units.
@@ -136,6 +146,8 @@ def taper(
     Raises:
         ValueError: For a factor that is not positive and finite, and for other axes or limits.
     """
+    if not isinstance(axis, str):
+        return _along(taper, vertices, factor, axis, limits=limits, centre=centre, bounds=bounds)
     factor, along = checked_positive(factor, "factor"), axis_index(axis)
     rest, box, middle = _prepared(vertices, bounds, centre)
     share = _share(rest, limits, box, along)
@@ -150,7 +162,7 @@ def stretch(
     vertices: PointsLike,
     factor: float,
     *,
-    axis: str = "z",
+    axis: str | ArrayLike = "z",
     limits: Sequence[float] = (0.0, 1.0),
     keep_volume: bool = False,
     centre: ArrayLike | None = None,
@@ -161,12 +173,12 @@ def stretch(
     Args:
         vertices: (n, 3) world units.
         factor: Length afterwards over length before, positive.
-        axis: "x", "y" or "z".
+        axis: "x", "y", "z", or a direction (3,) of any length.
         limits: (2,) what is stretched, as shares of the bounding box along the axis.
         keep_volume: Whether to scale across the axis by 1 / sqrt(factor), about the line through the centre. This needs
             the limits (0, 1).
         centre: (3,) a point on that line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, world units. None is that of the vertices.
+        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
 
     Returns:
         (n, 3) float64, world units.
@@ -174,6 +186,9 @@ def stretch(
     Raises:
         ValueError: For a factor that is not positive and finite, and for other axes or limits.
     """
+    if not isinstance(axis, str):
+        kept = {"keep_volume": keep_volume, "limits": limits}
+        return _along(stretch, vertices, factor, axis, centre=centre, bounds=bounds, **kept)
     factor, along = checked_positive(factor, "factor"), axis_index(axis)
     rest, box, middle = _prepared(vertices, bounds, centre)
     start, length = _limits(limits, box, along)
@@ -196,7 +211,7 @@ def scale(
         vertices: (n, 3) world units.
         factor: One positive number, or (3,) one for each axis.
         centre: (3,) world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, world units. None is that of the vertices.
+        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
 
     Returns:
         (n, 3) float64, world units.
@@ -244,7 +259,7 @@ def rotate(
         degrees: Angle, anticlockwise seen against the axis.
         axis: "x", "y", "z", or a direction (3,) of any length.
         centre: (3,) a point on the line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, world units. None is that of the vertices.
+        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
 
     Returns:
         (n, 3) float64, world units.
@@ -253,10 +268,7 @@ def rotate(
         ValueError: For values that are not finite, and for another axis.
     """
     angle = np.deg2rad(checked_number(degrees, "degrees"))
-    k = np.eye(3)[axis_index(axis)] if isinstance(axis, str) else checked_vector(axis, "axis")
-    if np.linalg.norm(k) == 0.0:
-        raise ValueError("rotate needs an axis that is not (0, 0, 0)")
-    k = k / np.linalg.norm(k)
+    k = np.eye(3)[axis_index(axis)] if isinstance(axis, str) else direction(axis, "axis")
     rest, _, middle = _prepared(vertices, bounds, centre)
     y = rest - middle
     return middle + np.cos(angle) * y + np.sin(angle) * np.cross(k, y) + (1.0 - np.cos(angle)) * np.outer(y @ k, k)
@@ -310,10 +322,28 @@ def move(
     return rest + ((1.0 - t) ** 2 * (1.0 + 2.0 * t))[:, None] * step
 
 
-def _signed_axis(name: str) -> tuple[float, int]:
-    if isinstance(name, str) and name[:1] in ("-", "+"):
-        return (-1.0 if name[0] == "-" else 1.0), axis_index(name[1:])
-    return 1.0, axis_index(name)
+def _along(
+    pose: Callable[..., np.ndarray],
+    vertices: PointsLike,
+    amount: float,
+    axis: str | ArrayLike,
+    towards: str | ArrayLike | None = None,
+    *,
+    bounds: ArrayLike | None,
+    centre: ArrayLike | None,
+    **options: Any,
+) -> np.ndarray:
+    """A pose along any direction: that along z, towards x, in axes that lie so."""
+    rest, box, middle = _prepared(vertices, bounds, centre)
+    frame = frame_along(axis, towards)
+    points = rest if bounds is None else np.asarray(bounds, dtype=np.float64)
+    if bounds is not None and len(points) == 2:
+        points = box[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)]  # its corners
+    local = points @ frame.T
+    extent = np.stack([local.min(axis=0), local.max(axis=0)])
+    across = {} if towards is None else {"towards": "x"}
+    posed = pose(rest @ frame.T, amount, axis="z", bounds=extent, centre=frame @ middle, **across, **options)
+    return posed @ frame
 
 
 def _prepared(
@@ -326,6 +356,8 @@ def _prepared(
             raise ValueError("a pose needs at least one vertex, or bounds")
         bounds = np.stack([rest.min(axis=0), rest.max(axis=0)])
     box = np.asarray(bounds, dtype=np.float64)
+    if box.ndim == 2 and box.shape[0] > 2 and box.shape[1] == 3:
+        box = np.stack([box.min(axis=0), box.max(axis=0)])
     # unlike checked_bounds: a flat cage can be posed along its own plane
     if box.shape != (2, 3) or not np.isfinite(box).all() or (box[1] < box[0]).any():
         raise ValueError(f"bounds must be (2, 3), the lower corner first, got {box.tolist()}")
