@@ -64,6 +64,11 @@ class PoseFile:
         except ValueError as error:
             raise ValueError(f"keyframe {name!r}: {error}") from None
 
+    def __delitem__(self, name: str) -> None:
+        self[name]
+        for held in (self._poses, self.times, self.easings):
+            held.pop(name, None)
+
     def __getitem__(self, name: str) -> Cage:
         if name not in self._poses:
             raise ValueError(f"there is no keyframe {name!r}, only {listed(self._poses, none='the rest cage')}")

@@ -26,6 +26,7 @@ from ..view.motion import axis_rotation, cameras_along, frame_places
 from . import inputs, options, outputs, view
 from .arguments.animate import OF_SESSIONS, Default
 from .deformation import Deformation, read_deformation
+from .film_keys import set_frames
 from .frame_folder import write_folder
 
 #: Options that go with --session.
@@ -49,6 +50,7 @@ def run(args: argparse.Namespace) -> None:
     if args.session is not None:
         _run_session(args)
         return
+    given = {name for name in OF_SESSIONS if not isinstance(getattr(args, name), Default)}
     for name in OF_SESSIONS:
         default = getattr(args, name)
         setattr(args, name, default.value if isinstance(default, Default) else default)
@@ -65,11 +67,13 @@ def run(args: argparse.Namespace) -> None:
     if args.show == "masks":
         inputs.require_deformation(args, "--show masks")
     field = inputs.read_field(args)
+    args.timed, args.film_rate = not given & {"motion", "interpolation"}, args.fps if "fps" in given else None
     deformation = read_deformation(args, field, args.interpolation)
+    times = set_frames(args, deformation and deformation.film, given)
     cameras = _chosen_cameras(args, inputs.visible_points(field, deformation, args.frame))
     view.warn_of_edges(args, cameras[0], deformation)
     deformer = None if deformation is None else inputs.make_deformer(field, deformation, args)
-    shot = _Shot(field, deformer, deformation, cameras, args)
+    shot = _Shot(field, deformer, deformation, cameras, args, times)
 
     view.save_cameras(args, cameras, args.fps)
 
@@ -77,7 +81,7 @@ def run(args: argparse.Namespace) -> None:
 
     frames = tqdm(range(args.frames), desc="animate", disable=args.quiet)
     if output.suffix:
-        write_film(output, map(shot.picture, frames), args.fps)
+        write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
     else:
         settings = _settings(args, cameras, deformation)
         kept = write_folder(output, frames, cameras, shot.rendered, settings, overwrite=bool(args.overwrite))
@@ -130,7 +134,8 @@ def _given_besides(args: argparse.Namespace) -> list[str]:
 class _Shot:
     """Renders frames by index, so that a folder can be continued anywhere.
 
-    deformer and deformation are None where the field is shown as it is.
+    deformer and deformation are None where the field is shown as it is; times are those of the frames, where there are
+    keys at times.
     """
 
     def __init__(
@@ -140,11 +145,14 @@ class _Shot:
         deformation: Deformation | None,
         cameras: list[Camera],
         args: argparse.Namespace,
+        times: list[float] | None = None,
     ):
+        self.times = times
         self.field, self.deformer, self.deformation = field, deformer, deformation
         self.cameras, self.args = cameras, args
         count = 1 if deformation is None else deformation.pose_count
-        self.places = frame_places(args.frames, count, args.motion, args.interpolation)
+        places = frame_places(args.frames, count, args.motion, args.interpolation) if times is None else times
+        self.places = [float(place) for place in places]
         self.held: float | None = None  # the place that the deformer is posed at
         self.shares: dict[str, list[float]] = {}
         self.scale = self._scale() if args.show in ("depth", "disparity") else None
@@ -154,9 +162,9 @@ class _Shot:
         camera, background = self.cameras[index], inputs.background_option(self.args)
         if self.deformer is None or self.deformation is None:
             return self.field.render(camera, **background), []
-        place = float(self.places[index])
+        place = self.places[index]
         try:
-            cages = self.deformation.at(place)
+            cages = self.deformation.at(place) if self.times is None else self.deformation.at_time(place)
             if place != self.held:
                 self.deformer.pose(cages)
                 self.held = place
@@ -263,6 +271,7 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
     settings = {name: getattr(args, name) for name in names}
     settings["background"] = options.TRANSPARENT if inputs.is_transparent(args) else args.background
     settings["format"] = args.format or "png"
+    settings["loop"], settings["fps"] = args.loop, None if args.loop is None else str(args.fps)
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()
     settings["field"] = hashlib.sha256(pathlib.Path(args.field).read_bytes()).hexdigest()

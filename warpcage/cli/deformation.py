@@ -11,14 +11,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..cage.cage import Cage
-from ..cage.pose_file import cage_hash
+from ..cage.pose_file import PoseFile, cage_hash
 from ..core.files import require_file
 from ..deform.edits import MAX_EDITS, CageEdit
 from ..editor.session_file import FORMAT as SESSION_FORMAT
 from ..editor.session_file import read_session
 from ..field.voxel_field import VoxelField
 from .edit_words import EditWords, parse_edit, read_edits_file, read_edits_json
-from .keyframes import Keyframes
+from .keyframes import Keyframes, only_pose
 from .standing import posed_up, read_rest
 
 
@@ -39,6 +39,11 @@ class PosedEdit:
         if self.keyframes is None:
             return None
         return self.keyframes.at(min(place, len(self.keyframes.cages) - 1.0))
+
+    @property
+    def film(self) -> PoseFile | None:
+        """Keys at times, None where the poses follow one another evenly."""
+        return None if self.keyframes is None else self.keyframes.film
 
 
 class Deformation:
@@ -66,6 +71,18 @@ class Deformation:
     def at(self, place: float) -> list[Cage | None]:
         """The cages at a place between the poses: 0 at rest, 1 the first pose, and so on."""
         return [part.at(place) for part in self.parts]
+
+    @property
+    def film(self) -> PoseFile | None:
+        """The keys at times that last longest, None where no edit has any."""
+        films = [part.film for part in self.parts if part.film is not None]
+        return max(films, key=lambda film: film.length, default=None)
+
+    def at_time(self, seconds: float) -> list[Cage | None]:
+        """The cages at a time of the film. Those without keys at times stay at their last pose."""
+        return [
+            part.at(self.pose_count - 1.0) if part.film is None else part.film.at_time(seconds) for part in self.parts
+        ]
 
     @property
     def is_still(self) -> bool:
@@ -186,10 +203,12 @@ def _read_edit(
     edit = CageEdit(rest, keep_source=words.keep, remove=words.remove, falloff=falloff, held=words.walls)
     if words.remove:
         return PosedEdit(edit, None)
-    keyframes = Keyframes(rest, texts, interpolation or "smooth", words.up or posed_up(args), expected)
+    up, timed = words.up or posed_up(args), getattr(args, "timed", False)
+    keyframes = Keyframes(
+        rest, texts, interpolation or "smooth", up, expected, timed=timed, fps=getattr(args, "film_rate", None)
+    )
     if interpolation is None and len(keyframes.cages) > 2:
-        text = texts[0]
-        raise ValueError(f"pose file {text!r} holds {len(keyframes.cages) - 1} keyframes: name one, as in {text}:NAME")
+        keyframes.cages[1:] = [only_pose(rest, texts[0], up, keyframes.cages[1:])]
     return PosedEdit(edit, keyframes)
 
 
@@ -251,7 +270,9 @@ def _pose_hash(part: PosedEdit) -> str:
     if keyframes is None:
         return ""
     preset = None if keyframes.preset is None else (keyframes.preset.family, keyframes.amounts)
-    return _hash([*map(cage_hash, keyframes.cages), preset])
+    film = keyframes.film
+    moments = None if film is None else (sorted(film.times.items()), sorted(film.easings.items()))
+    return _hash([*map(cage_hash, keyframes.cages), preset, moments])
 
 
 def _hash(parts: Sequence[object]) -> str:

@@ -6,13 +6,18 @@ import pathlib
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 
 import numpy as np
 
 from ..cage.cage import Cage
+from ..cage.motion import gltf_poses, gltf_shown, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
 from ..cage.upright import load_standing
 from ..view.motion import pose_along, value_along
+from .film_keys import gltf_file as gltf_file
+from .film_keys import pose_file as pose_file
+from .film_keys import read_film
 from .standing import ending, say_standing
 
 #: Preset -> the amount that changes nothing, and how many axes it may name.
@@ -74,12 +79,6 @@ def is_preset(text: str) -> bool:
     return text.split(":")[0] in PRESETS and not pathlib.Path(text).exists()
 
 
-def pose_file(text: str) -> tuple[str, str] | None:
-    """File and keyframe ("" for all) of a word of --posed that names a pose file, or None for other words."""
-    found = re.fullmatch(r"(.+\.json)(?::(.*))?", text, re.IGNORECASE)
-    return (found[1], found[2] or "") if found else None
-
-
 def read_poses(
     rest: Cage, text: str, up: str | None = None, usable: bool = True, expected: Mapping[str, str] | None = None
 ) -> list[Cage]:
@@ -87,13 +86,14 @@ def read_poses(
 
     Args:
         rest: The cage at rest.
-        text: A cage file, a preset, a pose file, or one keyframe of it.
+        text: A cage file, a preset, a pose file or a glTF file that moves, one keyframe of either, a folder or a
+            pattern (walk_####.obj) of numbered cage files.
         up: Axis that points up in a cage file, "y" or "z". None finds it from the rest cage.
         usable: Whether to refuse cages that cannot be used.
         expected: Axis by ending of a cage file where nothing speaks for another. None is that of the format.
 
     Returns:
-        One cage, or all of a pose file in their order.
+        One cage, or all of a file, a folder or a pattern in their order.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -108,6 +108,8 @@ def read_poses(
         if not len(file):
             raise ValueError(f"pose file {path!r} holds no keyframes")
         poses = [file[name] for name in ([name] if name else file.names)]
+    elif moving := _moving_poses(rest, text, up, expected):
+        poses = moving
     else:
         likely = (expected or {}).get(ending(text))
         posed, standing = load_standing(Cage, text, up=up, reference=rest, expected=likely)
@@ -123,9 +125,35 @@ def read_pose(
 ) -> Cage:
     """The one posed cage that a word of --posed names; see `read_poses`."""
     poses = read_poses(rest, text, up, usable, expected)
-    if len(poses) > 1:
-        raise ValueError(f"pose file {text!r} holds {len(poses)} keyframes: name one, as in {text}:NAME")
-    return poses[0]
+    return poses[0] if len(poses) == 1 else only_pose(rest, text, up, poses)
+
+
+def only_pose(rest: Cage, text: str, up: str | None, poses: Sequence[Cage]) -> Cage:
+    """The pose that a file of several shows by itself, as glTF files do. Raises ValueError where it shows none."""
+    if named := gltf_file(text):
+        shown = None if named[1] else gltf_shown(named[0], rest, up=up)
+        if shown is not None:
+            return shown
+        file = gltf_poses(named[0], rest, name=named[1], up=up)
+        if file is not None and file.times:
+            raise ValueError(
+                f"{text!r} holds an animation of {len(file)} frames: `warpcage animate` makes a film of it"
+            )
+    raise ValueError(f"{text!r} holds {len(poses)} keyframes: name one, as in {text}:NAME")
+
+
+def _moving_poses(rest: Cage, text: str, up: str | None, expected: Mapping[str, str] | None) -> list[Cage]:
+    """The poses of a word that names a glTF file that moves, or numbered files; none for other words."""
+    if named := gltf_file(text):
+        file = gltf_poses(named[0], rest, name=named[1], up=up)
+        if file is None and named[1]:
+            raise ValueError(f"{named[0]}: there is no animation or shape {named[1]!r}: nothing moves in it")
+    elif files := numbered_files(text):
+        likely = (expected or {}).get(ending(str(files[0])))
+        file = sequence_poses(files, rest, up=up, expected=likely)
+    else:
+        return []
+    return [] if file is None else [file[name] for name in file.names]
 
 
 def matched(rest: Cage, posed: Cage, name: str) -> Cage:
@@ -165,7 +193,7 @@ def expected_ups(rest: Cage, texts: Sequence[str], expected: Mapping[str, str] |
         Axis by ending.
     """
     found = dict(expected or {})
-    files = [text for text in texts if not is_preset(text) and not pose_file(text)]
+    files = [text for text in texts if pathlib.Path(text).is_file() and not pose_file(text)]
     for text in files if len(files) > 1 else ():
         standing = load_standing(Cage, text, reference=rest, expected=found.get(ending(text)))[1]
         if standing.turned:
@@ -185,10 +213,13 @@ class Keyframes:
         interpolation: "smooth" or "linear".
         up: Axis that points up in cage files, "y" or "z". None finds it from the rest cage, file by file.
         expected: Axis by ending of cage files where nothing speaks for another. None is that of the format.
+        timed: Whether words that say themselves when each pose is reached make a film of their own; see `read_film`.
+        fps: Rate of numbered cage files in such a film. None is the usual one.
 
     Attributes:
         rest: The cage at rest.
         cages: The cage at rest and the poses.
+        film: Keys at times, of which the poses are; None where the poses follow one another evenly.
         interpolation: "smooth" or "linear".
         preset: The preset whose amount is interpolated, or None.
         amounts: Its amounts, one per cage.
@@ -205,12 +236,21 @@ class Keyframes:
         interpolation: str,
         up: str | None = None,
         expected: Mapping[str, str] | None = None,
+        *,
+        timed: bool = False,
+        fps: Fraction | None = None,
     ):
         self.rest, self.interpolation = rest, interpolation
-        likely = expected_ups(rest, texts, expected) if up is None else None
-        self.cages = [rest] + [pose for text in texts for pose in read_poses(rest, text, up, expected=likely)]
         self.preset: Preset | None = None
         self.amounts: list[tuple[float, ...]] = []
+        self.film = read_film(rest, texts, up, expected, fps) if timed else None
+        if self.film is not None:
+            self.cages = [rest, *(self.film[name] for name in self.film.timed)]
+            for name in self.film.timed:
+                self.film[name].require_usable(f"keyframe {name!r} of {texts[0]!r}")
+            return
+        likely = expected_ups(rest, texts, expected) if up is None else None
+        self.cages = [rest] + [pose for text in texts for pose in read_poses(rest, text, up, expected=likely)]
         presets = [Preset(text) for text in texts if is_preset(text)]
         moving = [preset for preset in presets if preset.kind != "rest"]
         if len(presets) == len(texts) and len({preset.family for preset in moving}) == 1:

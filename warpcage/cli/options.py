@@ -157,7 +157,10 @@ def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
         "such as bend:40:x:z, twist:60 or scale:0.8"
     )
     if keyframes:
-        posed += ". Several, or all keyframes of a pose file (poses.json), follow one another"
+        posed += (
+            ". Several, or all keyframes of a pose file (poses.json), follow one another. An animated glTF file "
+            "(walk.glb), numbered files (walk_####.obj) or their folder are taken frame for frame"
+        )
     group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes else None, help=posed)
     add_edits(group)
     add_cage_up(group, found=True, posed=True)
@@ -305,6 +308,14 @@ def finite_float(text: str) -> float:
         value = float("nan")
     if not abs(value) < float("inf"):
         raise argparse.ArgumentTypeError(f"must be a finite number, got {text!r}")
+    return value
+
+
+def seconds(text: str) -> float:
+    """A finite number from 0 on."""
+    value = finite_float(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"must be 0 or more seconds, got {text!r}")
     return value
 
 

@@ -6,23 +6,39 @@ import argparse
 from typing import Any
 
 from ..cage.cage import Cage
-from . import inputs, options
+from . import inputs, options, pose_keys
 
 
 def run(args: argparse.Namespace) -> None:
-    output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
+    output = options.check_output(args.output, (*options.CAGE_ENDINGS, ".json"), "cage file")
+    if output.suffix.lower() == ".json":
+        pose_keys.run(args, output)
+        return
+    given = [name for name in pose_keys.OPTIONS if getattr(args, name)]
+    if given:
+        raise ValueError(f"--{given[0]} is for keys of a pose file: give one with -o (.json)")
     if not args.steps:
         raise ValueError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
     inputs.quiet_warp()
 
     cage = Cage.load(args.cage, up=args.cage_up)
     cage.require_usable(f"cage {args.cage!r}")
-    for name, value in args.steps:
+    stepped(cage, args).save(output, up=args.cage_up)
+    print(f"wrote {output}: {steps_text(args)}")
+
+
+def stepped(cage: Cage, args: argparse.Namespace) -> Cage:
+    """A cage after the steps of the command, usable."""
+    for name, value in args.steps or ():
         cage = getattr(cage, name)(*_arguments(name, value), **_options(name, args))
     cage.require_usable("the posed cage")
-    cage.save(output, up=args.cage_up)
-    steps = ", ".join(f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in args.steps)
-    print(f"wrote {output}: {steps}")
+    return cage
+
+
+def steps_text(args: argparse.Namespace) -> str:
+    """The steps of the command in words."""
+    steps = args.steps or ()
+    return ", ".join(f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in steps)
 
 
 def _arguments(name: str, value: Any) -> tuple:

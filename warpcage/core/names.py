@@ -23,6 +23,12 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5,
 #: fitted too, the scene's one colour, or whichever of these the pictures suggest.
 FIT_BACKGROUNDS = ("auto", "layers", "random", "constant")
 
+#: How the way from a key of a film to the next one goes.
+EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")
+
+#: What a film does at its end.
+LOOPS = ("once", "loop", "ping-pong")
+
 
 def require_name(value: object, names: Sequence[str], what: str) -> str:
     """One of the names that an option takes.

@@ -9,13 +9,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from ..core.names import EASINGS as EASINGS
+from ..core.names import LOOPS as LOOPS
 from .film import MAX_DENOMINATOR
-
-#: How the way from a key to the next one goes.
-EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")
-
-#: What a film does at its end.
-LOOPS = ("once", "loop", "ping-pong")
 
 #: Most frames that a film may have.
 MAX_FRAMES = 1_000_000

@@ -6,6 +6,7 @@ import argparse
 from fractions import Fraction
 from typing import Any
 
+from ...core.names import LOOPS
 from .. import options
 
 NAME = "animate"
@@ -14,7 +15,9 @@ EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
   warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
   warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
-  warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4
+  warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4 --loop ping-pong
+  warpcage animate lego.npz --cage cage.obj --posed walk.glb -o walk.mp4
+  warpcage animate lego.npz --cage cage.obj --posed "walk_####.obj" -o walk.mp4 --fps 25
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mov --background transparent
   warpcage animate lego.npz --edits lego.edits.json -o parts.mp4
@@ -26,6 +29,10 @@ again: it renders only what is missing of a folder.
 
 The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from pose to
 pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
+
+Keys at times make a film of their own length and rate, without the rest pose before them: a pose file with times
+(`warpcage pose -o poses.json --key NAME --at SECONDS`), an animated glTF file, or one cage file a frame: a folder, a
+pattern, or all of their names. --motion goes from rest through their poses instead.
 
 --session makes the film of a session of the editor: its keys, its camera and its settings. A folder is new or empty
 then, and appears when all of its pictures are there.
@@ -69,6 +76,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("swing", "once", "hold"),
         default="swing",
         help="swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--loop",
+        choices=LOOPS,
+        help="what a film of keys at times does at its end: once; loop: begin again; ping-pong: go back to its "
+        "beginning (default: what the pose file says, or once)",
     )
     parser.add_argument(
         "--interpolation",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from ...core.names import EASINGS, LOOPS
 from .. import options
 
 NAME = "pose"
@@ -12,9 +13,14 @@ HELP = "bend, twist, taper, stretch, scale, rotate or move a cage"
 EXAMPLE = """\
   warpcage pose cage.obj -o posed.obj --bend 40 --axis x --towards z
   warpcage pose cage.obj -o posed.obj --twist 30 --taper 0.6 --axis z --limits 0.3 1
+  warpcage pose cage.obj -o poses.json --key start --at 0
+  warpcage pose cage.obj -o poses.json --key bow --at 1.5 --easing hold --bend 40 --axis x
+  warpcage pose cage.obj -o poses.json --key up --at 2 --posed from_blender.obj --loop ping-pong
+  warpcage pose cage.obj -o poses.json --posed walk.glb
 
 Steps are applied in the order given. --axis, --towards, --limits and --centre apply to all steps of one call: run the
-command again on the posed cage for another axis. A direction with a minus needs the equals sign: --towards=-x.
+command again on the posed cage for another axis. A pose file (.json) gets a key for each call, and keeps those that it
+has; `warpcage animate --posed poses.json` makes the film. A direction with a minus needs the equals sign: --towards=-x.
 """
 
 
@@ -36,9 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     number = options.finite_float
     parser.add_argument("cage", help=f"cage to pose ({' '.join(options.CAGE_ENDINGS)})")
     parser.add_argument(
-        "-o", "--output", required=True, metavar="POSED", help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})"
+        "-o",
+        "--output",
+        required=True,
+        metavar="POSED",
+        help=f"cage to write ({' '.join(options.CAGE_ENDINGS)}), or pose file that gets a key (.json)",
     )
     options.add_cage_up(parser)
+    _add_keys(parser)
     steps = parser.add_argument_group("steps")
     add = steps.add_argument
     add(
@@ -117,3 +128,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="point that stays fixed, world units (default: middle of the bounding box)",
     )
     parser.set_defaults(steps=None)
+
+
+def _add_keys(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("keys of a pose file (-o poses.json)")
+    group.add_argument("--key", metavar="NAME", help="name of the key; one of that name is replaced")
+    group.add_argument("--at", type=options.seconds, metavar="SECONDS", help="when the film reaches it")
+    group.add_argument(
+        "--easing", choices=EASINGS, help="how the way from it to the next key goes (default: smooth, or as it was)"
+    )
+    group.add_argument(
+        "--posed",
+        metavar="POSED",
+        help="begin with this pose instead of the cage at rest: a cage file, a key of a pose file, or a preset. "
+        "Without --key: all keys of an animated glTF file, of its shapes, or of numbered files (walk_####.obj)",
+    )
+    group.add_argument("--remove", action="store_true", help="take the key out of the file")
+    group.add_argument("--fps", type=options.positive_fraction, metavar="RATE", help="frames per second of the film")
+    group.add_argument("--loop", choices=LOOPS, help="what the film does at its end")

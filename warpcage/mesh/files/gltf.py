@@ -7,26 +7,16 @@ the same place are joined again, in the order of the first ones. A mesh of posit
 from __future__ import annotations
 
 import base64
-import contextlib
 import json
 import pathlib
 import struct
-import urllib.parse
-from collections.abc import Iterator
 
 import numpy as np
 
-from ...core.checks import shown
-from ...core.files import JSON_ROOM, read_limited
 from ...core.memory import require_host_memory
+from .gltf_document import BINARY_CHUNK, JSON_CHUNK, mesh_nodes, one_line, opened, read_buffers, values_of
 
-_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES = 4
-
-#: What moves a node.
-_PLACES = {"matrix", "rotation", "scale", "translation"}
-_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 #: Most triangles of all nodes together: a thousand times what a large cage has.
 MAX_TRIANGLES = 10_000_000
@@ -49,11 +39,11 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         ValueError: What is wrong in which file.
     """
-    with _one_line(path):
-        document, chunk = _opened(path)
-        nodes = _mesh_nodes(document)
+    with one_line(path):
+        document, chunk = opened(path)
+        nodes = mesh_nodes(document)
         _require_room(document, nodes)
-        buffers = _buffers(path, document, chunk)
+        buffers = read_buffers(path, document, chunk)
         meshes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         vertices, triangles, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
         for mesh, matrix in nodes:
@@ -79,30 +69,9 @@ def require_gltf_room(path: pathlib.Path) -> None:
     Raises:
         ValueError: For more triangles than a mesh may have, or than there is memory for, and for what is no glTF.
     """
-    with _one_line(path):
-        document, _ = _opened(path)
-        _require_room(document, _mesh_nodes(document))
-
-
-@contextlib.contextmanager
-def _one_line(path: pathlib.Path) -> Iterator[None]:
-    """What goes wrong with the content of a file, as a ValueError that names the file."""
-    try:
-        yield
-    except (
-        KeyError,
-        IndexError,
-        TypeError,
-        AttributeError,
-        struct.error,
-        UnicodeDecodeError,
-        RecursionError,
-        OverflowError,
-        json.JSONDecodeError,
-    ) as error:
-        raise ValueError(f"{path}: not a glTF file that can be read: {type(error).__name__} {error}") from None
-    except ValueError as error:
-        raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+    with one_line(path):
+        document, _ = opened(path)
+        _require_room(document, mesh_nodes(document))
 
 
 def _require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
@@ -124,92 +93,31 @@ def _counts(document: dict, mesh: dict) -> tuple[int, int]:
     return sum(accessors[index]["count"] for index in set(positions)), sum(corners) // 3
 
 
-def _opened(path: pathlib.Path) -> tuple[dict, bytes | None]:
-    """The JSON document and the binary chunk of a .glb file."""
-    data = read_limited(path, "glTF file")
-    if data[:4] != b"glTF":
-        require_host_memory(JSON_ROOM * len(data), f"its {len(data)} bytes of JSON need")
-        return json.loads(data.decode("utf-8")), None
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2 or length > len(data):
-        raise ValueError(f"glTF version 2 of {length} bytes expected, got version {version} and {len(data)} bytes")
-    chunks, position = {}, 12
-    while position + 8 <= length:
-        size, kind = struct.unpack_from("<II", data, position)
-        chunks.setdefault(kind, data[position + 8 : position + 8 + size])
-        position += 8 + size
-    require_host_memory(JSON_ROOM * len(chunks[_JSON_CHUNK]), f"its {len(chunks[_JSON_CHUNK])} bytes of JSON need")
-    return json.loads(chunks[_JSON_CHUNK].decode("utf-8")), chunks.get(_BINARY_CHUNK)
-
-
-def _buffers(path: pathlib.Path, document: dict, chunk: bytes | None) -> list[bytes]:
-    """The buffers of a file; one that several entries name is read once."""
-    files: dict[str, bytes] = {}
-    found = []
-    for entry in document.get("buffers", []):
-        uri = entry.get("uri")
-        if uri is None:
-            data = chunk or b""
-        elif uri.startswith("data:"):
-            data = base64.b64decode(uri.split(",", 1)[1])
-        else:
-            data = files[uri] = files[uri] if uri in files else _buffer_file(path, uri)
-        if len(data) < entry["byteLength"]:
-            raise ValueError(f"a buffer of {entry['byteLength']} bytes expected, got {len(data)}")
-        found.append(data)
-    return found
-
-
-def _buffer_file(path: pathlib.Path, uri: str) -> bytes:
-    """The contents of a file that a buffer names: one in the folder of the glTF file, by its real path."""
-    name = urllib.parse.unquote(uri)
-    file = path.parent / name
-    folders = (path.parent.resolve(), path.resolve().parent)
-    leads_out = pathlib.PurePath(name).is_absolute() or ".." in pathlib.PurePath(name).parts
-    if leads_out or not any(file.resolve().is_relative_to(folder) for folder in folders):
-        raise ValueError(f"its buffer {shown(uri)} leads out of the folder of the file")
-    if not file.is_file():
-        raise ValueError(f"its buffer {shown(uri)} is not there")
-    return read_limited(file, "buffer")
-
-
-def _mesh_nodes(document: dict) -> list[tuple[int, np.ndarray]]:
-    """(mesh, world matrix (4, 4)) of each node of the scene that has one, depth first."""
-    nodes = document.get("nodes", [])
-    scenes = document.get("scenes")
-    roots = scenes[document.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
-    found, seen, stack = [], set(), [(root, np.eye(4)) for root in reversed(roots)]
-    while stack:
-        index, parent = stack.pop()
-        if index in seen:
-            raise ValueError(f"its node {index} has two parents, or is its own")
-        seen.add(index)
-        matrix = parent @ _local_matrix(nodes[index]) if _PLACES & nodes[index].keys() else parent
-        if "mesh" in nodes[index]:
-            found.append((nodes[index]["mesh"], matrix))
-        stack += [(child, matrix) for child in reversed(nodes[index].get("children", []))]
-    return found
-
-
-def _local_matrix(node: dict) -> np.ndarray:
-    if "matrix" in node:
-        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    ) * np.asarray(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64)
-    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
-    return matrix
-
-
 def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (v, 3) float64 and triangles (f, 3) of all primitives; primitives may share their vertices."""
-    positions, faces, starts, split = [], [], {}, len(mesh["primitives"]) > 1
+    """Positions (v, 3) float64 and triangles (f, 3) of all primitives, split vertices joined."""
+    positions, faces, _, split = mesh_parts(document, buffers, mesh)
+    if not split:
+        return positions, faces
+    first, number = joined_vertices(positions)
+    return positions[first], number[faces]
+
+
+def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray, np.ndarray, list[dict], bool]:
+    """All triangles of a mesh. Primitives may share their vertices.
+
+    Args:
+        document: The document.
+        buffers: Its buffers.
+        mesh: The mesh.
+
+    Returns:
+        Positions (v, 3) float64, triangles (f, 3) int64, a primitive for each range of positions, in their order, and
+        whether vertices may be split.
+
+    Raises:
+        ValueError: For compressed meshes and indices that point nowhere.
+    """
+    positions, faces, starts, owners, split = [], [], {}, [], len(mesh["primitives"]) > 1
     for primitive in mesh["primitives"]:
         if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
             continue  # points and lines: loose vertices and edges of the exporting program
@@ -219,10 +127,11 @@ def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray,
         split |= len(primitive["attributes"]) > 1
         if accessor not in starts:
             starts[accessor] = sum(map(len, positions))
-            positions.append(_values(document, buffers, accessor).astype(np.float64).reshape(-1, 3))
+            positions.append(values_of(document, buffers, accessor).astype(np.float64).reshape(-1, 3))
+            owners.append(primitive)
         count = document["accessors"][accessor]["count"]
         indices = (
-            _values(document, buffers, primitive["indices"]).reshape(-1).astype(np.int64)
+            values_of(document, buffers, primitive["indices"]).reshape(-1).astype(np.int64)
             if "indices" in primitive
             else np.arange(count)
         )
@@ -230,39 +139,24 @@ def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray,
             raise ValueError(f"a mesh of {count} vertices has {len(indices)} indices up to {indices.max(initial=0)}")
         faces.append(indices.reshape(-1, 3) + starts[accessor])
     if not positions:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    positions, faces = np.concatenate(positions), np.concatenate(faces)
-    return _joined(positions, faces) if split else (positions, faces)
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), [], False
+    return np.concatenate(positions), np.concatenate(faces), owners, split
 
 
-def _joined(positions: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices at exactly the same place made one, in the order of the first at each place."""
+def joined_vertices(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices at exactly the same place made one, in the order of the first at each place.
+
+    Args:
+        positions: (v, 3) float64.
+
+    Returns:
+        (u,) the vertices that stay, and (v,) the new number of each vertex.
+    """
     _, first, place = np.unique(positions + 0.0, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     number = np.empty(len(order), dtype=np.int64)
     number[order] = np.arange(len(order))
-    return positions[first[order]], number[place.reshape(-1)][faces]
-
-
-def _values(document: dict, buffers: list[bytes], index: int) -> np.ndarray:
-    """(count, width) numbers of an accessor."""
-    accessor = document["accessors"][index]
-    if "sparse" in accessor or "bufferView" not in accessor:
-        raise ValueError("it has sparse accessors, which cannot be read here: export plain ones")
-    view = document["bufferViews"][accessor["bufferView"]]
-    kind, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    stride, count = view.get("byteStride", kind.itemsize * width), accessor["count"]
-    data = buffers[view["buffer"]]
-    if stride < kind.itemsize * width or count < 0 or start < 0:
-        raise ValueError(f"accessor {index} has a stride of {stride} bytes, {count} values and begins at {start}")
-    if count and start + (count - 1) * stride + kind.itemsize * width > len(data):
-        raise ValueError(f"accessor {index} reads beyond its buffer of {len(data)} bytes")
-    return (
-        np.ndarray((count, width), kind, data, start, (stride, kind.itemsize)).copy()
-        if count
-        else np.zeros((0, width), kind)
-    )
+    return first[order], number[place.reshape(-1)]
 
 
 # -- Writing
@@ -284,9 +178,9 @@ def write_glb(vertices: np.ndarray, faces: np.ndarray) -> bytes:
     size = 12 + 8 + len(text) + 8 + len(body)
     return (
         struct.pack("<4sII", b"glTF", 2, size)
-        + struct.pack("<II", len(text), _JSON_CHUNK)
+        + struct.pack("<II", len(text), JSON_CHUNK)
         + text
-        + struct.pack("<II", len(body), _BINARY_CHUNK)
+        + struct.pack("<II", len(body), BINARY_CHUNK)
         + body
     )
 

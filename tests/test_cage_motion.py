@@ -1,0 +1,170 @@
+"""Motion from other programs. tests/fixtures/blender_motion was written by Blender 5.0.1 through
+benchmarks/blender_motion.py: .glb files, and where Blender has the vertices at each frame."""
+
+import pathlib
+
+import numpy as np
+import pytest
+from gltf_writer import GltfWriter
+
+from warpcage.cage.cage import Cage
+from warpcage.cage.motion import are_numbered, gltf_poses, gltf_shown, numbered_files, sequence_poses
+from warpcage.mesh.files.gltf_motion import read_gltf_motion
+
+FIXTURES = pathlib.Path(__file__).parent / "fixtures" / "blender_motion"
+BOX = Cage.box([-1, -1, -1], [1, 1, 1])
+Y_UP = np.stack([BOX.vertices[:, 0], BOX.vertices[:, 2], -BOX.vertices[:, 1]], axis=1)
+
+
+def from_y_up(vertices):
+    return np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
+
+
+@pytest.mark.parametrize("name", ["shape_keys", "moved_object", "armature"])
+def test_motion_from_blender_comes_back_frame_for_frame(name):
+    expected = np.load(FIXTURES / f"{name}.npz")["vertices"].astype(float)
+    rest = Cage.load(FIXTURES / f"{name}.glb")
+    file = gltf_poses(FIXTURES / f"{name}.glb", rest)
+    assert len(file) == len(expected) and file.fps == 24.0
+    np.testing.assert_allclose([file.times[key] for key in file.names], np.arange(len(expected)) / 24, atol=1e-9)
+    assert set(file.easings.values()) == {"linear"}
+    # Blender's numbers of the vertices, from the first frame alone: then all frames must agree
+    first = file[file.names[0]].vertices
+    order = np.linalg.norm(expected[0][:, None] - first[None], axis=-1).argmin(axis=1)
+    assert sorted(order) == list(range(len(first)))
+    for key, places in zip(file.names, expected, strict=True):
+        np.testing.assert_allclose(file[key].vertices[order], places, atol=2e-6)
+    assert np.abs(expected[-1] - expected[0]).max() > 0.2
+
+
+def test_a_cage_in_another_order_moves_along():
+    own = Cage.load(FIXTURES / "moved_object.glb")
+    shuffle = np.random.default_rng(0).permutation(len(own.vertices))
+    rest = Cage(own.vertices[shuffle], np.argsort(shuffle)[own.faces])
+    one, two = (gltf_poses(FIXTURES / "moved_object.glb", cage) for cage in (own, rest))
+    for key in one.names:
+        np.testing.assert_array_equal(two[key].vertices, one[key].vertices[shuffle])
+
+
+def test_interpolation_of_keys_by_hand(tmp_path):
+    made = GltfWriter(Y_UP, BOX.faces)
+    half = np.sqrt(0.5)
+    made.animate(
+        (0, "rotation", [0.0, 1.0], [[0, 0, 0, 1], [0, half, 0, half]], "LINEAR"),  # a quarter about y
+        (0, "translation", [0.0, 0.5], [[0, 0, 0], [0, 2, 0]], "STEP"),
+        (0, "scale", [0.0, 1.0], [[0, 0, 0], [1, 1, 1], [1, 0, 0], [0, 0, 0], [2, 1, 1], [0, 0, 0]], "CUBICSPLINE"),
+        name="spin",
+    )
+    motion = read_gltf_motion(made.save(tmp_path / "spin.gltf"), "spin")
+    assert len(motion.times) == 25 and motion.fps == 24.0
+    for time, points in zip(motion.times, motion.vertices, strict=True):
+        angle, wide = time * np.pi / 2, 1 + 3 * time**2 - 2 * time**3 + (time**3 - 2 * time**2 + time)
+        scaled = Y_UP * [wide, 1, 1]
+        x, y, z = scaled.T
+        turned = np.stack([np.cos(angle) * x + np.sin(angle) * z, y, -np.sin(angle) * x + np.cos(angle) * z], axis=1)
+        np.testing.assert_allclose(points, turned + [0, 2.0 * (time >= 0.5), 0], atol=1e-6)
+
+
+def test_shapes_and_their_names(tmp_path):
+    made = GltfWriter(Y_UP, BOX.faces)
+    tall = Y_UP * [0, 0.5, 0]
+    rows = np.array([1, 4])
+    made.primitive["targets"] = [
+        {"POSITION": made.add(tall)},
+        {"POSITION": made.add_sparse(8, rows, np.ones((2, 3)))},
+        {"POSITION": made.add_sparse(8, rows[:0], np.zeros((0, 3)))},
+    ]
+    path = made.save(tmp_path / "shapes.gltf", extras={"targetNames": ["tall", "corner"]}, weights=[0.5, 0, 0])
+    file = gltf_poses(path, BOX)
+    assert file.names == ("tall", "corner", "shape 3") and not file.times and file.fps is None
+    np.testing.assert_allclose(file["tall"].vertices, BOX.vertices * [1, 1, 1.5], atol=1e-6)
+    moved = np.zeros((8, 3))
+    moved[rows] = [1, -1, 1]
+    np.testing.assert_allclose(file["corner"].vertices, BOX.vertices + moved, atol=1e-6)
+    np.testing.assert_allclose(file["shape 3"].vertices, BOX.vertices, atol=1e-6)
+    np.testing.assert_allclose(gltf_shown(path, BOX).vertices, BOX.vertices * [1, 1, 1.25], atol=1e-6)
+    assert gltf_poses(path, BOX, name="corner").names == ("corner",)
+
+
+def test_skins_by_hand(tmp_path):
+    made = GltfWriter(Y_UP, BOX.faces)
+    share = (Y_UP[:, 1] + 1) / 2  # the upper half follows joint 2
+    made.primitive["attributes"] |= {
+        "JOINTS_0": made.add(np.tile([0, 1, 0, 0], (8, 1)), "B"),
+        "WEIGHTS_0": made.add(np.stack([1 - share, share, 0 * share, 0 * share], axis=1)),
+    }
+    binds = np.tile(np.eye(4), (2, 1, 1))
+    binds[1, 1, 3] = -1.0
+    made.nodes = [{"mesh": 0, "skin": 0, "translation": [9, 9, 9]}, {"children": [2]}, {"translation": [0, 1, 0]}]
+    made.more["skins"] = [{"joints": [1, 2], "inverseBindMatrices": made.add(binds.transpose(0, 2, 1).reshape(2, 16))}]
+    made.animate((2, "translation", [0.0, 1 / 24], [[0, 1, 0], [3, 1, 0]], "LINEAR"))
+    motion = read_gltf_motion(made.save(tmp_path / "skin.gltf"))
+    np.testing.assert_allclose(motion.vertices[0], Y_UP, atol=1e-6)
+    np.testing.assert_allclose(motion.vertices[1], Y_UP + share[:, None] * [3, 0, 0], atol=1e-6)
+
+
+def test_what_does_not_move_and_what_cannot_be_read(tmp_path):
+    BOX.save(tmp_path / "still.glb")
+    assert gltf_poses(tmp_path / "still.glb", BOX) is None
+    made = GltfWriter(Y_UP, BOX.faces)
+    for name in ("walk", "run"):
+        made.animate((0, "translation", [0.0], [[0, 0, 0]], "LINEAR"), name=name)
+    path = made.save(tmp_path / "two.gltf")
+    with pytest.raises(
+        ValueError, match=r"two.gltf: it holds 2 animations \(walk, run\): name one, as in two.gltf:walk"
+    ):
+        gltf_poses(path, BOX)
+    assert len(gltf_poses(path, BOX, name="run")) == 1
+    with pytest.raises(ValueError, match="no animation or shape 'fly', only walk, run"):
+        gltf_poses(path, BOX, name="fly")
+    with pytest.raises(ValueError, match="does not fit its rest cage"):
+        gltf_poses(path, Cage.icosphere([0, 0, 0], 1.0), name="run")
+
+
+@pytest.mark.parametrize(
+    ("channel", "message"),
+    [
+        ((0, "translation", [0.0, 1.0], [[0, 0, 0]], "LINEAR"), "has 3 values at 2 times"),
+        ((0, "translation", [1.0, 0.0], [[0, 0, 0]] * 2, "LINEAR"), "at 2 times"),
+        ((0, "translation", [0.0], [[0, 0, np.nan]], "LINEAR"), "not finite"),
+        ((0, "translation", [0.0, 1e6], [[0, 0, 0]] * 2, "LINEAR"), "frames, at most 20000"),
+        ((0, "weights", [0.0], [1.0], "LINEAR"), "has 1 values"),
+    ],
+)
+def test_broken_animations_are_refused_in_one_line(tmp_path, channel, message):
+    made = GltfWriter(Y_UP, BOX.faces)
+    made.animate(channel)
+    with pytest.raises(ValueError, match=message) as error:
+        gltf_poses(made.save(tmp_path / "a.gltf"), BOX)
+    assert "\n" not in str(error.value) and "a.gltf" in str(error.value)
+
+
+# -- One file a frame
+
+
+def test_numbered_files_are_frames(tmp_path):
+    for number in (10, 2, 1):
+        BOX.translate([number, 0, 0]).save(tmp_path / f"walk_{number}.obj")
+    (tmp_path / "readme.txt").write_text("text")
+    for text in (tmp_path, tmp_path / "walk_##.obj", tmp_path / "walk_#.obj"):
+        files = numbered_files(text)
+        assert [file.name for file in files] == ["walk_1.obj", "walk_2.obj", "walk_10.obj"]
+    assert are_numbered(files) and not are_numbered(files[::-1]) and not are_numbered(files[:1])
+    assert numbered_files(tmp_path / "walk_1.obj") is None
+    file = sequence_poses(files, BOX, fps=10)
+    assert file.names == ("walk_1", "walk_2", "walk_10") and file.fps == 10.0
+    assert [file.times[name] for name in file.names] == pytest.approx([0.0, 0.1, 0.9])
+    for time in (0.0, 0.1, 0.5, 0.9):  # frames that are missing lie between
+        np.testing.assert_allclose(file.at_time(time).vertices, BOX.vertices + [1 + 10 * time, 0, 0], atol=1e-6)
+
+
+def test_sequences_that_cannot_be(tmp_path):
+    BOX.save(tmp_path / "a_1.obj")
+    Cage.box([-1, -1, -1], [1, 1, 1], segments=2).save(tmp_path / "a_2.obj")
+    with pytest.raises(ValueError, match="other faces than .*a_1.obj"):
+        sequence_poses([tmp_path / "a_1.obj", tmp_path / "a_2.obj"], BOX)
+    with pytest.raises(ValueError, match="needs a number at the end"):
+        sequence_poses([tmp_path / "a.obj"], BOX)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="no cage file with a number"):
+        numbered_files(tmp_path / "empty")

@@ -1,0 +1,187 @@
+"""Films of keys at times from the command line: pose files that `pose` writes, animated glTF files, numbered files."""
+
+import itertools
+import pathlib
+
+import av
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from cli_runs import run, succeed, write_files
+from gltf_writer import GltfWriter
+
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
+from warpcage.view.pictures import read_image
+
+LOOK = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, "--size", 24, "--coordinates", "mean_value", "--resolution", 16]
+FILM = ["--cage", "@cage.obj", *LOOK, "--turn", 0, "--quiet"]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_files(tmp_path_factory.mktemp("keys"))
+
+
+def frames_of(folder):
+    return [read_image(path) for path in sorted(pathlib.Path(folder).glob("*.png"))]
+
+
+def test_keys_written_one_by_one_make_a_film_whose_holds_hold(files, tmp_path, capsys):
+    poses = tmp_path / "poses.json"
+    words = ["pose", "@cage.obj", "-o", poses, "--key"]
+    succeed(files, *words, "start", "--at", 0, "--fps", 8)
+    succeed(files, *words, "up", "--at", 0.5, "--translate", 0, 0, 0.5)
+    succeed(files, *words, "still up", "--at", 1, "--posed", f"{poses}:up", "--easing", "linear")
+    succeed(files, *words, "end", "--at", 1.5, "--scale", 0.5, "--loop", "once")
+    said = capsys.readouterr().out
+    assert (
+        "4 keys over 1.5 s, 8 frames a second, once: start at 0 s, up at 0.5 s, still up at 1 s, end at 1.5 s" in said
+    )
+    file = PoseFile.load(poses)
+    assert file.easings == {"still up": "linear"} and file.timed == ("start", "up", "still up", "end")
+
+    succeed(files, "animate", "@ball.npz", *FILM, "--posed", poses, "-o", tmp_path / "film")
+    frames = frames_of(tmp_path / "film")
+    assert len(frames) == 13  # 1.5 s at 8 frames a second, and the last one
+    steps = [np.abs(two - one).mean() for one, two in itertools.pairwise(frames)]
+    assert max(steps[4:8]) == 0 < min(steps[:4] + steps[8:])  # held to the bit, and nothing before or after it
+    # no frame goes beyond the held one: the ball stands highest there
+    tops = [np.flatnonzero((frame < 0.99).any(axis=(1, 2)))[0] for frame in frames]
+    assert min(tops) == tops[4] and tops[0] > tops[4]
+
+
+def test_a_key_is_replaced_moved_and_removed(files, tmp_path, capsys):
+    poses = tmp_path / "poses.json"
+    words = ["pose", "@cage.obj", "-o", poses, "--key"]
+    succeed(files, *words, "a", "--at", 0, "--bend", 20)
+    succeed(files, *words, "b", "--at", 1)
+    before = PoseFile.load(poses)["a"].vertices
+    succeed(files, *words, "a", "--at", 2, "--easing", "hold")  # another time alone keeps the pose
+    file = PoseFile.load(poses)
+    assert file.timed == ("b", "a") and file.easings == {"a": "hold"}
+    np.testing.assert_array_equal(file["a"].vertices, before)
+    succeed(files, *words, "b", "--remove")
+    assert PoseFile.load(poses).names == ("a",)
+    capsys.readouterr()
+    kept = poses.read_bytes()
+    for more, message in (
+        (["c"], "needs --at SECONDS: the other keys of the file have times"),
+        (["a", "--remove"], "would hold no key"),
+        (["z", "--remove"], "there is no key 'z'"),
+        (["c", "--at", -1], "0 or more seconds"),
+        (["c", "--at", 1, "--scale", 0.5, "--posed", "@other.obj"], "does not fit its rest cage"),
+    ):
+        assert run(files, *words, *more) == 2
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+        assert poses.read_bytes() == kept
+    assert run(files, "pose", "@cage.obj", "-o", tmp_path / "x.obj", "--key", "a", "--bend", 3) == 2
+    assert "--key is for keys of a pose file" in capsys.readouterr().err
+    assert run(files, "pose", "@cage.obj", "-o", tmp_path / "x.json") == 2
+    assert "needs --key NAME" in capsys.readouterr().err and not (tmp_path / "x.json").exists()
+
+
+@pytest.mark.parametrize(("loop", "count"), [("once", 5), ("loop", 4), ("ping-pong", 8)])
+def test_rate_length_and_loop_of_a_film_follow_from_the_keys(files, tmp_path, capsys, loop, count):
+    rest = Cage.load(files / "cage.obj")
+    file = PoseFile(rest, {"a": rest, "b": rest.translate([0, 0, 0.4])})
+    file.times, file.fps, file.loop = {"a": 0.0, "b": 0.25}, 16.0, loop
+    file.save(tmp_path / "poses.json")
+    succeed(files, "animate", "@ball.npz", *FILM, "--posed", tmp_path / "poses.json", "-o", tmp_path / "film.mp4")
+    with av.open(str(tmp_path / "film.mp4")) as container:
+        assert container.streams.video[0].average_rate == 16 and len(list(container.decode(video=0))) == count
+    words = ["animate", "@ball.npz", *FILM, "--posed", tmp_path / "poses.json", "-o", tmp_path / "film.gif"]
+    succeed(files, *words, "--fps", 8, "--loop", "once")
+    assert len(iio.imread(tmp_path / "film.gif")) == 3
+    capsys.readouterr()
+    assert run(files, *words, "--frames", 9) == 2
+    assert "--frames does not go with keys at times" in capsys.readouterr().err
+    assert (
+        run(files, "animate", "@ball.npz", *FILM, "--posed", "bend:3", "-o", tmp_path / "b.gif", "--loop", "loop") == 2
+    )
+    assert "--loop is for keys at times" in capsys.readouterr().err
+
+
+def test_some_keys_without_times_are_named(files, tmp_path, capsys):
+    rest = Cage.load(files / "cage.obj")
+    file = PoseFile(rest, {"a": rest, "b": rest.scale(0.9)})
+    file.times = {"b": 1.0}
+    file.save(tmp_path / "poses.json")
+    assert run(files, "animate", "@ball.npz", *FILM, "--posed", tmp_path / "poses.json", "-o", tmp_path / "f.mp4") == 2
+    error = capsys.readouterr().err
+    assert "keyframe 'a' has no time, 'b' has one" in error and "--key 'a' --at SECONDS" in error
+
+
+def write_walk(folder, cage):
+    """Five frames of a way, as a glTF animation and as numbered OBJ files."""
+    y_up = np.stack([cage.vertices[:, 0], cage.vertices[:, 2], -cage.vertices[:, 1]], axis=1)
+    made = GltfWriter(y_up, cage.faces)
+    heights = [0.0, 0.2, 0.3, 0.1, 0.4]
+    made.animate((0, "translation", np.arange(5) / 12, [[0, z, 0] for z in heights], "LINEAR"))
+    made.save(folder / "walk.gltf")
+    for number, z in enumerate(heights, 1):
+        cage.translate([0, 0, z]).save(folder / f"walk_{number:04d}.obj")
+    return heights
+
+
+@pytest.mark.parametrize("way", ["gltf", "pattern", "folder", "names", "imported"])
+def test_motion_of_another_program_is_taken_frame_for_frame(files, tmp_path, capsys, way):
+    rest = Cage.load(files / "cage.obj")
+    (tmp_path / "walk").mkdir()
+    heights = write_walk(tmp_path / "walk", rest)
+    names = sorted((tmp_path / "walk").glob("*.obj"))
+    posed = {"gltf": [tmp_path / "walk" / "walk.gltf"], "pattern": [tmp_path / "walk" / "walk_####.obj"],
+             "folder": [tmp_path / "walk"], "names": names, "imported": [tmp_path / "poses.json"]}[way]  # fmt: skip
+    if way == "folder":
+        (tmp_path / "walk" / "walk.gltf").unlink()
+    if way == "imported":
+        succeed(files, "pose", "@cage.obj", "-o", posed[0], "--posed", tmp_path / "walk" / "walk.gltf")
+        assert "9 keys over 0.333333 s, 24 frames a second" in capsys.readouterr().out
+    words = ["animate", "@ball.npz", *FILM, "--posed", *posed, "-o", tmp_path / "film"]
+    succeed(files, *words, *(["--fps", 12] if way in ("pattern", "folder", "names") else []))
+    assert ("one cage a frame" in capsys.readouterr().err) == (way == "names")
+    frames = frames_of(tmp_path / "film")
+    # glTF is read at 24 frames a second, which its keys lie on; the others have a frame for each file
+    step = 2 if way in ("gltf", "imported") else 1
+    assert len(frames) == 4 * step + 1
+    for number, z in ((0, heights[0]), (4, heights[4])):
+        pose = f"translate:0:0:{z}"
+        succeed(files, "render", "@ball.npz", "--cage", "@cage.obj", *LOOK, "--posed", pose, "-o", tmp_path / "one.png")
+        assert np.abs(frames[step * number] - read_image(tmp_path / "one.png")).max() < 3 / 255
+
+
+def test_going_from_rest_through_a_sequence_is_asked_for(files, tmp_path):
+    rest = Cage.load(files / "cage.obj")
+    write_walk(tmp_path, rest)
+    words = ["animate", "@ball.npz", *FILM, "--posed", tmp_path / "walk_####.obj", "-o", tmp_path / "film"]
+    succeed(files, *words, "--motion", "once", "--frames", 6, "--interpolation", "linear")
+    frames = frames_of(tmp_path / "film")
+    assert len(frames) == 6
+    np.testing.assert_array_equal(frames[0], frames[1])  # rest, and the first pose, which is at rest
+
+
+def test_a_still_of_a_file_that_moves(files, tmp_path, capsys):
+    rest = Cage.load(files / "cage.obj")
+    write_walk(tmp_path, rest)
+    y_up = np.stack([rest.vertices[:, 0], rest.vertices[:, 2], -rest.vertices[:, 1]], axis=1)
+    made = GltfWriter(y_up, rest.faces)
+    made.primitive["targets"] = [{"POSITION": made.add(y_up * [0, 0.5, 0])}, {"POSITION": made.add(0.0 * y_up + 0.2)}]
+    made.save(tmp_path / "on.gltf", extras={"targetNames": ["tall", "aside"]}, weights=[1.0, 0.0])
+    made.save(tmp_path / "off.gltf", extras={"targetNames": ["tall", "aside"]})
+    words = ["render", "@ball.npz", "--cage", "@cage.obj", *LOOK, "-o"]
+    for pose, name in (("on.gltf", "on"), ("off.gltf:tall", "named")):
+        succeed(files, *words, tmp_path / f"{name}.png", "--posed", tmp_path / pose)
+    made = Cage(rest.vertices * [1, 1, 1.5], rest.faces)
+    made.save(tmp_path / "tall.obj")
+    succeed(files, *words, tmp_path / "tall.png", "--posed", tmp_path / "tall.obj")
+    for name in ("on", "named"):
+        assert np.abs(read_image(tmp_path / f"{name}.png") - read_image(tmp_path / "tall.png")).max() < 3 / 255
+    capsys.readouterr()
+    for pose, message in (
+        ("off.gltf", "holds 2 keyframes: name one, as in"),
+        ("walk.gltf", "holds an animation of 9 frames: `warpcage animate` makes a film of it"),
+        ("off.gltf:wide", "no animation or shape 'wide', only tall, aside"),
+    ):
+        assert run(files, *words, tmp_path / "x.png", "--posed", tmp_path / pose) == 2
+        assert message in capsys.readouterr().err

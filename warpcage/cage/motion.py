@@ -1,0 +1,169 @@
+"""Motion of a cage from other programs: animated glTF files, and one cage file a frame."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..core.checks import checked_positive
+from ..core.files import PathLike, require_file
+from ..mesh.files.files import ENDINGS, turned_up
+from ..mesh.files.gltf_motion import read_gltf_motion
+from .cage import Cage
+from .pose_file import PoseFile
+from .upright import load_standing
+
+#: Most files of a sequence.
+MAX_FILES = 20_000
+
+
+def gltf_poses(path: PathLike, rest: Cage, *, name: str = "", up: str | None = None) -> PoseFile | None:
+    """The motion in a glTF file as keyframes of a cage.
+
+    An animation becomes a keyframe for each of its frames, with its time; ways between them are straight. A file with
+    shapes (Blender's shape keys) alone becomes a keyframe for each shape, without times.
+
+    Args:
+        path: The file (.glb, .gltf).
+        rest: The cage that is posed. The mesh of the file may have its vertices in any order that `Cage.match` takes.
+        name: The animation, or the shape. "" takes the only animation, or all shapes.
+        up: The axis that points up in the file. None is "y", as the specification says.
+
+    Returns:
+        The keyframes. None where nothing moves in the file.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For a file that cannot be read or is of another cage, and for names that it does not have.
+    """
+    path = require_file(path, "cage file")
+    motion = read_gltf_motion(path, name)
+    if motion is None:
+        return None
+    was = up or "y"
+    base = Cage.load(path, up=was)
+    order = _order(rest, base, str(path))
+    file = PoseFile(rest)
+    for key, vertices in zip(motion.names, motion.vertices, strict=True):
+        file[key] = turned_up(vertices, was, "z")[order]
+        if motion.times is not None:
+            file.times[key], file.easings[key] = motion.times[len(file) - 1], "linear"
+    file.fps = motion.fps
+    return file
+
+
+def gltf_shown(path: PathLike, rest: Cage, *, up: str | None = None) -> Cage | None:
+    """The pose that the shapes of a glTF file show together, as a program that opens it does.
+
+    Args:
+        path: The file.
+        rest: The cage that is posed.
+        up: As for `gltf_poses`.
+
+    Returns:
+        The pose. None where the file has no shape on, or an animation.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: As for `gltf_poses`.
+    """
+    path = require_file(path, "cage file")
+    motion = read_gltf_motion(path)
+    if motion is None or motion.shown is None:
+        return None
+    was = up or "y"
+    order = _order(rest, Cage.load(path, up=was), str(path))
+    return rest.with_vertices(turned_up(motion.shown, was, "z")[order])
+
+
+def sequence_poses(
+    paths: Sequence[PathLike], rest: Cage, *, fps: float = 24.0, up: str | None = None, expected: str | None = None
+) -> PoseFile:
+    """One cage file a frame as keyframes, each at the time of the number in its name; ways between them are straight.
+
+    Args:
+        paths: The files, as `numbered_files` gives them. A number that is missing leaves its time to the way between.
+        rest: The cage that is posed. Vertices may come in another order, the same in all files.
+        fps: Frames per second.
+        up: The axis that points up in the files. None finds it from the first one and the cage at rest.
+        expected: The axis where nothing speaks for another. None is that of the format.
+
+    Returns:
+        The keyframes, named by the files.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For files without a number, of another cage, or of other faces than the first one.
+    """
+    rate = checked_positive(fps, "fps")
+    numbers = [number for path in paths if (number := _number(pathlib.Path(path))) is not None]
+    if not numbers or len(set(numbers)) < len(paths):
+        raise ValueError("a sequence of cage files needs a number at the end of each name, another one for each")
+    first, standing = load_standing(Cage, paths[0], up=up, reference=rest, expected=expected)
+    order = _order(rest, first, str(paths[0]))
+    file = PoseFile(rest)
+    for path, number in zip(paths, numbers, strict=True):
+        cage = first if path is paths[0] else Cage.load(path, up=standing.up)
+        if cage.faces.shape != first.faces.shape or not np.array_equal(cage.faces, first.faces):
+            raise ValueError(f"cage {str(path)!r} has other faces than {str(paths[0])!r}: one cage moves in a sequence")
+        name = pathlib.Path(path).stem
+        file[name] = cage.vertices[order]
+        file.times[name], file.easings[name] = (number - numbers[0]) / rate, "linear"
+    file.fps = rate
+    return file
+
+
+def numbered_files(text: PathLike) -> list[pathlib.Path] | None:
+    """The cage files of a sequence, by their numbers.
+
+    Args:
+        text: A folder of them, or a name with # for the digits of its number, such as walk_####.obj.
+
+    Returns:
+        The files. None where the text is neither.
+
+    Raises:
+        ValueError: If there are none, or too many.
+    """
+    path = pathlib.Path(text)
+    if path.is_dir():
+        found = [file for file in path.iterdir() if file.suffix.lower() in ENDINGS and _number(file) is not None]
+    elif "#" in path.name and not path.exists():
+        pattern = re.compile(re.sub(r"(?:\\?#)+", r"(\\d+)", re.escape(path.name)))
+        found = [file for file in path.parent.glob("*") if pattern.fullmatch(file.name)]
+    else:
+        return None
+    if not found:
+        raise ValueError(f"{str(text)!r}: no cage file with a number at the end of its name is there")
+    if len(found) > MAX_FILES:
+        raise ValueError(f"{str(text)!r}: {len(found)} cage files, at most {MAX_FILES} are read")
+    return sorted(found, key=lambda file: (_number(file) or 0, file.name))
+
+
+def are_numbered(paths: Sequence[PathLike]) -> bool:
+    """Whether files are named alike but for a number at the end, each with another one, ascending."""
+    files = [pathlib.Path(path) for path in paths]
+    numbers = [_number(file) for file in files]
+    heads = {(file.parent, re.sub(r"\d+$", "", file.stem), file.suffix.lower()) for file in files}
+    alike = len(files) > 1 and None not in numbers and len(heads) == 1
+    return alike and all(one < two for one, two in zip(numbers[:-1], numbers[1:], strict=True))  # pyright: ignore
+
+
+def _number(path: pathlib.Path) -> int | None:
+    """The number at the end of a file's name."""
+    found = re.search(r"(\d{1,9})$", path.stem)
+    return int(found[1]) if found else None
+
+
+def _order(rest: Cage, mesh: Cage, name: str) -> np.ndarray:
+    """(v,) numbers of a mesh's vertices in the order of a cage. It is found once: a symmetric cage could be laid over
+    its poses in several ways."""
+    try:
+        matched = rest.match(mesh).vertices
+    except ValueError as error:
+        raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
+    numbers = {vertex.tobytes(): index for index, vertex in reversed(list(enumerate(mesh.vertices + 0.0)))}
+    return np.array([numbers[vertex.tobytes()] for vertex in matched + 0.0])

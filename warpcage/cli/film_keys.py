@@ -1,0 +1,126 @@
+"""Keys at times: which words of --posed make a film of their own, and the times of its frames."""
+
+from __future__ import annotations
+
+import argparse
+import pathlib
+import re
+import sys
+from collections.abc import Mapping
+from fractions import Fraction
+
+from ..cage.cage import Cage
+from ..cage.motion import are_numbered, gltf_poses, numbered_files, sequence_poses
+from ..cage.pose_file import PoseFile
+from ..view.keys import frame_rate, frame_times
+from .options import CAGE_ENDINGS
+from .standing import ending
+
+#: Frames per second where neither the keys nor --fps say another rate.
+USUAL_RATE = Fraction(24)
+
+
+def pose_file(text: str) -> tuple[str, str] | None:
+    """File and keyframe ("" for all) of a word of --posed that names a pose file, or None for other words."""
+    return _file_and_name(text, "json")
+
+
+def gltf_file(text: str) -> tuple[str, str] | None:
+    """File and animation or shape ("" for all) of a word that names a glTF file, or None for other words."""
+    return _file_and_name(text, "glb|gltf")
+
+
+def _file_and_name(text: str, endings: str) -> tuple[str, str] | None:
+    found = re.fullmatch(rf"(.+\.(?:{endings}))(?::(.*))?", text, re.IGNORECASE)
+    return (found[1], found[2] or "") if found else None
+
+
+def read_film(
+    rest: Cage, texts: list[str], up: str | None, expected: Mapping[str, str] | None, fps: Fraction | None
+) -> PoseFile | None:
+    """The keys of words of --posed that say themselves when each pose is reached.
+
+    They are a pose file whose keyframes have times, an animated glTF file, a folder or a pattern of numbered cage
+    files, and cage files that are named alike but for their numbers.
+
+    Args:
+        rest: The cage at rest.
+        texts: The words.
+        up: Axis that points up in cage files, "y" or "z". None finds it.
+        expected: Axis by ending of cage files where nothing speaks for another.
+        fps: Rate of numbered files. None is USUAL_RATE.
+
+    Returns:
+        The keys. None for other words.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For files that cannot be read or do not fit, and keyframes of which some have no time.
+    """
+    rate = float(USUAL_RATE if fps is None else fps)
+    if len(texts) == 1:
+        (text,) = texts
+        if (named := pose_file(text)) and not named[1]:
+            return _timed(PoseFile.load(named[0], rest), named[0])
+        if named := gltf_file(text):
+            file = gltf_poses(named[0], rest, name=named[1], up=up)
+            return file if file is not None and file.times else None
+        files = numbered_files(text)
+    else:
+        cages = all(ending(text) in CAGE_ENDINGS for text in texts)
+        files = [pathlib.Path(text) for text in texts] if cages and are_numbered(texts) else None
+        if files:
+            print(
+                f"warpcage: {files[0]} to {files[-1].name}: one cage a frame (--motion swing goes from rest through "
+                "them and back)",
+                file=sys.stderr,
+            )
+    if not files:
+        return None
+    likely = (expected or {}).get(ending(str(files[0])))
+    return sequence_poses(files, rest, fps=rate, up=up, expected=likely)
+
+
+def _timed(file: PoseFile, path: str) -> PoseFile | None:
+    """The file where its keyframes have times."""
+    if not file.times:
+        return None
+    without = [name for name in file.names if name not in file.times]
+    if without:
+        raise ValueError(
+            f"{path}: keyframe {without[0]!r} has no time, {file.timed[0]!r} has one: give it one, as in "
+            f"warpcage pose CAGE -o {path} --key {without[0]!r} --at SECONDS"
+        )
+    if min(file.times.values()) < 0.0:
+        raise ValueError(
+            f"{path}: keyframe {file.timed[0]!r} is at {file.times[file.timed[0]]:g} s: a film begins at 0"
+        )
+    return file
+
+
+def set_frames(args: argparse.Namespace, film: PoseFile | None, given: set[str]) -> list[float] | None:
+    """Set number, rate and loop of the frames by the keys of a film.
+
+    Args:
+        args: What was given; frames, fps and loop are set.
+        film: The keys. None leaves the frames as they were asked for.
+        given: Names of the options that were given.
+
+    Returns:
+        The times of the frames, seconds; None without keys at times.
+
+    Raises:
+        ValueError: For options that do not go together.
+    """
+    if film is None:
+        if args.loop is not None:
+            raise ValueError("--loop is for keys at times (a pose file with times, an animation): see --motion")
+        return None
+    if "frames" in given:
+        raise ValueError("--frames does not go with keys at times, which say how long the film is: see --fps")
+    args.loop = args.loop or film.loop or "once"
+    if "fps" not in given:
+        args.fps = USUAL_RATE if film.fps is None else frame_rate(film.fps)
+    times = frame_times(film.length, args.fps, args.loop)
+    args.frames = len(times)
+    return times

@@ -1,0 +1,340 @@
+"""Motion in glTF files: animated nodes, skins and shapes (morph targets), as places of vertices frame by frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+from collections.abc import Mapping
+
+import numpy as np
+
+from ...core.checks import listed
+from ...core.memory import require_host_memory
+from .gltf import joined_vertices, mesh_parts
+from .gltf_document import node_matrices, one_line, opened, read_buffers, values_of
+
+#: Rates at which programs write animations, in the order in which they are tried.
+RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 12.0, 15.0, 120.0, 30000 / 1001, 24000 / 1001)
+
+#: Times of keys fall on frames up to this share of a frame: files hold float32.
+ON_FRAME = 0.02
+
+#: Most frames of an animation.
+MAX_FRAMES = 20_000
+
+#: What a channel of an animation changes.
+_PATHS = ("translation", "rotation", "scale", "weights")
+
+
+@dataclasses.dataclass(frozen=True)
+class GltfMotion:
+    """The places that the vertices of a file go through.
+
+    Attributes:
+        names: A name for each: of a shape, or "frame 1" and so on.
+        vertices: (v, 3) float64 each, y up, in the order of `read_gltf`.
+        times: Seconds from the first frame. None: they are shapes, which have no times.
+        fps: Frames per second. None where there are no times.
+        shown: (v, 3) the shapes that the file has on, together. None where it has none on, and for animations.
+    """
+
+    names: tuple[str, ...]
+    vertices: list[np.ndarray]
+    times: tuple[float, ...] | None = None
+    fps: float | None = None
+    shown: np.ndarray | None = None
+
+
+def read_gltf_motion(path: pathlib.Path, name: str = "") -> GltfMotion | None:
+    """Read how the vertices of a glTF file move.
+
+    An animation is sampled at the frames that its keys lie on, so that what a program wrote for each frame comes back
+    frame for frame. Without an animation each shape is a pose.
+
+    Args:
+        path: The file.
+        name: The animation or the shape. "" takes the only animation, or all shapes.
+
+    Returns:
+        The motion. None where nothing moves in the file.
+
+    Raises:
+        ValueError: What is wrong in which file; a name that is not there, or several animations and no name.
+    """
+    with one_line(path):
+        document, chunk = opened(path)
+        moving = _Moving(document, read_buffers(path, document, chunk))
+        animations = moving.animations()
+        shapes = moving.shape_names()
+        if name and name not in animations and name not in shapes:
+            known = listed([*animations, *shapes], none="no animation and no shape")
+            raise ValueError(f"there is no animation or shape {name!r}, only {known}")
+        if len(animations) > 1 and not name:
+            raise ValueError(
+                f"it holds {len(animations)} animations ({listed(animations)}): name one, as in {path.name}:"
+                f"{next(iter(animations))}"
+            )
+        if animations and (not name or name in animations):
+            return _sampled(moving, animations[name or next(iter(animations))])
+        if name:
+            return GltfMotion((name,), [moving.vertices(shapes={name: 1.0})])
+        if not shapes:
+            return None
+        shown = moving.vertices() if moving.has_shapes_on() else None
+        return GltfMotion(shapes, [moving.vertices(shapes={shape: 1.0}) for shape in shapes], shown=shown)
+
+
+def _sampled(moving: _Moving, channels: list[_Channel]) -> GltfMotion:
+    """The frames of an animation."""
+    keys = np.unique(np.concatenate([channel.times for channel in channels]))
+    times, fps = _frames(keys)
+    require_host_memory(24 * moving.count * len(times), f"its {len(times)} frames of {moving.count} vertices need")
+    poses = []
+    for time in times:
+        places: dict[int, dict] = {}
+        weights: dict[int, np.ndarray] = {}
+        for channel in channels:
+            if channel.path == "weights":
+                weights[channel.node] = channel.at(time)
+            else:
+                places.setdefault(channel.node, {})[channel.path] = channel.at(time)
+        poses.append(moving.vertices(places, weights))
+    names = tuple(f"frame {index + 1}" for index in range(len(times)))
+    return GltfMotion(names, poses, tuple(time - times[0] for time in times), fps)
+
+
+def _frames(keys: np.ndarray) -> tuple[list[float], float]:
+    """Times to sample at, and the rate: that on whose frames all keys lie, or the keys themselves."""
+    begin, end = float(keys[0]), float(keys[-1])
+    for fps in RATES:
+        frames = (keys - begin) * fps
+        if np.abs(frames - np.round(frames)).max() < ON_FRAME:
+            count = round((end - begin) * fps) + 1
+            if count > MAX_FRAMES:
+                raise ValueError(
+                    f"its animation of {end - begin:g} s has {count} frames, at most {MAX_FRAMES} are read"
+                )
+            return [begin + index / fps for index in range(count)], fps
+    if len(keys) > MAX_FRAMES:
+        raise ValueError(f"its animation has {len(keys)} keys, at most {MAX_FRAMES} are read")
+    return keys.tolist(), RATES[0]
+
+
+class _Channel:
+    """One value of a node that an animation changes."""
+
+    def __init__(self, document: dict, buffers: list[bytes], channel: dict, sampler: dict, shape_count: int):
+        self.node, self.path = channel["target"]["node"], channel["target"]["path"]
+        self.times = values_of(document, buffers, sampler["input"]).reshape(-1).astype(np.float64)
+        self.way = sampler.get("interpolation", "LINEAR")
+        values = values_of(document, buffers, sampler["output"])
+        numbers = _as_floats(values)
+        width = {"rotation": 4, "weights": shape_count}.get(self.path, 3)
+        sets = 3 if self.way == "CUBICSPLINE" else 1
+        if not len(self.times) or numbers.size != len(self.times) * sets * width or (np.diff(self.times) < 0).any():
+            raise ValueError(f"the animation of node {self.node} has {numbers.size} values at {len(self.times)} times")
+        if not (np.isfinite(self.times).all() and np.isfinite(numbers).all()):
+            raise ValueError(f"the animation of node {self.node} holds values that are not finite")
+        self.values = numbers.reshape(len(self.times), sets, width)
+
+    def at(self, time: float) -> np.ndarray:
+        """The value at a time: translation and scale (3,), rotation (4,), or the weights of shapes."""
+        index = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 1))
+        middle = self.values.shape[1] // 2
+        begin = self.values[index, middle]
+        if index == len(self.times) - 1 or time <= self.times[0] or self.way == "STEP":
+            return begin
+        length = self.times[index + 1] - self.times[index]
+        share, end = (time - self.times[index]) / length, self.values[index + 1, middle]
+        if self.way == "CUBICSPLINE":
+            leaving, arriving = self.values[index, 2], self.values[index + 1, 0]
+            value = _hermite(begin, end, length * leaving, length * arriving, share)
+        elif self.path == "rotation":
+            value = _turned(begin, end, share)
+        else:
+            value = begin + share * (end - begin)
+        return value / np.linalg.norm(value) if self.path == "rotation" else value
+
+
+def _hermite(begin: np.ndarray, end: np.ndarray, leaving: np.ndarray, arriving: np.ndarray, s: float) -> np.ndarray:
+    return (
+        (2 * s**3 - 3 * s**2 + 1) * begin
+        + (s**3 - 2 * s**2 + s) * leaving
+        + (3 * s**2 - 2 * s**3) * end
+        + (s**3 - s**2) * arriving
+    )
+
+
+def _turned(begin: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
+    """A quaternion on the shorter way from one to another (slerp)."""
+    cosine = float(begin @ end)
+    if cosine < 0.0:
+        end, cosine = -end, -cosine
+    if cosine > 1.0 - 1e-9:
+        return begin + share * (end - begin)
+    angle = np.arccos(min(cosine, 1.0))
+    return (np.sin((1.0 - share) * angle) * begin + np.sin(share * angle) * end) / np.sin(angle)
+
+
+def _as_floats(values: np.ndarray) -> np.ndarray:
+    """Numbers of an accessor; whole ones stand for shares of the largest (normalised integers)."""
+    if values.dtype.kind == "f":
+        return values.astype(np.float64)
+    return np.maximum(values.astype(np.float64) / np.iinfo(values.dtype).max, -1.0)
+
+
+class _Body:
+    """The vertices of one node with a mesh."""
+
+    def __init__(self, document: dict, buffers: list[bytes], node: int):
+        self.node = node
+        mesh = document["meshes"][document["nodes"][node]["mesh"]]
+        positions, _, primitives, split = mesh_parts(document, buffers, mesh)
+        self.kept = joined_vertices(positions)[0] if split else np.arange(len(positions))
+        self.positions = positions[self.kept]
+        counts = [document["accessors"][one["attributes"]["POSITION"]]["count"] for one in primitives]
+
+        def gathered(read) -> np.ndarray:
+            parts = [read(one, count) for one, count in zip(primitives, counts, strict=True)]
+            return np.concatenate(parts)[self.kept] if parts else np.zeros((0, 3))
+
+        def moved(one: dict, count: int, k: int) -> np.ndarray:
+            target = one.get("targets", [])[k]
+            if "POSITION" not in target:
+                return np.zeros((count, 3))
+            return _as_floats(values_of(document, buffers, target["POSITION"], empty=count)).reshape(count, 3)
+
+        shape_count = max((len(one.get("targets", [])) for one in primitives), default=0)
+        if any(len(one.get("targets", [])) != shape_count for one in primitives):
+            raise ValueError("the parts of its mesh have different numbers of shapes")
+        require_host_memory(24 * shape_count * len(positions), f"its {shape_count} shapes need")
+        self.shapes = [gathered(lambda one, count, k=k: moved(one, count, k)) for k in range(shape_count)]
+        names = mesh.get("extras", {}).get("targetNames", []) if isinstance(mesh.get("extras", {}), dict) else []
+        self.names = [str(names[k]) if k < len(names) else f"shape {k + 1}" for k in range(shape_count)]
+        weights = document["nodes"][node].get("weights", mesh.get("weights", [0.0] * shape_count))
+        self.weights = np.array(weights, np.float64)
+        if self.weights.shape != (shape_count,):
+            raise ValueError(f"a mesh of {shape_count} shapes has {self.weights.size} weights")
+        self.skin = document["nodes"][node].get("skin")
+        if self.skin is not None:
+            self._read_skin(document, buffers, gathered)
+
+    def _read_skin(self, document: dict, buffers: list[bytes], gathered) -> None:
+        skin = document["skins"][self.skin]
+        self.joints = list(skin["joints"])
+        binds = np.tile(np.eye(4), (len(self.joints), 1, 1))
+        if "inverseBindMatrices" in skin:
+            read = values_of(document, buffers, skin["inverseBindMatrices"]).astype(np.float64)
+            binds = read.reshape(-1, 4, 4).transpose(0, 2, 1)
+        if len(binds) < len(self.joints):
+            raise ValueError(f"a skin of {len(self.joints)} joints has {len(binds)} matrices")
+        self.binds = binds
+        sets = range(8)
+
+        def attribute(one: dict, name: str) -> list[np.ndarray]:
+            found = [one["attributes"].get(f"{name}_{k}") for k in sets]
+            return [values_of(document, buffers, index) for index in found if index is not None]
+
+        self.bones = gathered(lambda one, count: np.concatenate(attribute(one, "JOINTS"), axis=1).astype(np.int64))
+        shares = gathered(
+            lambda one, count: np.concatenate([_as_floats(each) for each in attribute(one, "WEIGHTS")], axis=1)
+        )
+        if self.bones.shape != shares.shape or (self.bones.size and self.bones.max() >= len(self.joints)):
+            raise ValueError(f"a skin of {len(self.joints)} joints has bones up to {self.bones.max(initial=0)}")
+        total = shares.sum(axis=1, keepdims=True)
+        self.shares = np.divide(shares, total, out=np.zeros_like(shares), where=total > 0.0)
+
+    def at(self, weights: np.ndarray, matrices: Mapping[int, np.ndarray]) -> np.ndarray:
+        """(v, 3) places in the world."""
+        points = self.positions
+        for weight, shape in zip(weights, self.shapes, strict=True):
+            if weight:
+                points = points + weight * shape
+        matrix = matrices[self.node]
+        if self.skin is None:
+            return points @ matrix[:3, :3].T + matrix[:3, 3]
+        bones = np.stack([matrices[joint] @ bind for joint, bind in zip(self.joints, self.binds, strict=False)])
+        blended = np.einsum("vb,vbij->vij", self.shares, bones[self.bones])
+        return np.einsum("vij,vj->vi", blended[:, :3, :3], points) + blended[:, :3, 3]
+
+
+class _Moving:
+    """The meshes of a scene, and how their vertices follow nodes and shapes."""
+
+    def __init__(self, document: dict, buffers: list[bytes]):
+        self.document, self.buffers = document, buffers
+        nodes = document.get("nodes", [])
+        self.bodies = [_Body(document, buffers, node) for node in node_matrices(document) if "mesh" in nodes[node]]
+        self.count = sum(len(body.positions) for body in self.bodies)
+
+    def animations(self) -> dict[str, list[_Channel]]:
+        """Channels of each animation that moves a mesh, by its name."""
+        shape_counts = {body.node: len(body.shapes) for body in self.bodies}
+        concerned = self._concerned()
+        found: dict[str, list[_Channel]] = {}
+        for number, animation in enumerate(self.document.get("animations", [])):
+            channels = []
+            for channel in animation["channels"]:
+                node, path = channel["target"].get("node"), channel["target"]["path"]
+                known = node in shape_counts if path == "weights" else node in concerned
+                if known and path in _PATHS:
+                    sampler = animation["samplers"][channel["sampler"]]
+                    count = shape_counts.get(node, 0)
+                    channels.append(_Channel(self.document, self.buffers, channel, sampler, count))
+            if channels:
+                found[str(animation.get("name") or f"animation {number + 1}")] = channels
+        return found
+
+    def _concerned(self) -> set[int]:
+        """Nodes on whose places meshes depend: their own, their joints and all above them."""
+        parents = {
+            child: index
+            for index, node in enumerate(self.document.get("nodes", []))
+            for child in node.get("children", [])
+        }
+        waiting = [
+            node for body in self.bodies for node in (body.node, *(body.joints if body.skin is not None else ()))
+        ]
+        found: set[int] = set()
+        while waiting:
+            node = waiting.pop()
+            if node not in found:
+                found.add(node)
+                waiting += [parents[node]] if node in parents else []
+        return found
+
+    def shape_names(self) -> tuple[str, ...]:
+        """Names of all shapes, each once."""
+        return tuple(dict.fromkeys(name for body in self.bodies for name in body.names))
+
+    def has_shapes_on(self) -> bool:
+        """Whether the file shows a shape."""
+        return any(body.weights.any() for body in self.bodies)
+
+    def vertices(
+        self,
+        places: Mapping[int, dict] | None = None,
+        weights: Mapping[int, np.ndarray] | None = None,
+        shapes: Mapping[str, float] | None = None,
+    ) -> np.ndarray:
+        """(v, 3) places of all vertices, y up.
+
+        Args:
+            places: Translation, rotation and scale of nodes, by their number; the others stay.
+            weights: Weights of the shapes of nodes, by their number.
+            shapes: Weight by name instead; the others are off.
+        """
+        matrices = node_matrices(self.document, places)
+        found = [body.at(self._weights(body, weights, shapes), matrices) for body in self.bodies]
+        joined = np.concatenate(found) if found else np.zeros((0, 3))
+        if not np.isfinite(joined).all():
+            raise ValueError("its motion leads to places that are not finite")
+        return joined
+
+    @staticmethod
+    def _weights(
+        body: _Body, weights: Mapping[int, np.ndarray] | None, shapes: Mapping[str, float] | None
+    ) -> np.ndarray:
+        if shapes is not None:
+            return np.array([shapes.get(name, 0.0) for name in body.names])
+        return (weights or {}).get(body.node, body.weights)
