@@ -27,6 +27,7 @@ from .marching import MarchTables
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
 from .sparse import harmonics_on_device, link_mask, measure_skip, values_on_device
 from .surface import extract_mesh
+from .surface_colors import surface_colors
 
 if TYPE_CHECKING:
     import trimesh
@@ -333,13 +334,16 @@ class VoxelField:
             return self.background, None
         return np.zeros(3, np.float32), self.background_model
 
-    def extract_mesh(self, *, threshold: float | None = None, components: str = "largest") -> trimesh.Trimesh:
+    def extract_mesh(
+        self, *, threshold: float | None = None, components: str = "largest", colors: bool = False
+    ) -> trimesh.Trimesh:
         """The surface where the density crosses a threshold, closed and looking outward.
 
         Args:
             threshold: Density, per world unit. None is `warpcage.field.surface.surface_density`.
             components: "largest" keeps the part of the largest volume, which drops floaters and cavities, "all" keeps
                 everything.
+            colors: Give its vertices the colours of the surface, as they are seen from straight ahead (sRGB).
 
         Returns:
             The mesh, world units.
@@ -347,7 +351,13 @@ class VoxelField:
         Raises:
             ValueError: For an empty field, a threshold that no density crosses, or another name of components.
         """
-        return extract_mesh(self, threshold=threshold, components=components)
+        mesh = extract_mesh(self, threshold=threshold, components=components)
+        if colors:
+            from trimesh.visual import ColorVisuals
+
+            shown = surface_colors(self, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals))
+            mesh.visual = ColorVisuals(mesh, vertex_colors=np.round(255.0 * shown).astype(np.uint8))
+        return mesh
 
     def node_densities(self) -> np.ndarray:
         """(nx, ny, nz) float32 density at the voxel centres, zero where there is none or it is negative."""

@@ -10,6 +10,7 @@ NAME = "mesh"
 HELP = "extract the surface of a field as a triangle mesh"
 EXAMPLE = """\
   warpcage mesh lego.npz -o lego.obj
+  warpcage mesh lego.npz -o lego.glb                    with colours, for Blender: docs/blender.md
   warpcage mesh lego.npz -o lego.ply --threshold 20 --components all
 """
 
@@ -34,6 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("largest", "all"),
         default="largest",
         help="which connected parts to keep (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--colors",
+        action=argparse.BooleanOptionalAction,
+        help="write the colours of the surface at its vertices, as they are seen from straight ahead (.glb, .ply, "
+        ".obj; default: for .glb)",
     )
     options.add_scene_scale(parser)
     options.add_device(parser)

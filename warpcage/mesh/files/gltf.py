@@ -162,17 +162,24 @@ def joined_vertices(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 # -- Writing
 
 
-def write_glb(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """A .glb file of one mesh of positions alone. Its node holds the middle, so that float32 keeps the digits.
+def write_glb(
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, *, name: str = "cage"
+) -> bytes:
+    """A .glb file of one mesh. Its node holds the middle, so that float32 keeps the digits.
 
     Args:
         vertices: (v, 3) float64, y up.
         faces: (f, 3) int32 indices of vertices.
+        colors: (v, 3) in [0, 1], sRGB; they are shown as they are, without light. None writes positions alone.
+        name: Of the mesh's node.
 
     Returns:
         The contents of the file.
     """
     document, body = _document(vertices, faces)
+    document["nodes"][0]["name"] = name
+    if colors is not None:
+        body += _add_colors(document, colors, len(body))
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + 8 + len(body)
@@ -198,6 +205,26 @@ def write_gltf(vertices: np.ndarray, faces: np.ndarray) -> bytes:
     document, body = _document(vertices, faces)
     document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
     return (json.dumps(document, indent=1) + "\n").encode()
+
+
+def _add_colors(document: dict, colors: np.ndarray, offset: int) -> bytes:
+    """Give the mesh of a document vertex colours, whose bytes follow its buffer. glTF has them in linear light."""
+    srgb = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    rows = np.ones((len(linear), 4))  # four, as rows must be whole words
+    rows[:, :3] = linear
+    body = np.round(rows * 65535.0).astype("<u2").tobytes()
+    document["bufferViews"].append({"buffer": 0, "byteOffset": offset, "byteLength": len(body), "target": 34962})
+    document["accessors"].append(
+        {"bufferView": 2, "componentType": 5123, "normalized": True, "type": "VEC4", "count": len(linear)}
+    )
+    primitive = document["meshes"][0]["primitives"][0]
+    primitive["attributes"]["COLOR_0"], primitive["material"] = 2, 0
+    unlit = "KHR_materials_unlit"  # the light is in the colours
+    document["materials"] = [{"name": "captured", "extensions": {unlit: {}}, "doubleSided": True}]
+    document["extensionsUsed"] = [unlit]
+    document["buffers"][0]["byteLength"] += len(body)
+    return body
 
 
 def _document(vertices: np.ndarray, faces: np.ndarray) -> tuple[dict, bytes]:
