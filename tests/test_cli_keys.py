@@ -185,3 +185,54 @@ def test_a_still_of_a_file_that_moves(files, tmp_path, capsys):
     ):
         assert run(files, *words, tmp_path / "x.png", "--posed", tmp_path / pose) == 2
         assert message in capsys.readouterr().err
+
+
+def test_cameras_are_keyed_beside_poses(files, tmp_path, capsys):
+    poses, words = tmp_path / "poses.json", ["pose", "@cage.obj", "-o", tmp_path / "poses.json", "--key"]
+    for name, eye in (("front", (0, -3, 0)), ("side", (3, 0, 0))):
+        succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{name}.png", "--eye", *eye, "--target", 0, 0, 0,
+                "--size", 24, "--save-camera", tmp_path / f"{name}.json")  # fmt: skip
+    succeed(files, *words, "a", "--at", 0, "--fps", 4)
+    succeed(files, *words, "front", "--at", 0, "--camera", tmp_path / "front.json", "--easing", "linear")
+    succeed(files, *words, "side", "--at", 1, "--camera", tmp_path / "side.json", "--translate", 0, 0, 0.5)
+    said = capsys.readouterr().out
+    assert "4 keys over 1 s, 4 frames a second: a at 0 s, side at 1 s, cameras front at 0 s, side at 1 s" in said
+    file = PoseFile.load(poses)
+    assert [(key.name, key.time, key.easing) for key in file.cameras] == [("front", 0, "linear"), ("side", 1, "smooth")]
+    # half-way it stands at the corner, as far away as before
+    np.testing.assert_allclose(file.camera_at(0.5).centre, 3 * np.sqrt(0.5) * np.array([1, -1, 0]), atol=1e-9)
+
+    film = ["animate", "@ball.npz", "--cage", "@cage.obj", *LOOK[-4:], "--quiet", "--posed", poses, "-o"]
+    succeed(files, *film, tmp_path / "film")
+    frames = frames_of(tmp_path / "film")
+    assert len(frames) == 5 and frames[0].shape == (24, 24, 3)
+    np.testing.assert_array_equal(frames[0], read_image(tmp_path / "front.png"))
+    up = ["--cage", "@cage.obj", "--posed", f"{poses}:side", *LOOK[-4:], "-o", tmp_path / "up.png"]
+    succeed(files, "render", "@ball.npz", "--camera", tmp_path / "side.json", *up)
+    np.testing.assert_array_equal(frames[4], read_image(tmp_path / "up.png"))
+    succeed(files, *film, tmp_path / "turned", "--view", "front", "--turn", 0, "--size", 24)  # options come first
+    assert np.abs(frames_of(tmp_path / "turned")[4] - frames[4]).max() > 0.1
+
+    succeed(files, *words, "side", "--remove")
+    file = PoseFile.load(poses)
+    assert file.names == ("a",) and [key.name for key in file.cameras] == ["front"]
+    capsys.readouterr()
+    for more, message in (
+        (["x", "--camera", tmp_path / "side.json"], "needs --at SECONDS"),
+        (["x", "--at", 0, "--camera", tmp_path / "side.json"], "camera 'front' of the file is at 0 s too"),
+    ):
+        assert run(files, *words, *more) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_a_film_of_cameras_alone_shows_the_scene_at_rest(files, tmp_path):
+    poses = tmp_path / "poses.json"
+    for name, split in (("one", "0"), ("two", "1")):
+        key = ["--key", name, "--at", split, "--camera", f"@scene:test:{split}", "--fps", 2]
+        succeed(files, "pose", "@cage.obj", "-o", poses, *key)
+    words = ["animate", "@ball.npz", "--cage", "@cage.obj", "--posed", poses, "--quiet", "-o", tmp_path / "film"]
+    succeed(files, *words)
+    frames = frames_of(tmp_path / "film")
+    succeed(files, "render", "@ball.npz", "--camera", "@scene:test:1", "-o", tmp_path / "two.png")
+    assert len(frames) == 3
+    assert np.abs(frames[2] - read_image(tmp_path / "two.png")).mean() < 0.004

@@ -14,11 +14,25 @@ from ..core.checks import checked_number, checked_positive, listed
 from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
 from ..core.names import require_name
 from ..mesh.closed_mesh import require_mesh
+from ..view.camera import Camera
+from ..view.camera_file import camera_from_json, camera_json
+from ..view.camera_path import CameraKey, camera_at, timed_keys
 from ..view.keys import EASINGS, LOOPS, value_at
 from ..view.motion import value_along
 from .cage import Cage
 
 _FORMAT, _VERSION = "warpcage poses", 1
+
+#: What reading a file raises that is not as it should be.
+_DAMAGED = (
+    KeyError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    UnicodeDecodeError,
+    json.JSONDecodeError,
+)
 
 
 class PoseFile:
@@ -26,8 +40,9 @@ class PoseFile:
 
     The file is JSON: format, version, cage (sha256 over its faces and float64 vertices, and both in full) and
     keyframes (name and vertices, each number with all its digits; where it was given one, time and easing); where they
-    were given, fps and loop. Readers ignore keys that they do not know, so later versions may add some. A version that
-    changes the meaning of these keys has a higher number.
+    were given, fps, loop and cameras (as `warpcage.view.camera_file.CameraFile` has them, with times). Readers ignore
+    keys that they do not know, so later versions may add some. A version that changes the meaning of these keys has a
+    higher number.
 
     Args:
         rest: The cage that is posed.
@@ -43,6 +58,7 @@ class PoseFile:
         easings: How the way from a keyframe to the next goes, by name: a word such as "smooth", "linear" or "hold".
         fps: Frames per second of its film. None leaves it open.
         loop: What its film does at its end, "once", "loop" or "ping-pong". None leaves it open.
+        cameras: Keys of the camera of its film, each with a time; there may be none.
     """
 
     def __init__(self, rest: Cage, keyframes: Mapping[str, Cage | ArrayLike] | Iterable[tuple[str, Any]] = ()):
@@ -53,6 +69,7 @@ class PoseFile:
         self.easings: dict[str, str] = {}
         self.fps: float | None = None
         self.loop: str | None = None
+        self.cameras: list[CameraKey] = []
         for name, pose in dict(keyframes).items():
             self[name] = pose
 
@@ -131,14 +148,14 @@ class PoseFile:
 
     @property
     def length(self) -> float:
-        """Seconds from 0 to the last time, 0 where there is none."""
-        return max([0.0, *self.times.values()])
+        """Seconds from 0 to the last time of a keyframe or a camera, 0 where there is none."""
+        return max([0.0, *self.times.values(), *(key.time or 0.0 for key in self.cameras)])
 
     def at_time(self, seconds: float) -> Cage:
         """The cage at a time of its film. Before the first time and after the last one it is still.
 
         A keyframe without an easing has "smooth". Where the film loops, from a keyframe at 0 to an equal one at its
-        end, it goes through them without stopping.
+        end, it goes through them without stopping. Without keyframes it is the cage at rest.
 
         Args:
             seconds: The time.
@@ -150,6 +167,8 @@ class PoseFile:
             ValueError: If no keyframe has a time, or one has an easing that is not known.
         """
         names = self.timed
+        if not len(self):
+            return self.rest
         if not names:
             raise ValueError("no keyframe has a time")
         times, values = [self.times[name] for name in names], [self._poses[name].vertices for name in names]
@@ -157,8 +176,27 @@ class PoseFile:
         for name, easing in zip(names, easings, strict=True):
             if easing not in EASINGS:
                 raise ValueError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}")
-        closed = self.loop == "loop" and times[0] == 0.0 and np.array_equal(values[0], values[-1])
+        whole = times[0] == 0.0 and times[-1] == self.length
+        closed = self.loop == "loop" and whole and np.array_equal(values[0], values[-1])
         return self.rest.with_vertices(value_at(times, values, seconds, easings, closed=closed))
+
+    def camera_at(self, seconds: float) -> Camera:
+        """The camera at a time of its film; see `warpcage.view.camera_path.camera_at`.
+
+        Args:
+            seconds: The time.
+
+        Returns:
+            The camera.
+
+        Raises:
+            ValueError: If the file has no cameras, or pictures of several sizes.
+        """
+        keys = timed_keys(self.cameras)
+        first, last = keys[0], keys[-1]
+        closed = self.loop == "loop" and first.time == 0.0 and last.time == self.length
+        closed = closed and np.array_equal(first.camera.camera_to_world, last.camera.camera_to_world)
+        return camera_at(keys, seconds, closed=closed)
 
     def save(self, path: PathLike) -> None:
         """Write the file, whole or not at all.
@@ -168,7 +206,7 @@ class PoseFile:
 
         Raises:
             ValueError: For a time or an easing of no keyframe, a time that is not finite, an easing that is no word, a
-                rate that is not positive, or a loop that is not known.
+                rate that is not positive, a loop that is not known, or a camera without a time.
         """
         self._check_moments()
         document = {
@@ -181,6 +219,7 @@ class PoseFile:
             ],
         }  # fmt: skip
         document |= {key: value for key, value in (("fps", self.fps), ("loop", self.loop)) if value is not None}
+        document |= {"cameras": [camera_json(key) for key in self.cameras]} if self.cameras else {}
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
 
@@ -201,6 +240,9 @@ class PoseFile:
             self.fps = checked_positive(self.fps, "fps")
         if self.loop is not None:
             require_name(self.loop, LOOPS, "loop")
+        for index, key in enumerate(self.cameras):
+            if key.time is None:
+                raise ValueError(f"camera {key.name or index} needs a time")
 
     @classmethod
     def load(cls, path: PathLike, rest: Cage | None = None) -> PoseFile:
@@ -241,9 +283,10 @@ class PoseFile:
             file.times = {frame["name"]: frame["time"] for frame in keyframes if "time" in frame}
             file.easings = {frame["name"]: frame["easing"] for frame in keyframes if "easing" in frame}
             file.fps, file.loop = document.get("fps"), document.get("loop")
+            file.cameras = [camera_from_json(entry, index) for index, entry in enumerate(document.get("cameras", []))]
             file._check_moments()
             return file
-        except (KeyError, TypeError, OverflowError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        except _DAMAGED as error:
             raise ValueError(f"{path}: not a pose file: {type(error).__name__} {error}") from None
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
+from ..cage.pose_file import PoseFile
 from ..core.files import require_file
 from ..deform.deformer import Deformer
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
@@ -70,7 +71,8 @@ def run(args: argparse.Namespace) -> None:
     args.timed, args.film_rate = not given & {"motion", "interpolation"}, args.fps if "fps" in given else None
     deformation = read_deformation(args, field, args.interpolation)
     times = set_frames(args, deformation and deformation.film, given)
-    cameras = _chosen_cameras(args, inputs.visible_points(field, deformation, args.frame))
+    film = None if times is None or deformation is None else deformation.camera_film
+    cameras = _chosen_cameras(args, inputs.visible_points(field, deformation, args.frame), film, times or [])
     view.warn_of_edges(args, cameras[0], deformation)
     deformer = None if deformation is None else inputs.make_deformer(field, deformation, args)
     shot = _Shot(field, deformer, deformation, cameras, args, times)
@@ -201,8 +203,14 @@ class _Shot:
         outputs.warn_of_masks({name: sum(shares) / len(shares) for name, shares in self.shares.items()}, "the film")
 
 
-def _chosen_cameras(args: argparse.Namespace, points: np.ndarray) -> list[Camera]:
-    """One camera per frame."""
+def _chosen_cameras(
+    args: argparse.Namespace, points: np.ndarray, film: PoseFile | None, times: list[float]
+) -> list[Camera]:
+    """One camera per frame; that of the film's keys where no option names another."""
+    named = (args.cameras, args.turn, args.camera, args.view, args.eye, args.target)
+    if film is not None and all(one is None for one in named):
+        size = view.image_size(args)
+        return [view.fitted_to(film.camera_at(time), size) for time in times]
     if args.cameras is None:
         camera, pivot = view.chosen_camera(args, points), view.chosen_target(args, points)
         return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)

@@ -78,6 +78,11 @@ class Deformation:
         films = [part.film for part in self.parts if part.film is not None]
         return max(films, key=lambda film: film.length, default=None)
 
+    @property
+    def camera_film(self) -> PoseFile | None:
+        """The first keys at times that hold cameras too, None where none do."""
+        return next((part.film for part in self.parts if part.film is not None and part.film.cameras), None)
+
     def at_time(self, seconds: float) -> list[Cage | None]:
         """The cages at a time of the film. Those without keys at times stay at their last pose."""
         return [

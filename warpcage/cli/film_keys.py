@@ -83,7 +83,7 @@ def read_film(
 
 def _timed(file: PoseFile, path: str) -> PoseFile | None:
     """The file where its keyframes have times."""
-    if not file.times:
+    if not file.times and not (file.cameras and not len(file)):
         return None
     without = [name for name in file.names if name not in file.times]
     if without:
@@ -91,7 +91,7 @@ def _timed(file: PoseFile, path: str) -> PoseFile | None:
             f"{path}: keyframe {without[0]!r} has no time, {file.timed[0]!r} has one: give it one, as in "
             f"warpcage pose CAGE -o {path} --key {without[0]!r} --at SECONDS"
         )
-    if min(file.times.values()) < 0.0:
+    if min(file.times.values(), default=0.0) < 0.0:
         raise ValueError(
             f"{path}: keyframe {file.timed[0]!r} is at {file.times[file.timed[0]]:g} s: a film begins at 0"
         )

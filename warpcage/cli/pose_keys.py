@@ -7,13 +7,14 @@ import pathlib
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
-from . import inputs, pose
+from ..view.camera_path import CameraKey
+from . import inputs, pose, view
 from .film_keys import pose_file, read_film
 from .keyframes import read_pose, read_poses
 from .standing import posed_up
 
 #: Options for pose files alone.
-OPTIONS = ("key", "at", "easing", "posed", "remove", "fps", "loop")
+OPTIONS = ("key", "at", "easing", "posed", "camera", "remove", "fps", "loop")
 
 
 def run(args: argparse.Namespace, output: pathlib.Path) -> None:
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace, output: pathlib.Path) -> None:
         _add_key(file, args)
     file.fps = file.fps if args.fps is None else float(args.fps)
     file.loop = args.loop or file.loop
-    if not len(file):
+    if not len(file) and not file.cameras:
         raise ValueError(f"{str(output)!r} would hold no key: remove the file instead")
     file.save(output)
     print(f"wrote {output}: {_described(file)}")
@@ -46,9 +47,12 @@ def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
     untimed = [other for other in file.names if other != name and other not in file.times]
     if args.at is not None and untimed:
         raise ValueError(f"--at: key {untimed[0]!r} of the file has no time; give all keys times, or none")
-    if name in file and args.posed is None and not args.steps:
-        pass  # another time or easing of the pose that is there
-    else:
+    alone = args.posed is None and not args.steps
+    if args.camera is not None:
+        _add_camera(file, args)
+        if alone:
+            return  # a camera and no pose
+    if name not in file or not alone:  # otherwise another time or easing of the pose that is there
         begin = file.rest if args.posed is None else read_pose(file.rest, args.posed, posed_up(args))
         file[name] = pose.stepped(begin, args)
     if args.at is not None:
@@ -57,13 +61,26 @@ def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
         file.easings[name] = args.easing
 
 
+def _add_camera(file: PoseFile, args: argparse.Namespace) -> None:
+    held = [key for key in file.cameras if key.name == args.key]
+    time = args.at if args.at is not None or not held else held[0].time
+    if time is None:
+        raise ValueError(f"--key {args.key!r} needs --at SECONDS: a camera is reached at a time")
+    easing = args.easing or (held[0].easing if held else "smooth")
+    key = CameraKey(view.named_camera(args.camera), time, args.key, easing)
+    same = [other for other in file.cameras if other.name != args.key and other.time == time]
+    if same:
+        raise ValueError(f"camera {same[0].name!r} of the file is at {time:g} s too: give another time")
+    file.cameras = [other for other in file.cameras if other.name != args.key] + [key]
+
+
 def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
     """All keys of --posed, in the place of those of their names."""
     if args.posed is None:
         if args.at is None and args.easing is None and not args.steps and not args.remove and (args.fps or args.loop):
             return  # rate and loop alone
         raise ValueError("a pose file needs --key NAME, or --posed with a file that moves")
-    for name in ("at", "easing", "steps", "remove"):
+    for name in ("at", "easing", "camera", "steps", "remove"):
         if getattr(args, name):
             raise ValueError(f"{'steps of the pose go' if name == 'steps' else f'--{name} goes'} with --key")
     up = posed_up(args)
@@ -97,20 +114,25 @@ def _shapes(rest: Cage, text: str, up: str | None) -> PoseFile:
 
 
 def _remove(file: PoseFile, args: argparse.Namespace, output: pathlib.Path) -> None:
-    for name in ("at", "easing", "posed", "steps"):
+    for name in ("at", "easing", "posed", "camera", "steps"):
         if getattr(args, name):
             raise ValueError(f"--remove takes a key out: leave {'the steps' if name == 'steps' else f'--{name}'} out")
-    if args.key not in file:
+    cameras = [key for key in file.cameras if key.name != args.key]
+    if args.key not in file and len(cameras) == len(file.cameras):
         raise ValueError(f"{output}: there is no key {args.key!r} to remove")
-    del file[args.key]
+    file.cameras = cameras
+    if args.key in file:
+        del file[args.key]
 
 
 def _described(file: PoseFile) -> str:
     """The keys and the film in a line."""
-    if not file.times:
+    if not file.times and not file.cameras:
         return f"{len(file)} keys without times: {', '.join(file.names)}"
     names = [f"{name} at {file.times[name]:g} s" for name in file.timed]
     shown = names if len(names) <= 8 else [*names[:3], "...", names[-1]]
     end = f", {file.loop}" if file.loop else ""
     rate = f", {file.fps:g} frames a second" if file.fps else ""
-    return f"{len(file)} keys over {file.length:g} s{rate}{end}: {', '.join(shown)}"
+    cameras = [f"{key.name or 'camera'} at {key.time:g} s" for key in file.cameras]
+    shown += [f"cameras {', '.join(cameras[:8])}"] if cameras else []
+    return f"{len(file) + len(cameras)} keys over {file.length:g} s{rate}{end}: {', '.join(shown)}"

@@ -66,6 +66,13 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
     return Camera.look_at(eye, target, **view)
 
 
+def named_camera(text: str) -> Camera:
+    """The camera that FILE[:NAME] or SCENE:[SPLIT:]INDEX names, at its own size."""
+    if named := camera_file(text):
+        return Camera.load(*named)
+    return scene_camera(text)
+
+
 def camera_file(text: str) -> tuple[str, str] | None:
     """File and name of a camera ("" for all) where a word names a camera file, None for other words."""
     found = re.fullmatch(r"(.+\.(?:json|glb|gltf))(?::(.*))?", text, re.IGNORECASE)

@@ -97,7 +97,11 @@ class CameraFile(list[CameraKey]):
             raise ValueError(f"camera file {str(path)!r} must end in .json")
         if not self:
             raise ValueError("a camera file needs at least one camera")
-        document: dict[str, Any] = {"format": _FORMAT, "version": _VERSION, "cameras": [_as_json(key) for key in self]}
+        document: dict[str, Any] = {
+            "format": _FORMAT,
+            "version": _VERSION,
+            "cameras": [camera_json(key) for key in self],
+        }
         document |= {name: value for name, value in (("fps", self.fps), ("loop", self.loop)) if value is not None}
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
@@ -132,7 +136,7 @@ class CameraFile(list[CameraKey]):
             cameras = document["cameras"]
             if not isinstance(cameras, list) or not cameras:
                 raise ValueError("its cameras must be a list of at least one")
-            keys = [_from_json(entry, index) for index, entry in enumerate(cameras)]
+            keys = [camera_from_json(entry, index) for index, entry in enumerate(cameras)]
             return cls(keys, fps=document.get("fps"), loop=document.get("loop"))
         except (KeyError, TypeError, OverflowError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
             raise ValueError(f"{path}: not a camera file: {type(error).__name__} {error}") from None
@@ -140,7 +144,8 @@ class CameraFile(list[CameraKey]):
             raise ValueError(f"{path}: {error}") from None
 
 
-def _as_json(key: CameraKey) -> dict[str, Any]:
+def camera_json(key: CameraKey) -> dict[str, Any]:
+    """A camera key as JSON takes it; see `CameraFile.save`."""
     camera = key.camera
     entry: dict[str, Any] = {"name": key.name} if key.name else {}
     entry |= {} if key.time is None else {"time": key.time}
@@ -150,7 +155,8 @@ def _as_json(key: CameraKey) -> dict[str, Any]:
     return entry if key.target is None else entry | {"target": key.target.tolist()}
 
 
-def _from_json(entry: dict[str, Any], index: int) -> CameraKey:
+def camera_from_json(entry: dict[str, Any], index: int) -> CameraKey:
+    """A camera key from JSON. Raises ValueError for numbers that cannot be; index: what it is called without a name."""
     name = entry.get("name", "")
     if not isinstance(name, str):
         raise ValueError(f"the name of camera {index} must be a text, got {str(name)[:40]!r}")

@@ -16,6 +16,7 @@ EXAMPLE = """\
   warpcage pose cage.obj -o poses.json --key start --at 0
   warpcage pose cage.obj -o poses.json --key bow --at 1.5 --easing hold --bend 40 --axis x
   warpcage pose cage.obj -o poses.json --key up --at 2 --posed from_blender.obj --loop ping-pong
+  warpcage pose cage.obj -o poses.json --key "from above" --at 2 --camera above.json
   warpcage pose cage.obj -o poses.json --posed walk.glb
 
 Steps are applied in the order given. --axis, --towards, --limits and --centre apply to all steps of one call: run the
@@ -142,6 +143,12 @@ def _add_keys(parser: argparse.ArgumentParser) -> None:
         metavar="POSED",
         help="begin with this pose instead of the cage at rest: a cage file, a key of a pose file, or a preset. "
         "Without --key: all keys of an animated glTF file, of its shapes, or of numbered files (walk_####.obj)",
+    )
+    group.add_argument(
+        "--camera",
+        metavar="FILE[:NAME]|SCENE:[SPLIT:]INDEX",
+        help="the camera of the film at this key: of a camera file (render --save-camera writes one) or of a scene's "
+        "picture; without steps and --posed it is a key of the camera alone",
     )
     group.add_argument("--remove", action="store_true", help="take the key out of the file")
     group.add_argument("--fps", type=options.positive_fraction, metavar="RATE", help="frames per second of the film")
