@@ -1,12 +1,25 @@
 """Float64 NumPy versions of the voxel field's formulas, written plainly."""
 
 import numpy as np
+import pytest
+
+#: Harmonics of red, green and blue, and of luminance with differences of colour.
+both_kinds = pytest.mark.parametrize("numbers", [(9, 3), (24,)], ids=["rgb", "luminance"])
 
 
 def random_field(
-    device, resolution=(7, 6, 8), seed=0, keep=0.5, bounds=((-1.0, -0.6, -0.8), (1.1, 1.2, 1.6)), density_scale=3.0
+    device,
+    resolution=(7, 6, 8),
+    seed=0,
+    keep=0.5,
+    bounds=((-1.0, -0.6, -0.8), (1.1, 1.2, 1.6)),
+    density_scale=3.0,
+    numbers=(9, 3),
 ):
-    """A VoxelField with random values at a random share of its nodes, and its dense float64 arrays."""
+    """A VoxelField with random values at a random share of its nodes, and its dense float64 arrays.
+
+    numbers: (9, 3) harmonics of red, green and blue, or (24,) of luminance and differences of colour.
+    """
     from warpcage import VoxelField
 
     random = np.random.default_rng(seed)
@@ -14,21 +27,21 @@ def random_field(
     links = np.full(resolution, -1, np.int32)
     links[mask] = np.arange(mask.sum())
     density = random.normal(0.5, 1.0, mask.sum()) * density_scale
-    sh = random.normal(0, 0.4, (mask.sum(), 9, 3))
+    sh = random.normal(0, 0.4, (mask.sum(), *numbers))
     field = VoxelField(bounds, links, density, sh, device=device)
-    dense_density, dense_sh = np.zeros(resolution), np.zeros((*resolution, 9, 3))
+    dense_density, dense_sh = np.zeros(resolution), np.zeros((*resolution, *numbers))
     dense_density[mask], dense_sh[mask] = density.astype(np.float32), sh.astype(np.float32)
     return field, dense_density, dense_sh
 
 
-def basis(directions):
-    """(n, 9) real spherical harmonics from their definition by associated Legendre functions, svox2's signs."""
+def basis(directions, degrees=3):
+    """(n, degrees^2) real spherical harmonics from their definition by associated Legendre functions, svox2's signs."""
     from scipy.special import sph_harm_y
 
     theta = np.arccos(np.clip(directions[:, 2], -1, 1))
     phi = np.arctan2(directions[:, 1], directions[:, 0])
     columns = []
-    for degree in range(3):
+    for degree in range(degrees):
         for order in range(-degree, degree + 1):
             value = sph_harm_y(degree, abs(order), theta, phi)
             # SciPy's complex harmonics carry the Condon-Shortley phase; svox2's real ones keep that sign
@@ -39,6 +52,16 @@ def basis(directions):
             else:
                 columns.append(np.sqrt(2) * value.real)
     return np.stack(columns, axis=-1)
+
+
+def colours(sh, directions):
+    """(n, 3) colours before the clamp of rows (n, 9, 3), or (n, 24) of Y, O and G: Y + O - G/2, Y + G, Y - O - G/2."""
+    if sh.ndim == 3:
+        return np.einsum("nbc,nb->nc", sh, basis(directions)) + 0.5
+    functions = basis(directions, 4)
+    y = (sh[:, :16] * functions).sum(axis=1)
+    orange, green = ((sh[:, first : first + 4] * functions[:, :4]).sum(axis=1) for first in (16, 20))
+    return np.stack([y + orange - green / 2, y + green, y - orange - green / 2], axis=1) + 0.5
 
 
 def interpolate(dense, node_coordinates):
@@ -59,7 +82,7 @@ def interpolate(dense, node_coordinates):
 
 def sample(field, density, sh, points, directions):
     g = (points - field.bounds[0]) / field.voxel_size - 0.5
-    colour = np.einsum("nbc,nb->nc", interpolate(sh, g), basis(directions)) + 0.5
+    colour = colours(interpolate(sh, g), directions)
     return np.maximum(colour, 0), np.maximum(interpolate(density, g), 0)
 
 

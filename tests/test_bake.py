@@ -2,6 +2,7 @@
 
 import inspect
 
+import field_oracles as oracle
 import numpy as np
 import pytest
 from background_oracles import random_background
@@ -74,6 +75,25 @@ def test_a_bent_scene_baked_and_saved_looks_like_the_live_one(format, device, tm
     baked.save(path, format=format)
     read = VoxelField.load(path, device=device)
     assert psnr(read.render(camera).rgb, baked.render(camera).rgb) > 50
+
+
+@oracle.both_kinds
+def test_baked_harmonics_are_turned(numbers, device):
+    """One colour of all degrees everywhere: a turned cage shows it from the other side."""
+    sh = np.random.default_rng(0).normal(0, 0.3, numbers)
+    links = np.arange(24**3, dtype=np.int32).reshape(24, 24, 24)
+    field = VoxelField(
+        [[-1] * 3, [1] * 3], links, np.full(links.size, 3.0), np.broadcast_to(sh, (links.size, *numbers)), device=device
+    )
+    box = Cage.box([-0.7] * 3, [0.7] * 3)
+    turn = rotation(40, 73)
+    baked = bake(Deformer(field, box, resolution=32).pose(box.with_vertices(box.vertices @ turn.T)))
+    d = np.random.default_rng(1).normal(size=(200, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    points = np.random.default_rng(2).uniform(-0.3, 0.3, (200, 3))
+    expected = np.maximum(oracle.colours(np.broadcast_to(sh, (200, *numbers)), d @ turn), 0)
+    np.testing.assert_allclose(baked.sample(points, d)[0], expected, atol=2e-3)
+    np.testing.assert_allclose(baked.sample(10 * points + 9, d)[1], 0)
 
 
 def test_edits_and_what_is_not_deformed_are_baked_too(device):

@@ -9,6 +9,7 @@ from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
+from warpcage.field.sparse import harmonics_on_host
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.pictures import read_image, write_png
 
@@ -216,7 +217,7 @@ def test_fields_of_scaled_scenes_come_back_to_scale(files, tmp_path, capsys):
         ball.bounds * 2 / 3,
         ball.grid.links.numpy(),
         ball.grid.density.numpy() * 1.5,
-        ball.grid.sh.numpy().transpose(0, 2, 1),
+        harmonics_on_host(ball.grid.sh),
     )
     small.save(tmp_path / "small.npz", format="svox2")
     view = [*SMALL, "--camera", "@scene:test:1"]

@@ -8,6 +8,7 @@ from deformed_scenes import BOX, make_field, psnr, shiny_field, view
 
 import warpcage
 from warpcage.field import marching
+from warpcage.field.sparse import harmonics_on_host
 from warpcage.field.shading import PACKED_WORDS, ColumnTable, row_table, shaded_grid
 from warpcage.reference.fit_scenes import synthetic_scene
 
@@ -24,6 +25,10 @@ def path(request, monkeypatch):
     return request.param
 
 
+def random_field(device, numbers):
+    return oracle.random_field(device, resolution=(24, 20, 22), keep=0.6, density_scale=0.8, numbers=numbers)
+
+
 def camera_at(eye, field, size=12):
     return warpcage.Camera.look_at(field.center + eye, field.center, width=size, height=size, fov_degrees=50)
 
@@ -36,30 +41,36 @@ def brute_force(field, density, sh, camera):
     return np.array([ray[0] for ray in rays]).reshape(camera.height, camera.width, 3)
 
 
+@oracle.both_kinds
 @pytest.mark.parametrize("eye", ["away", "beside"])
-def test_a_random_field_is_what_float64_sees(eye, path, device):
+def test_a_random_field_is_what_float64_sees(eye, numbers, path, device):
     """Colours that differ from voxel to voxel and from side to side as no scene's do."""
-    field, density, sh = oracle.random_field(device, resolution=(24, 20, 22), keep=0.6, density_scale=0.8)
+    field, density, sh = random_field(device, numbers)
     camera = camera_at(EYES[eye], field)
-    assert psnr(field.render(camera, background="black").rgb, brute_force(field, density, sh, camera)) > 55
+    # nearer than voxels are shaded for (NEAR_VOXELS), degree 3 changes more within one
+    least = 50 if (eye, path, len(numbers)) == ("beside", "shaded", 1) else 55
+    assert psnr(field.render(camera, background="black").rgb, brute_force(field, density, sh, camera)) > least
 
 
 @pytest.mark.parametrize("eye", EYES)
 def test_the_way_that_is_chosen_is_near_float64(eye, device):
-    field, density, sh = oracle.random_field(device, resolution=(24, 20, 22), keep=0.6, density_scale=0.8)
+    field, density, sh = random_field(device, (9, 3))
     camera = camera_at(EYES[eye], field, size=14)
     assert psnr(field.render(camera, background="black").rgb, brute_force(field, density, sh, camera)) > 55
 
 
-def test_a_deformed_frame_of_a_random_field_is_what_float64_sees(device):
-    """A cage at rest: the field itself, by the kernels for one edit and for several."""
-    field, density, sh = oracle.random_field(device, resolution=(24, 20, 22), keep=0.6, density_scale=0.8)
+@oracle.both_kinds
+def test_a_deformed_frame_of_a_random_field_is_what_float64_sees(numbers, device):
+    """A cage at rest: the field itself, by the kernels for one edit and for several, and evaluated at each sample."""
+    field, density, sh = random_field(device, numbers)
     camera = camera_at(EYES["away"], field)
     truth = brute_force(field, density, sh, camera)
     cage = warpcage.Cage.box(*(field.bounds + [[-0.1], [0.1]]))
     for rest in (cage, [cage, cage]):
         deformer = warpcage.Deformer(field, rest, resolution=24)
         assert psnr(deformer.render(camera, background="black").rgb, truth) > 55
+    precise = warpcage.Deformer(field, cage, coordinates="mean_value", resolution=None)
+    assert psnr(precise.render(camera, background="black").rgb, truth) > 55
 
 
 def permuted(field, seed=1):
@@ -70,7 +81,7 @@ def permuted(field, seed=1):
         field.bounds,
         np.where(links >= 0, order[np.maximum(links, 0)], -1).astype(np.int32),
         grid.density.numpy()[np.argsort(order)],
-        grid.sh.numpy().transpose(0, 2, 1)[np.argsort(order)],
+        harmonics_on_host(grid.sh)[np.argsort(order)],
         device=field.device,
     )
 
@@ -94,7 +105,7 @@ def fresh_frames(field, deformer, camera):
     grid = field.grid
     copies = [array.numpy() for array in (grid.links, grid.density)]
     new = warpcage.VoxelField(
-        field.bounds, *copies, grid.sh.numpy().transpose(0, 2, 1), device=field.device, **field.view_options()
+        field.bounds, *copies, harmonics_on_host(grid.sh), device=field.device, **field.view_options()
     )
     posed = warpcage.Deformer(new, deformer.edits, resolution=deformer.resolution).pose(deformer.deformed)
     return new.render(camera).rgb, posed.render(camera).rgb

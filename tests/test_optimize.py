@@ -12,7 +12,7 @@ import warp as wp
 import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.fitting.evaluation import error_image, evaluate, mean_psnr, psnr, ssim
-from warpcage.fitting.level import coefficient_rows, gradient_parts
+from warpcage.fitting.level import gradient_parts
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.fitting.silhouettes import object_bounds
 from warpcage.kernels.fitting import background_loss
@@ -50,9 +50,9 @@ def photometric_gradient(
     own_background=None,
     grad_background=None,
 ):
-    """Gradient rows (rows, 28) and squared errors (count,) of a batch. own_background, grad_background: Warp arrays."""
+    """Gradient rows (rows, 25) and squared errors (count,) of a batch. own_background, grad_background: Warp arrays."""
     device = field.device
-    gradients = wp.zeros((field.voxel_count, 28), dtype=wp.float32, device=device)
+    gradients = wp.zeros((field.voxel_count, 25), dtype=wp.float32, device=device)
     touched = wp.zeros(field.voxel_count, dtype=wp.uint8, device=device)
     error = wp.zeros(count, dtype=wp.float32, device=device)
     inputs = [rays, wp.vec3(*background), random_background, seed, field.step, stop, scale, own_background]
@@ -62,7 +62,7 @@ def photometric_gradient(
             dim=32 * count,
             device=device,
             block_dim=128,
-            inputs=[0, field.grid, coefficient_rows(field.grid.sh), *inputs],
+            inputs=[0, field.grid, *inputs],
             outputs=[gradients, touched, error, grad_background],
         )
         assert touched.numpy()[gradients.numpy().any(axis=1)].all()
@@ -79,7 +79,7 @@ def photometric_gradient(
 
 def test_photometric_gradient_matches_finite_differences(device):
     field, density, sh = oracle.random_field(
-        device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0
+        device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0, numbers=(24,)
     )
     cameras = [
         warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=38, width=8, height=6)
@@ -114,30 +114,30 @@ def test_photometric_gradient_matches_finite_differences(device):
     assert abs(error.sum() * scale - loss(density, sh)) < 1e-5
     links = field.grid.links.numpy()
     nodes = random.permutation(np.argwhere(links >= 0))[:6]
-    for values, choices in ((density, [()] * 6), (sh, [(random.integers(9), random.integers(3)) for _ in range(3)])):
+    for values, choices in ((density, [()] * 6), (sh, [(random.integers(16),), (random.integers(16, 20),), (random.integers(20, 24),)])):
         for node, choice in zip(map(tuple, nodes), choices, strict=False):
-            number = 27 if choice == () else 9 * choice[1] + choice[0]
+            number = 24 if choice == () else choice[0]
             difference = []
             for sign in (1, -1):
                 changed = values.copy()
                 changed[(*node, *choice)] += sign * 1e-4
                 difference.append(loss(changed, sh) if values is density else loss(density, changed))
             expected = (difference[0] - difference[1]) / 2e-4
-            largest = np.abs(gradients[:, 27] if choice == () else gradients[:, :27]).max()
+            largest = np.abs(gradients[:, 24] if choice == () else gradients[:, :24]).max()
             assert abs(gradients[links[node], number] - expected) < 1e-3 * largest + 1e-3 * abs(expected)
 
 
 def test_gradient_of_subrays_matches_finite_differences(device):
     field, _, _ = oracle.random_field(
-        device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0
+        device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0, numbers=(24,)
     )
     camera = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=8, height=6)
     random = np.random.default_rng(0)
     rays = training_rays([camera], random.random((1, 6, 8, 3)), np.ones((1, 6, 8)), field, device, 2)
     field.grid.density.assign(np.abs(field.grid.density.numpy()) + 0.2)  # differences stay clear of the ReLU's kink
     gradients, _ = photometric_gradient(field, rays, 48, seed=4)
-    coefficients, density = coefficient_rows(field.grid.sh), field.grid.density
-    for array, numbers in ((coefficients, [(3, 0), (10, 13), (20, 26)]), (density, [(5,), (16,)])):
+    coefficients, density = field.grid.sh, field.grid.density
+    for array, numbers in ((coefficients, [(3, 0), (10, 13), (15, 18), (20, 22)]), (density, [(5,), (16,)])):
         values = array.numpy().copy()
         for index in numbers:
             ends = []
@@ -147,7 +147,7 @@ def test_gradient_of_subrays_matches_finite_differences(device):
                 array.assign(changed)
                 ends.append(photometric_gradient(field, rays, 48, seed=4)[1].astype(np.float64).sum())
             array.assign(values)
-            found = gradients[index[0], index[1] if len(index) == 2 else 27]
+            found = gradients[index[0], index[1] if len(index) == 2 else 24]
             assert abs(found - (ends[0] - ends[1]) / 1e-2) < 2e-2 * abs(found) + 2e-3
 
 
@@ -155,7 +155,7 @@ def test_gradient_of_subrays_matches_finite_differences(device):
 def test_gradient_by_warps_is_the_same(device, side):
     if device == "cpu":
         pytest.skip("warp shuffles: CUDA only")
-    field, _, _ = oracle.random_field(device, resolution=(40, 36, 44), keep=0.6, density_scale=1.5)
+    field, _, _ = oracle.random_field(device, resolution=(40, 36, 44), keep=0.6, density_scale=1.5, numbers=(24,))
     cameras = [
         warpcage.Camera.look_at(eye, [0, 0, 0.3], fov_degrees=60, width=7, height=5)
         for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2], [0.1, 0.2, 0.3])
@@ -171,7 +171,7 @@ def test_gradient_by_warps_is_the_same(device, side):
 
 def test_subrays_fill_their_pixel(device):
     """Four rays a pixel are nearer to the area's average than to the middle."""
-    field, _, _ = oracle.random_field(device, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0)
+    field, _, _ = oracle.random_field(device, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0, numbers=(24,))
     camera = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=8, height=6)
     fine = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=64, height=48)
     whole = field.render(fine, background="white").rgb.reshape(6, 8, 8, 8, 3).mean(axis=(1, 3))
@@ -186,7 +186,7 @@ def test_subrays_fill_their_pixel(device):
 
 def test_random_backgrounds_reward_the_right_alpha(device):
     """With the image's own colour and alpha rendered, no background leaves an error; with another alpha, all do."""
-    field, _, _ = oracle.random_field(device, bounds=((-1,) * 3, (1,) * 3))
+    field, _, _ = oracle.random_field(device, bounds=((-1,) * 3, (1,) * 3), numbers=(24,))
     cameras = [warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=8, height=6)]
     frame = field.render(cameras[0], background="black")
     seen = frame.rgb + (1 - frame.alpha[..., None])  # composited on white
@@ -197,26 +197,26 @@ def test_random_backgrounds_reward_the_right_alpha(device):
 
 
 def test_variation_gradient_matches_finite_differences(device):
-    field, density, sh = oracle.random_field(device, resolution=(5, 4, 6), keep=0.6)
+    field, density, sh = oracle.random_field(device, resolution=(5, 4, 6), keep=0.6, numbers=(24,))
     links = field.grid.links.numpy()
     nodes = np.argwhere(links >= 0).astype(np.int32)
     rows = field.voxel_count
-    gradients = wp.zeros((rows, 28), dtype=wp.float32, device=device)
+    gradients = wp.zeros((rows, 25), dtype=wp.float32, device=device)
     touched = wp.zeros(rows, dtype=wp.uint8, device=device)
-    unit, scale_density, scale_sh = 0.7, 0.3, 0.2
+    unit, scale_density, scale_sh, scale_directional = 0.7, 0.3, 0.2, 0.9
     wp.launch(
         field_variation.accumulate_variation_gradient,
-        dim=28 * rows,
+        dim=25 * rows,
         device=device,
         inputs=[
             0,
             field.grid,
-            coefficient_rows(field.grid.sh),
             wp.array(nodes, dtype=wp.vec3i, device=device),
             3,
             unit,
             scale_density,
             scale_sh,
+            scale_directional,
         ],
         outputs=[gradients, touched],
     )
@@ -238,8 +238,11 @@ def test_variation_gradient_matches_finite_differences(device):
     for row in (0, rows // 2, rows - 1):
         node = tuple(nodes[row])
         for values, gradient, scale, index in (
-            (density[..., None] / unit, gradients[row, 27], scale_density / unit, 0),
-            (sh.reshape(*links.shape, 27), gradients[row, 9 * (14 % 3) + 14 // 3], scale_sh, 14),
+            (density[..., None] / unit, gradients[row, 24], scale_density / unit, 0),
+            (sh, gradients[row, 0], scale_sh, 0),
+            (sh, gradients[row, 14], scale_directional, 14),
+            (sh, gradients[row, 20], scale_sh, 20),
+            (sh, gradients[row, 23], scale_directional, 23),
         ):
             difference = []
             for sign in (1, -1):
@@ -251,30 +254,31 @@ def test_variation_gradient_matches_finite_differences(device):
 
 def test_rmsprop_step_matches_numpy(device):
     random = np.random.default_rng(0)
-    values, moments = random.normal(size=(12, 28)), np.zeros((12, 28))
-    density = wp.array(values[:, 27].astype(np.float32), device=device)
-    coefficients = wp.array(values[:, :27].astype(np.float32), device=device)
-    held_moments = wp.zeros((12, 28), dtype=wp.bfloat16, device=device)
-    rates = np.full(28, 0.2)
-    rates[0:27:9], rates[27] = 0.5, 0.7
+    values, moments = random.normal(size=(12, 25)), np.zeros((12, 25))
+    density = wp.array(values[:, 24].astype(np.float32), device=device)
+    coefficients = wp.array(values[:, :24].astype(np.float32), device=device)
+    held_moments = wp.zeros((12, 25), dtype=wp.bfloat16, device=device)
+    rates = np.full(25, 0.7)  # by degree: Y of 0 to 3, then O and G of 0 and 1; density
+    degrees = [0] + [1] * 3 + [2] * 5 + [3] * 7 + [0, 1, 1, 1] * 2
+    rates[:24] = np.array([0.5, 0.2, 0.1, 0.05])[degrees]
     for _ in range(3):
-        g = np.where(random.random((12, 28)) < 0.3, 0.0, random.normal(size=(12, 28)))
+        g = np.where(random.random((12, 25)) < 0.3, 0.0, random.normal(size=(12, 25)))
         g[3:5] = 0
         gradients = wp.array(g.astype(np.float32), device=device)
         touched = wp.array((g != 0).any(axis=1).astype(np.uint8), device=device)
         wp.launch(
             field_step.apply_rmsprop,
-            dim=12 * 28,
+            dim=12 * 25,
             device=device,
-            inputs=[0, 0.7, 0.5, 0.2, 0.9, 1e-12, 1e-12, touched, gradients, held_moments],
+            inputs=[0, 0.7, wp.vec4(0.5, 0.2, 0.1, 0.05), 0.9, 1e-12, 1e-12, touched, gradients, held_moments],
             outputs=[density, coefficients],
         )
         assert not gradients.numpy().any()
         v = np.where(moments == 0, g * g, 0.9 * moments + 0.1 * g * g)
         moments = np.where(g != 0, v, moments)
         values -= np.where(g != 0, rates * g / (np.sqrt(np.where(v > 0, v, 1)) + 1e-12), 0)
-    np.testing.assert_allclose(coefficients.numpy(), values[:, :27], atol=1e-2)
-    np.testing.assert_allclose(density.numpy(), values[:, 27], atol=1e-2)
+    np.testing.assert_allclose(coefficients.numpy(), values[:, :24], atol=1e-2)
+    np.testing.assert_allclose(density.numpy(), values[:, 24], atol=1e-2)
 
 
 def test_layers_and_voxels_step_alike(device):
@@ -282,13 +286,13 @@ def test_layers_and_voxels_step_alike(device):
     random = np.random.default_rng(1)
     start, g = (random.normal(size=12).astype(np.float32) for _ in range(2))
     g[::4] = 0
-    rows = np.zeros((12, 28), np.float32)
-    rows[:, 27] = g
+    rows = np.zeros((12, 25), np.float32)
+    rows[:, 24] = g
     density = wp.array(start, device=device)
-    inputs = [0, 0.3, 0.0, 0.0, 0.9, 1e-12, 1e-12, wp.ones(12, dtype=wp.uint8, device=device)]
-    inputs += [wp.array(rows, device=device), wp.zeros((12, 28), dtype=wp.bfloat16, device=device)]
-    coefficients = wp.zeros((12, 27), dtype=wp.float32, device=device)
-    wp.launch(field_step.apply_rmsprop, dim=12 * 28, device=device, inputs=inputs, outputs=[density, coefficients])
+    inputs = [0, 0.3, wp.vec4(), 0.9, 1e-12, 1e-12, wp.ones(12, dtype=wp.uint8, device=device)]
+    inputs += [wp.array(rows, device=device), wp.zeros((12, 25), dtype=wp.bfloat16, device=device)]
+    coefficients = wp.zeros((12, 24), dtype=wp.float32, device=device)
+    wp.launch(field_step.apply_rmsprop, dim=12 * 25, device=device, inputs=inputs, outputs=[density, coefficients])
     values, held = wp.array(start, device=device), wp.zeros(12, dtype=wp.float32, device=device)
     expected, moments = start.astype(np.float64), np.zeros(12)
     for step in range(3):

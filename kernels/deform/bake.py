@@ -3,7 +3,7 @@
 A node of the new grid takes density and spherical harmonics of its canonical point ("Deforming Radiance Fields with
 Cages", ECCV 2022, Eq. 5). Harmonics f(d) become f(R d), R the rotation in the polar decomposition of the map's
 Jacobian J: band 1 is a linear form in d and turns as a vector, band 2 a traceless quadratic form d^T S d and becomes
-R^T S R. Where optical depth is taken in canonical arc length (|J d| of a step in direction d), the density takes the
+R^T S R, band 3 follows from its values in seven directions. Where optical depth is taken in canonical arc length (|J d| of a step in direction d), the density takes the
 root mean square of |J d| over all directions, sqrt(tr(J^T J) / 3), as a voxel has one density for all of them.
 Needs: deform/edits, field/grid, field/harmonics.
 """
@@ -11,15 +11,42 @@ Needs: deform/edits, field/grid, field/harmonics.
 import warp as wp
 
 from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position
-from ..field.harmonics import vec9
+from ..field.harmonics import LUMINANCE_NUMBERS, sh_basis, vec16
 from .edits import CLEARED, MAPPED, CanonicalPoint, LatticeEdit, canonical_point, canonical_step
 
 wp.set_module_options({"enable_backward": False})
 
+vec5 = wp.types.vector(length=5, dtype=wp.float32)
+vec7 = wp.types.vector(length=7, dtype=wp.float32)
+vec27 = wp.types.vector(length=27, dtype=wp.float32)
+mat73 = wp.types.matrix(shape=(7, 3), dtype=wp.float32)
+mat77 = wp.types.matrix(shape=(7, 7), dtype=wp.float32)
+
 #: sh_basis: band 1 is -A y, A z, -A x; band 2 B xy, -B yz, C (2 z^2 - x^2 - y^2), -B xz, B / 2 (x^2 - y^2).
-A = wp.constant(0.4886025119029199)
 B = wp.constant(1.0925484305920792)
 C = wp.constant(0.31539156525252005)
+
+#: Seven directions in which band 3 is well told apart (condition 2.4), and the inverse of its functions there.
+# fmt: off
+PROBES = wp.constant(mat73(
+    0.7071067811865476, 0.7071067811865476, 0.0,
+    1.0, 0.0, 0.0,
+    0.7071067811865476, 0.0, -0.7071067811865476,
+    0.5773502691896258, -0.5773502691896258, 0.5773502691896258,
+    0.0, 0.7071067811865476, 0.7071067811865476,
+    0.0, 1.0, 0.0,
+    0.0, 0.0, 1.0,
+))
+TAKEN_APART = wp.constant(mat77(
+    -0.599198765, -0.211848755, -0.599198765, 0.0, 0.599198765, 1.059243776, 0.211848755,
+    0.0, -0.691895137, 0.0, -1.797596296, 0.0, 0.691895137, -0.691895137,
+    0.77356228, 0.273495567, 0.77356228, 0.0, -0.77356228, 0.820486701, -0.273495567,
+    0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.339849171,
+    0.77356228, 0.820486701, -0.77356228, 0.0, 0.77356228, 0.273495567, 0.273495567,
+    -0.978487486, -0.345947568, -0.978487486, 0.0, -0.978487486, -0.345947568, 0.0,
+    0.599198765, -1.059243776, -0.599198765, 0.0, 0.599198765, 0.211848755, 0.211848755,
+))
+# fmt: on
 
 
 @wp.func
@@ -80,27 +107,65 @@ def nearest_rotation(jacobian: wp.mat33):
 
 
 @wp.func
-def rotated_harmonics(c: vec9, r: wp.mat33):
-    """Coefficients of d -> f(R d) from those of f."""
-    vector = wp.transpose(r) * (A * wp.vec3(-c[3], -c[1], c[2]))
-    xx = -C * c[6] + 0.5 * B * c[8]
-    yy = -C * c[6] - 0.5 * B * c[8]
-    zz = 2.0 * C * c[6]
-    xy = 0.5 * B * c[4]
-    yz = -0.5 * B * c[5]
-    xz = -0.5 * B * c[7]
+def rotated_vector(c: wp.vec3, r: wp.mat33):
+    """Coefficients of band 1 of d -> f(R d) from those of f."""
+    v = wp.transpose(r) * wp.vec3(-c[2], -c[0], c[1])
+    return wp.vec3(-v[1], v[2], -v[0])
+
+
+@wp.func
+def rotated_form(c: vec5, r: wp.mat33):
+    """The same of band 2."""
+    xx = -C * c[2] + 0.5 * B * c[4]
+    yy = -C * c[2] - 0.5 * B * c[4]
+    zz = 2.0 * C * c[2]
+    xy = 0.5 * B * c[0]
+    yz = -0.5 * B * c[1]
+    xz = -0.5 * B * c[3]
     form = wp.transpose(r) * wp.mat33(xx, xy, xz, xy, yy, yz, xz, yz, zz) * r
-    return vec9(
-        c[0],
-        -vector[1] / A,
-        vector[2] / A,
-        -vector[0] / A,
+    return vec5(
         2.0 * form[0, 1] / B,
         -2.0 * form[1, 2] / B,
         form[2, 2] / (2.0 * C),
         -2.0 * form[0, 2] / B,
         (form[0, 0] - form[1, 1]) / B,
     )
+
+
+@wp.func
+def rotated_cubic(c: vec7, r: wp.mat33):
+    """The same of band 3: what f is in seven turned directions, taken apart again."""
+    values = vec7()
+    for i in range(7):
+        basis = sh_basis(r * wp.vec3(PROBES[i, 0], PROBES[i, 1], PROBES[i, 2]))
+        for m in range(7):
+            values[i] += c[m] * basis[9 + m]
+    return TAKEN_APART * values
+
+
+@wp.func
+def rotated_harmonics(c: vec27, first: int, bands: int, r: wp.mat33):
+    """Numbers of d -> f(R d) from those of f, a function of bands 0 to `bands` whose coefficients begin at `first`."""
+    result = vec16()
+    result[0] = c[first]
+    vector = rotated_vector(wp.vec3(c[first + 1], c[first + 2], c[first + 3]), r)
+    for m in range(3):
+        result[1 + m] = vector[m]
+    if bands > 1:
+        form = vec5()
+        for m in range(5):
+            form[m] = c[first + 4 + m]
+        form = rotated_form(form, r)
+        for m in range(5):
+            result[4 + m] = form[m]
+    if bands > 2:
+        cubic = vec7()
+        for m in range(7):
+            cubic[m] = c[first + 9 + m]
+        cubic = rotated_cubic(cubic, r)
+        for m in range(7):
+            result[9 + m] = cubic[m]
+    return result
 
 
 @wp.kernel
@@ -114,9 +179,9 @@ def bake_nodes(
     dt: float,
     arc_opacity: int,
     density: wp.array(dtype=wp.float32),
-    sh: wp.array2d(dtype=vec9),
+    sh: wp.array2d(dtype=wp.float32),
 ):
-    """Density (rows,) before the ReLU and harmonics (rows, rgb) of the deformed scene at nodes (rows,).
+    """Density (rows,) before the ReLU and harmonics (rows, 24 or 27) of the deformed scene at nodes (rows,).
 
     dt: of the differences, world units. arc_opacity: 1 where optical depth is in canonical arc length.
     """
@@ -133,9 +198,17 @@ def bake_nodes(
         if arc_opacity == 1:
             stretch = wp.sqrt(wp.ddot(jacobian, jacobian) / 3.0)
     density[n] = stretch * cell_density(grid, cell)
-    for channel in range(3):
-        coefficients = vec9()
+    numbers = vec27()
+    for number in range(sh.shape[1]):
         for c in range(8):
             if cell.rows[c] >= 0:
-                coefficients += cell.weights[c] * grid.sh[cell.rows[c], channel]
-        sh[n, channel] = rotated_harmonics(coefficients, rotation)
+                numbers[number] += cell.weights[c] * grid.sh[cell.rows[c], number]
+    luminous = sh.shape[1] == LUMINANCE_NUMBERS
+    begin = int(0)
+    for part in range(3):  # luminance, orange, green; or red, green, blue
+        bands = wp.where(luminous, wp.where(part == 0, 3, 1), 2)
+        turned = rotated_harmonics(numbers, begin, bands, rotation)
+        count = (bands + 1) * (bands + 1)
+        for m in range(count):
+            sh[n, begin + m] = turned[m]
+        begin += count

@@ -1,7 +1,8 @@
 """Sparse voxel grid: trilinear density and spherical-harmonic colour at arbitrary points.
 
 Model: Fridovich-Keil and Yu et al., "Plenoxels: Radiance Fields without Neural Networks" (CVPR 2022), section 3.
-density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5).
+density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5), with one of two kinds of rows of
+SH numbers (field/harmonics).
 
 Values live at nodes; node (i, j, k) lies at lower + (i, j, k) * voxel_size. Nodes without a row hold zero.
 Positions are world units relative to any origin that the caller keeps to (warpcage: the field's centre, so that float32
@@ -11,9 +12,31 @@ Needs: field/harmonics.
 
 import warp as wp
 
-from .harmonics import sh_basis, vec9
+from .harmonics import COLOUR_OF_ROW, sh_basis, vec16
 
 wp.set_module_options({"enable_backward": False})
+eight_rows = wp.types.vector(length=8, dtype=wp.int32)
+eight_weights = wp.types.vector(length=8, dtype=wp.float32)
+
+#: C++ of several functions: numbers of eight rows, each in its weight, added up. Both widths are known while compiling.
+BLENDED_ROW = """
+    const int width = sh.shape[1];
+    float c[27];
+    for (int n = 0; n < 27; ++n)
+        c[n] = 0.0f;
+    for (int corner = 0; corner < 8; ++corner)
+        if (rows.c[corner] >= 0)
+        {
+            const float weight = weights.c[corner];
+            const float* row = sh.data + (size_t)rows.c[corner] * width;
+            if (width == 24)
+                for (int n = 0; n < 24; ++n)
+                    c[n] += weight * row[n];
+            else
+                for (int n = 0; n < 27; ++n)
+                    c[n] += weight * row[n];
+        }
+"""
 
 
 @wp.struct
@@ -24,15 +47,15 @@ class VoxelGrid:
     links: wp.array3d(dtype=wp.int32)  # row of a node, or -1
     skip: wp.array3d(dtype=wp.uint8)  # cell -> Chebyshev distance in cells to the nearest that holds anything, 0 there
     density: wp.array(dtype=wp.float32)  # (rows,) per world unit
-    sh: wp.array2d(dtype=vec9)  # (rows, 3) coefficients of red, green and blue
+    sh: wp.array2d(dtype=wp.float32)  # (rows, 24 or 27) numbers of field/harmonics, without gaps
 
 
 @wp.struct
 class CellSample:
     """Rows and trilinear weights of the eight nodes of the cell around a point; corner c is at (c&4, c&2, c&1)."""
 
-    rows: wp.types.vector(length=8, dtype=wp.int32)
-    weights: wp.types.vector(length=8, dtype=wp.float32)
+    rows: eight_rows
+    weights: eight_weights
 
 
 @wp.func
@@ -84,22 +107,24 @@ def cell_density(grid: VoxelGrid, cell: CellSample):
     return sigma
 
 
-@wp.func
-def cell_channel(grid: VoxelGrid, cell: CellSample, basis: vec9, channel: int):
-    """One channel of the colour before the clamp at zero: basis . trilinear sh + 0.5."""
-    sh = vec9()
-    for c in range(8):
-        if cell.rows[c] >= 0:
-            sh += cell.weights[c] * grid.sh[cell.rows[c], channel]
-    return wp.dot(basis, sh) + 0.5
+@wp.func_native(
+    BLENDED_ROW
+    + COLOUR_OF_ROW
+    + """
+    return wp::vec_t<3, wp::float32>(red + 0.5f, green + 0.5f, blue + 0.5f);
+"""
+)
+def blended_colour(
+    sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16
+) -> wp.vec3:
+    """basis . (sum of weight times row) + 0.5."""
+    ...
 
 
 @wp.func
-def cell_colour(grid: VoxelGrid, cell: CellSample, basis: vec9):
+def cell_colour(grid: VoxelGrid, cell: CellSample, basis: vec16):
     """SH colour before the clamp at zero."""
-    return wp.vec3(
-        cell_channel(grid, cell, basis, 0), cell_channel(grid, cell, basis, 1), cell_channel(grid, cell, basis, 2)
-    )
+    return blended_colour(grid.sh, cell.rows, cell.weights, basis)
 
 
 @wp.func

@@ -1,12 +1,11 @@
 """Prune, dilate and refine the nodes of a sparse voxel grid.
 
-Needs: field/grid, field/harmonics.
+Needs: field/grid.
 """
 
 import warp as wp
 
-from .grid import VoxelGrid
-from .harmonics import vec9
+from .grid import VoxelGrid, eight_rows, eight_weights
 
 wp.set_module_options({"enable_backward": False})
 
@@ -112,7 +111,7 @@ def resample_rows(
     ratio: wp.vec3,
     nodes: wp.array(dtype=wp.vec3i),
     density: wp.array(dtype=wp.float32),
-    sh: wp.array2d(dtype=vec9),
+    sh: wp.array2d(dtype=wp.float32),
 ):
     """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (weights renormalised).
 
@@ -124,9 +123,8 @@ def resample_rows(
     g = wp.cw_div(g, ratio) - wp.vec3(0.5, 0.5, 0.5)
     total = float(0.0)
     value = float(0.0)
-    red = vec9()
-    green = vec9()
-    blue = vec9()
+    rows = eight_rows()
+    weights = eight_weights()
     i = int(wp.floor(g[0]))
     j = int(wp.floor(g[1]))
     k = int(wp.floor(g[2]))
@@ -139,14 +137,17 @@ def resample_rows(
         wz = wp.where((c & 1) == 1, g[2] - float(k), 1.0 - g[2] + float(k))
         other = coarse.links[a, b, d]
         weight = wx * wy * wz
+        rows[c] = -1
         if other >= 0 and weight > 0.0:
             total += weight
             value += weight * coarse.density[other]
-            red += weight * coarse.sh[other, 0]
-            green += weight * coarse.sh[other, 1]
-            blue += weight * coarse.sh[other, 2]
+            rows[c] = other
+            weights[c] = weight
     scale = wp.where(total > 0.0, 1.0 / wp.max(total, 1.0e-12), 0.0)
     density[row] = scale * value
-    sh[row, 0] = scale * red
-    sh[row, 1] = scale * green
-    sh[row, 2] = scale * blue
+    for number in range(sh.shape[1]):
+        blended = float(0.0)
+        for c in range(8):
+            if rows[c] >= 0:
+                blended += weights[c] * coarse.sh[rows[c], number]
+        sh[row, number] = scale * blended

@@ -1,19 +1,19 @@
 """Density and colour of a sparse voxel grid at a place, with few reads: field/grid for marches that are to be fast.
 
-On CUDA the harmonics of a row are packed into two reads of 16 bytes: the constant term of each channel as a half, the
-others in 8 bits, in units that the row's largest one sets. The basis is rounded in the same way, so that four products
-are one instruction. On a CPU the grid's own numbers are read, which lie together.
+On CUDA the harmonics of a row are packed into two reads of 16 bytes: its three constant terms as halves, the others in 8
+bits, in units that the largest one sets. The basis is rounded in the same way, so that four products are one
+instruction. Six words hold four numbers each: two words for each of red, green and blue; or four for luminance and one for
+each difference of colour (field/harmonics). On a CPU the grid's own numbers are read, which lie together.
 Needs: field/columns, field/grid, field/harmonics.
 """
 
 import warp as wp
 
 from .columns import Columns
-from .grid import VoxelGrid
-from .harmonics import vec9
+from .grid import VoxelGrid, eight_rows
+from .harmonics import COLOUR_OF_ROW, vec16
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
-eight_rows = wp.types.vector(length=8, dtype=wp.int32)
 
 
 #: C++ of several functions below: where a cell lies among the blocks of its columns; the bits and the first row of one
@@ -22,10 +22,10 @@ CELL_PLACE = """
     const int block = k / 31;
     const int place = k - 31 * block;
     const unsigned low = (1u << place) - 1u;
-    const int width = columns.blocks.shape[1];
-    const int begin = (i * columns.node_counts.c[1] + j) * width + block;
+    const int width_of_blocks = columns.blocks.shape[1];
+    const int begin = (i * columns.node_counts.c[1] + j) * width_of_blocks + block;
 """
-COLUMN_ENTRY = """        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
+COLUMN_ENTRY = """        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width_of_blocks;
 #if defined(__CUDA_ARCH__)
         const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
         const unsigned bits = entry.x >> place;
@@ -37,17 +37,19 @@ COLUMN_ENTRY = """        const int at = begin + ((column >> 1) * columns.node_c
 #endif
 """
 STAGED_ROWS = """    // the rows of a warp are read as runs of memory, and turned over in shared memory
-    __shared__ float staged[4][32 * 3 * N];
+    __shared__ float staged[4][32 * 27];
     const int lane = threadIdx.x & 31;
+    const int stride = width | 1;  // odd, so that lanes read from different banks
     float* rows = staged[(threadIdx.x >> 5) & 3];
     __syncwarp();
     #pragma unroll 9
-    for (int part = 0; part < 3 * N; ++part)
+    for (int part = 0; part < width; ++part)
     {
         const int entry = part * 32 + lane;
-        const int owner = entry / (3 * N);
+        const int owner = entry / width;
+        const int number = entry - owner * width;
         const int source = __shfl_sync(0xffffffffu, row, owner);
-        rows[entry] = reinterpret_cast<const float*>(sh.data)[(size_t)source * (3 * N) + entry - owner * 3 * N];
+        rows[owner * stride + number] = sh.data[(size_t)source * width + number];
     }
     __syncwarp();
 """
@@ -115,35 +117,40 @@ def row_density(
 
 @wp.func_native(
     """
-    constexpr int N = sizeof(basis) / sizeof(wp::float32);
+    const int width = sh.shape[1];
 """
     + CELL_PLACE
     + """#if defined(__CUDA_ARCH__)
-    constexpr int WORDS = (N + 2) / 4;  // of a channel
-    constexpr int READS = (2 + 3 * WORDS + 3) / 4;
+    const bool luminous = width == 24;
+    const int last = luminous ? 16 : 9;
     float largest = 1.0e-20f;
     #pragma unroll
-    for (int b = 1; b < N; ++b)
-        largest = fmaxf(largest, fabsf(basis.c[b]));
+    for (int b = 1; b < 16; ++b)
+        if (b < last)
+            largest = fmaxf(largest, fabsf(basis.c[b]));
     const float unit = largest * (1.0f / 127.0f);
     const float scale = __fdividef(127.0f, largest);
-    int rounded[WORDS];
+    int rounded[4];
     #pragma unroll
-    for (int w = 0; w < WORDS; ++w)
+    for (int w = 0; w < 4; ++w)
     {
         unsigned word = 0u;
         #pragma unroll
         for (int b = 0; b < 4; ++b)
-            if (4 * w + b + 1 < N)
+            if (4 * w + b + 1 < last)
                 word |= ((unsigned)__float2int_rn(basis.c[4 * w + b + 1] * scale) & 0xffu) << (8 * b);
         rounded[w] = (int)word;
     }
-    float red = 0.5f, green = 0.5f, blue = 0.5f;
+    // what the third to sixth word of a row are multiplied by; the first two take the first two
+    const int third = luminous ? rounded[2] : rounded[0];
+    const int fourth = luminous ? rounded[3] : rounded[1];
+    const int sixth = luminous ? rounded[0] : rounded[1];
+    float first = 0.0f, second = 0.0f, extra = 0.0f, rest = 0.0f;
     const uint4* numbers = reinterpret_cast<const uint4*>(packed.data);
     #pragma unroll 1  // registers are few
     for (int column = 0; column < 4; ++column)
     {
-        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width_of_blocks;
         const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
         const unsigned bits = entry.x >> place;
         int row = (int)entry.y + __popc(entry.x & low);
@@ -154,51 +161,50 @@ def row_density(
         {
             if (bits & (1u << side))
             {
-                unsigned words[4 * READS];
-                #pragma unroll
-                for (int r = 0; r < READS; ++r)
-                {
-                    const uint4 part = __ldg(numbers + (size_t)(unsigned)row * READS + r);
-                    words[4 * r] = part.x;
-                    words[4 * r + 1] = part.y;
-                    words[4 * r + 2] = part.z;
-                    words[4 * r + 3] = part.w;
-                }
+                const uint4 a = __ldg(numbers + (size_t)(unsigned)row * 2);
+                const uint4 b = __ldg(numbers + (size_t)(unsigned)row * 2 + 1);
                 ++row;
                 const float weight = share * (side ? offset.c[2] : 1.0f - offset.c[2]);
                 wp::half h;
-                h.u = words[1] >> 16;
+                h.u = a.y >> 16;
                 const float size = weight * unit * wp::half_to_float(h);
-                const float first = weight * basis.c[0];
-                int sums[3] = {0, 0, 0};
-                #pragma unroll
-                for (int w = 0; w < WORDS; ++w)
-                {
-                    for (int channel = 0; channel < 3; ++channel)
-                        asm("dp4a.s32.s32 %0, %1, %2, %0;"
-                            : "+r"(sums[channel]) : "r"(words[2 + WORDS * channel + w]), "r"(rounded[w]));
-                }
-                h.u = words[0] & 0xffffu;
-                red += first * wp::half_to_float(h) + size * (float)sums[0];
-                h.u = words[0] >> 16;
-                green += first * wp::half_to_float(h) + size * (float)sums[1];
-                h.u = words[1] & 0xffffu;
-                blue += first * wp::half_to_float(h) + size * (float)sums[2];
+                const float constant = weight * basis.c[0];
+                int sums[4] = {0, 0, 0, 0};
+                asm("dp4a.s32.s32 %0, %1, %2, %0;" : "+r"(sums[0]) : "r"(a.z), "r"(rounded[0]));
+                asm("dp4a.s32.s32 %0, %1, %2, %0;" : "+r"(sums[0]) : "r"(a.w), "r"(rounded[1]));
+                asm("dp4a.s32.s32 %0, %1, %2, %0;" : "+r"(sums[1]) : "r"(b.x), "r"(third));
+                asm("dp4a.s32.s32 %0, %1, %2, %0;" : "+r"(sums[1]) : "r"(b.y), "r"(fourth));
+                asm("dp4a.s32.s32 %0, %1, %2, %0;" : "+r"(sums[2]) : "r"(b.z), "r"(rounded[0]));
+                asm("dp4a.s32.s32 %0, %1, %2, %0;" : "+r"(sums[3]) : "r"(b.w), "r"(sixth));
+                h.u = a.x & 0xffffu;
+                first += constant * wp::half_to_float(h) + size * (float)sums[0];
+                h.u = a.x >> 16;
+                const float middle = constant * wp::half_to_float(h);
+                h.u = a.y & 0xffffu;
+                const float end = constant * wp::half_to_float(h);
+                // luminance: both halves of it, orange, green; else red, green, both halves of blue
+                second += size * (float)sums[1] + (luminous ? 0.0f : middle);
+                extra += size * (float)sums[2] + (luminous ? middle : end);
+                rest += size * (float)sums[3] + (luminous ? end : 0.0f);
             }
         }
     }
-    return wp::vec_t<3, wp::float32>(red, green, blue);
+    if (luminous)
+    {
+        const float y = first + second + 0.5f - 0.5f * rest;
+        return wp::vec_t<3, wp::float32>(y + extra, y + 1.5f * rest, y - extra);
+    }
+    return wp::vec_t<3, wp::float32>(first + 0.5f, second + 0.5f, extra + rest + 0.5f);
 #else
     // eight numbers at a time; the last eight may overlap those before them
     typedef float lanes __attribute__((ext_vector_type(8), aligned(4)));
-    constexpr int PARTS = (3 * N + 7) / 8;
     const int* order = columns.order.data;
-    lanes sum[PARTS];
-    for (int part = 0; part < PARTS; ++part)
+    lanes sum[4];
+    for (int part = 0; part < 4; ++part)
         sum[part] = 0.0f;
     for (int column = 0; column < 4; ++column)
     {
-        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width;
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width_of_blocks;
         const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
         const unsigned bits = entry[0] >> place;
         int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
@@ -207,41 +213,39 @@ def row_density(
         for (int side = 0; side < 2; ++side)
             if (bits & (1u << side))
             {
+                #pragma clang fp contract(fast)
                 const float weight = share * (side ? offset.c[2] : 1.0f - offset.c[2]);
-                const float* numbers = reinterpret_cast<const float*>(sh.data)
-                    + (size_t)(order ? order[row] : row) * (3 * N);
+                const float* numbers = sh.data + (size_t)(order ? order[row] : row) * width;
                 ++row;
-                for (int part = 0; part < PARTS; ++part)
-                {
-                    #pragma clang fp contract(fast)
-                    const int first = part < PARTS - 1 ? 8 * part : 3 * N - 8;
-                    sum[part] += weight * *reinterpret_cast<const lanes*>(numbers + first);
-                }
+                sum[0] += weight * *reinterpret_cast<const lanes*>(numbers);
+                sum[1] += weight * *reinterpret_cast<const lanes*>(numbers + 8);
+                sum[2] += weight * *reinterpret_cast<const lanes*>(numbers + 16);
+                if (width == 27)
+                    sum[3] += weight * *reinterpret_cast<const lanes*>(numbers + 19);
             }
     }
-    float total[3 * N];
-    for (int part = 0; part < PARTS; ++part)
-        *reinterpret_cast<lanes*>(total + (part < PARTS - 1 ? 8 * part : 3 * N - 8)) = sum[part];
-    float sums[3];
-    for (int channel = 0; channel < 3; ++channel)
-    {
-        sums[channel] = 0.5f;
-        for (int b = 0; b < N; ++b)
-            sums[channel] += basis.c[b] * total[N * channel + b];
-    }
-    return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);
+    float c[27];
+    *reinterpret_cast<lanes*>(c) = sum[0];
+    *reinterpret_cast<lanes*>(c + 8) = sum[1];
+    *reinterpret_cast<lanes*>(c + 16) = sum[2];
+    if (width == 27)
+        *reinterpret_cast<lanes*>(c + 19) = sum[3];
+"""
+    + COLOUR_OF_ROW
+    + """
+    return wp::vec_t<3, wp::float32>(red + 0.5f, green + 0.5f, blue + 0.5f);
 #endif
 """
 )
 def row_colour(
-    sh: wp.array2d(dtype=vec9),
+    sh: wp.array2d(dtype=wp.float32),
     packed: wp.array2d(dtype=wp.uint32),
     columns: Columns,
     i: wp.int32,
     j: wp.int32,
     k: wp.int32,
     offset: wp.vec3,
-    basis: vec9,
+    basis: vec16,
 ) -> wp.vec3:
     """SH colour before the clamp at zero, at a place, 0 to 1, in the cell above node (i, j, k)."""
     ...
@@ -249,46 +253,48 @@ def row_colour(
 
 @wp.func_native(
     """
-    constexpr int N = sizeof(*sh.data) / sizeof(wp::float32);
 #if defined(__CUDA_ARCH__)
-    constexpr int WORDS = (N + 2) / 4;
-    constexpr int READS = (2 + 3 * WORDS + 3) / 4;
+    const int width = sh.shape[1];
 """
     + STAGED_ROWS
     + """    if (target < 0)
         return;
-    const float* c = rows + lane * 3 * N;
+    const float* c = rows + lane * stride;
+    const bool luminous = width == 24;
     const float limit = 65504.0f;
+    // where the three parts of a row begin, each with its constant term
+    const int starts[3] = {0, luminous ? 16 : 9, luminous ? 20 : 18};
     float largest = 0.0f;
-    for (int channel = 0; channel < 3; ++channel)
-        for (int b = 1; b < N; ++b)
-            largest = fmaxf(largest, fabsf(c[channel * N + b]));
+    for (int n = 1; n < width; ++n)
+        if (n != starts[1] && n != starts[2])
+            largest = fmaxf(largest, fabsf(c[n]));
     // rounded up, so that no number needs more than 127 units
     const wp::half unit = wp::float_to_half(fminf(largest * (1.0005f / 127.0f) + 6.0e-8f, limit));
     const float scale = 1.0f / wp::half_to_float(unit);
-    unsigned words[4 * READS];
-    #pragma unroll
-    for (int w = 0; w < 4 * READS; ++w)
-        words[w] = 0u;
+    unsigned words[8];
     words[0] = (unsigned)wp::float_to_half(fminf(fmaxf(c[0], -limit), limit)).u
-        | ((unsigned)wp::float_to_half(fminf(fmaxf(c[N], -limit), limit)).u << 16);
-    words[1] = (unsigned)wp::float_to_half(fminf(fmaxf(c[2 * N], -limit), limit)).u | ((unsigned)unit.u << 16);
+        | ((unsigned)wp::float_to_half(fminf(fmaxf(c[starts[1]], -limit), limit)).u << 16);
+    words[1] = (unsigned)wp::float_to_half(fminf(fmaxf(c[starts[2]], -limit), limit)).u | ((unsigned)unit.u << 16);
     #pragma unroll
-    for (int channel = 0; channel < 3; ++channel)
+    for (int w = 0; w < 6; ++w)
+    {
+        // number of the word's first entry, and where the part that it belongs to ends
+        const int from = luminous ? (w < 4 ? 1 + 4 * w : 4 * w + 1) : 9 * (w >> 1) + 1 + 4 * (w & 1);
+        const int end = luminous ? (w < 4 ? 16 : 4 * w + 4) : 9 * (w >> 1) + 9;
+        unsigned word = 0u;
         #pragma unroll
-        for (int b = 1; b < N; ++b)
-        {
-            const int q = max(-127, min(127, __float2int_rn(c[channel * N + b] * scale)));
-            words[2 + WORDS * channel + (b - 1) / 4] |= ((unsigned)q & 0xffu) << (8 * ((b - 1) % 4));
-        }
-    uint4* to = reinterpret_cast<uint4*>(packed.data) + (size_t)target * READS;
-    #pragma unroll
-    for (int r = 0; r < READS; ++r)
-        to[r] = make_uint4(words[4 * r], words[4 * r + 1], words[4 * r + 2], words[4 * r + 3]);
+        for (int b = 0; b < 4; ++b)
+            if (from + b < end)
+                word |= ((unsigned)max(-127, min(127, __float2int_rn(c[from + b] * scale))) & 0xffu) << (8 * b);
+        words[2 + w] = word;
+    }
+    uint4* to = reinterpret_cast<uint4*>(packed.data) + (size_t)target * 2;
+    to[0] = make_uint4(words[0], words[1], words[2], words[3]);
+    to[1] = make_uint4(words[4], words[5], words[6], words[7]);
 #endif
 """
 )
-def write_packed(sh: wp.array2d(dtype=vec9), row: wp.int32, packed: wp.array2d(dtype=wp.uint32), target: wp.int32):
+def write_packed(sh: wp.array2d(dtype=wp.float32), row: wp.int32, packed: wp.array2d(dtype=wp.uint32), target: wp.int32):
     """Pack a row; -1 is no target. All lanes, in blocks of at most 128 threads."""
     ...
 

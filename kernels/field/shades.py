@@ -1,7 +1,7 @@
 """What a camera sees of each voxel: its colour towards the camera and its optical depth, evaluated once per view.
 
-A march then reads eight numbers of 8 bytes a sample instead of 8 x 27 harmonics. Trilinear weights blend the directions
-to the eight nodes to the direction to the sample, but for the square of a voxel's angle from the camera, so that
+A march then reads eight numbers of 8 bytes a sample instead of eight rows of harmonics. Trilinear weights blend the
+directions to the eight nodes to the direction to the sample, but for the square of a voxel's angle from the camera, so that
 sum_i w_i c_i . Y(d_i) differs from (sum_i w_i c_i) . Y(d) by the change of c over a voxel times that angle.
 
 Needs: field/columns, field/grid, field/harmonics, field/rows.
@@ -10,9 +10,9 @@ Needs: field/columns, field/grid, field/harmonics, field/rows.
 import warp as wp
 
 from .columns import Columns
-from .grid import VoxelGrid
-from .harmonics import sh_basis, vec9
-from .rows import STAGED_ROWS, cell_rows, eight_rows
+from .grid import VoxelGrid, eight_rows
+from .harmonics import COLOUR_OF_ROW, sh_basis, vec16
+from .rows import STAGED_ROWS, cell_rows
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
@@ -29,26 +29,21 @@ class ShadedGrid:
 
 @wp.func_native(
     """
-    constexpr int N = sizeof(basis) / sizeof(wp::float32);
+    const int width = sh.shape[1];
 #if defined(__CUDA_ARCH__)
 """
     + STAGED_ROWS
-    + """    const float* c = rows + lane * 3 * N;
+    + """    const float* c = rows + lane * stride;
 #else
-    const float* c = reinterpret_cast<const float*>(sh.data) + (size_t)row * (3 * N);
+    const float* c = sh.data + (size_t)row * width;
 #endif
-    float sums[3];
-    for (int channel = 0; channel < 3; ++channel)
-    {
-        float sum = 0.0f;
-        for (int b = 0; b < N; ++b)
-            sum += basis.c[b] * c[channel * N + b];
-        sums[channel] = sum;
-    }
-    return wp::vec_t<3, wp::float32>(sums[0], sums[1], sums[2]);
+"""
+    + COLOUR_OF_ROW
+    + """
+    return wp::vec_t<3, wp::float32>(red, green, blue);
 """
 )
-def shade_colour(sh: wp.array2d(dtype=vec9), row: wp.int32, basis: vec9) -> wp.vec3:
+def shade_colour(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) -> wp.vec3:
     """Harmonics of a row times a basis. All lanes, in blocks of at most 128 threads."""
     ...
 

@@ -1,4 +1,4 @@
-"""Gradient of the photometric loss by the density and SH coefficients of a voxel grid.
+"""Gradient of the photometric loss by the density and SH numbers of a voxel grid, of the luminous kind (field/harmonics).
 
 Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. With g = dL/dC, w_k = T_k alpha_k and the
 background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
@@ -9,8 +9,16 @@ Needs: field/grid, field/harmonics, field/samples, fitting/pictures, fitting/shu
 
 import warp as wp
 
-from ..field.grid import VoxelGrid, cell_colour, cell_density, cell_sample, empty_distance
-from ..field.harmonics import sh_basis, vec9
+from ..field.grid import (
+    VoxelGrid,
+    cell_colour,
+    cell_density,
+    cell_sample,
+    eight_rows,
+    eight_weights,
+    empty_distance,
+)
+from ..field.harmonics import sh_basis, vec16
 from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from ..view.rays import PinholeCamera, image_direction
 from .pictures import Pictures, picture_pixel
@@ -89,6 +97,41 @@ def background_behind(background: wp.vec3, random_background: int, seed: int, n:
     return background
 
 
+@wp.func_native("""
+    // luminance, orange and green: what red, green and blue are made of
+    const float parts[3] = {
+        change.c[0] + change.c[1] + change.c[2],
+        change.c[0] - change.c[2],
+        change.c[1] - 0.5f * (change.c[0] + change.c[2]),
+    };
+    float gradient[24];
+    for (int b = 0; b < 16; ++b)
+        gradient[b] = parts[0] * basis.c[b];
+    for (int b = 0; b < 4; ++b)
+    {
+        gradient[16 + b] = parts[1] * basis.c[b];
+        gradient[20 + b] = parts[2] * basis.c[b];
+    }
+    for (int corner = 0; corner < 8; ++corner)
+        if (rows.c[corner] >= 0)
+        {
+            float* sums = grad_sh.data + (size_t)rows.c[corner] * (grad_sh.strides[0] / sizeof(float));
+            for (int n = 0; n < 24; ++n)
+#if defined(__CUDA_ARCH__)
+                atomicAdd(sums + n, weights.c[corner] * gradient[n]);
+#else
+                sums[n] += weights.c[corner] * gradient[n];
+#endif
+        }
+""")
+def add_colour_gradient(
+    grad_sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16, change: wp.vec3
+):
+    """Add the gradient by the numbers of eight rows; on a CPU to what one thread alone adds to. change: by red, green
+    and blue."""
+    ...
+
+
 @wp.kernel
 def accumulate_photometric_gradient(
     first: int,
@@ -102,7 +145,7 @@ def accumulate_photometric_gradient(
     scale: float,
     own_background: wp.array(dtype=wp.vec3),
     grad_density: wp.array(dtype=wp.float32),
-    grad_sh: wp.array2d(dtype=vec9),
+    grad_sh: wp.array2d(dtype=wp.float32),
     squared_error: wp.array(dtype=wp.float32),
     grad_background: wp.array(dtype=wp.vec3),
 ):
@@ -111,8 +154,8 @@ def accumulate_photometric_gradient(
     One item per pixel. random_background: 1 puts a random colour behind both the image's alpha and the render of each
     pixel, so that opacity is supervised too; 0 takes `background` for all. own_background: (pixels,) a colour for each
     pixel instead, whose gradient goes to grad_background (pixels,); both are empty where there is none. stop:
-    transmittance at which a march ends. grad_density: (rows,). grad_sh: (rows, 3). Rows are shared: on the CPU each
-    thread needs gradients of its own.
+    transmittance at which a march ends. grad_density: (rows,). grad_sh: (rows, 24). Rows are shared: this kernel is for
+    CPU threads that have gradients of their own.
     """
     n = first + wp.tid()
     squared_error[n] = 0.0
@@ -165,12 +208,11 @@ def accumulate_photometric_gradient(
                         for c in range(8):
                             if cell.rows[c] >= 0:
                                 wp.atomic_add(grad_density, cell.rows[c], cell.weights[c] * grad_sigma)
+                        passed = wp.vec3()
                         for channel in range(3):
                             if raw[channel] > 0.0:  # the clamp max(0, .) passes no gradient
-                                grad_cell = weight * grad_colour[channel] * basis
-                                for c in range(8):
-                                    if cell.rows[c] >= 0:
-                                        wp.atomic_add(grad_sh, cell.rows[c], channel, cell.weights[c] * grad_cell)
+                                passed[channel] = weight * grad_colour[channel]
+                        add_colour_gradient(grad_sh, cell.rows, cell.weights, basis, passed)
                 k += 1
         if march < subray_count:
             colours[subray] = colour + transmittance * behind

@@ -1,9 +1,9 @@
 """The photometric gradient of fitting/loss, for CUDA: one warp per ray, one lane per coefficient.
 
 The sums are those of accumulate_photometric_gradient there, which documents them. The densities of 32 successive
-samples are looked up at once, one per lane. Then the samples that hold matter are taken one by one: 27 neighbouring
-lanes read the 27 coefficients of a voxel and add their gradients, so that a voxel's row is one run of memory instead of
-27 scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
+samples are looked up at once, one per lane. Then the samples that hold matter are taken one by one: 24 neighbouring
+lanes read the 24 coefficients of a voxel and add their gradients, so that a voxel's row is one run of memory instead of
+24 scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
 Needs: core/lanes, field/grid, field/harmonics, field/samples, fitting/loss, fitting/rmsprop.
 """
 
@@ -11,7 +11,7 @@ import warp as wp
 
 from ..core.lanes import ballot, from_lane, index_from_lane, lowest_bit, without_lowest_bit
 from ..field.grid import CellSample, VoxelGrid, cell_density, cell_sample, empty_distance
-from ..field.harmonics import sh_basis
+from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS, luminance_colour, sh_basis
 from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
 from .rmsprop import COEFFICIENTS, GRADIENT_ROW
@@ -38,23 +38,25 @@ def sum_before(value: float, lane: int):
 
 
 @wp.func
-def channel_sum(value: float, lane: int, channel: int):
-    """Sum over the nine lanes of a channel, in each of them."""
-    b = lane - 9 * channel
-    ninth = from_lane(value, wp.min(9 * channel + 8, 31))
-    total = float(value)
-    for i in range(3):
-        reach = 4 >> i
-        other = from_lane(total, wp.min(lane + reach, 31))
-        if b < reach:
-            total += other
-    return from_lane(total + ninth, wp.min(9 * channel, 31))
+def part_sums(value: float, lane: int):
+    """Sums over the lanes of luminance (0 to 15), orange (16 to 19) and green (20 to 23), in each lane."""
+    total = value + from_lane(value, lane ^ 1)
+    total += from_lane(total, lane ^ 2)
+    luminance = total + from_lane(total, lane ^ 4)
+    luminance += from_lane(luminance, lane ^ 8)
+    return wp.vec3(from_lane(luminance, 0), from_lane(total, 16), from_lane(total, 20))
 
 
 @wp.func
 def over_channels(value: float):
-    """Sum of what the first lanes of red, green and blue hold."""
-    return from_lane(value, 0) + from_lane(value, 9) + from_lane(value, 18)
+    """Sum of what the first three lanes hold: red, green and blue."""
+    return from_lane(value, 0) + from_lane(value, 1) + from_lane(value, 2)
+
+
+@wp.func
+def channels(value: float):
+    """What the first three lanes hold."""
+    return wp.vec3(from_lane(value, 0), from_lane(value, 1), from_lane(value, 2))
 
 
 @wp.func
@@ -71,12 +73,21 @@ def pick(v: wp.vec3, channel: int):
     return wp.where(channel == 0, v[0], wp.where(channel == 1, v[1], v[2]))
 
 
+@wp.func
+def part_gradient(change: wp.vec3, lane: int):
+    """Gradient by the part of a colour that a lane's coefficient belongs to. change: by red, green and blue."""
+    if lane < LUMINANCE_BASIS:
+        return change[0] + change[1] + change[2]
+    if lane < LUMINANCE_BASIS + DIFFERENCE_BASIS:
+        return change[0] - change[2]
+    return change[1] - 0.5 * (change[0] + change[2])
+
+
 # few registers: many rays in flight hide the latency of their loads
 @wp.kernel(launch_bounds=(128, 8))
 def accumulate_photometric_gradient_by_warps(
     first: int,
     grid: VoxelGrid,
-    coefficients: wp.array2d(dtype=wp.float32),
     rays: TrainingRays,
     background: wp.vec3,
     random_background: int,
@@ -92,7 +103,7 @@ def accumulate_photometric_gradient_by_warps(
 ):
     """As accumulate_photometric_gradient of fitting/loss, with 32 items per pixel, in blocks of at most 128.
 
-    coefficients: (rows, 27), grid.sh as numbers. gradients: (rows, 28), coefficients, then density. touched: (rows,)
+    gradients: (rows, 25), coefficients, then density. touched: (rows,)
     set to 1 where there is a gradient.
     """
     item = first + wp.tid()
@@ -106,7 +117,7 @@ def accumulate_photometric_gradient_by_warps(
             if has_background:
                 grad_background[n] = wp.vec3()
         return
-    channel = wp.min(lane // 9, 3)
+    channel = lane % 3  # of colours that a lane keeps: registers are what is short
     number = wp.min(lane, COEFFICIENTS - 1)
     all_behind = background_behind(background, random_background, seed, n)
     if has_background:
@@ -127,8 +138,9 @@ def accumulate_photometric_gradient_by_warps(
         direction = subray_direction(rays, camera, pixel, subray, seed, n)
         all_basis = sh_basis(direction)
         basis = float(0.0)
-        for b in range(9):
-            if lane < COEFFICIENTS and lane - 9 * channel == b:
+        own_basis = wp.where(lane < LUMINANCE_BASIS, lane, lane % DIFFERENCE_BASIS)
+        for b in range(16):
+            if lane < COEFFICIENTS and own_basis == b:
                 basis = all_basis[b]
         ray = grid_ray(grid, camera.centre, direction, step)
         # the part of C . dL/dC that comes from behind the current sample
@@ -166,17 +178,19 @@ def accumulate_photometric_gradient_by_warps(
                     for c in range(8):  # no branches: all eight loads are on their way together
                         row = index_from_lane(own.rows[c], j)
                         there = wp.where(row >= 0, corner_weight(f, c), 0.0)
-                        value += there * coefficients[wp.max(row, 0), number]
-                    raw = channel_sum(basis * value, lane, channel) + 0.5
+                        value += there * grid.sh[wp.max(row, 0), number]
+                    sums = part_sums(basis * value, lane)
+                    raw = 0.5 + pick(luminance_colour(sums), channel)
                     radiance = wp.max(raw, 0.0)
                     if march < subray_count:
                         colour += weight * radiance
                     else:
                         change = over_channels(radiance * grad_colour)
                         later -= weight * change
-                        gradient = step * ((left - weight) * change - later)
-                        if lane < COEFFICIENTS:
-                            gradient = wp.where(raw > 0.0, weight * grad_colour * basis, 0.0)
+                        passed = channels(wp.where(raw > 0.0, grad_colour, 0.0))
+                        gradient = weight * basis * part_gradient(passed, lane)
+                        if lane == COEFFICIENTS:
+                            gradient = step * ((left - weight) * change - later)
                         marked = int(-1)
                         for c in range(8):
                             row = index_from_lane(own.rows[c], j)
@@ -194,11 +208,9 @@ def accumulate_photometric_gradient_by_warps(
             error = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count) - target
             grad_colour = 2.0 * scale / float(subray_count) * error
             total = over_channels(error * error)
-            red = from_lane(grad_colour, 0)
-            green = from_lane(grad_colour, 9)
-            blue = from_lane(grad_colour, 18)
+            all_gradients = channels(grad_colour)
             if lane == 0:
                 squared_error[n] = total
                 if has_background:
-                    grad_background[n] = left_over * wp.vec3(red, green, blue)
+                    grad_background[n] = left_over * all_gradients
         march += 1

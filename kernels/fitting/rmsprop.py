@@ -7,16 +7,24 @@ Needs: field/harmonics.
 
 import warp as wp
 
-from ..field.harmonics import vec9
+from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS
 
 wp.set_module_options({"enable_backward": False})
 
-#: Numbers of a voxel's SH: nine of red, nine of green, nine of blue.
-COEFFICIENTS = wp.constant(27)
-BASIS_COUNT = wp.constant(9)
+#: Numbers of a voxel's SH (field/harmonics): sixteen of luminance, four of orange, four of green.
+COEFFICIENTS = wp.constant(24)
 
-#: Numbers of a gradient row: 27 coefficients, red first, then the density.
-GRADIENT_ROW = wp.constant(28)
+#: Numbers of a gradient row: the coefficients, then the density.
+GRADIENT_ROW = wp.constant(25)
+
+
+@wp.func
+def harmonic_degree(number: int):
+    """Degree of the harmonic that a coefficient belongs to: 0 to 3."""
+    basis = number
+    if number >= LUMINANCE_BASIS:
+        basis = (number - LUMINANCE_BASIS) % DIFFERENCE_BASIS
+    return wp.where(basis == 0, 0, wp.where(basis < 4, 1, wp.where(basis < 9, 2, 3)))
 
 
 @wp.func
@@ -32,8 +40,7 @@ def rmsprop_update(value: float, moment: float, gradient: float, rate: float, be
 def apply_rmsprop(
     first: int,
     rate_density: float,
-    rate_sh: float,
-    rate_directional: float,
+    rates_sh: wp.vec4,
     beta: float,
     epsilon_density: float,
     epsilon_sh: float,
@@ -45,10 +52,10 @@ def apply_rmsprop(
 ):
     """Step where the gradient is not zero, and clear the gradient for the next batch.
 
-    GRADIENT_ROW items per row. touched: (rows,) 1 where any gradient may be. gradients, moments: (rows, 28), 27
-    coefficients, then density. density: (rows,) per world unit. coefficients: (rows, 27): constant terms step by
-    rate_sh, the others, which depend on direction, by rate_directional. Moments have 8 bits of mantissa: they only
-    scale steps, and a share of 1 - beta moves them by more than a last bit.
+    GRADIENT_ROW items per row. touched: (rows,) 1 where any gradient may be. gradients, moments: (rows, 25), 24
+    coefficients, then density. density: (rows,) per world unit. coefficients: (rows, 24): they step by the one of
+    rates_sh that is for their degree. Moments have 8 bits of mantissa: they only scale steps, and a share of 1 - beta
+    moves them by more than a last bit.
     """
     n = first + wp.tid()
     row = n // GRADIENT_ROW
@@ -59,7 +66,7 @@ def apply_rmsprop(
     if gradient != 0.0:
         moment = float(moments[row, number])
         if number < COEFFICIENTS:
-            rate = wp.where(number % BASIS_COUNT == 0, rate_sh, rate_directional)
+            rate = rates_sh[harmonic_degree(number)]
             value = coefficients[row, number]
             value, moment = rmsprop_update(value, moment, gradient, rate, beta, epsilon_sh)
             coefficients[row, number] = value
@@ -99,7 +106,7 @@ def gather_moments(
     """Moments of the nodes that stay, from the rows that `links` gave them before.
 
     GRADIENT_ROW items per row. links: (nx, ny, nz) row of each node, or -1. nodes: (rows,) grid indices of the rows
-    that stay. moments: (rows before, 28); kept: (rows, 28).
+    that stay. moments: (rows before, 25); kept: (rows, 25).
     """
     n = first + wp.tid()
     row = n // GRADIENT_ROW
@@ -109,14 +116,10 @@ def gather_moments(
 
 
 @wp.kernel
-def shrink_view_dependence(first: int, factor: float, sh: wp.array2d(dtype=vec9)):
-    """Multiplies the coefficients that depend on direction by a factor. One item per row and channel, in memory order.
-
-    sh: (rows, 3) coefficients of red, green and blue.
-    """
+def shrink_view_dependence(first: int, factor: float, coefficients: wp.array2d(dtype=wp.float32)):
+    """Multiplies the coefficients that depend on direction by a factor. One item per number. coefficients: (rows, 24)."""
     n = first + wp.tid()
-    value = sh[n // sh.shape[1], n % sh.shape[1]]
-    mean = value[0]
-    value *= factor
-    value[0] = mean
-    sh[n // sh.shape[1], n % sh.shape[1]] = value
+    row = n // COEFFICIENTS
+    number = n % COEFFICIENTS
+    if harmonic_degree(number) > 0:
+        coefficients[row, number] = factor * coefficients[row, number]

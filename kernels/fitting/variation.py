@@ -7,7 +7,7 @@ Needs: field/grid, fitting/rmsprop.
 import warp as wp
 
 from ..field.grid import VoxelGrid
-from .rmsprop import COEFFICIENTS, GRADIENT_ROW
+from .rmsprop import COEFFICIENTS, GRADIENT_ROW, harmonic_degree
 
 wp.set_module_options({"enable_backward": False})
 
@@ -27,20 +27,20 @@ def neighbour_row(grid: VoxelGrid, node: wp.vec3i, axis: int):
 def accumulate_variation_gradient(
     first: int,
     grid: VoxelGrid,
-    coefficients: wp.array2d(dtype=wp.float32),
     nodes: wp.array(dtype=wp.vec3i),
     first_row: int,
     density_unit: float,
     scale_density: float,
     scale_sh: float,
+    scale_directional: float,
     gradients: wp.array2d(dtype=wp.float32),
     touched: wp.array(dtype=wp.uint8),
 ):
-    """Adds the gradient of scale_density * TV(density / density_unit) + scale_sh * TV(sh) over a run of rows.
+    """Adds the gradient of a sum of total variations over a run of rows: scale_density * TV(density / density_unit),
+    scale_sh * TV(sh) of the constant terms and scale_directional * TV(sh) of the others.
 
-    GRADIENT_ROW items per row, one per number, so that neighbouring threads read neighbouring numbers. coefficients:
-    (rows, 27), grid.sh as numbers. nodes: (rows,) grid indices of each row. first_row: where the run begins; it goes on
-    at row 0 after the last one. gradients: (rows, 28). touched: (rows,) set to 1 where there is a gradient. The
+    GRADIENT_ROW items per row, one per number, so that neighbouring threads read neighbouring numbers. nodes: (rows,) grid indices of each row. first_row: where the run begins; it goes on
+    at row 0 after the last one. gradients: (rows, 25). touched: (rows,) set to 1 where there is a gradient. The
     difference to a node without a row counts as zero. Rows are shared with neighbours: on the CPU each thread needs
     gradients of its own.
     """
@@ -51,7 +51,9 @@ def accumulate_variation_gradient(
     scale = float(scale_sh)
     value = float(0.0)
     if number < COEFFICIENTS:
-        value = coefficients[row, number]
+        if harmonic_degree(number) > 0:
+            scale = scale_directional
+        value = grid.sh[row, number]
     else:
         unit = density_unit
         scale = scale_density
@@ -62,7 +64,7 @@ def accumulate_variation_gradient(
         rows[axis] = neighbour_row(grid, nodes[row], axis)
         if rows[axis] >= 0:
             if number < COEFFICIENTS:
-                difference[axis] = coefficients[rows[axis], number] - value
+                difference[axis] = grid.sh[rows[axis], number] - value
             else:
                 difference[axis] = (grid.density[rows[axis]] - value) / unit
     slope = scale / unit / wp.sqrt(wp.dot(difference, difference) + 1.0e-9)

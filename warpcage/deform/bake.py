@@ -13,7 +13,6 @@ from ..core.memory import require_memory
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.deform.bake import bake_nodes, mark_filled_nodes
-from ..kernels.field.harmonics import vec9
 from .deformer import Deformer
 from .lattice_edits import LatticeEdits
 
@@ -86,7 +85,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
     links, nodes = link_mask(mask)
     require_memory(VOXEL_BYTES * nodes.size, device, f"{nodes.size} voxels need {{size}}: give a lower resolution")
     density = empty_array(nodes.size, wp.float32, device)
-    sh = empty_array((nodes.size, 3), vec9, device)
+    sh = empty_array((nodes.size, field.grid.sh.shape[1]), wp.float32, device)
     inputs = [
         edits.array,
         field.grid,

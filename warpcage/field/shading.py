@@ -11,11 +11,9 @@ from ..core.devices import launch
 from ..kernels.field import columns
 from ..kernels.field.rows import RowTable, pack_rows
 from ..kernels.field.shades import ShadedGrid, shade_rows
-from .files.contents import BASIS_COUNT
 
 #: 32-bit words of a packed row (kernels/field/rows), and of a shade (kernels/field/shades) on CUDA and on a CPU.
-_CHANNEL_WORDS = (BASIS_COUNT + 2) // 4
-PACKED_WORDS = -(-(2 + 3 * _CHANNEL_WORDS) // 4) * 4
+PACKED_WORDS = 8
 CUDA_SHADE_WORDS, CPU_SHADE_WORDS = 2, 4
 
 #: Rows that work together on CUDA.

@@ -11,8 +11,7 @@ from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
-from ..kernels.field.harmonics import vec9
-from .files.contents import BASIS_COUNT
+from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS
 
 
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
@@ -141,19 +140,38 @@ def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
     """Harmonics on a device, as kernels take them.
 
     Args:
-        sh: (rows, 3) of vec9 on any device, or NumPy (rows, 9, 3).
+        sh: NumPy (rows, 9, 3) of red, green and blue, or (rows, 24) of luminance and differences of colour; or numbers
+            that kernels take already.
         device: Warp device.
 
     Returns:
-        (rows, 3) of vec9 without gaps, as rows are read as runs of memory.
+        (rows, 27) or (rows, 24) float32 without gaps, as rows are read as runs of memory.
 
     Raises:
         ValueError: For another shape.
     """
     if isinstance(sh, wp.array):
-        array = values_on_device(sh, vec9, device)
+        array = values_on_device(sh, wp.float32, device)
+        if array.ndim != 2 or array.shape[1] not in (LUMINANCE_NUMBERS, RGB_NUMBERS):
+            raise ValueError(f"sh on a device must be (rows, 24) or (rows, 27) float32, got {array.shape}")
         return array if array.is_contiguous else array.contiguous()
     host = np.asarray(sh, np.float32)
+    if host.ndim == 2 and host.shape[1] == LUMINANCE_NUMBERS:
+        return wp.array(np.ascontiguousarray(host), dtype=wp.float32, device=device)
     if host.ndim != 3 or host.shape[1:] != (BASIS_COUNT, 3):
-        raise ValueError(f"sh must be (rows, 9, 3), got {host.shape}")
-    return wp.array(np.ascontiguousarray(host.transpose(0, 2, 1)), dtype=vec9, device=device)
+        raise ValueError(f"sh must be (rows, 9, 3) or (rows, 24), got {host.shape}")
+    rows = host.transpose(0, 2, 1).reshape(len(host), RGB_NUMBERS)
+    return wp.array(np.ascontiguousarray(rows), dtype=wp.float32, device=device)
+
+
+def harmonics_on_host(sh: wp.array) -> np.ndarray:
+    """Harmonics as files and callers have them.
+
+    Args:
+        sh: (rows, 27) or (rows, 24) float32.
+
+    Returns:
+        NumPy (rows, 9, 3) or (rows, 24) float32.
+    """
+    host = sh.numpy()
+    return host if host.shape[1] == LUMINANCE_NUMBERS else host.reshape(-1, 3, BASIS_COUNT).transpose(0, 2, 1)

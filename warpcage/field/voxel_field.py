@@ -16,16 +16,15 @@ from ..core.checks import checked_bounds, checked_march, checked_vector, require
 from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
-from ..kernels.field.harmonics import vec9
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera
 from ..view.frame import PART_NAMES, Frame, checked_supersampling
 from .background import LayeredBackground
-from .files.contents import BASIS_COUNT, FieldContents
+from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, FieldContents
 from .files.files import load_field, save_field
 from .marching import MarchTables
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
-from .sparse import harmonics_on_device, link_mask, measure_skip, values_on_device
+from .sparse import harmonics_on_device, harmonics_on_host, link_mask, measure_skip, values_on_device
 from .surface import extract_mesh
 from .surface_colors import surface_colors
 
@@ -34,20 +33,22 @@ if TYPE_CHECKING:
 
 
 class VoxelField:
-    """A sparse voxel grid with trilinear density and degree-2 spherical harmonics (Plenoxels, CVPR 2022).
+    """A sparse voxel grid with trilinear density and spherical harmonics (Plenoxels, CVPR 2022).
 
     density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5), d from the camera into the
-    scene. Values lie at voxel centres.
+    scene. Values lie at voxel centres. Harmonics are of degree 2 in red, green and blue (27 numbers, as in Plenoxels'
+    files), or of degree 3 in luminance Y and degree 1 in two differences of colour, orange O and green G (24 numbers, what
+    `fit` finds): red = Y + O - G / 2, green = Y + G, blue = Y - O - G / 2.
 
-    References: Fridovich-Keil and Yu et al. 2022, section 3. Limitations: harmonics have one degree; lower ones are
-    padded with zeros.
+    References: Fridovich-Keil and Yu et al. 2022, section 3. Limitations: all voxels have the same degrees; lower ones
+    are padded with zeros.
 
     Args:
         bounds: (2, 3) lower and upper corner, world units.
         links: (nx, ny, nz) int32, row of each voxel or -1. NumPy or a Warp array.
         density: (rows,) float32 per world unit, before the ReLU. NumPy or a Warp array.
-        sh: (rows, 9, 3) float32, coefficients of each basis function in red, green and blue; or a Warp array (rows, 3)
-            of vec9.
+        sh: (rows, 9, 3) float32, coefficients of each basis function in red, green and blue; or (rows, 24): 16 of
+            luminance, 4 of orange, 4 of green; or the `grid.sh` of another field.
         background: Colour behind everything, a name or (3,) in [0, 1].
         background_model: What lies around the box instead of that colour. None is that colour.
         weights: (rows,) float32, the largest rendering weight that a training ray gave each voxel. None is not known.
@@ -420,7 +421,7 @@ class VoxelField:
             bounds=self.bounds,
             links=self.grid.links.numpy(),
             density=self.grid.density.numpy(),
-            sh=self.grid.sh.numpy().transpose(0, 2, 1),
+            sh=harmonics_on_host(self.grid.sh),
             weights=None if self.weights is None else self.weights.numpy(),
             background=self.background,
             up=self.up,
@@ -479,7 +480,7 @@ def field_from_mask(
         bounds,
         links,
         wp.full(rows, density, dtype=wp.float32, device=device),
-        wp.zeros((rows, 3), dtype=vec9, device=device),
+        wp.zeros((rows, LUMINANCE_NUMBERS), dtype=wp.float32, device=device),
         background=background,
         device=device,
     )

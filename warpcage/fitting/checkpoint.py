@@ -16,16 +16,15 @@ import warp as wp
 from ..core.arrays import array_view
 from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.threads import run_parallel
-from ..kernels.field.harmonics import vec9
 from ..scene.scene import Scene
 from .background import BackgroundOptimizer
 from .batches import ORDERS, Batches
-from .level import ROW_NUMBERS, Level
+from .level import COEFFICIENTS, ROW_NUMBERS, Level
 from .pictures import PRECISIONS
 from .schedule import Schedule
 
-#: Version 4: tiles in their own order, with the key of the order in which they are taken.
-KIND, VERSION = "warpcage fit", 4
+#: Version 5: rows of luminance and differences of colour.
+KIND, VERSION = "warpcage fit", 5
 
 #: Exponent bits of a bfloat16: all of them are set in numbers that are not finite.
 EXPONENT_BITS = 0x7F80
@@ -161,7 +160,7 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
     occupied = np.unpackbits(packed, count=math.prod(shape)).reshape(shape)
     rows = int(occupied.sum())
     density = require_numbers(contents, "density", (rows,), path)
-    sh = require_numbers(contents, "sh", (rows, 3, 9), path)
+    sh = require_numbers(contents, "sh", (rows, COEFFICIENTS), path)
     moments = require_numbers(contents, "moments", (rows, ROW_NUMBERS), path).astype(np.uint16)
     infinite = (moments & EXPONENT_BITS == EXPONENT_BITS).any()
     if infinite or not all(np.isfinite(values).all() for values in (density, sh)):
@@ -180,7 +179,7 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
         raise ValueError(f"order {order}, its key is below {ORDERS}")
     for target, values, dtype in (
         (optimizer.current.field.grid.density, density, wp.float32),
-        (optimizer.current.field.grid.sh, sh, vec9),
+        (optimizer.current.field.grid.sh, sh, wp.float32),
         (moment_bits(optimizer.current.moments), moments, wp.uint16),
     ):
         target.assign(wp.array(values, dtype=dtype, device=optimizer.device))

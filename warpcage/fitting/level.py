@@ -12,7 +12,6 @@ from ..core.arrays import array_view, empty_array
 from ..core.devices import lane_count, launch
 from ..field.voxel_field import STOP_TRANSMITTANCE, VoxelField, field_from_mask
 from ..kernels.field import refine as grid_refine
-from ..kernels.field.harmonics import vec9
 from ..kernels.field.render import record_weights
 from ..kernels.fitting import rmsprop
 from ..kernels.fitting.loss import accumulate_photometric_gradient
@@ -26,7 +25,7 @@ from .silhouettes import dilated
 
 COEFFICIENTS = int(rmsprop.COEFFICIENTS)
 
-#: Numbers of a gradient's row: the coefficients, red first, then the density.
+#: Numbers of a gradient's row: the coefficients, then the density.
 ROW_NUMBERS = int(rmsprop.GRADIENT_ROW)
 
 #: Bytes per row of the field: density, coefficients and the place of its node.
@@ -63,8 +62,8 @@ class Level:
     Attributes:
         field: The field so far.
         nodes: (rows,) vec3i, grid indices of each row.
-        gradients: (rows, 28) float32 for each shard: 27 coefficients, then density. None of them while pruning.
-        moments: (rows, 28) bfloat16 second moments; no rows while the level changes.
+        gradients: (rows, 25) float32 for each shard: 24 coefficients, then density. None of them while pruning.
+        moments: (rows, 25) bfloat16 second moments; no rows while the level changes.
         touched: (rows,) uint8, 1 where there is a gradient.
     """
 
@@ -205,17 +204,18 @@ class Level:
 
     # Steps
 
-    def accumulate(self, batch: Batch, weights: tuple[float, float], share: float, random: np.random.Generator) -> None:
+    def accumulate(
+        self, batch: Batch, weights: tuple[float, float, float], share: float, random: np.random.Generator
+    ) -> None:
         """Add the gradients of the photometric loss of a batch, and of the total variation.
 
         Args:
             batch: The batch. Its squared errors are written.
-            weights: Of the total variation of density and of SH, per voxel of the box.
+            weights: Of the total variation of density, of constant SH terms and of the others, per voxel of the box.
             share: Of the rows that get a gradient of the total variation.
             random: Chooses the first of those rows.
         """
         field, device = self.field, self.field.device
-        coefficients = coefficient_rows(field.grid.sh)
         photometric = [
             batch.rays,
             wp.vec3(*map(float, field.background)),
@@ -234,12 +234,10 @@ class Level:
             varied,
             [
                 field.grid,
-                coefficients,
                 self.nodes,
                 int(random.integers(field.voxel_count)),
                 1.0 / (0.5 * float((field.bounds[1] - field.bounds[0]).max())),
-                weights[0] * boost,
-                weights[1] * boost,
+                *(weight * boost for weight in weights),
             ],
             [[gradients, self.touched] for gradients in self.gradients],
             items=ROW_NUMBERS,
@@ -255,7 +253,7 @@ class Level:
             launch(
                 accumulate_photometric_gradient_by_warps,
                 lane_count(device) * batch.size,
-                [field.grid, coefficients, *photometric],
+                [field.grid, *photometric],
                 [self.gradients[0], self.touched, batch.squared_error, batch.grad_behind],
                 device=device,
             )
@@ -275,8 +273,7 @@ class Level:
         total = sum_shards([gradients.flatten() for gradients in self.gradients])
         inputs = [
             rates.density / voxel,
-            rates.sh,
-            rates.directional,
+            wp.vec4(*rates.sh),
             beta,
             EPSILON * voxel,  # a density's gradient is a length
             EPSILON,
@@ -284,12 +281,13 @@ class Level:
             self.gradients[0],
             self.moments,
         ]
-        outputs = [field.grid.density, coefficient_rows(field.grid.sh)]
+        outputs = [field.grid.density, field.grid.sh]
         launch(rmsprop.apply_rmsprop, total.size, inputs, outputs, device=field.device)
         self.touched.zero_()
         if rates.directional_kept < 1:
             inputs = [rates.directional_kept]
-            launch(rmsprop.shrink_view_dependence, 3 * field.voxel_count, inputs, [field.grid.sh], device=field.device)
+            items = COEFFICIENTS * field.voxel_count
+            launch(rmsprop.shrink_view_dependence, items, inputs, [field.grid.sh], device=field.device)
 
 
 def row_bytes(shards: int) -> int:
@@ -326,17 +324,11 @@ def level_memory(shape: tuple[int, ...], shards: int, fixed: int, tiles: int) ->
     )
 
 
-def coefficient_rows(sh: wp.array) -> wp.array:
-    """Coefficients (rows, 3) of vec9 as numbers (rows, 27), without a copy."""
-    return array_view(sh, wp.float32, (sh.shape[0], COEFFICIENTS))
-
-
 def gradient_parts(gradients: wp.array) -> tuple[wp.array, wp.array]:
-    """Densities (rows,) and coefficients (rows, 3) of vec9 of gradients (rows, 28) float32, without a copy."""
+    """Densities (rows,) and coefficients (rows, 24) of gradients (rows, 25) float32, without a copy."""
     rows, stride = gradients.shape[0], 4 * ROW_NUMBERS
-    channel = 4 * COEFFICIENTS // 3
     density = array_view(gradients, wp.float32, (rows,), offset=4 * COEFFICIENTS, strides=(stride,))
-    return density, array_view(gradients, vec9, (rows, 3), strides=(stride, channel))
+    return density, array_view(gradients, wp.float32, (rows, COEFFICIENTS), strides=(stride, 4))
 
 
 def _started(mask: wp.array, bounds: np.ndarray, background: np.ndarray) -> tuple[VoxelField, wp.array]:

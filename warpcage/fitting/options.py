@@ -107,11 +107,17 @@ class FitOptions:
         None,
         SMALLEST,
         LARGEST,
-        "First learning rate of the coefficients that depend on direction over the rate of the "
+        "First learning rate of the coefficients of degree 1 over the rate of the "
         "constant ones. None follows the number of steps.",
     )
     directional_end: float | None = _number(
         None, SMALLEST, LARGEST, "The same at the end. None is 0.7, or `directional` if that is more."
+    )
+    degree_falloff: float = _number(
+        0.5,
+        SMALLEST,
+        1.0,
+        "Learning rate of the SH coefficients of degree 2 over that of degree 1, and of degree 3 over that of degree 2.",
     )
     beta: float = _number(0.95, 0.0, 1.0 - 1e-6, "Decay of RMSProp's second moments per step.")
     scarcity: float | None = _number(
@@ -125,6 +131,13 @@ class FitOptions:
         3e-6, "Weight of the total variation of density (per half of the box) per voxel of the box."
     )
     variation_sh: float = _weight(6e-4, "Weight of the total variation of the SH coefficients per voxel of the box.")
+    variation_directional: float = _number(
+        5.0,
+        0.0,
+        LARGEST_FACTOR,
+        "Factor on that weight for the coefficients that depend on direction: reflectance changes less from place to "
+        "place than colour.",
+    )
     variation: float | None = _number(
         None,
         0.0,

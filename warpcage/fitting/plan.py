@@ -54,14 +54,14 @@ class GridPlan:
         bounds: (2, 3) float64, world units: the object's box, grown to whole voxels.
         shapes: (nx, ny, nz) voxels of each level.
         scarcity: How few rays see a voxel; see `scarcity`.
-        variation: Weights of the total variation of density and of SH.
+        variation: Weights of the total variation of density, of constant SH terms and of the others.
     """
 
     levels: int
     bounds: np.ndarray
     shapes: list[tuple[int, ...]]
     scarcity: float
-    variation: tuple[float, float]
+    variation: tuple[float, float, float]
 
 
 def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool) -> GridPlan:
@@ -103,14 +103,15 @@ def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool)
     )
 
 
-def _variation(options: FitOptions, scarce: float, captured: bool) -> tuple[float, float]:
-    """Weights of the total variation of density and of SH."""
+def _variation(options: FitOptions, scarce: float, captured: bool) -> tuple[float, float, float]:
+    """Weights of the total variation of density, of constant SH terms and of the others."""
     if options.variation is not None:
         factors = options.variation, options.variation
     else:
         least = (CAPTURED_VARIATION, CAPTURED_SH_VARIATION) if captured else (0.0, 0.0)
         factors = max(least[0], scarce**DENSITY_POWER), max(least[1], scarce**SH_POWER)
-    return options.variation_density * factors[0], options.variation_sh * factors[1]
+    sh = options.variation_sh * factors[1]
+    return options.variation_density * factors[0], sh, sh * options.variation_directional
 
 
 def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[int, list[int]]:

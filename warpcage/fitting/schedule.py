@@ -22,15 +22,13 @@ class Rates:
 
     Args:
         density: Learning rate of density, in optical depth per voxel of the level.
-        sh: Learning rate of the constant SH coefficients.
-        directional: Learning rate of the SH coefficients that depend on direction.
+        sh: Learning rates of the SH coefficients of degree 0 to 3.
         directional_kept: Factor on those coefficients after the step; 1 leaves them.
         background: Learning rate of the layers behind the field.
     """
 
     density: float
-    sh: float
-    directional: float
+    sh: tuple[float, float, float, float]
     directional_kept: float
     background: float
 
@@ -105,10 +103,10 @@ class Schedule:
         share = self.step_count / max(1, self.total_steps - 1)
         progress = share**options.decay_power
         sh = _log_interpolate(options.rate_sh, options.rate_sh_end, progress)
+        directional = _log_interpolate(*self.directional, share) * sh
         return Rates(
             density=_log_interpolate(options.rate_density, options.rate_density_end, progress),
-            sh=sh,
-            directional=_log_interpolate(*self.directional, share) * sh,
+            sh=(sh, *(directional * options.degree_falloff**n for n in range(3))),
             directional_kept=self._directional_kept(sh),
             background=_log_interpolate(options.rate_background, options.rate_background_end, progress),
         )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...core.files import require_numbers
-from .contents import BASIS_COUNT, MAX_HALF
+from .contents import BASIS_COUNT, LUMINANCE_NUMBERS, MAX_HALF, RGB_NUMBERS
 
 #: The arrays that a compact file has in place of those of a plain one.
 COMPACT_NAMES = ("sh_step", "sh_low", "sh_high", "opacity", "weight_roots")
@@ -63,7 +63,7 @@ def is_packed(contents: dict[str, Any]) -> bool:
 
 
 def unpack(contents: dict[str, np.ndarray], rows: int, voxel_side: float, path: pathlib.Path) -> dict[str, np.ndarray]:
-    """The arrays of the plain file again: harmonics (rows, 3, 9), densities, weights.
+    """The arrays of the plain file again: harmonics (rows, 3, 9) or (rows, 24), densities, weights.
 
     Args:
         contents: Arrays of the compact file by name.
@@ -77,9 +77,10 @@ def unpack(contents: dict[str, np.ndarray], rows: int, voxel_side: float, path: 
     Raises:
         ValueError: For arrays that are missing or do not fit.
     """
+    numbers = LUMINANCE_NUMBERS if contents["sh_low"].shape[:1] == (LUMINANCE_NUMBERS,) else RGB_NUMBERS
     planes: list[tuple[str, tuple[int, ...]]] = [
-        ("sh_low", (3 * BASIS_COUNT, rows)),
-        ("sh_high", (3 * BASIS_COUNT, rows)),
+        ("sh_low", (numbers, rows)),
+        ("sh_high", (numbers, rows)),
         ("sh_step", ()),
         ("opacity", (rows,)),
     ]
@@ -90,7 +91,8 @@ def unpack(contents: dict[str, np.ndarray], rows: int, voxel_side: float, path: 
     plain = {name: value for name, value in contents.items() if name not in ("sh_low", "sh_high", "sh_step", "opacity")}
     low, high = contents["sh_low"], contents["sh_high"]
     levels = (high.astype(np.int16) << 8) | low
-    plain["sh"] = (levels.T * np.float32(contents["sh_step"])).reshape(rows, 3, BASIS_COUNT)
+    sh = levels.T * np.float32(contents["sh_step"])
+    plain["sh"] = sh if numbers == LUMINANCE_NUMBERS else sh.reshape(rows, 3, BASIS_COUNT)
     plain["density"] = contents["opacity"].astype(np.float32) / np.float32(voxel_side)
     if "weight_roots" in contents:
         plain["weights"] = (contents["weight_roots"].astype(np.float32) / 255) ** 2

@@ -10,8 +10,15 @@ import numpy as np
 #: Voxels that a grid may have, empty ones included: kernels count them in int32.
 MAX_VOXELS = 2**31 - 1
 
-#: Spherical harmonics of degree 0 to 2.
+#: Harmonics of degree 0 to 2, which each channel of an RGB row has.
 BASIS_COUNT = 9
+
+#: Numbers of a row of either kind (kernels/field/harmonics): 3 x 9 of red, green and blue; or 16 of luminance and 4 of each
+#: of two differences of colour.
+RGB_NUMBERS, LUMINANCE_NUMBERS = 3 * BASIS_COUNT, 24
+
+#: Of a luminous row, those of degree 0 to 2, by their places in an RGB row's channel.
+_LUMINANCE, _ORANGE, _GREEN = slice(0, BASIS_COUNT), slice(16, 20), slice(20, 24)
 
 #: The largest float16.
 MAX_HALF = 65504.0
@@ -55,7 +62,7 @@ class FieldContents:
         bounds: (2, 3) float64, world units.
         links: (nx, ny, nz) int32, row of each voxel or -1.
         density: (rows,) float32 per world unit.
-        sh: (rows, 9, 3) float32.
+        sh: (rows, 9, 3) float32 coefficients of red, green and blue, or (rows, 24) of luminance and differences of colour.
         weights: (rows,) float32 largest rendering weights, or None.
         background: (3,) colour, or None where the file does not say.
         up: (3,) direction, or None where the file does not say.
@@ -77,6 +84,25 @@ class FieldContents:
         """What is known beside the voxels and layers, by the names of VoxelField's arguments."""
         names = ("weights", "background", "up", "supersampling")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+
+def rgb_harmonics(sh: np.ndarray) -> np.ndarray:
+    """Harmonics of red, green and blue up to degree 2, for formats that know no others.
+
+    Args:
+        sh: (rows, 9, 3), or (rows, 24) of luminance and differences of colour.
+
+    Returns:
+        (rows, 9, 3) float32: the same function, but for its part of degree 3.
+    """
+    if sh.ndim == 3:
+        return sh
+    differences = np.zeros((2, len(sh), BASIS_COUNT), np.float32)
+    differences[0, :, :4], differences[1, :, :4] = sh[:, _ORANGE], sh[:, _GREEN]
+    orange, green = differences
+    luminance = sh[:, _LUMINANCE]
+    grey = luminance - 0.5 * green
+    return np.stack([grey + orange, luminance + green, grey - orange], axis=-1)
 
 
 def surface_node_count(side: int) -> int:

@@ -48,7 +48,7 @@ def save_field(field: FieldContents, path: str | os.PathLike, *, format: str = "
         format: "warpcage" is packed occupancy bits, float32 densities, float16 harmonics and rendering weights,
             background layers as RGBA bytes. "compact" is the same quantised and deflated, a third of the size (see
             `warpcage.field.files.compact`). "svox2" has the keys of Plenoxels' SparseGrid.save (float16 harmonics),
-            which leaves background layers out and warns.
+            which leaves background layers and harmonics of degree 3 out and warns.
 
     Raises:
         ValueError: For another format or ending.

@@ -11,11 +11,12 @@ import numpy as np
 from ...core.files import require_numbers
 from ...core.memory import free_host_bytes
 from . import compact
-from .contents import MAX_VOXELS, FieldContents, as_half, voxel_side
+from .contents import BASIS_COUNT, LUMINANCE_NUMBERS, MAX_VOXELS, FieldContents, as_half, voxel_side
 from .layers import layer_arrays, read_layers
 
-#: Files with background layers are of version 2, those without stay readable by older releases.
-FORMAT_VERSION = 2
+#: Files of luminous rows are of version 3, others with background layers of version 2; the rest stays readable by older
+#: releases.
+FORMAT_VERSION, LAYERS_VERSION = 3, 2
 
 #: The arrays of a plain file, without its layers.
 OWN_NAMES = (
@@ -37,7 +38,7 @@ def own_arrays(field: FieldContents) -> dict[str, Any]:
     order = field.links[occupied]  # the file's rows are in memory order
     contents = {
         "format": np.array("warpcage"),
-        "version": np.array(1 if field.layers is None else FORMAT_VERSION),
+        "version": np.array(_least_version(field)),
         "bounds": field.bounds,
         "background": field.background,
         "up": field.up,
@@ -45,13 +46,32 @@ def own_arrays(field: FieldContents) -> dict[str, Any]:
         "resolution": np.array(field.links.shape, np.int32),
         "occupancy": np.packbits(occupied.ravel()),
         "density": field.density[order],
-        "sh": as_half(field.sh[order].transpose(0, 2, 1)),  # (rows, rgb, basis)
+        "sh": _file_harmonics(field.sh[order]),
     }
     if field.weights is not None:
         contents["weights"] = as_half(field.weights[order])
     if field.layers is not None:
         contents |= layer_arrays(field.layers)
     return contents
+
+
+def _least_version(field: FieldContents) -> int:
+    """The oldest version of the format that can hold a field."""
+    if field.sh.ndim == 2:
+        return FORMAT_VERSION
+    return 1 if field.layers is None else LAYERS_VERSION
+
+
+def _file_harmonics(sh: np.ndarray) -> np.ndarray:
+    """Harmonics as files have them: (rows, rgb, basis), or luminous rows as they are."""
+    return as_half(sh if sh.ndim == 2 else sh.transpose(0, 2, 1))
+
+
+def _read_harmonics(contents: dict[str, np.ndarray], rows: int, path: pathlib.Path) -> np.ndarray:
+    """Harmonics of either kind, in float32."""
+    if "sh" in contents and contents["sh"].ndim == 2:
+        return require_numbers(contents, "sh", (rows, LUMINANCE_NUMBERS), path).astype(np.float32)
+    return require_numbers(contents, "sh", (rows, 3, BASIS_COUNT), path).astype(np.float32).transpose(0, 2, 1)
 
 
 def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
@@ -87,8 +107,7 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
         if not (bounds[1] > bounds[0]).all():
             raise ValueError(f"{path}: bounds must be lower below upper, got {bounds.tolist()}")
         contents = compact.unpack(contents, rows, voxel_side(bounds, shape), path)
-    for name, rest in (("density", (rows,)), ("sh", (rows, None, None))):
-        require_numbers(contents, name, rest, path)
+    require_numbers(contents, "density", (rows,), path)
     links = np.full(shape, -1, np.int32)
     links[occupied] = np.arange(rows, dtype=np.int32)
     background, up = (
@@ -103,7 +122,7 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
         contents["bounds"],
         links,
         contents["density"].astype(np.float32),
-        contents["sh"].astype(np.float32).transpose(0, 2, 1),
+        _read_harmonics(contents, rows, path),
         weights=weights,
         background=background,
         up=up,

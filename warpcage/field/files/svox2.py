@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.checks import warn_caller
 from ...core.files import require_numbers
-from .contents import BASIS_COUNT, MAX_VOXELS, FieldContents, as_half
+from .contents import BASIS_COUNT, MAX_VOXELS, FieldContents, as_half, rgb_harmonics
 
 #: Arrays that every svox2 file has.
 SVOX2_KEYS = ("radius", "center", "links", "density_data", "sh_data", "basis_type")
@@ -22,7 +22,7 @@ SVOX2_BASIS_SH = 1
 
 
 def svox2_arrays(field: FieldContents) -> dict[str, Any]:
-    """The arrays of a svox2 file. Background layers are left out, with a warning.
+    """The arrays of a svox2 file. Background layers and harmonics of degree 3 are left out, with a warning.
 
     Args:
         field: The field.
@@ -33,7 +33,9 @@ def svox2_arrays(field: FieldContents) -> dict[str, Any]:
     if field.layers is not None:
         warn_caller("a svox2 file holds the field without its background layers")
     half = 0.5 * (field.bounds[1] - field.bounds[0])
-    sh = field.sh.transpose(0, 2, 1)  # (rows, rgb, basis), as svox2 has it
+    if field.sh.ndim == 2:
+        warn_caller("a svox2 file holds harmonics up to degree 2: those of degree 3 are left out, highlights get softer")
+    sh = rgb_harmonics(field.sh).transpose(0, 2, 1)  # (rows, rgb, basis), as svox2 has it
     return {
         "radius": half.astype(np.float32),
         "center": field.bounds.mean(axis=0).astype(np.float32),
