@@ -214,10 +214,7 @@ def test_bake_then_render(files, tmp_path, format):
 def test_fields_of_scaled_scenes_come_back_to_scale(files, tmp_path, capsys):
     ball = VoxelField.load(files / "ball.npz")
     small = VoxelField(
-        ball.bounds * 2 / 3,
-        ball.grid.links.numpy(),
-        ball.grid.density.numpy() * 1.5,
-        harmonics_on_host(ball.grid.sh),
+        ball.bounds * 2 / 3, ball.grid.links.numpy(), ball.grid.density.numpy() * 1.5, harmonics_on_host(ball.grid.sh)
     )
     small.save(tmp_path / "small.npz", format="svox2")
     view = [*SMALL, "--camera", "@scene:test:1"]

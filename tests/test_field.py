@@ -114,7 +114,7 @@ def test_compact_file_is_small_and_close(numbers, device, tmp_path):
     field.save(tmp_path / "c.npz", format="compact")
     assert (tmp_path / "c.npz").stat().st_size < 0.6 * (tmp_path / "f.npz").stat().st_size  # of random numbers
     again = warpcage.VoxelField.load(tmp_path / "c.npz", device=device)
-    assert np.abs(again.grid.sh.numpy() - field.grid.sh.numpy()).max() < 1 / 128 + 1e-3
+    assert np.abs(again.grid.sh.numpy() - field.grid.sh.numpy()).max() < 1 / 256 + 1e-3
     np.testing.assert_allclose(again.node_densities(), field.node_densities(), rtol=2**-6, atol=1e-6)
     np.testing.assert_allclose(again.node_weights(), field.node_weights(), atol=5e-3)
     camera = warpcage.Camera.look_at(field.center + [3.0, 1.0, 1.5], field.center, width=32, height=32)
@@ -128,8 +128,11 @@ def test_a_svox2_file_of_luminance_lacks_its_third_degree_alone(device, tmp_path
     d = directions_of(300)
     points = np.random.default_rng(1).uniform(field.bounds[0], field.bounds[1], (300, 3))
     again = warpcage.VoxelField.load(tmp_path / "p.npz", device=device)
-    np.testing.assert_allclose(again.sample(points, d)[0], oracle.sample(field, density, sh * ~np.isin(
-        np.arange(24), range(9, 16)), points, d)[0], atol=4e-3)
+    np.testing.assert_allclose(
+        again.sample(points, d)[0],
+        oracle.sample(field, density, sh * ~np.isin(np.arange(24), range(9, 16)), points, d)[0],
+        atol=4e-3,
+    )
 
 
 def test_svox2_file_round_trip_and_scene_scale(device, tmp_path):

@@ -8,8 +8,8 @@ from deformed_scenes import BOX, make_field, psnr, shiny_field, view
 
 import warpcage
 from warpcage.field import marching
-from warpcage.field.sparse import harmonics_on_host
 from warpcage.field.shading import PACKED_WORDS, ColumnTable, row_table, shaded_grid
+from warpcage.field.sparse import harmonics_on_host
 from warpcage.reference.fit_scenes import synthetic_scene
 
 #: A camera among the voxels, one beside the field, one that looks at all of it.

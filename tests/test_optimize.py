@@ -114,7 +114,10 @@ def test_photometric_gradient_matches_finite_differences(device):
     assert abs(error.sum() * scale - loss(density, sh)) < 1e-5
     links = field.grid.links.numpy()
     nodes = random.permutation(np.argwhere(links >= 0))[:6]
-    for values, choices in ((density, [()] * 6), (sh, [(random.integers(16),), (random.integers(16, 20),), (random.integers(20, 24),)])):
+    for values, choices in (
+        (density, [()] * 6),
+        (sh, [(random.integers(16),), (random.integers(16, 20),), (random.integers(20, 24),)]),
+    ):
         for node, choice in zip(map(tuple, nodes), choices, strict=False):
             number = 24 if choice == () else choice[0]
             difference = []

@@ -3,8 +3,9 @@
 A node of the new grid takes density and spherical harmonics of its canonical point ("Deforming Radiance Fields with
 Cages", ECCV 2022, Eq. 5). Harmonics f(d) become f(R d), R the rotation in the polar decomposition of the map's
 Jacobian J: band 1 is a linear form in d and turns as a vector, band 2 a traceless quadratic form d^T S d and becomes
-R^T S R, band 3 follows from its values in seven directions. Where optical depth is taken in canonical arc length (|J d| of a step in direction d), the density takes the
-root mean square of |J d| over all directions, sqrt(tr(J^T J) / 3), as a voxel has one density for all of them.
+R^T S R, band 3 follows from its values in seven directions. Where optical depth is taken in canonical arc length
+(|J d| of a step in direction d), the density takes the root mean square of |J d| over all directions,
+sqrt(tr(J^T J) / 3), as a voxel has one density for all of them.
 Needs: deform/edits, field/grid, field/harmonics.
 """
 

@@ -114,9 +114,7 @@ def cell_density(grid: VoxelGrid, cell: CellSample):
     return wp::vec_t<3, wp::float32>(red + 0.5f, green + 0.5f, blue + 0.5f);
 """
 )
-def blended_colour(
-    sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16
-) -> wp.vec3:
+def blended_colour(sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16) -> wp.vec3:
     """basis . (sum of weight times row) + 0.5."""
     ...
 

@@ -1,9 +1,9 @@
 """Density and colour of a sparse voxel grid at a place, with few reads: field/grid for marches that are to be fast.
 
-On CUDA the harmonics of a row are packed into two reads of 16 bytes: its three constant terms as halves, the others in 8
-bits, in units that the largest one sets. The basis is rounded in the same way, so that four products are one
-instruction. Six words hold four numbers each: two words for each of red, green and blue; or four for luminance and one for
-each difference of colour (field/harmonics). On a CPU the grid's own numbers are read, which lie together.
+On CUDA the harmonics of a row are packed into two reads of 16 bytes: its three constant terms as halves, the others in
+8 bits, in units that the largest one sets. The basis is rounded in the same way, so that four products are one
+instruction. Six words hold four numbers each: two words for each of red, green and blue; or four for luminance and one
+for each difference of colour (field/harmonics). On a CPU the grid's own numbers are read, which lie together.
 Needs: field/columns, field/grid, field/harmonics.
 """
 
@@ -22,10 +22,11 @@ CELL_PLACE = """
     const int block = k / 31;
     const int place = k - 31 * block;
     const unsigned low = (1u << place) - 1u;
-    const int width_of_blocks = columns.blocks.shape[1];
-    const int begin = (i * columns.node_counts.c[1] + j) * width_of_blocks + block;
+    const int block_width = columns.blocks.shape[1];
+    const int begin = (i * columns.node_counts.c[1] + j) * block_width + block;
 """
-COLUMN_ENTRY = """        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width_of_blocks;
+COLUMN_ENTRY = """
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * block_width;
 #if defined(__CUDA_ARCH__)
         const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
         const unsigned bits = entry.x >> place;
@@ -150,7 +151,7 @@ def row_density(
     #pragma unroll 1  // registers are few
     for (int column = 0; column < 4; ++column)
     {
-        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width_of_blocks;
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * block_width;
         const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
         const unsigned bits = entry.x >> place;
         int row = (int)entry.y + __popc(entry.x & low);
@@ -204,7 +205,7 @@ def row_density(
         sum[part] = 0.0f;
     for (int column = 0; column < 4; ++column)
     {
-        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * width_of_blocks;
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * block_width;
         const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
         const unsigned bits = entry[0] >> place;
         int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
@@ -294,7 +295,9 @@ def row_colour(
 #endif
 """
 )
-def write_packed(sh: wp.array2d(dtype=wp.float32), row: wp.int32, packed: wp.array2d(dtype=wp.uint32), target: wp.int32):
+def write_packed(
+    sh: wp.array2d(dtype=wp.float32), row: wp.int32, packed: wp.array2d(dtype=wp.uint32), target: wp.int32
+):
     """Pack a row; -1 is no target. All lanes, in blocks of at most 128 threads."""
     ...
 

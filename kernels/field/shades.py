@@ -1,8 +1,8 @@
 """What a camera sees of each voxel: its colour towards the camera and its optical depth, evaluated once per view.
 
 A march then reads eight numbers of 8 bytes a sample instead of eight rows of harmonics. Trilinear weights blend the
-directions to the eight nodes to the direction to the sample, but for the square of a voxel's angle from the camera, so that
-sum_i w_i c_i . Y(d_i) differs from (sum_i w_i c_i) . Y(d) by the change of c over a voxel times that angle.
+directions to the eight nodes to the direction to the sample, but for the square of a voxel's angle from the camera, so
+that sum_i w_i c_i . Y(d_i) differs from (sum_i w_i c_i) . Y(d) by the change of c over a voxel times that angle.
 
 Needs: field/columns, field/grid, field/harmonics, field/rows.
 """

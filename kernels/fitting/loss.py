@@ -1,23 +1,15 @@
-"""Gradient of the photometric loss by the density and SH numbers of a voxel grid, of the luminous kind (field/harmonics).
+"""Gradient of the photometric loss by the density and SH numbers of a voxel grid.
 
 Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. With g = dL/dC, w_k = T_k alpha_k and the
 background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
 hand-written adjoint of the march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop of unknown
-length).
+length). Rows are those of 24 numbers (field/harmonics).
 Needs: field/grid, field/harmonics, field/samples, fitting/pictures, fitting/shuffle, view/rays.
 """
 
 import warp as wp
 
-from ..field.grid import (
-    VoxelGrid,
-    cell_colour,
-    cell_density,
-    cell_sample,
-    eight_rows,
-    eight_weights,
-    empty_distance,
-)
+from ..field.grid import VoxelGrid, cell_colour, cell_density, cell_sample, eight_rows, eight_weights, empty_distance
 from ..field.harmonics import sh_basis, vec16
 from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from ..view.rays import PinholeCamera, image_direction

@@ -117,7 +117,7 @@ def gather_moments(
 
 @wp.kernel
 def shrink_view_dependence(first: int, factor: float, coefficients: wp.array2d(dtype=wp.float32)):
-    """Multiplies the coefficients that depend on direction by a factor. One item per number. coefficients: (rows, 24)."""
+    """Multiplies the coefficients (rows, 24) that depend on direction by a factor. One item per number."""
     n = first + wp.tid()
     row = n // COEFFICIENTS
     number = n % COEFFICIENTS

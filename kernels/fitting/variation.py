@@ -39,10 +39,10 @@ def accumulate_variation_gradient(
     """Adds the gradient of a sum of total variations over a run of rows: scale_density * TV(density / density_unit),
     scale_sh * TV(sh) of the constant terms and scale_directional * TV(sh) of the others.
 
-    GRADIENT_ROW items per row, one per number, so that neighbouring threads read neighbouring numbers. nodes: (rows,) grid indices of each row. first_row: where the run begins; it goes on
-    at row 0 after the last one. gradients: (rows, 25). touched: (rows,) set to 1 where there is a gradient. The
-    difference to a node without a row counts as zero. Rows are shared with neighbours: on the CPU each thread needs
-    gradients of its own.
+    GRADIENT_ROW items per row, one per number, so that neighbouring threads read neighbouring numbers. nodes: (rows,)
+    grid indices of each row. first_row: where the run begins; it goes on at row 0 after the last one. gradients:
+    (rows, 25). touched: (rows,) set to 1 where there is a gradient. The difference to a node without a row counts as
+    zero. Rows are shared with neighbours: on the CPU each thread needs gradients of its own.
     """
     n = first + wp.tid()
     number = n % GRADIENT_ROW

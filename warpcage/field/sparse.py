@@ -173,5 +173,5 @@ def harmonics_on_host(sh: wp.array) -> np.ndarray:
     Returns:
         NumPy (rows, 9, 3) or (rows, 24) float32.
     """
-    host = sh.numpy()
-    return host if host.shape[1] == LUMINANCE_NUMBERS else host.reshape(-1, 3, BASIS_COUNT).transpose(0, 2, 1)
+    host: np.ndarray = sh.numpy()
+    return host if sh.shape[1] == LUMINANCE_NUMBERS else host.reshape(-1, 3, BASIS_COUNT).transpose(0, 2, 1)

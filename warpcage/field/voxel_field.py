@@ -37,8 +37,8 @@ class VoxelField:
 
     density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5), d from the camera into the
     scene. Values lie at voxel centres. Harmonics are of degree 2 in red, green and blue (27 numbers, as in Plenoxels'
-    files), or of degree 3 in luminance Y and degree 1 in two differences of colour, orange O and green G (24 numbers, what
-    `fit` finds): red = Y + O - G / 2, green = Y + G, blue = Y - O - G / 2.
+    files), or of degree 3 in luminance Y and degree 1 in two differences of colour, orange O and green G (24 numbers,
+    what `fit` finds): red = Y + O - G / 2, green = Y + G, blue = Y - O - G / 2.
 
     References: Fridovich-Keil and Yu et al. 2022, section 3. Limitations: all voxels have the same degrees; lower ones
     are padded with zeros.

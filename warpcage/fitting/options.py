@@ -83,7 +83,7 @@ class FitOptions:
         "has to start coarser.",
     )
     level_growth: float = _positive(2.6, "Rays of a level over the rays of the level before.")
-    epochs: float = _positive(8.0, "Passes over the pixels that see the object.")
+    epochs: float = _positive(11.0, "Passes over the pixels that see the object.")
     least_steps: int = _whole(
         600,
         0,
@@ -117,7 +117,7 @@ class FitOptions:
         0.5,
         SMALLEST,
         1.0,
-        "Learning rate of the SH coefficients of degree 2 over that of degree 1, and of degree 3 over that of degree 2.",
+        "Learning rate of the SH coefficients of degree 2 over that of degree 1, and of degree 3 over degree 2.",
     )
     beta: float = _number(0.95, 0.0, 1.0 - 1e-6, "Decay of RMSProp's second moments per step.")
     scarcity: float | None = _number(
@@ -215,7 +215,7 @@ FitOptions.__doc__ = f"{inspect.cleandoc(FitOptions.__doc__ or '')}\n\n{_argumen
 
 #: What each quality sets in place of the defaults.
 _SET_BY_QUALITY: dict[str, dict[str, Any]] = dict(
-    zip(QUALITIES, ({"epochs": 4.0}, {}, {"epochs": 16.0, "max_resolution": 720, "supersampling": 2}), strict=True)
+    zip(QUALITIES, ({"epochs": 3.0}, {}, {"epochs": 20.0, "max_resolution": 720, "supersampling": 2}), strict=True)
 )
 
 

@@ -19,7 +19,11 @@ CAPTURED_VARIATION, CAPTURED_SH_VARIATION = 30.0, 15.0
 SMALLEST_BATCH = 4096
 
 #: Least and most rays of a batch that follows the number of pixels, and pixels per ray of it.
-BATCH_RAYS, BATCH_SHARE = (4096, 65536), 128
+BATCH_RAYS, BATCH_SHARE = (4096, 131072), 128
+
+#: A step of the optimiser takes as long for a small batch as for a large one. Batches of more than LARGE_BATCH rays are
+#: worth it where there are this many steps nonetheless.
+LARGE_BATCH, ENOUGH_STEPS = 65536, 1200
 
 #: Least voxels along the longest side that the pixels ask for.
 SMALLEST_RESOLUTION = 32
@@ -128,8 +132,10 @@ def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[i
     batch = options.batch_rays
     if batch is None:
         batch = np.clip(pixels // BATCH_SHARE, *BATCH_RAYS)
+        active_pixels = active_tiles * options.tile_size**2
+        if batch > LARGE_BATCH:
+            batch = min(batch, max(LARGE_BATCH, options.epochs * active_pixels / ENOUGH_STEPS))
         if options.least_steps:
-            active_pixels = active_tiles * options.tile_size**2
             batch = min(batch, max(SMALLEST_BATCH, options.epochs * active_pixels / options.least_steps))
     batch_tiles = min(max(1, int(batch) // options.tile_size**2), active_tiles)
     shares = options.level_growth ** np.arange(options.levels)

@@ -106,7 +106,7 @@ class Schedule:
         directional = _log_interpolate(*self.directional, share) * sh
         return Rates(
             density=_log_interpolate(options.rate_density, options.rate_density_end, progress),
-            sh=(sh, *(directional * options.degree_falloff**n for n in range(3))),
+            sh=(sh, directional, directional * options.degree_falloff, directional * options.degree_falloff**2),
             directional_kept=self._directional_kept(sh),
             background=_log_interpolate(options.rate_background, options.rate_background_end, progress),
         )

@@ -1,7 +1,7 @@
 """Compact field files: what plain ones hold, quantised and deflated.
 
-SH coefficients are rounded to 1/64 (trilinear weights and the samples of a ray average that error), densities to 7 bits
-of mantissa of their opacity per voxel, rendering weights to 1/255 of their square root. Fitted fields lose less than
+SH coefficients are rounded to 1/128 (trilinear weights and the samples of a ray average that error), densities to 7
+bits of mantissa of their opacity per voxel, rendering weights to 1/255 of their square root. Fitted fields lose some
 0.01 dB. Bytes of one kind stand together, so that deflate finds those that are alike.
 """
 
@@ -20,7 +20,7 @@ from .contents import BASIS_COUNT, LUMINANCE_NUMBERS, MAX_HALF, RGB_NUMBERS
 COMPACT_NAMES = ("sh_step", "sh_low", "sh_high", "opacity", "weight_roots")
 
 #: Harmonics are kept in multiples of this.
-SH_STEP = 1 / 64
+SH_STEP = 1 / 128
 
 #: Bits of mantissa of an opacity, and those of a float16.
 DENSITY_BITS, HALF_BITS = 7, 10

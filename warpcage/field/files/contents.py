@@ -13,8 +13,8 @@ MAX_VOXELS = 2**31 - 1
 #: Harmonics of degree 0 to 2, which each channel of an RGB row has.
 BASIS_COUNT = 9
 
-#: Numbers of a row of either kind (kernels/field/harmonics): 3 x 9 of red, green and blue; or 16 of luminance and 4 of each
-#: of two differences of colour.
+#: Numbers of a row of either kind (kernels/field/harmonics): 3 x 9 of red, green and blue; or 16 of luminance and 4 of
+#: each of two differences of colour.
 RGB_NUMBERS, LUMINANCE_NUMBERS = 3 * BASIS_COUNT, 24
 
 #: Of a luminous row, those of degree 0 to 2, by their places in an RGB row's channel.
@@ -62,7 +62,8 @@ class FieldContents:
         bounds: (2, 3) float64, world units.
         links: (nx, ny, nz) int32, row of each voxel or -1.
         density: (rows,) float32 per world unit.
-        sh: (rows, 9, 3) float32 coefficients of red, green and blue, or (rows, 24) of luminance and differences of colour.
+        sh: (rows, 9, 3) float32 coefficients of red, green and blue, or (rows, 24) of luminance and differences of
+            colour.
         weights: (rows,) float32 largest rendering weights, or None.
         background: (3,) colour, or None where the file does not say.
         up: (3,) direction, or None where the file does not say.

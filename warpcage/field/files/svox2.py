@@ -34,7 +34,9 @@ def svox2_arrays(field: FieldContents) -> dict[str, Any]:
         warn_caller("a svox2 file holds the field without its background layers")
     half = 0.5 * (field.bounds[1] - field.bounds[0])
     if field.sh.ndim == 2:
-        warn_caller("a svox2 file holds harmonics up to degree 2: those of degree 3 are left out, highlights get softer")
+        warn_caller(
+            "a svox2 file holds harmonics up to degree 2: those of degree 3 are left out, highlights get softer"
+        )
     sh = rgb_harmonics(field.sh).transpose(0, 2, 1)  # (rows, rgb, basis), as svox2 has it
     return {
         "radius": half.astype(np.float32),
