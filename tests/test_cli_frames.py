@@ -13,10 +13,15 @@ from warpcage.field.sparse import harmonics_on_host
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.pictures import read_image, write_png
 
+#: Around the half of the ball that the camera looks at: where it moves away, the other half is seen from within.
+FRONT = "@front.obj"
+
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("cli"))
+    folder = write_files(tmp_path_factory.mktemp("cli"))
+    Cage.box((-0.7, -0.7, -0.7), (0.7, 0.0, 0.7)).save(folder / "front.obj")
+    return folder
 
 
 def test_render_of_a_plain_field(files, tmp_path):
@@ -153,7 +158,7 @@ def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
         "-o",
         folder,
         "--cage",
-        "@cage.obj",
+        FRONT,
         "--posed",
         "translate:0:0:1.5",
         *SMALL,
@@ -176,23 +181,13 @@ def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
 
 
 def test_render_writes_masks_when_asked_and_warns(files, tmp_path, capsys):
-    view = [
-        "render",
-        "@ball.npz",
-        "-o",
-        tmp_path / "a.png",
-        *SMALL,
-        "--cage",
-        "@cage.obj",
-        "--posed",
-        "translate:0:0:1",
-    ]
+    view = ["render", "@ball.npz", "-o", tmp_path / "a.png", *SMALL, "--cage", FRONT, "--posed", "translate:0:0:1"]
     succeed(files, *view)
     assert "warning" not in capsys.readouterr().err
     extra = [word for kind in ("masks", "depth", "alpha") for word in (f"--{kind}", tmp_path / f"{kind}.png")]
     succeed(files, *view, *extra)
     warning = capsys.readouterr().err
-    assert warning.startswith("warpcage: warning: ") and "uncovered" in warning
+    assert "warpcage: warning: " in warning and "uncovered" in warning
     masks, alpha = read_image(tmp_path / "masks.png"), read_image(tmp_path / "alpha.png")
     blue = masks[..., 2] - masks[..., 0] > 0.3
     assert 0.02 < blue.mean() < 0.6

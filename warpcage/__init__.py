@@ -40,6 +40,7 @@ _HOMES = {
     "deform_points": "coordinates.deform",
     "edit": "editor.edit",
     "evaluate": "fitting.evaluation",
+    "fill_unseen": "deform.fill",
     "fit": "fitting.optimizer",
     "green_coordinates": "coordinates.weights",
     "harmonic_coordinates": "coordinates.weights",

@@ -10,6 +10,7 @@ from .coordinates.weights import mean_value_coordinates as mean_value_coordinate
 from .deform.bake import bake as bake
 from .deform.deformer import Deformer as Deformer
 from .deform.edits import CageEdit as CageEdit
+from .deform.fill import fill_unseen as fill_unseen
 from .editor.edit import edit as edit
 from .field.selection import NodeSelection as NodeSelection
 from .field.selection import select_nodes as select_nodes
@@ -52,6 +53,7 @@ __all__ = [
     "deform_points",
     "edit",
     "evaluate",
+    "fill_unseen",
     "fit",
     "green_coordinates",
     "harmonic_coordinates",

@@ -69,6 +69,7 @@ def run(args: argparse.Namespace) -> None:
         inputs.require_deformation(args, "--show masks")
     field = inputs.read_field(args)
     args.timed, args.film_rate = not given & {"motion", "interpolation"}, args.fps if "fps" in given else None
+    inputs.require_fillable(args, field)
     deformation = read_deformation(args, field, args.interpolation)
     times = set_frames(args, deformation and deformation.film, given)
     film = None if times is None or deformation is None else deformation.camera_film
@@ -161,9 +162,9 @@ class _Shot:
 
     def frame(self, index: int) -> tuple[Frame, list[Cage]]:
         """The frame, and the cages that it shows."""
-        camera, background = self.cameras[index], inputs.background_option(self.args)
+        camera = self.cameras[index]
         if self.deformer is None or self.deformation is None:
-            return self.field.render(camera, **background), []
+            return self.field.render(camera, **inputs.background_option(self.args)), []
         place = self.places[index]
         try:
             cages = self.deformation.at(place) if self.times is None else self.deformation.at_time(place)
@@ -172,7 +173,8 @@ class _Shot:
                 self.held = place
         except ValueError as error:
             raise ValueError(f"frame {index}, between the poses: {error}") from error
-        return self.deformer.render(camera, **background), self.deformation.drawn(self.deformer.deformed or cages)
+        frame = inputs.render_view(self.deformer, camera, self.args)
+        return frame, self.deformation.drawn(self.deformer.deformed or cages)
 
     def picture(self, index: int) -> np.ndarray:
         """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4)."""
@@ -273,6 +275,7 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
         "coordinates",
         "resolution",
         "density",
+        "fill",
         "cage_up",
         "scene_scale",
     )

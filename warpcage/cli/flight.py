@@ -38,13 +38,14 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError("--frames belongs to --cameras interpolate")
     cameras = chosen_cameras(args)
     field = inputs.read_field(args)
+    inputs.require_fillable(args, field)
     deformation = read_deformation(args, field)
     renderer = inputs.posed_renderer(field, deformation, args)
     drawn = inputs.drawn_cages(renderer, deformation) if args.overlay else ()
 
     def pictures() -> Iterator[tuple[np.ndarray, Frame, Camera]]:
         for camera in cameras:
-            frame = renderer.render(camera, **inputs.background_option(args))
+            frame = inputs.render_view(renderer, camera, args)
             yield outputs.colours(frame, camera, drawn, transparent), frame, camera
 
     view.save_cameras(args, cameras)

@@ -11,7 +11,10 @@ from ..cage.cage import Cage
 from ..core.devices import resolve_device
 from ..core.files import require_file
 from ..deform.deformer import Deformer
+from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
+from ..view.camera import Camera
+from ..view.frame import Frame
 from . import options
 from .deformation import Deformation, is_deformed
 
@@ -87,6 +90,25 @@ def is_transparent(args: argparse.Namespace) -> bool:
     if args.transparent and args.background not in (None, options.TRANSPARENT):
         raise ValueError("--transparent cannot be combined with --background: give one of them")
     return args.transparent or args.background == options.TRANSPARENT
+
+
+def render_view(renderer: VoxelField | Deformer, camera: Camera, args: argparse.Namespace) -> Frame:
+    """The view of a camera before the chosen background; what no picture showed is filled where --fill asks for it."""
+    frame = renderer.render(camera, **background_option(args))
+    if not args.fill or frame.reveal is None:
+        return frame
+    return fill_unseen(frame, renderer.field if isinstance(renderer, Deformer) else renderer, camera)
+
+
+def require_fillable(args: argparse.Namespace, field: VoxelField) -> None:
+    """Raises ValueError where --fill has nothing to fill."""
+    if not args.fill:
+        return
+    require_deformation(args, "--fill")
+    if args.background is not None or args.transparent:
+        raise ValueError("--fill continues the field's own background: it cannot be combined with --background")
+    if field.background_model is None:
+        raise ValueError("--fill: behind this field there is one colour, so that nothing is missing where it shows")
 
 
 def drawn_cages(renderer: VoxelField | Deformer, deformation: Deformation | None) -> list[Cage]:

@@ -184,6 +184,17 @@ def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
     )
 
 
+def add_fill(parser: Arguments) -> None:
+    """What to do with what no picture showed."""
+    parser.add_argument(
+        "--fill",
+        action="store_true",
+        default=None,
+        help="fill the background that an edit uncovers and no picture showed by a smooth continuation of what is "
+        "around it; masks show it violet (default: it is shown as the fit left it)",
+    )
+
+
 def add_edits(parser: Arguments) -> None:
     """Several edits of one scene."""
     parser.add_argument(

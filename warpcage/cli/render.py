@@ -30,12 +30,13 @@ def run(args: argparse.Namespace) -> None:
     if args.masks is not None:
         inputs.require_deformation(args, "--masks")
     field = inputs.read_field(args)
+    inputs.require_fillable(args, field)
     deformation = read_deformation(args, field)
 
     camera = view.chosen_camera(args, inputs.visible_points(field, deformation, args.frame))
     view.warn_of_edges(args, camera, deformation)
     renderer = inputs.posed_renderer(field, deformation, args)
-    frame = renderer.render(camera, **inputs.background_option(args))
+    frame = inputs.render_view(renderer, camera, args)
     drawn = inputs.drawn_cages(renderer, deformation) if args.overlay else ()
     outputs.write_picture(output, outputs.colours(frame, camera, drawn, transparent), frame, camera)
     for kind, path in extra.items():

@@ -294,7 +294,11 @@ class Deformer:
             inputs = [grid, *edits.row_tables(self.field), edits.scene, pinhole, colour, options, picture]
             launch(edits.render_kernel, threads, inputs, device=self.device, work=work * edits.sample_work)
 
-        return self.field.render_by(march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
+        frame = self.field.render_by(
+            march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES
+        )
+        frame.layered = background is None and self.field.background_model is not None
+        return frame
 
 
 class PosedDeformer:

@@ -21,6 +21,9 @@ PART_NAMES = ("rgb", "alpha", "depth")
 #: Masks that a frame may carry. A frame of a plain field has none of them.
 MASK_NAMES = ("reveal", "fold", "outside")
 
+#: Masks of frames that were worked on after they were rendered.
+LATER_MASKS = ("filled",)
+
 #: Most rays along each side of a pixel: the picture is rendered that many times wider and higher.
 MAX_SUPERSAMPLING = 8
 
@@ -36,7 +39,7 @@ class Frame:
         rgb: (h * w,) wp.vec3, or anything that reshapes to (h, w, 3), composited over the background.
         alpha: (h * w,) opacity in [0, 1].
         depth: (h * w,) expected distance along the ray, world units, inf where nothing is seen.
-        masks: Masks of a deformed frame by name, (h * w,) each: reveal, fold, outside (see the properties).
+        masks: Masks of a deformed frame by name, (h * w,) each: reveal, fold, outside, filled (see the properties).
 
     Raises:
         ValueError: For sizes that do not fit, or a mask that does not exist.
@@ -45,12 +48,16 @@ class Frame:
         width: Width of the picture, pixels.
         height: Height of the picture, pixels.
         arrays: The arrays by name, as they were given: rgb, alpha, depth and the masks there are.
+        layered: Whether the background is a model of a scene, which has places that no camera saw; else it is one
+            colour, and hides nothing.
     """
+
+    layered = False
 
     def __init__(self, width: int, height: int, rgb: Any, alpha: Any, depth: Any, **masks: Any):
         if width < 1 or height < 1:
             raise ValueError(f"a frame needs at least 1x1 pixel, got {width}x{height}")
-        unknown = sorted(set(masks) - set(MASK_NAMES))
+        unknown = sorted(set(masks) - {*MASK_NAMES, *LATER_MASKS})
         if unknown:
             raise ValueError(f"a frame has no mask {unknown[0]!r}, it has {', '.join(MASK_NAMES)}")
         self.width, self.height = int(width), int(height)
@@ -67,7 +74,8 @@ class Frame:
 
     def __reduce__(self):
         """Copies and pickles hold NumPy arrays, so that frames pass between the processes of a pool."""
-        return _host_frame, (self.width, self.height, {name: getattr(self, name) for name in self.arrays})
+        arrays = {name: getattr(self, name) for name in self.arrays}
+        return _host_frame, (self.width, self.height, arrays, self.layered)
 
     def __repr__(self) -> str:
         return f"Frame({self.width}x{self.height}: {', '.join(self.arrays)})"
@@ -102,6 +110,23 @@ class Frame:
         return self._mask("reveal")
 
     @property
+    def missing(self) -> np.ndarray | None:
+        """(h, w) float32 in [0, 1], how much of the pixel was uncovered and shows what no camera may have seen.
+
+        It is `reveal`, less what was filled, and less what shows a background of one colour: there nothing was hidden.
+        None for a plain field.
+        """
+        if self.reveal is None:
+            return None
+        behind = self.reveal if self.layered else self.reveal * self.alpha
+        return behind if self.filled is None else behind * (1.0 - self.filled)
+
+    @property
+    def filled(self) -> np.ndarray | None:
+        """(h, w) float32 in [0, 1], how much of the pixel is made up, by `fill_unseen`. None where nobody asked."""
+        return self._mask("filled")
+
+    @property
     def fold(self) -> np.ndarray | None:
         """(h, w) float32 in [0, 1], opacity that comes from where the map folds over (det J <= 0).
 
@@ -132,8 +157,10 @@ class Frame:
         return self._host[name]
 
 
-def _host_frame(width: int, height: int, arrays: dict) -> Frame:
-    return Frame(width, height, **arrays)
+def _host_frame(width: int, height: int, arrays: dict, layered: bool) -> Frame:
+    frame = Frame(width, height, **arrays)
+    frame.layered = layered
+    return frame
 
 
 def checked_supersampling(side: Any) -> int:

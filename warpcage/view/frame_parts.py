@@ -16,11 +16,12 @@ from .pictures import colour_disparity, disparity_range
 MASKS = {
     "fold": ((0.9, 0.1, 0.1), "folds over (the map turns inside out; red)"),
     "reveal": ((0.1, 0.3, 0.9), "shows what a moved cage uncovered, which no camera may have seen (blue)"),
+    "filled": ((0.6, 0.25, 0.85), "was uncovered and is filled by a smooth continuation, made up (violet)"),
     "outside": ((0.95, 0.75, 0.1), "lost samples that the map sends out of the rest cage (yellow)"),
 }
 
 #: A pixel counts as marked from this value on: opacity that folds or was uncovered, or number of samples lost.
-MASK_LEVEL = {"fold": 0.1, "reveal": 0.1, "outside": 1.0}
+MASK_LEVEL = {"fold": 0.1, "reveal": 0.1, "filled": 0.1, "outside": 1.0}
 
 
 def picture(
@@ -64,11 +65,16 @@ def picture(
     return shown
 
 
+def mask_values(frame: Frame, name: str) -> np.ndarray | None:
+    """(h, w) what a mask marks. Of what was uncovered, only where something may be missing."""
+    return frame.missing if name == "reveal" else getattr(frame, name)
+
+
 def mask_picture(frame: Frame) -> np.ndarray:
     """(h, w, 3) float32, the frame in grey with its masks in colour over it."""
     shown = np.repeat(0.35 + 0.65 * frame.rgb.mean(axis=-1, keepdims=True), 3, axis=-1)
     for name, (colour, _) in MASKS.items():
-        values = getattr(frame, name)
+        values = mask_values(frame, name)
         if values is not None:
             share = 0.8 * np.clip(values / (5.0 if name == "outside" else 1.0), 0.0, 1.0)[..., None]
             shown = (1.0 - share) * shown + share * np.array(colour)
@@ -79,7 +85,7 @@ def mask_shares(frame: Frame) -> dict[str, float]:
     """Share of the pixels that each mask marks. The frame of a field that is not deformed has no masks."""
     return {
         name: float((values >= MASK_LEVEL[name]).mean())
-        for name, values in ((name, getattr(frame, name)) for name in MASKS)
+        for name, values in ((name, mask_values(frame, name)) for name in MASKS)
         if values is not None
     }
 
