@@ -14,6 +14,7 @@ from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.deform.fill import fill_unseen, membrane
 from warpcage.field.background import LayeredBackground
+from warpcage.field.sparse import harmonics_on_host
 from warpcage.view.camera import Camera
 from warpcage.view.frame import Frame
 from warpcage.view.frame_parts import mask_picture, mask_shares
@@ -43,7 +44,7 @@ def ball(device, layers=True, fog=True):
     values = np.stack([np.zeros_like(colours(fog)), colours(fog)])
     background = LayeredBackground((0, 0, 0), 1.5, SIDE, values, device=device)
     return warpcage.VoxelField(
-        field.bounds, field.grid.links, field.grid.density, field.grid.sh.numpy().transpose(0, 2, 1),
+        field.bounds, field.grid.links, field.grid.density, harmonics_on_host(field.grid.sh),
         background_model=background, device=device,
     )  # fmt: skip
 
