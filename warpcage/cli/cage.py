@@ -85,7 +85,7 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
     if "box" in chosen:
         chosen["box"] = [args.in_box[:3], args.in_box[3:]]
     if "masks" in chosen:
-        scene = load_scene(args.masks)
+        scene = load_scene(args.masks, orient=field.straightening)
         if scene.alphas is None:
             raise ValueError(f"the pictures of scene {args.masks!r} have no opacity to take as masks")
         chosen |= {"masks": scene.alphas, "cameras": scene.cameras}

@@ -17,8 +17,9 @@ from ..deform.edits import MAX_EDITS, CageEdit
 from ..editor.session_file import FORMAT as SESSION_FORMAT
 from ..editor.session_file import read_session
 from ..field.voxel_field import VoxelField
+from .axes import with_up
 from .edit_words import EditWords, parse_edit, read_edits_file, read_edits_json
-from .keyframes import Keyframes, only_pose
+from .keyframes import Keyframes, is_preset, only_pose
 from .standing import posed_up, read_rest
 
 
@@ -202,6 +203,7 @@ def _read_edit(
 ) -> PosedEdit:
     """An edit with the cages that its words name. texts: words of --posed; part: whether it is one of several."""
     rest, expected = read_rest(words.cage, words.up or args.cage_up, field, part=part)
+    texts = [with_up(text, None if field is None else field.up.tolist()) if is_preset(text) else text for text in texts]
     falloff = 0.0 if words.remove else words.falloff
     if falloff is None:
         falloff = getattr(args, "falloff", None) or 0.0

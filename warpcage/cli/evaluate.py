@@ -6,7 +6,7 @@ import argparse
 import json
 
 from ..core.files import atomic_path
-from ..fitting.evaluation import comparison, error_image, evaluate, mean_psnr
+from ..fitting.evaluation import comparison, error_image, evaluate, in_world_of, mean_psnr
 from ..scene.load import load_scene
 from ..view.pictures import side_by_side, write_png
 from . import inputs, options
@@ -27,6 +27,7 @@ def run(args: argparse.Namespace) -> None:
         background=background,
         masks=args.masks,
     )
+    scene = in_world_of(field, scene)
     rows = evaluate(field, scene, similarity=min(scene.images.shape[1:3]) >= 11, progress=not args.quiet)
     mean = mean_psnr(rows)
     width = max(len("view"), *(len(row["view"]) for row in rows))

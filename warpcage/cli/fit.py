@@ -23,7 +23,13 @@ def run(args: argparse.Namespace) -> None:
     kind = args.background if is_kind else "auto"
     colour = "white" if is_kind or args.background is None else args.background
     scene = load_scene(
-        args.scene, split=args.split, downscale=args.downscale, format=args.format, background=colour, masks=args.masks
+        args.scene,
+        split=args.split,
+        downscale=args.downscale,
+        format=args.format,
+        background=colour,
+        masks=args.masks,
+        orient="up" if args.straighten else None,
     )
     names = ("resolution", "epochs", "variation", "max_memory")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}

@@ -36,9 +36,9 @@ def run(args: argparse.Namespace) -> None:
     view.check_saved(args)
     if args.cameras == "given" and args.frames is not None:
         raise ValueError("--frames belongs to --cameras interpolate")
-    cameras = chosen_cameras(args)
     field = inputs.read_field(args)
     inputs.require_fillable(args, field)
+    cameras = chosen_cameras(args)
     deformation = read_deformation(args, field)
     renderer = inputs.posed_renderer(field, deformation, args)
     drawn = inputs.drawn_cages(renderer, deformation) if args.overlay else ()

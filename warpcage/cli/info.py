@@ -85,9 +85,19 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
         ("density", _range(density, "per world unit")),
         ("weights", "not recorded" if weights is None else _range(weights, "at most along any training ray")),
         ("background", field.background.round(3).tolist()),
+        ("up", field.up.round(3).tolist()),
+        ("straightened", _turn(field.straightening)),
         ("layers behind", _layers(field.background_model)),
         ("file", _file_size(path)),
     ]
+
+
+def _turn(straightening: np.ndarray | None) -> str:
+    """By how much a field was turned from the coordinates of its scene's files."""
+    if straightening is None:
+        return "no: coordinates of the scene's files"
+    cosine = np.clip(0.5 * (np.trace(straightening[:3, :3]) - 1.0), -1.0, 1.0)
+    return f"by {np.degrees(np.arccos(cosine)):.1f} degrees"
 
 
 def _layers(background: LayeredBackground | None) -> str:

@@ -31,11 +31,15 @@ def chosen_device(args: argparse.Namespace) -> wp.Device:
 
 
 def read_field(args: argparse.Namespace) -> VoxelField:
-    """The field file of a command on the chosen device. Where --up is not given it becomes the field's own."""
+    """The field file of a command on the chosen device. Where --up is not given it becomes the field's own.
+
+    Cameras of scenes are moved by its straightening.
+    """
     require_file(args.field, "field file")  # before Warp starts, which takes a while
     field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
     if getattr(args, "up", field) is None:  # a command with a view
         args.up = tuple(field.up)
+    args.straightening = field.straightening
     return field
 
 

@@ -15,6 +15,7 @@ from ..cage.motion import gltf_poses, gltf_shown, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
 from ..cage.upright import load_standing
 from ..view.motion import pose_along, value_along
+from .axes import AXIS_WORDS, axis_of, default_towards, is_axis
 from .film_keys import gltf_file as gltf_file
 from .film_keys import pose_file as pose_file
 from .film_keys import read_film
@@ -25,7 +26,8 @@ PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0,
            "scale": (1.0, 0), "rotate": (0.0, 1), "translate": (0.0, 0)}  # fmt: skip
 PRESET_HELP = (
     "rest, bend:DEGREES[:AXIS[:TOWARDS]], twist:DEGREES[:AXIS], taper:FACTOR[:AXIS], "
-    "stretch:FACTOR[:AXIS], scale:FACTOR, rotate:DEGREES[:AXIS] or translate:X:Y:Z"
+    "stretch:FACTOR[:AXIS], scale:FACTOR, rotate:DEGREES[:AXIS] or translate:X:Y:Z; "
+    f"an AXIS is {AXIS_WORDS}"
 )
 
 
@@ -55,8 +57,8 @@ class Preset:
             amount = []
         axes = words[number_count:]
         good = len(amount) == number_count and all(abs(number) < float("inf") for number in amount)
-        good = good and len(axes) <= axis_count and all(re.fullmatch("-?[xyz]", axis) for axis in axes)
-        good = good and not any(axis.startswith("-") for axis in axes[:1])
+        good = good and len(axes) <= axis_count and all(map(is_axis, axes))
+        good = good and not any(re.fullmatch("[-+][xyz]", axis) for axis in axes[:1])
         if not good:
             raise ValueError(f"pose {text!r} is not a preset: {PRESET_HELP}")
         self.kind, self.amount = kind, tuple(amount)
@@ -66,11 +68,11 @@ class Preset:
     def at(self, rest: Cage, amount: Sequence[float]) -> Cage:
         """A cage posed by this preset with another amount."""
         kind, *axes = self.family
-        named = dict(zip(("axis", "towards"), axes, strict=False))
+        named = dict(zip(("axis", "towards"), map(axis_of, axes), strict=False))
         if kind == "rest":
             return rest
-        if kind == "bend" and named.get("axis") == "x" and "towards" not in named:
-            named["towards"] = "z"
+        if kind == "bend" and "axis" in named and "towards" not in named:
+            named["towards"] = default_towards(rest, named["axis"])
         return getattr(rest, kind)(tuple(amount) if kind == "translate" else float(amount[0]), **named)
 
 

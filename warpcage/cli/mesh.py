@@ -26,6 +26,8 @@ def run(args: argparse.Namespace) -> None:
     colored = ending == ".glb" if args.colors is None else args.colors
 
     mesh = field.extract_mesh(threshold=args.threshold, components=args.components, colors=colored)
+    if args.as_captured and field.straightening is not None:
+        mesh.apply_transform(np.linalg.inv(field.straightening))
     with atomic_path(output) as temporary:
         if ending == ".glb":
             colors = np.asarray(getattr(mesh.visual, "vertex_colors"))[:, :3] / 255.0 if colored else None  # noqa: B009

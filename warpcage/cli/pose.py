@@ -6,7 +6,11 @@ import argparse
 from typing import Any
 
 from ..cage.cage import Cage
+from ..core.files import require_file
+from ..field.voxel_field import VoxelField
 from . import inputs, options, pose_keys
+from .axes import axis_of, default_towards, with_up
+from .standing import ending, read_rest
 
 
 def run(args: argparse.Namespace) -> None:
@@ -21,16 +25,27 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
     inputs.quiet_warp()
 
-    cage = Cage.load(args.cage, up=args.cage_up)
-    cage.require_usable(f"cage {args.cage!r}")
-    stepped(cage, args).save(output, up=args.cage_up)
+    cage, found = read_cage(args)
+    stepped(cage, args).save(output, up=args.cage_up or found.get(ending(str(output))))
     print(f"wrote {output}: {steps_text(args)}")
+
+
+def read_cage(args: argparse.Namespace) -> tuple[Cage, dict[str, str]]:
+    """The cage of the command, and the axis that points up in files of its ending.
+
+    Where --object is given, --up becomes the field's unless it is given too, and the axis of the file is found by it.
+    """
+    field = None if args.object is None else VoxelField.load(require_file(args.object, "field file"))
+    if field is not None and args.up is None:
+        args.up = tuple(field.up)
+    args.straightening = None if field is None else field.straightening  # for cameras of its scene
+    return read_rest(args.cage, args.cage_up, field, part=True)
 
 
 def stepped(cage: Cage, args: argparse.Namespace) -> Cage:
     """A cage after the steps of the command, usable."""
     for name, value in args.steps or ():
-        cage = getattr(cage, name)(*_arguments(name, value), **_options(name, args))
+        cage = getattr(cage, name)(*_arguments(name, value), **_options(name, cage, args))
     cage.require_usable("the posed cage")
     return cage
 
@@ -50,15 +65,17 @@ def _arguments(name: str, value: Any) -> tuple:
     return (value[0] if len(value) == 1 else tuple(value),)
 
 
-def _options(name: str, args: argparse.Namespace) -> dict:
+def _options(name: str, cage: Cage, args: argparse.Namespace) -> dict:
     """Keyword arguments of the step's method of Cage."""
     if name == "translate":
         return {}
     chosen = {"centre": args.centre}
     if name != "scale":
-        chosen["axis"] = args.axis
+        chosen["axis"] = axis_of(with_up(args.axis, args.up))
     if name == "bend":
-        chosen["towards"] = args.towards or ("z" if args.axis == "x" else "x")
+        chosen["towards"] = default_towards(cage, chosen["axis"])
+        if args.towards is not None:
+            chosen["towards"] = axis_of(with_up(args.towards, args.up))
     if name in ("bend", "twist", "taper", "stretch"):
         chosen["limits"] = tuple(args.limits)
     return chosen

@@ -9,8 +9,9 @@ from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..view.camera_path import CameraKey
 from . import inputs, pose, view
+from .axes import with_up
 from .film_keys import pose_file, read_film
-from .keyframes import read_pose, read_poses
+from .keyframes import is_preset, read_pose, read_poses
 from .standing import posed_up
 
 #: Options for pose files alone.
@@ -20,8 +21,7 @@ OPTIONS = ("key", "at", "easing", "posed", "camera", "remove", "fps", "loop")
 def run(args: argparse.Namespace, output: pathlib.Path) -> None:
     """Add a key to a pose file, or all keys of a file that moves, and say what the film is then."""
     inputs.quiet_warp()
-    rest = Cage.load(args.cage, up=args.cage_up)
-    rest.require_usable(f"cage {args.cage!r}")
+    rest, _ = pose.read_cage(args)
     file = PoseFile.load(output, rest) if output.exists() else PoseFile(rest)
     if args.key is None:
         _add_all(file, args)
@@ -35,6 +35,11 @@ def run(args: argparse.Namespace, output: pathlib.Path) -> None:
         raise ValueError(f"{str(output)!r} would hold no key: remove the file instead")
     file.save(output)
     print(f"wrote {output}: {_described(file)}")
+
+
+def _posed(args: argparse.Namespace) -> str:
+    """The word of --posed."""
+    return with_up(args.posed, args.up) if is_preset(args.posed) else args.posed
 
 
 def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
@@ -53,7 +58,7 @@ def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
         if alone:
             return  # a camera and no pose
     if name not in file or not alone:  # otherwise another time or easing of the pose that is there
-        begin = file.rest if args.posed is None else read_pose(file.rest, args.posed, posed_up(args))
+        begin = file.rest if args.posed is None else read_pose(file.rest, _posed(args), posed_up(args))
         file[name] = pose.stepped(begin, args)
     if args.at is not None:
         file.times[name] = args.at
@@ -67,7 +72,7 @@ def _add_camera(file: PoseFile, args: argparse.Namespace) -> None:
     if time is None:
         raise ValueError(f"--key {args.key!r} needs --at SECONDS: a camera is reached at a time")
     easing = args.easing or (held[0].easing if held else "smooth")
-    key = CameraKey(view.named_camera(args.camera), time, args.key, easing)
+    key = CameraKey(view.named_camera(args, args.camera), time, args.key, easing)
     same = [other for other in file.cameras if other.name != args.key and other.time == time]
     if same:
         raise ValueError(f"camera {same[0].name!r} of the file is at {time:g} s too: give another time")

@@ -52,7 +52,7 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
             raise ValueError("--camera cannot be combined with --eye, --target or --view")
         if named := camera_file(args.camera):
             return fitted_to(Camera.load(*named, size=size), size)
-        return fitted_to(scene_camera(args.camera), size)
+        return fitted_to(scene_camera(args, args.camera), size)
     width, height = size or DEFAULT_SIZE
     view = {"up": args.up, "fov_degrees": args.fov, "width": width, "height": height}
     elevation, azimuth = SIDES[args.view or "corner"]
@@ -66,11 +66,11 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
     return Camera.look_at(eye, target, **view)
 
 
-def named_camera(text: str) -> Camera:
+def named_camera(args: argparse.Namespace, text: str) -> Camera:
     """The camera that FILE[:NAME] or SCENE:[SPLIT:]INDEX names, at its own size."""
     if named := camera_file(text):
         return Camera.load(*named)
-    return scene_camera(text)
+    return scene_camera(args, text)
 
 
 def camera_file(text: str) -> tuple[str, str] | None:
@@ -144,26 +144,32 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
     return camera.resized(width, height)
 
 
-def scene_cameras(text: str) -> list[Camera]:
+def scene_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
     """The cameras that SCENE[:SPLIT] names, in the order of the pictures."""
     path, split = text, "train"
     if not pathlib.Path(path).exists() and ":" in path:
         path, _, split = path.rpartition(":")
-    return load_scene(path, split=split).cameras
+    return [moved_to_field(args, camera) for camera in load_scene(path, split=split).cameras]
+
+
+def moved_to_field(args: argparse.Namespace, camera: Camera) -> Camera:
+    """A camera of a scene in the world of the field, which may have been straightened."""
+    motion = getattr(args, "straightening", None)  # of the field that was read
+    return camera if motion is None else camera.moved(motion)
 
 
 def sized_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
     """The cameras that SCENE[:SPLIT] names, at --size where it is given."""
     size = image_size(args)
-    return [fitted_to(camera, size) for camera in scene_cameras(text)]
+    return [fitted_to(camera, size) for camera in scene_cameras(args, text)]
 
 
-def scene_camera(text: str) -> Camera:
+def scene_camera(args: argparse.Namespace, text: str) -> Camera:
     """The camera that SCENE:[SPLIT:]INDEX names."""
     path, separator, index = text.rpartition(":")
     if not separator or not index.isdigit():
         raise ValueError(f"--camera must be SCENE:INDEX or SCENE:SPLIT:INDEX, got {text!r}")
-    cameras = scene_cameras(path)
+    cameras = scene_cameras(args, path)
     if int(index) >= len(cameras):
         raise ValueError(f"{path!r} has pictures 0 to {len(cameras) - 1}, got {index}")
     return cameras[int(index)]

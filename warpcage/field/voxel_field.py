@@ -17,7 +17,7 @@ from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.backgrounds import parse_background
-from ..view.camera import Camera
+from ..view.camera import Camera, rigid_motion
 from ..view.frame import PART_NAMES, Frame, checked_supersampling
 from .background import LayeredBackground
 from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, FieldContents
@@ -53,6 +53,8 @@ class VoxelField:
         background_model: What lies around the box instead of that colour. None is that colour.
         weights: (rows,) float32, the largest rendering weight that a training ray gave each voxel. None is not known.
         up: (3,) what is up in the world, for views of it, of any length but zero.
+        straightening: (4, 4) rigid, from the coordinates of the scene's files to those of the field, where the scene
+            was straightened (`load_scene(orient="up")`). None is the same coordinates.
         supersampling: Rays along each side of a pixel in renders: 2 for fields that were fitted with four rays per
             pixel.
         device: Warp device. None is the device of `links` if that is a Warp array, else CUDA where there is one.
@@ -67,6 +69,7 @@ class VoxelField:
         background: (3,) float32 colour behind everything.
         background_model: LayeredBackground or None.
         up: (3,) float64 unit vector.
+        straightening: (4, 4) float64 from the coordinates of the scene's files, or None; its inverse leads back.
         supersampling: Rays along each side of a pixel in renders.
         resolution: (nx, ny, nz) number of voxels along each axis.
         voxel_size: (3,) float64, world units.
@@ -87,6 +90,7 @@ class VoxelField:
         background_model: LayeredBackground | None = None,
         weights: np.ndarray | wp.array | None = None,
         up: ArrayLike = (0.0, 0.0, 1.0),
+        straightening: ArrayLike | None = None,
         supersampling: int = 1,
         device: wp.DeviceLike = None,
     ):
@@ -97,6 +101,7 @@ class VoxelField:
         self.background = parse_background(background)
         self.background_model = None if background_model is None else background_model.to(self.device)
         self.up = _checked_up(up)
+        self.straightening = None if straightening is None else rigid_motion(straightening, "straightening")
         self.supersampling = checked_supersampling(supersampling)
         if len(links.shape) != 3 or min(links.shape) < 2:
             raise ValueError(f"links must be (nx, ny, nz) with at least 2 along each axis, got {tuple(links.shape)}")
@@ -425,6 +430,7 @@ class VoxelField:
             weights=None if self.weights is None else self.weights.numpy(),
             background=self.background,
             up=self.up,
+            straightening=self.straightening,
             supersampling=self.supersampling,
             layers=None if self.background_model is None else self.background_model.contents(),
         )
@@ -455,6 +461,7 @@ class VoxelField:
             "background": self.background,
             "background_model": self.background_model,
             "up": self.up,
+            "straightening": self.straightening,
             "supersampling": self.supersampling,
         }
 

@@ -131,7 +131,7 @@ def evaluate(
 
     Args:
         renderer: A VoxelField, a Deformer, or anything with .render(camera, background=...) -> Frame.
-        scene: The views.
+        scene: The views. Those of a field that was straightened may be in the world of their files.
         similarity: Whether the structural similarity is measured too.
         progress: Whether to show a bar.
 
@@ -143,6 +143,7 @@ def evaluate(
         ValueError: For anything but a Scene.
     """
     require_type(scene, Scene, "evaluate compares with")
+    scene = in_world_of(renderer, scene)
     from tqdm import tqdm
 
     rows = []
@@ -156,6 +157,20 @@ def evaluate(
             row["masked_psnr"] = masked_psnr(rgb, image, alpha)
         rows.append(row)
     return rows
+
+
+def in_world_of(renderer: Renderer, scene: Scene) -> Scene:
+    """A scene in the world of a field that was straightened, where it was read in that of its files.
+
+    Args:
+        renderer: A VoxelField, a Deformer, or anything that renders.
+        scene: The scene.
+
+    Returns:
+        The scene moved by the field's `straightening`; as it is where there is none, or where it was moved already.
+    """
+    motion = getattr(getattr(renderer, "field", renderer), "straightening", None)
+    return scene if motion is None or scene.straightening is not None else scene.moved(motion)
 
 
 def comparison(renderer: Renderer, scene: Scene) -> tuple[np.ndarray | None, np.ndarray]:

@@ -353,7 +353,7 @@ class FieldOptimizer:
         What is left is what a cage has to enclose: faint floaters would stay behind when the object moves.
         """
         field = self.current.finish(self.rays, self.options.keep_weight)
-        field.up = self.scene.up
+        field.up, field.straightening = self.scene.up, self.scene.straightening
         field.supersampling = self.options.supersampling
         if self.background is not None:
             field.background_model = self.background.result()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -11,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import listed
 from ..view.backgrounds import parse_background
+from ..view.camera import rigid_motion
 from .formats import blender, colmap, dtu, nsvf, transforms
-from .scene import Scene
+from .scene import Scene, rotation_to
 
 
 class SceneReader(Protocol):
@@ -44,6 +46,10 @@ READERS: dict[str, SceneReader] = {
 }
 
 
+#: Formats whose bounds are those of a ball around the origin.
+ROUND = ("dtu",)
+
+
 def load_scene(
     path: str | os.PathLike,
     *,
@@ -52,6 +58,7 @@ def load_scene(
     format: str | None = None,
     background: str | ArrayLike = "white",
     masks: bool | str = True,
+    orient: str | ArrayLike | None = None,
 ) -> Scene:
     """Read one split of a scene from disk.
 
@@ -69,6 +76,10 @@ def load_scene(
         background: Colour put behind transparent pixels, a name or (3,) in [0, 1].
         masks: True makes mask files alphas, and what they hide the background. "split" keeps what they hide as the
             scene's surroundings, which `fit` puts into layers behind the object. False leaves the pictures whole.
+        orient: "up" turns the world about its origin so that what is up for the training cameras (`Scene.up`) is +z;
+            `Scene.straightening` is the turn. A rigid (4, 4) moves the world by it: that of a scene or a field that was
+            straightened, to read another split of its scene without its training pictures. None leaves the coordinates
+            as the files have them.
 
     Returns:
         The scene.
@@ -88,9 +99,31 @@ def load_scene(
         raise ValueError(f"masks must be True, False or 'split', got {masks!r}")
     if format not in READERS:
         raise ValueError(f"scene format {format!r} is not known: {', '.join(READERS)}")
-    return READERS[format].read(
-        folder, split=split, downscale=int(downscale), background=parse_background(background), masks=masks
-    )
+    if isinstance(orient, str) and orient != "up":
+        raise ValueError(f"orient must be 'up', a rigid (4, 4), or None for the coordinates of files, got {orient!r}")
+    motion = None if orient is None or isinstance(orient, str) else rigid_motion(orient, "orient")
+
+    def read(name: str) -> Scene:
+        colour = parse_background(background)
+        return READERS[format].read(folder, split=name, downscale=int(downscale), background=colour, masks=masks)
+
+    scene = read(split)
+    if isinstance(orient, str):
+        motion = _straightening(scene if split == "train" else _other_split(read, scene))
+    return scene if motion is None else scene.moved(motion, round_bounds=format in ROUND)
+
+
+def _other_split(read: Callable[[str], Scene], scene: Scene) -> Scene:
+    """The training split, by which all splits stay in one world; the scene itself where there is none."""
+    try:
+        return read("train")
+    except FileNotFoundError:
+        return scene
+
+
+def _straightening(scene: Scene) -> np.ndarray | None:
+    """The turn that makes a scene's up +z, None where it is."""
+    return rotation_to(scene.up, np.array([0.0, 0.0, 1.0]))
 
 
 def detect_format(path: str | os.PathLike) -> str:

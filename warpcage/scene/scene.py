@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds
 from ..view.backgrounds import parse_background
-from ..view.camera import Camera, common_up
+from ..view.camera import Camera, common_up, rigid_motion
+from ..view.motion import axis_rotation
 
 #: Images may leave [0, 1] by this much, as renders of a field do; values further out are in other units.
 IMAGE_ROOM = 1.0
@@ -34,6 +36,8 @@ class Scene:
             known.
         surroundings: (n, h, w, 3) float32, what lies around the object in pictures that masks split: their colour times
             1 - alpha. None where nothing was split off.
+        straightening: (4, 4) float64, the rigid motion that took the coordinates of the scene's files to these; see
+            `straightened`. None where they are the same.
         captured: Whether the opacity comes from mask files: such pictures were taken, not rendered, and `fit` smooths
             more.
 
@@ -51,6 +55,7 @@ class Scene:
     to_source: np.ndarray | None = None
     surroundings: np.ndarray | None = None
     captured: bool = False
+    straightening: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         images = _checked_images(self.images)
@@ -68,11 +73,7 @@ class Scene:
             surroundings = np.asarray(surroundings, dtype=np.float32)
             if alphas is None or surroundings.shape != images.shape:
                 raise ValueError(f"scene surroundings must be {images.shape} beside alphas, got {surroundings.shape}")
-        to_source = self.to_source
-        if to_source is not None:
-            to_source = np.array(to_source, dtype=np.float64)
-            if to_source.shape != (4, 4) or not np.isfinite(to_source).all():
-                raise ValueError(f"scene to_source must be a finite (4, 4) matrix, got shape {to_source.shape}")
+        to_source = _checked_matrix(self.to_source, "to_source")
         checked = {
             "images": images,
             "alphas": alphas,
@@ -80,6 +81,7 @@ class Scene:
             "names": names,
             "bounds": None if self.bounds is None else checked_bounds(self.bounds, "scene bounds"),
             "to_source": to_source,
+            "straightening": _checked_matrix(self.straightening, "straightening"),
             "surroundings": surroundings,
         }
         for name, value in checked.items():
@@ -112,6 +114,79 @@ class Scene:
         else, it is the mean of their upward axes, and z where they have none.
         """
         return common_up(self.cameras)
+
+    def straightened(self, *, round_bounds: bool = False) -> Scene:
+        """The scene turned about the origin of its world, so that `up` is +z; by the smallest such turn.
+
+        Args:
+            round_bounds: As for `moved`.
+
+        Returns:
+            The scene; this one if it stands straight. `straightening` is the turn.
+        """
+        turn = rotation_to(self.up, np.array([0.0, 0.0, 1.0]))
+        return self if turn is None else self.moved(turn, round_bounds=round_bounds)
+
+    def moved(self, motion: ArrayLike, *, round_bounds: bool = False) -> Scene:
+        """The scene after a rigid motion of its world.
+
+        Args:
+            motion: (4, 4) from the coordinates of this scene to those of the new one.
+            round_bounds: Whether the bounds are those of a ball, which stay as large. Otherwise they become the box
+                around the moved box.
+
+        Returns:
+            The scene. Its `straightening` is that of this one followed by the motion, `to_source` undoes it.
+
+        Raises:
+            ValueError: If the motion is not rigid.
+        """
+        motion = rigid_motion(motion)
+        bounds = self.bounds
+        if bounds is not None and round_bounds:
+            bounds = bounds - bounds.mean(axis=0) + motion[:3, :3] @ bounds.mean(axis=0) + motion[:3, 3]
+        elif bounds is not None:
+            corners = bounds[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)] @ motion[:3, :3].T + motion[:3, 3]
+            bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
+        before, source = (np.eye(4) if each is None else each for each in (self.straightening, self.to_source))
+        return dataclasses.replace(
+            self,
+            cameras=[camera.moved(motion) for camera in self.cameras],
+            bounds=bounds,
+            to_source=source @ np.linalg.inv(motion),
+            straightening=motion @ before,
+        )
+
+
+def rotation_to(direction: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
+    """The smallest turn about the origin that takes a direction to another.
+
+    Args:
+        direction: (3,) unit vector.
+        goal: (3,) unit vector.
+
+    Returns:
+        (4, 4) rigid motion, None where the directions are the same.
+    """
+    axis, cosine = np.cross(direction, goal), float(direction @ goal)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        if cosine > 0.0:
+            return None
+        axis = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])  # any axis across
+    motion = np.eye(4)
+    motion[:3, :3] = axis_rotation(axis / np.linalg.norm(axis), float(np.arctan2(sine, cosine)))
+    return motion
+
+
+def _checked_matrix(matrix: ArrayLike | None, name: str) -> np.ndarray | None:
+    """A finite (4, 4) matrix, or None."""
+    if matrix is None:
+        return None
+    matrix = np.array(matrix, dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise ValueError(f"scene {name} must be a finite (4, 4) matrix, got shape {matrix.shape}")
+    return matrix
 
 
 def _checked_images(images: np.ndarray) -> np.ndarray:

@@ -45,14 +45,7 @@ class Camera:
     camera_to_world: np.ndarray
 
     def __post_init__(self) -> None:
-        pose = np.asarray(self.camera_to_world, dtype=np.float64)
-        if pose.shape != (4, 4) or not np.isfinite(pose).all():
-            raise ValueError(f"camera_to_world must be a finite (4, 4) matrix, got shape {pose.shape}")
-        rotation = pose[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=POSE_TOLERANCE) or np.linalg.det(rotation) < 0:
-            raise ValueError("camera_to_world must hold a rotation (orthonormal, determinant 1)")
-        if not np.allclose(pose[3], (0, 0, 0, 1), atol=POSE_TOLERANCE):
-            raise ValueError(f"camera_to_world must end in the row 0 0 0 1, got {pose[3].tolist()}")
+        pose = rigid_motion(self.camera_to_world, "camera_to_world")
         if int(self.width) < 1 or int(self.height) < 1:
             raise ValueError(f"a camera needs an image of at least 1x1 pixel, got {self.width}x{self.height}")
         for name in ("fx", "fy", "cx", "cy"):
@@ -318,6 +311,30 @@ def framing_orbit(
     if distance <= 0.0:
         distance = 1.0  # one point alone: any distance shows it
     return turntable(target, distance, elevation_degrees, count, **circle)
+
+
+def rigid_motion(matrix: ArrayLike, name: str = "a rigid motion") -> np.ndarray:
+    """A rigid motion, checked.
+
+    Args:
+        matrix: (4, 4) numbers.
+        name: How messages call it.
+
+    Returns:
+        (4, 4) float64.
+
+    Raises:
+        ValueError: For another shape, numbers that are not finite, or a matrix that is not rigid.
+    """
+    motion = np.asarray(matrix, dtype=np.float64)
+    if motion.shape != (4, 4) or not np.isfinite(motion).all():
+        raise ValueError(f"{name} must be a finite (4, 4) matrix, got shape {motion.shape}")
+    rotation = motion[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=POSE_TOLERANCE) or np.linalg.det(rotation) < 0:
+        raise ValueError(f"{name} must hold a rotation (orthonormal, determinant 1)")
+    if not np.allclose(motion[3], (0, 0, 0, 1), atol=POSE_TOLERANCE):
+        raise ValueError(f"{name} must end in the row 0 0 0 1, got {motion[3].tolist()}")
+    return motion
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray:

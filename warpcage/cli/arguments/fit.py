@@ -27,6 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(layers around the field), constant, or auto (default)",
     )
     parser.add_argument(
+        "--straighten",
+        action="store_true",
+        help="turn the scene so that what is up for its cameras is +z; the field keeps the turn, by which cameras of "
+        "the scene are turned too",
+    )
+    parser.add_argument(
         "--quality", choices=QUALITIES, default="standard", help="detail, at the cost of time (default: %(default)s)"
     )
     parser.add_argument(

@@ -42,5 +42,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the colours of the surface at its vertices, as they are seen from straight ahead (.glb, .ply, "
         ".obj; default: for .glb)",
     )
+    parser.add_argument(
+        "--as-captured",
+        action="store_true",
+        help="in the coordinates of the scene's files, for a field that was straightened (warpcage fit --straighten)",
+    )
     options.add_scene_scale(parser)
     options.add_device(parser)

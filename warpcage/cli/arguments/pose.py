@@ -7,6 +7,7 @@ from typing import Any
 
 from ...core.names import EASINGS, LOOPS
 from .. import options
+from ..axes import AXIS_WORDS, axis_word
 
 NAME = "pose"
 HELP = "bend, twist, taper, stretch, scale, rotate or move a cage"
@@ -105,12 +106,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="move, world units",
     )
     where = parser.add_argument_group("where")
-    where.add_argument("--axis", choices="xyz", default="z", help="axis of the steps (default: %(default)s)")
+    where.add_argument(
+        "--axis",
+        type=axis_word,
+        default="z",
+        metavar="AXIS",
+        help=f"axis of the steps: {AXIS_WORDS}. up is that of --up or --object; long, middle and short are those of "
+        "the cage itself (default: %(default)s)",
+    )
     where.add_argument(
         "--towards",
-        choices=("x", "y", "z", "-x", "-y", "-z"),
+        type=axis_word,
         default=None,
-        help="direction of a bend (default: x, or z if --axis is x)",
+        metavar="AXIS",
+        help="direction of a bend, in the same words; what is across --axis counts (default: x, or z if --axis is x)",
+    )
+    where.add_argument("--up", type=number, nargs=3, metavar=("X", "Y", "Z"), help="what is up in the scene")
+    where.add_argument(
+        "--object",
+        metavar="FIELD",
+        help="field of the cage (.npz): says what is up, and which axis points up in the file",
     )
     where.add_argument(
         "--limits",

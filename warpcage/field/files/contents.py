@@ -67,6 +67,7 @@ class FieldContents:
         weights: (rows,) float32 largest rendering weights, or None.
         background: (3,) colour, or None where the file does not say.
         up: (3,) direction, or None where the file does not say.
+        straightening: (4, 4) rigid motion from the coordinates of the scene's files, or None where they are the same.
         supersampling: Rays along each side of a pixel, or None where the file does not say.
         layers: Background layers, or None.
     """
@@ -78,12 +79,13 @@ class FieldContents:
     weights: np.ndarray | None = None
     background: np.ndarray | None = None
     up: np.ndarray | None = None
+    straightening: np.ndarray | None = None
     supersampling: int | None = None
     layers: LayerContents | None = None
 
     def options(self) -> dict[str, Any]:
         """What is known beside the voxels and layers, by the names of VoxelField's arguments."""
-        names = ("weights", "background", "up", "supersampling")
+        names = ("weights", "background", "up", "straightening", "supersampling")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 

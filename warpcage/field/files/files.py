@@ -84,9 +84,19 @@ def load_field(path: str | os.PathLike, *, scene_scale: float = 1.0) -> FieldCon
     return dataclasses.replace(
         field,
         bounds=field.bounds / scene_scale,
+        straightening=_unscaled(field.straightening, scene_scale),
         density=field.density * np.float32(scene_scale),
         layers=None if field.layers is None else field.layers.shrunk(scene_scale),
     )
+
+
+def _unscaled(motion: np.ndarray | None, scene_scale: float) -> np.ndarray | None:
+    """A rigid motion (4, 4) of a world whose positions were multiplied by a factor, without that factor."""
+    if motion is None:
+        return None
+    motion = np.array(motion, dtype=np.float64)
+    motion[:3, 3] /= scene_scale
+    return motion
 
 
 def _read(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:

@@ -20,7 +20,7 @@ FORMAT_VERSION, LAYERS_VERSION = 3, 2
 
 #: The arrays of a plain file, without its layers.
 OWN_NAMES = (
-    *("format", "version", "bounds", "background", "up", "supersampling"),
+    *("format", "version", "bounds", "background", "up", "straightening", "supersampling"),
     *("resolution", "occupancy", "density", "sh", "weights"),
 )
 
@@ -48,6 +48,8 @@ def own_arrays(field: FieldContents) -> dict[str, Any]:
         "density": field.density[order],
         "sh": _file_harmonics(field.sh[order]),
     }
+    if field.straightening is not None:
+        contents["straightening"] = field.straightening
     if field.weights is not None:
         contents["weights"] = as_half(field.weights[order])
     if field.layers is not None:
@@ -113,7 +115,9 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
     background, up = (
         require_numbers(contents, name, (3,), path) if name in contents else None for name in ("background", "up")
     )
-    supersampling = weights = None
+    straightening = supersampling = weights = None
+    if "straightening" in contents:
+        straightening = require_numbers(contents, "straightening", (4, 4), path)
     if "supersampling" in contents:
         supersampling = int(require_numbers(contents, "supersampling", (), path))
     if "weights" in contents:
@@ -126,6 +130,7 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
         weights=weights,
         background=background,
         up=up,
+        straightening=straightening,
         supersampling=supersampling,
         layers=read_layers(contents, path),
     )
