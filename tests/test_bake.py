@@ -127,6 +127,7 @@ def test_a_baked_field_is_viewed_as_its_source(device):
     plain_source = shiny_field(device)
     grid = plain_source.grid
     given = {"background": (0.1, 0.2, 0.3), "background_model": layers, "up": (0.0, 0.6, 0.8), "supersampling": 2}
+    given["straightening"] = [[0, -1, 0, 2], [1, 0, 0, 3], [0, 0, 1, 4], [0, 0, 0, 1]]
     assert set(given) == set(inspect.signature(VoxelField).parameters) - {
         "bounds",
         "links",
@@ -141,6 +142,7 @@ def test_a_baked_field_is_viewed_as_its_source(device):
     np.testing.assert_allclose(baked.background, given["background"], atol=1e-6)
     assert baked.background_model is layers and baked.supersampling == 2
     np.testing.assert_array_equal(baked.up, source.up)
+    np.testing.assert_array_equal(baked.straightening, given["straightening"])
     camera = view(size=24)
     expected = live.render(camera).rgb
     like, single = (psnr(baked.render(camera, supersampling=side).rgb, expected) for side in (None, 1))
