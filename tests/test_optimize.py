@@ -36,6 +36,12 @@ def training_rays(cameras, images, alphas, field, device, side=1):
     return rays
 
 
+def gradient_rows(gradients):
+    """(rows, 25) NumPy, coefficients, then density, of what kernels add to."""
+    density, coefficients = (part.numpy() for part in gradient_parts(gradients))
+    return np.concatenate([coefficients, density[:, None]], axis=1)
+
+
 def photometric_gradient(
     field,
     rays,
@@ -50,9 +56,12 @@ def photometric_gradient(
     own_background=None,
     grad_background=None,
 ):
-    """Gradient rows (rows, 25) and squared errors (count,) of a batch. own_background, grad_background: Warp arrays."""
+    """Gradient rows (rows, 25), coefficients, then density, and squared errors (count,) of a batch.
+
+    own_background, grad_background: Warp arrays.
+    """
     device = field.device
-    gradients = wp.zeros((field.voxel_count, 25), dtype=wp.float32, device=device)
+    gradients = wp.zeros(25 * field.voxel_count, dtype=wp.float32, device=device)
     touched = wp.zeros(field.voxel_count, dtype=wp.uint8, device=device)
     error = wp.zeros(count, dtype=wp.float32, device=device)
     inputs = [rays, wp.vec3(*background), random_background, seed, field.step, stop, scale, own_background]
@@ -65,7 +74,7 @@ def photometric_gradient(
             inputs=[0, field.grid, *inputs],
             outputs=[gradients, touched, error, grad_background],
         )
-        assert touched.numpy()[gradients.numpy().any(axis=1)].all()
+        assert touched.numpy()[gradient_rows(gradients).any(axis=1)].all()
     else:
         wp.launch(
             field_loss.accumulate_photometric_gradient,
@@ -74,7 +83,7 @@ def photometric_gradient(
             inputs=[0, field.grid, *inputs],
             outputs=[*gradient_parts(gradients), error, grad_background],
         )
-    return gradients.numpy(), error.numpy()
+    return gradient_rows(gradients), error.numpy()
 
 
 def test_photometric_gradient_matches_finite_differences(device):
@@ -204,7 +213,7 @@ def test_variation_gradient_matches_finite_differences(device):
     links = field.grid.links.numpy()
     nodes = np.argwhere(links >= 0).astype(np.int32)
     rows = field.voxel_count
-    gradients = wp.zeros((rows, 25), dtype=wp.float32, device=device)
+    gradients = wp.zeros(25 * rows, dtype=wp.float32, device=device)
     touched = wp.zeros(rows, dtype=wp.uint8, device=device)
     unit, scale_density, scale_sh, scale_directional = 0.7, 0.3, 0.2, 0.9
     wp.launch(
@@ -223,7 +232,7 @@ def test_variation_gradient_matches_finite_differences(device):
         ],
         outputs=[gradients, touched],
     )
-    gradients = gradients.numpy()
+    gradients = gradient_rows(gradients)
     assert touched.numpy().all()
 
     def variation(values):  # values (nx, ny, nz, c): differences to nodes without a row count as zero
@@ -259,28 +268,32 @@ def test_rmsprop_step_matches_numpy(device):
     random = np.random.default_rng(0)
     values, moments = random.normal(size=(12, 25)), np.zeros((12, 25))
     density = wp.array(values[:, 24].astype(np.float32), device=device)
-    coefficients = wp.array(values[:, :24].astype(np.float32), device=device)
-    held_moments = wp.zeros((12, 25), dtype=wp.bfloat16, device=device)
+    coefficients = wp.array(values[:, :24].reshape(12, 6, 4).astype(np.float32), dtype=wp.vec4, device=device)
+    held = [
+        wp.zeros(12, dtype=wp.bfloat16, device=device),
+        wp.zeros((12, 6), dtype=field_step.four_bfloats, device=device),
+    ]
     rates = np.full(25, 0.7)  # by degree: Y of 0 to 3, then O and G of 0 and 1; density
     degrees = [0] + [1] * 3 + [2] * 5 + [3] * 7 + [0, 1, 1, 1] * 2
     rates[:24] = np.array([0.5, 0.2, 0.1, 0.05])[degrees]
     for _ in range(3):
         g = np.where(random.random((12, 25)) < 0.3, 0.0, random.normal(size=(12, 25)))
         g[3:5] = 0
-        gradients = wp.array(g.astype(np.float32), device=device)
+        slopes = wp.array(g[:, 24].astype(np.float32), device=device)
+        gradients = wp.array(g[:, :24].reshape(12, 6, 4).astype(np.float32), dtype=wp.vec4, device=device)
         touched = wp.array((g != 0).any(axis=1).astype(np.uint8), device=device)
         wp.launch(
             field_step.apply_rmsprop,
-            dim=12 * 25,
+            dim=12 * 7,
             device=device,
-            inputs=[0, 0.7, wp.vec4(0.5, 0.2, 0.1, 0.05), 0.9, 1e-12, 1e-12, touched, gradients, held_moments],
+            inputs=[0, 0.7, wp.vec4(0.5, 0.2, 0.1, 0.05), 0.9, 1e-12, 1e-12, touched, slopes, gradients, *held],
             outputs=[density, coefficients],
         )
-        assert not gradients.numpy().any()
+        assert not (gradients.numpy().any() or slopes.numpy().any())
         v = np.where(moments == 0, g * g, 0.9 * moments + 0.1 * g * g)
         moments = np.where(g != 0, v, moments)
         values -= np.where(g != 0, rates * g / (np.sqrt(np.where(v > 0, v, 1)) + 1e-12), 0)
-    np.testing.assert_allclose(coefficients.numpy(), values[:, :24], atol=1e-2)
+    np.testing.assert_allclose(coefficients.numpy().reshape(12, 24), values[:, :24], atol=1e-2)
     np.testing.assert_allclose(density.numpy(), values[:, 24], atol=1e-2)
 
 
@@ -289,13 +302,13 @@ def test_layers_and_voxels_step_alike(device):
     random = np.random.default_rng(1)
     start, g = (random.normal(size=12).astype(np.float32) for _ in range(2))
     g[::4] = 0
-    rows = np.zeros((12, 25), np.float32)
-    rows[:, 24] = g
     density = wp.array(start, device=device)
     inputs = [0, 0.3, wp.vec4(), 0.9, 1e-12, 1e-12, wp.ones(12, dtype=wp.uint8, device=device)]
-    inputs += [wp.array(rows, device=device), wp.zeros((12, 25), dtype=wp.bfloat16, device=device)]
-    coefficients = wp.zeros((12, 24), dtype=wp.float32, device=device)
-    wp.launch(field_step.apply_rmsprop, dim=12 * 25, device=device, inputs=inputs, outputs=[density, coefficients])
+    inputs += [wp.array(g, device=device), wp.zeros((12, 6), dtype=wp.vec4, device=device)]
+    inputs += [wp.zeros(12, dtype=wp.bfloat16, device=device)]
+    inputs += [wp.zeros((12, 6), dtype=field_step.four_bfloats, device=device)]
+    coefficients = wp.zeros((12, 6), dtype=wp.vec4, device=device)
+    wp.launch(field_step.apply_rmsprop, dim=12 * 7, device=device, inputs=inputs, outputs=[density, coefficients])
     values, held = wp.array(start, device=device), wp.zeros(12, dtype=wp.float32, device=device)
     expected, moments = start.astype(np.float64), np.zeros(12)
     for step in range(3):

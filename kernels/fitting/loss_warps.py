@@ -14,7 +14,7 @@ from ..field.grid import CellSample, VoxelGrid, cell_density, cell_sample, empty
 from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS, luminance_colour, sh_basis
 from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
-from .rmsprop import COEFFICIENTS, GRADIENT_ROW
+from .rmsprop import COEFFICIENTS, GRADIENT_ROW, gradient_place
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 LANES = wp.constant(32)
@@ -96,14 +96,14 @@ def accumulate_photometric_gradient_by_warps(
     stop: float,
     scale: float,
     own_background: wp.array(dtype=wp.vec3),
-    gradients: wp.array2d(dtype=wp.float32),
+    gradients: wp.array(dtype=wp.float32),
     touched: wp.array(dtype=wp.uint8),
     squared_error: wp.array(dtype=wp.float32),
     grad_background: wp.array(dtype=wp.vec3),
 ):
     """As accumulate_photometric_gradient of fitting/loss, with 32 items per pixel, in blocks of at most 128.
 
-    gradients: (rows, 25), coefficients, then density. touched: (rows,)
+    gradients: (25 rows,) of fitting/rmsprop. touched: (rows,)
     set to 1 where there is a gradient.
     """
     item = first + wp.tid()
@@ -119,6 +119,8 @@ def accumulate_photometric_gradient_by_warps(
         return
     channel = lane % 3  # of colours that a lane keeps: registers are what is short
     number = wp.min(lane, COEFFICIENTS - 1)
+    first_place = gradient_place(0, lane, touched.shape[0])
+    stride = wp.where(lane < COEFFICIENTS, COEFFICIENTS, 1)
     all_behind = background_behind(background, random_background, seed, n)
     if has_background:
         all_behind = own_background[n]
@@ -197,7 +199,7 @@ def accumulate_photometric_gradient_by_warps(
                             if lane == c:
                                 marked = row
                             if row >= 0 and lane < GRADIENT_ROW:
-                                wp.atomic_add(gradients, row, lane, corner_weight(f, c) * gradient)
+                                wp.atomic_add(gradients, row * stride + first_place, corner_weight(f, c) * gradient)
                         if marked >= 0:
                             touched[marked] = wp.uint8(1)
                 k += LANES

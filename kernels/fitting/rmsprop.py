@@ -1,7 +1,8 @@
 """Optimiser step of a voxel field: RMSProp on the values that a gradient touched.
 
 v <- beta v + (1 - beta) g^2 (v = g^2 at the first touch), x <- x - rate g / (sqrt(v) + eps): Tieleman and Hinton 2012,
-with the start of Plenoxels' optimiser. One item per number, so that neighbouring threads read neighbouring numbers.
+with the start of Plenoxels' optimiser. One item for four numbers of a row, which are read and written at once, and one
+for its density.
 Needs: field/harmonics.
 """
 
@@ -14,8 +15,13 @@ wp.set_module_options({"enable_backward": False})
 #: Numbers of a voxel's SH (field/harmonics): sixteen of luminance, four of orange, four of green.
 COEFFICIENTS = wp.constant(24)
 
-#: Numbers of a gradient row: the coefficients, then the density.
+#: Numbers of a row's gradient: the coefficients and the density. The coefficients of all rows come first, then all
+#: densities.
 GRADIENT_ROW = wp.constant(25)
+
+#: Items of a row: six times four coefficients, and the density.
+ROW_PARTS = wp.constant(7)
+four_bfloats = wp.types.vector(length=4, dtype=wp.bfloat16)
 
 
 @wp.func
@@ -25,6 +31,14 @@ def harmonic_degree(number: int):
     if number >= LUMINANCE_BASIS:
         basis = (number - LUMINANCE_BASIS) % DIFFERENCE_BASIS
     return wp.where(basis == 0, 0, wp.where(basis < 4, 1, wp.where(basis < 9, 2, 3)))
+
+
+@wp.func
+def gradient_place(row: int, number: int, rows: int):
+    """Where the gradient of a row's coefficient, or of its density after those, is among those of all rows."""
+    if number < COEFFICIENTS:
+        return row * COEFFICIENTS + number
+    return rows * COEFFICIENTS + row
 
 
 @wp.func
@@ -45,37 +59,50 @@ def apply_rmsprop(
     epsilon_density: float,
     epsilon_sh: float,
     touched: wp.array(dtype=wp.uint8),
-    gradients: wp.array2d(dtype=wp.float32),
-    moments: wp.array2d(dtype=wp.bfloat16),
+    grad_density: wp.array(dtype=wp.float32),
+    grad_sh: wp.array2d(dtype=wp.vec4),
+    moments_density: wp.array(dtype=wp.bfloat16),
+    moments_sh: wp.array2d(dtype=four_bfloats),
     density: wp.array(dtype=wp.float32),
-    coefficients: wp.array2d(dtype=wp.float32),
+    sh: wp.array2d(dtype=wp.vec4),
 ):
     """Step where the gradient is not zero, and clear the gradient for the next batch.
 
-    GRADIENT_ROW items per row. touched: (rows,) 1 where any gradient may be. gradients, moments: (rows, 25), 24
-    coefficients, then density. density: (rows,) per world unit. coefficients: (rows, 24): they step by the one of
+    ROW_PARTS items per row. touched: (rows,) 1 where any gradient may be. grad_density, moments_density, density:
+    (rows,), the last per world unit. grad_sh, moments_sh, sh: (rows, 6) of four numbers; they step by the one of
     rates_sh that is for their degree. Moments have 8 bits of mantissa: they only scale steps, and a share of 1 - beta
     moves them by more than a last bit.
     """
     n = first + wp.tid()
-    row = n // GRADIENT_ROW
-    number = n % GRADIENT_ROW
+    row = n // ROW_PARTS
+    part = n % ROW_PARTS
     if touched[row] == wp.uint8(0):
         return
-    gradient = gradients[row, number]
-    if gradient != 0.0:
-        moment = float(moments[row, number])
-        if number < COEFFICIENTS:
-            rate = rates_sh[harmonic_degree(number)]
-            value = coefficients[row, number]
-            value, moment = rmsprop_update(value, moment, gradient, rate, beta, epsilon_sh)
-            coefficients[row, number] = value
-        else:
+    if part == ROW_PARTS - 1:
+        slope = grad_density[row]
+        if slope != 0.0:
             sigma = density[row]
-            sigma, moment = rmsprop_update(sigma, moment, gradient, rate_density, beta, epsilon_density)
+            spread = float(moments_density[row])
+            sigma, spread = rmsprop_update(sigma, spread, slope, rate_density, beta, epsilon_density)
             density[row] = sigma
-        moments[row, number] = wp.bfloat16(moment)
-        gradients[row, number] = 0.0
+            moments_density[row] = wp.bfloat16(spread)
+            grad_density[row] = 0.0
+        return
+    gradients = grad_sh[row, part]
+    if gradients[0] == 0.0 and gradients[1] == 0.0 and gradients[2] == 0.0 and gradients[3] == 0.0:
+        return
+    values = sh[row, part]
+    moments = moments_sh[row, part]
+    for i in range(4):
+        gradient = gradients[i]
+        if gradient != 0.0:
+            rate = rates_sh[harmonic_degree(4 * part + i)]
+            value, moment = rmsprop_update(values[i], float(moments[i]), gradient, rate, beta, epsilon_sh)
+            values[i] = value
+            moments[i] = wp.bfloat16(moment)
+    sh[row, part] = values
+    moments_sh[row, part] = moments
+    grad_sh[row, part] = wp.vec4()
 
 
 @wp.kernel
@@ -100,19 +127,26 @@ def gather_moments(
     first: int,
     links: wp.array3d(dtype=wp.int32),
     nodes: wp.array(dtype=wp.vec3i),
-    moments: wp.array2d(dtype=wp.bfloat16),
-    kept: wp.array2d(dtype=wp.bfloat16),
+    moments_density: wp.array(dtype=wp.bfloat16),
+    moments_sh: wp.array2d(dtype=four_bfloats),
+    kept_density: wp.array(dtype=wp.bfloat16),
+    kept_sh: wp.array2d(dtype=four_bfloats),
 ):
     """Moments of the nodes that stay, from the rows that `links` gave them before.
 
-    GRADIENT_ROW items per row. links: (nx, ny, nz) row of each node, or -1. nodes: (rows,) grid indices of the rows
-    that stay. moments: (rows before, 25); kept: (rows, 25).
+    ROW_PARTS items per row. links: (nx, ny, nz) row of each node, or -1. nodes: (rows,) grid indices of the rows that
+    stay. moments_density, moments_sh: of the rows before, (rows before,) and (rows before, 6); kept_density, kept_sh:
+    (rows,) and (rows, 6).
     """
     n = first + wp.tid()
-    row = n // GRADIENT_ROW
+    row = n // ROW_PARTS
+    part = n % ROW_PARTS
     node = nodes[row]
     before = links[node[0], node[1], node[2]]
-    kept[row, n % GRADIENT_ROW] = moments[before, n % GRADIENT_ROW]
+    if part == ROW_PARTS - 1:
+        kept_density[row] = moments_density[before]
+    else:
+        kept_sh[row, part] = moments_sh[before, part]
 
 
 @wp.kernel

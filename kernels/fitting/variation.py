@@ -7,7 +7,7 @@ Needs: field/grid, fitting/rmsprop.
 import warp as wp
 
 from ..field.grid import VoxelGrid
-from .rmsprop import COEFFICIENTS, GRADIENT_ROW, harmonic_degree
+from .rmsprop import COEFFICIENTS, GRADIENT_ROW, gradient_place, harmonic_degree
 
 wp.set_module_options({"enable_backward": False})
 
@@ -33,7 +33,7 @@ def accumulate_variation_gradient(
     scale_density: float,
     scale_sh: float,
     scale_directional: float,
-    gradients: wp.array2d(dtype=wp.float32),
+    gradients: wp.array(dtype=wp.float32),
     touched: wp.array(dtype=wp.uint8),
 ):
     """Adds the gradient of a sum of total variations over a run of rows: scale_density * TV(density / density_unit),
@@ -41,8 +41,8 @@ def accumulate_variation_gradient(
 
     GRADIENT_ROW items per row, one per number, so that neighbouring threads read neighbouring numbers. nodes: (rows,)
     grid indices of each row. first_row: where the run begins; it goes on at row 0 after the last one. gradients:
-    (rows, 25). touched: (rows,) set to 1 where there is a gradient. The difference to a node without a row counts as
-    zero. Rows are shared with neighbours: on the CPU each thread needs gradients of its own.
+    (25 rows,) of fitting/rmsprop. touched: (rows,) set to 1 where there is a gradient. The difference to a node without
+    a row counts as zero. Rows are shared with neighbours: on the CPU each thread needs gradients of its own.
     """
     n = first + wp.tid()
     number = n % GRADIENT_ROW
@@ -70,9 +70,10 @@ def accumulate_variation_gradient(
     slope = scale / unit / wp.sqrt(wp.dot(difference, difference) + 1.0e-9)
     if number == 0:
         touched[row] = wp.uint8(1)
-    wp.atomic_add(gradients, row, number, -slope * (difference[0] + difference[1] + difference[2]))
+    total = difference[0] + difference[1] + difference[2]
+    wp.atomic_add(gradients, gradient_place(row, number, nodes.shape[0]), -slope * total)
     for axis in range(3):
         if rows[axis] >= 0:
             if number == 0:
                 touched[rows[axis]] = wp.uint8(1)
-            wp.atomic_add(gradients, rows[axis], number, slope * difference[axis])
+            wp.atomic_add(gradients, gradient_place(rows[axis], number, nodes.shape[0]), slope * difference[axis])

@@ -161,7 +161,7 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
     rows = int(occupied.sum())
     density = require_numbers(contents, "density", (rows,), path)
     sh = require_numbers(contents, "sh", (rows, COEFFICIENTS), path)
-    moments = require_numbers(contents, "moments", (rows, ROW_NUMBERS), path).astype(np.uint16)
+    moments = require_numbers(contents, "moments", (rows * ROW_NUMBERS,), path).astype(np.uint16)
     infinite = (moments & EXPONENT_BITS == EXPONENT_BITS).any()
     if infinite or not all(np.isfinite(values).all() for values in (density, sh)):
         raise ValueError("values that are not finite")

@@ -25,8 +25,8 @@ from .silhouettes import dilated
 
 COEFFICIENTS = int(rmsprop.COEFFICIENTS)
 
-#: Numbers of a gradient's row: the coefficients, then the density.
-ROW_NUMBERS = int(rmsprop.GRADIENT_ROW)
+#: Numbers of a row's gradient: the coefficients and the density; and items of the optimiser's step for a row.
+ROW_NUMBERS, ROW_PARTS = int(rmsprop.GRADIENT_ROW), int(rmsprop.ROW_PARTS)
 
 #: Bytes per row of the field: density, coefficients and the place of its node.
 FIELD_ROW_BYTES = 4 + 4 * COEFFICIENTS + 12
@@ -62,8 +62,9 @@ class Level:
     Attributes:
         field: The field so far.
         nodes: (rows,) vec3i, grid indices of each row.
-        gradients: (rows, 25) float32 for each shard: 24 coefficients, then density. None of them while pruning.
-        moments: (rows, 25) bfloat16 second moments; no rows while the level changes.
+        gradients: (25 rows,) float32 for each shard: 24 coefficients of each row, then their densities. None of them
+            while pruning.
+        moments: (25 rows,) bfloat16 second moments in the same order; none while the level changes.
         touched: (rows,) uint8, 1 where there is a gradient.
     """
 
@@ -84,7 +85,7 @@ class Level:
     def allocate_gradients(self) -> None:
         """Fresh gradients."""
         rows, device = self.field.voxel_count, self.field.device
-        self.gradients = [wp.zeros((rows, ROW_NUMBERS), dtype=wp.float32, device=device) for _ in range(self.shards)]
+        self.gradients = [wp.zeros(rows * ROW_NUMBERS, dtype=wp.float32, device=device) for _ in range(self.shards)]
         self.touched = _marks(rows, device)
 
     def release_gradients(self) -> None:
@@ -141,9 +142,10 @@ class Level:
         """Only the rows of a mask (nx, ny, nz) uint8 over the grid, with their second moments."""
         links, moments = self.field.grid.links, self.moments
         self.resample(mask)
-        self.moments = empty_array((self.field.voxel_count, ROW_NUMBERS), wp.bfloat16, mask.device)
-        inputs = [links, self.nodes, moments]
-        launch(rmsprop.gather_moments, self.moments.size, inputs, [self.moments], device=mask.device)
+        self.moments = empty_array(self.field.voxel_count * ROW_NUMBERS, wp.bfloat16, mask.device)
+        inputs = [links, self.nodes, *_quads(moments)]
+        items = ROW_PARTS * self.field.voxel_count
+        launch(rmsprop.gather_moments, items, inputs, _quads(self.moments), device=mask.device)
         del links, moments, inputs
         self.allocate_gradients()
 
@@ -270,7 +272,7 @@ class Level:
         voxel = float(field.voxel_size.max())
         if field.device.is_cpu:  # its photometric gradient leaves no marks
             self.touched.fill_(1)
-        total = sum_shards([gradients.flatten() for gradients in self.gradients])
+        total = sum_shards(self.gradients)
         inputs = [
             rates.density / voxel,
             wp.vec4(*rates.sh),
@@ -278,11 +280,11 @@ class Level:
             EPSILON * voxel,  # a density's gradient is a length
             EPSILON,
             self.touched,
-            self.gradients[0],
-            self.moments,
+            *_quads(total),
+            *_quads(self.moments),
         ]
-        outputs = [field.grid.density, field.grid.sh]
-        launch(rmsprop.apply_rmsprop, total.size, inputs, outputs, device=field.device)
+        outputs = [field.grid.density, array_view(field.grid.sh, wp.vec4, (field.voxel_count, ROW_PARTS - 1))]
+        launch(rmsprop.apply_rmsprop, ROW_PARTS * field.voxel_count, inputs, outputs, device=field.device)
         self.touched.zero_()
         if rates.directional_kept < 1:
             inputs = [rates.directional_kept]
@@ -325,10 +327,17 @@ def level_memory(shape: tuple[int, ...], shards: int, fixed: int, tiles: int) ->
 
 
 def gradient_parts(gradients: wp.array) -> tuple[wp.array, wp.array]:
-    """Densities (rows,) and coefficients (rows, 24) of gradients (rows, 25) float32, without a copy."""
-    rows, stride = gradients.shape[0], 4 * ROW_NUMBERS
-    density = array_view(gradients, wp.float32, (rows,), offset=4 * COEFFICIENTS, strides=(stride,))
-    return density, array_view(gradients, wp.float32, (rows, COEFFICIENTS), strides=(stride, 4))
+    """Densities (rows,) and coefficients (rows, 24) of gradients (25 rows,) float32, without a copy."""
+    rows = gradients.size // ROW_NUMBERS
+    density = array_view(gradients, wp.float32, rows, offset=4 * COEFFICIENTS * rows)
+    return density, array_view(gradients, wp.float32, (rows, COEFFICIENTS))
+
+
+def _quads(values: wp.array) -> tuple[wp.array, wp.array]:
+    """Densities (rows,) and coefficients (rows, 6) of four, of numbers (25 rows,) in float32 or bfloat16."""
+    rows, halved = values.size // ROW_NUMBERS, values.dtype == wp.bfloat16
+    density = array_view(values, values.dtype, rows, offset=(2 if halved else 4) * COEFFICIENTS * rows)
+    return density, array_view(values, rmsprop.four_bfloats if halved else wp.vec4, (rows, ROW_PARTS - 1))
 
 
 def _started(mask: wp.array, bounds: np.ndarray, background: np.ndarray) -> tuple[VoxelField, wp.array]:
@@ -344,7 +353,7 @@ def _started(mask: wp.array, bounds: np.ndarray, background: np.ndarray) -> tupl
 
 
 def _moments(rows: int, device: wp.Device) -> wp.array:
-    return wp.zeros((rows, ROW_NUMBERS), dtype=wp.bfloat16, device=device)
+    return wp.zeros(rows * ROW_NUMBERS, dtype=wp.bfloat16, device=device)
 
 
 def _marks(rows: int, device: wp.Device) -> wp.array:
