@@ -6,10 +6,14 @@ The samples of all rays stay on their device: `to_canonical` takes Warp arrays (
 without a copy and returns Warp arrays. The formula is evaluated at the points, and along the directions, that result.
 """
 
+import argparse
+
 import numpy as np
 import warp as wp
 
 import warpcage
+
+argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
 
 
 @wp.func

@@ -6,10 +6,14 @@ Any radiance field that gives colour and density at points, seen along direction
 samples through `to_canonical`, evaluate the field there, and leave out what is cleared.
 """
 
+import argparse
+
 import numpy as np
 
 import warpcage
 from warpcage.view.camera import Camera
+
+argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
 
 
 def make_field():

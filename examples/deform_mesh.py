@@ -6,10 +6,14 @@
 a mesh stay as they are. The checks at the end are properties of the coordinates.
 """
 
+import argparse
+
 import numpy as np
 import trimesh
 
 from warpcage import Cage, deform_points, mean_value_coordinates
+
+argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
 
 # A model to deform: a ring, and a cage of about forty vertices around it.
 mesh = trimesh.creation.torus(major_radius=1.0, minor_radius=0.3, major_sections=96, minor_sections=32)

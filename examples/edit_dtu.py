@@ -81,6 +81,7 @@ def main(argv=None) -> dict:
         ),
     }
     camera = test.cameras[min(args.view, len(test) - 1)]
+    camera = camera.resized(args.width, round(args.width * camera.height / camera.width))
     camera = dataclasses.replace(camera, fx=0.85 * camera.fx, fy=0.85 * camera.fy)  # so that the edits fit in
     figures["unmoved"] = show(out, field, edits, camera)
     for name, (rest, moved) in edits.items():
@@ -112,6 +113,7 @@ def parse_arguments(argv):
     parser.add_argument("--whole", action="store_true", help="fit whole pictures; the masks only choose what to edit")
     parser.add_argument("--field", metavar="FILE", help="edit this field instead of fitting one")
     parser.add_argument("--cage", metavar="FILE", help="use this cage around the object instead of generating one")
+    parser.add_argument("--width", type=int, default=480, help="of each picture in edits.png (default: %(default)s)")
     parser.add_argument("--view", type=int, default=4, help="held-out view to show (default: %(default)s)")
     return parser.parse_args(argv)
 

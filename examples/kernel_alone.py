@@ -6,12 +6,15 @@ The command `warpcage kernels copy mean_value DEST` copies one kernel file with 
 This program copies them to a temporary folder and imports the copy: nothing else of the library is used.
 """
 
+import argparse
 import subprocess
 import sys
 import tempfile
 
 import numpy as np
 import warp as wp
+
+argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
 
 with tempfile.TemporaryDirectory() as folder:
     command = [sys.executable, "-m", "warpcage", "kernels", "copy", "mean_value", f"{folder}/borrowed"]

@@ -68,6 +68,7 @@ def test_a_cage_around_a_mesh_says_one_line(files, tmp_path):
         ["--box"],
         ["--box", "--segments", 2, 3, 1],
         ["--box", "--margin", 0.2],
+        ["--box", "--margin", 0],
         ["--cylinder"],
         ["--cylinder", "--axis", "x", "--sides", 7, "--rings", 2],
     ],

@@ -307,3 +307,24 @@ def test_animate_takes_a_folder_up_where_it_was_left(files, tmp_path, capsys):
     assert "another film (other turn" in capsys.readouterr().err
     (folder / "animation.json").unlink()
     assert run(files, *words) == 2
+
+
+def test_a_width_alone_keeps_the_shape_of_a_cameras_picture(files, tmp_path):
+    wide = ["--eye", 0, -3, 0, "--target", 0, 0, 0, "--size", 24, 16, "--save-camera", tmp_path / "wide.json"]
+    succeed(files, "render", "@ball.npz", "-o", tmp_path / "one.png", *wide)
+    for words in (["--camera", tmp_path / "wide.json"], ["--cameras", tmp_path / "wide.json", "--frames", 1]):
+        film = "--cameras" in words
+        out = tmp_path / ("film" if film else "two.png")
+        command = ["animate", "@ball.npz", "--quiet"] if film else ["render", "@ball.npz"]
+        succeed(files, *command, "-o", out, *words, "--size", 36)
+        assert read_image(out / "frame_0000.png" if film else out).shape == (24, 36, 3)
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", "--camera", "@scene:0", "--size", 40, 20) == 2
+
+
+def test_films_say_the_size_that_they_have(files, tmp_path, capsys):
+    words = ["animate", "@ball.npz", "--size", 17, 13, "--frames", 2, "--quiet", "-o"]
+    succeed(files, *words, tmp_path / "film.mp4")
+    assert "2 frames of 16x12 (cut from 17x13: an MP4 has even sides)" in capsys.readouterr().out
+    assert iio.improps(tmp_path / "film.mp4", plugin="pyav").shape == (2, 12, 16, 3)
+    succeed(files, *words, tmp_path / "film.gif")
+    assert "2 frames of 17x13," in capsys.readouterr().out and iio.imread(tmp_path / "film.gif").shape[1:3] == (13, 17)

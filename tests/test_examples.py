@@ -49,11 +49,21 @@ def test_small_examples(name, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
+def test_help_runs_no_example(name, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit) as leave:
+        run_here(monkeypatch, name, "--help", cwd=tmp_path)
+    assert leave.value.code == 0
+    said = capsys.readouterr().out
+    assert said.startswith("usage: ") and len(said.splitlines()) < 20 and f"python examples/{name}" in said
+
+
 def test_kernel_alone_imports_nothing_but_its_copy():
     lines = [line.strip() for line in (EXAMPLES / "kernel_alone.py").read_text().splitlines()]
     imports = [line for line in lines if re.match("(import|from) ", line)]
     assert [line for line in imports if "borrowed" not in line] == [
-        "import subprocess", "import sys", "import tempfile", "import numpy as np", "import warp as wp"]  # fmt: skip
+        "import argparse", "import subprocess", "import sys", "import tempfile", "import numpy as np",
+        "import warp as wp"]  # fmt: skip
     assert 'assert "warpcage" not in sys.modules' in lines
 
 
@@ -105,18 +115,18 @@ def succeed_here(*words):
 
 def test_edit_dtu_on_a_room(tmp_path, device, monkeypatch):
     write_room(tmp_path / "room", 25, 32)
-    words = ["--data", "room", "--device", device, "--quality", "fast", "--epochs", "8"]
+    words = ["--data", "room", "--device", device, "--quality", "fast", "--epochs", "8", "--width", "40"]
     said = run("edit_dtu.py", "--out", "out", *words, cwd=tmp_path)
     assert "dB inside the masks of 4 held-out views" in said
     out = tmp_path / "out"
     summary = json.loads((out / "summary.json").read_text())
     assert summary["masked_psnr"] > 14.0 and summary["psnr"] > 17.0 and summary["unmoved"] < 1e-5
-    assert read_image(out / "edits.png").shape == (3 * 32 + 8, 3 * 32 + 8, 3)
+    assert read_image(out / "edits.png").shape == (3 * 40 + 8, 3 * 40 + 8, 3)
     assert Cage.load(out / "generated.obj").check().usable and Cage.load(out / "box_posed.obj").check().usable
     # once more with that field and cage
     again = ["--out", "again", "--field", out / "field.npz", "--cage", out / "generated.obj"]
     run_here(monkeypatch, "edit_dtu.py", *again, *words, cwd=tmp_path)
-    assert read_image(tmp_path / "again" / "edits.png").shape == (3 * 32 + 8, 3 * 32 + 8, 3)
+    assert read_image(tmp_path / "again" / "edits.png").shape == (3 * 40 + 8, 3 * 40 + 8, 3)
 
 
 def test_render_lego_on_the_brick_scene(tmp_path, device, monkeypatch):

@@ -211,8 +211,7 @@ def _chosen_cameras(
     """One camera per frame; that of the film's keys where no option names another."""
     named = (args.cameras, args.turn, args.camera, args.view, args.eye, args.target)
     if film is not None and all(one is None for one in named):
-        size = view.image_size(args)
-        return [view.fitted_to(film.camera_at(time), size) for time in times]
+        return [view.fitted_to(film.camera_at(time), args) for time in times]
     if args.cameras is None:
         camera, pivot = view.chosen_camera(args, points), view.chosen_target(args, points)
         return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)

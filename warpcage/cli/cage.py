@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> None:
             margin=args.margin,
             method=args.method or "auto",
             symmetry=args.symmetry,
-            progress=not args.quiet,
+            progress=args.verbose and not args.quiet,
         )
     cage.require_usable("the cage")
     cage.save(output, up=args.cage_up)

@@ -15,13 +15,14 @@ from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
 from ..view.frame import Frame
-from . import options
+from . import options, verbosity
 from .deformation import Deformation, is_deformed
 
 
 def quiet_warp() -> None:
-    """Keep Warp's start-up lines out of a command's output."""
-    wp.config.log_level = wp.LOG_WARNING
+    """Keep Warp's start-up lines and those of its modules out of a command's output, but for --verbose."""
+    if not verbosity.verbose:
+        wp.config.log_level = wp.LOG_WARNING
 
 
 def chosen_device(args: argparse.Namespace) -> wp.Device:

@@ -265,7 +265,8 @@ def add_view(parser: Arguments) -> None:
         type=positive_int,
         nargs="+",
         metavar="PIXELS",
-        help="width, or width and height (default: 400, or the size of --camera's picture)",
+        help="width, or width and height; a width alone makes a square, or keeps the shape of --camera's picture "
+        "(default: 400, or the size of --camera's picture)",
     )
 
 
@@ -319,6 +320,14 @@ def finite_float(text: str) -> float:
         value = float("nan")
     if not abs(value) < float("inf"):
         raise argparse.ArgumentTypeError(f"must be a finite number, got {text!r}")
+    return value
+
+
+def length(text: str) -> float:
+    """A finite number from 0 on, world units."""
+    value = finite_float(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"must be 0 or more, got {text!r}")
     return value
 
 

@@ -39,6 +39,7 @@ def build_parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(command)
+        command.add_argument("--verbose", action="store_true", help="also say what is loaded and tried")
     return parser
 
 

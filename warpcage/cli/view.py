@@ -51,8 +51,8 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
         if args.eye is not None or args.target is not None or args.view is not None:
             raise ValueError("--camera cannot be combined with --eye, --target or --view")
         if named := camera_file(args.camera):
-            return fitted_to(Camera.load(*named, size=size), size)
-        return fitted_to(scene_camera(args, args.camera), size)
+            return fitted_to(Camera.load(*named, size=file_size(args)), args)
+        return fitted_to(scene_camera(args, args.camera), args)
     width, height = size or DEFAULT_SIZE
     view = {"up": args.up, "fov_degrees": args.fov, "width": width, "height": height}
     elevation, azimuth = SIDES[args.view or "corner"]
@@ -81,11 +81,10 @@ def camera_file(text: str) -> tuple[str, str] | None:
 
 def camera_keys(args: argparse.Namespace, text: str) -> list[CameraKey]:
     """The cameras of a file as keys, at --size where it is given."""
-    size = image_size(args)
     path, name = camera_file(text) or (text, "")
-    cameras = CameraFile.load(path, size=size)
+    cameras = CameraFile.load(path, size=file_size(args))
     keys = cameras.moving(name) if name else cameras
-    return [dataclasses.replace(key, camera=fitted_to(key.camera, size)) for key in keys]
+    return [dataclasses.replace(key, camera=fitted_to(key.camera, args)) for key in keys]
 
 
 def check_saved(args: argparse.Namespace) -> None:
@@ -129,9 +128,20 @@ def middle(points: np.ndarray) -> np.ndarray:
     return (points.min(axis=0) + points.max(axis=0)) / 2
 
 
-def fitted_to(camera: Camera, size: tuple[int, int] | None) -> Camera:
-    """A camera at the size of --size, at its own where it is not given."""
-    return camera if size is None else fitted(camera, *size)
+def fitted_to(camera: Camera, args: argparse.Namespace) -> Camera:
+    """A camera at the size of --size, at its own where it is not given. A width alone keeps the picture's shape."""
+    size = image_size(args)
+    if size is None:
+        return camera
+    if len(args.size) == 1:
+        return camera.resized(size[0], max(1, round(size[0] * camera.height / camera.width)))
+    return fitted(camera, *size)
+
+
+def file_size(args: argparse.Namespace) -> tuple[int, int] | None:
+    """The size of pictures from cameras of files that have none. None is that of the file."""
+    size = image_size(args)
+    return size if size is not None and len(args.size) == 2 else None
 
 
 def fitted(camera: Camera, width: int, height: int) -> Camera:
@@ -160,8 +170,7 @@ def moved_to_field(args: argparse.Namespace, camera: Camera) -> Camera:
 
 def sized_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
     """The cameras that SCENE[:SPLIT] names, at --size where it is given."""
-    size = image_size(args)
-    return [fitted_to(camera, size) for camera in scene_cameras(args, text)]
+    return [fitted_to(camera, args) for camera in scene_cameras(args, text)]
 
 
 def scene_camera(args: argparse.Namespace, text: str) -> Camera:

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import warp as wp
 
 from .locks import device_turn
+from .stderr import without_driver_note
 from .threads import cpu_threads
 
 #: What `wp.kernel` makes of a function: a wp.Kernel, which type checkers take for the function itself.
@@ -34,7 +35,8 @@ def start_warp() -> None:
     """
     with _loading:
         try:
-            wp.init()
+            with without_driver_note():
+                wp.init()
         except OSError as error:
             raise _unwritable(error) from error
 

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--margin",
-        type=options.positive_float,
+        type=options.length,
         metavar="LENGTH",
         help="distance between object and cage, world units (default: 0.03 of the object's size for a box or a "
         "cylinder, otherwise chosen from the object)",
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rings", type=options.positive_int, metavar="N", help="segments of the cylinder along its axis (default: 4)"
     )
-    parser.add_argument("--quiet", action="store_true", help="do not print what is tried")
+    parser.add_argument("--quiet", action="store_true", help="do not print what is tried, even with --verbose")
     options.add_scene_scale(parser)
     options.add_device(parser)
 

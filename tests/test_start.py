@@ -1,0 +1,63 @@
+"""How commands start: what they import, what Warp says, and from where the package is imported."""
+
+import pathlib
+import subprocess
+import sys
+
+import pytest
+from cli_runs import write_files
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_files(tmp_path_factory.mktemp("start"))
+
+
+def started(*words, cwd=None, environment=None):
+    return subprocess.run([sys.executable, *map(str, words)], cwd=cwd, env=environment, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("command", ["", "render", "animate", "pose", "cage"])
+def test_help_imports_nothing_heavy(command):
+    heavy = ["numpy", "warp", "trimesh", "scipy", "av", "imageio", "skimage", "tqdm"]
+    program = (
+        "import sys\nfrom warpcage.cli import main\n"
+        f"try: main({[command] if command else []} + ['--help'])\n"
+        f"except SystemExit: print([name for name in {heavy} if name in sys.modules])"
+    )
+    assert started("-c", program).stdout.splitlines()[-1] == "[]"
+
+
+def test_warp_says_nothing_unless_it_is_asked(files, tmp_path):
+    words = ["-m", "warpcage", "render", files / "ball.npz", "-o", tmp_path / "a.png", "--size", 8, "--device", "cpu"]
+    quiet = started(*words)
+    assert quiet.returncode == 0 and quiet.stderr == "" and quiet.stdout.count("\n") == 1, quiet.stderr
+    loud = started(*words, "--verbose")
+    assert loud.returncode == 0 and "Warp" in loud.stdout and "Module warpcage.kernels" in loud.stdout + loud.stderr
+
+
+def test_other_lines_of_native_code_come_through():
+    program = (
+        "import os, warpcage.core.stderr as s\ns._has_driver = lambda: False\n"
+        "with s.without_driver_note():\n    os.write(2, s.NOTE + b' GPU.\\n' + b'another line\\n')\n"
+        "os.write(2, b'after\\n')"
+    )
+    assert started("-c", program).stderr == "another line\nafter\n"
+
+
+@pytest.mark.parametrize("word", ["script", "module"])
+def test_a_script_beside_a_clone_imports_the_package(tmp_path, word):
+    """The folder of a clone is no package of loose files: what the script needs is in it."""
+    (tmp_path / "warpcage").symlink_to(ROOT, target_is_directory=True)
+    (tmp_path / "script.py").write_text(
+        "import warpcage\nfrom warpcage.cage.cage import Cage\nimport warpcage.kernels.view.rays\n"
+        "assert warpcage.Cage is Cage and 'fit' in dir(warpcage)\nprint(warpcage.__version__, warpcage.__file__)"
+    )
+    words = ["script.py"] if word == "script" else ["-m", "warpcage", "--version"]
+    done = started(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert ("0.1.0" in done.stdout) == (word == "script") or "warpcage " in done.stdout
+    if word == "script":
+        assert done.stdout.strip().endswith("warpcage/warpcage/__init__.py")
