@@ -59,6 +59,7 @@ def expected(files, edits, poses):
         (r"C:\me\cage.obj:D:\posed.obj", EditWords(r"C:\me\cage.obj", r"D:\posed.obj")),
         (r"C:cage.obj:C:poses.json:wave:keep", EditWords("C:cage.obj", "C:poses.json:wave", keep=True)),
         ("cage.obj:posed.obj:keep:falloff=0.5", EditWords("cage.obj", "posed.obj", keep=True, falloff=0.5)),
+        ("cage.obj:remove:crumbs=0.1", EditWords("cage.obj", remove=True, crumbs=0.1)),
         ("a.obj:twist:30:held=3,4:falloff=1", EditWords("a.obj", "twist:30", falloff=1.0, held="3,4")),
         ("my.obj files/a.obj:b.obj", EditWords("my.obj files/a.obj", "b.obj")),
     ],
@@ -109,6 +110,17 @@ def test_a_part_fades_to_rest_in_a_band(files, tmp_path):
     at_rest = render(files, tmp_path, "--cage", "@top.obj", "--overlay")
     drawn, rest = np.abs(over - lifted).max(axis=-1) > 0.3, np.abs(at_rest - render(files, tmp_path)).max(axis=-1) > 0.3
     assert (drawn & rest).sum() > 5  # the held wall
+
+
+def test_crumbs_go_with_the_part(files, tmp_path):
+    """A cap of the ball that a cage cuts off is a crumb of half its size."""
+    Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.45)).save(tmp_path / "most.obj")
+    cut = f"{tmp_path / 'most.obj'}:remove"
+    cap = render(files, tmp_path, "--edit", cut)
+    assert (cap < 0.9).any()
+    for words in ([f"{cut}:crumbs=1.2"], [cut, "--crumbs", 1.2]):
+        assert (render(files, tmp_path, "--edit", *words) > 0.98).all()
+    np.testing.assert_array_equal(render(files, tmp_path, "--edit", cut, "--crumbs", 0.1), cap)
 
 
 def test_one_edit_is_what_cage_and_posed_are(files, tmp_path):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..cage.cage import Cage
+from ..cage.snap import cut_matter, snap_to_gaps
 from ..core.files import require_file
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
@@ -31,6 +32,11 @@ def run(args: argparse.Namespace) -> None:
     inputs.quiet_warp()
     is_field = pathlib.Path(args.field).suffix.lower() == ".npz"
     thing: Any = inputs.read_field(args) if is_field else read_mesh(args.field)
+    if args.snap is not None:
+        if not is_field:
+            raise ValueError(f"--snap needs a field (.npz), got {args.field!r}")
+        _snap(thing, args, output)
+        return
     if any(value is not None for value in _selection(args).values()):
         thing = _selected(thing, is_field, args)
     if args.box or args.cylinder:
@@ -51,7 +57,21 @@ def run(args: argparse.Namespace) -> None:
     print(f"wrote {output}: {len(cage.vertices)} vertices, {len(cage.faces)} faces")
 
 
+def _snap(field: Any, args: argparse.Namespace, output: pathlib.Path) -> None:
+    """Move the walls of a cage to gaps, and say how much less they cut."""
+    cage = Cage.load(args.snap, up=args.cage_up)
+    snapped = snap_to_gaps(cage, field, args.reach)
+    snapped.save(output, up=args.cage_up)
+    before, after = cut_matter(cage, field), cut_matter(snapped, field)
+    less = "which cut no matter" if not before else f"which cut {100 * (1 - after / before):.0f} % less matter"
+    print(f"wrote {output}: {len(snapped.vertices)} vertices, {len(snapped.faces)} faces, {less}")
+
+
 def _check_combination(args: argparse.Namespace) -> None:
+    if (args.snap is None) != (args.reach is None):
+        raise ValueError("--snap needs --reach, how far its walls may move, and --reach belongs to --snap")
+    if args.snap is not None and any(value is not None for value in _selection(args).values()):
+        raise ValueError("--snap looks at all of the field: leave the options out that select a part of it")
     needs = {
         "segments": ("box", args.box),
         "axis": ("cylinder", args.cylinder),

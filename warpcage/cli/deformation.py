@@ -193,6 +193,11 @@ def is_session(path: str) -> bool:
         raise ValueError(f"{file}: {error}") from None
 
 
+def _own_or_all(own: float | None, args: argparse.Namespace, name: str) -> float:
+    """What an edit says for itself, or else what an option says for all edits."""
+    return (getattr(args, name, None) or 0.0) if own is None else own
+
+
 def _read_edit(
     words: EditWords,
     texts: list[str],
@@ -204,10 +209,9 @@ def _read_edit(
     """An edit with the cages that its words name. texts: words of --posed; part: whether it is one of several."""
     rest, expected = read_rest(words.cage, words.up or args.cage_up, field, part=part)
     texts = [with_up(text, None if field is None else field.up.tolist()) if is_preset(text) else text for text in texts]
-    falloff = 0.0 if words.remove else words.falloff
-    if falloff is None:
-        falloff = getattr(args, "falloff", None) or 0.0
-    edit = CageEdit(rest, keep_source=words.keep, remove=words.remove, falloff=falloff, held=words.walls)
+    falloff = 0.0 if words.remove else _own_or_all(words.falloff, args, "falloff")
+    crumbs = _own_or_all(words.crumbs, args, "crumbs")
+    edit = CageEdit(rest, keep_source=words.keep, remove=words.remove, falloff=falloff, held=words.walls, crumbs=crumbs)
     if words.remove:
         return PosedEdit(edit, None)
     up, timed = words.up or posed_up(args), getattr(args, "timed", False)
@@ -268,7 +272,7 @@ def _moves(part: PosedEdit) -> bool:
 
 def _edit_hash(edit: CageEdit) -> str:
     """A hash of an edit at rest."""
-    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove, edit.falloff, edit.held])
+    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove, edit.falloff, edit.held, edit.crumbs])
 
 
 def _pose_hash(part: PosedEdit) -> str:

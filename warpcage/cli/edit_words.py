@@ -21,7 +21,7 @@ FORMAT, VERSION = "warpcage edits", 1
 EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remove"
 
 #: Words after the cages.
-_LAST_WORD = re.compile(r"(keep|remove)|(falloff|held)=([^:]*)")
+_LAST_WORD = re.compile(r"(keep|remove)|(falloff|crumbs|held)=([^:]*)")
 
 #: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
 #: Windows drive (C:\cage.obj) separates nothing.
@@ -39,6 +39,7 @@ class EditWords:
         remove: Draw nothing in its place.
         falloff: Width of the band in which the edit fades to rest, world units; see `CageEdit`.
         held: The walls that it fades towards: "cut", "still", or numbers of faces between commas.
+        crumbs: Size of the crumbs that go with the part, world units; see `CageEdit`.
         up: Axis that points up in its cage files, "y" or "z". None is that of the format or of --cage-up.
 
     Raises:
@@ -51,6 +52,7 @@ class EditWords:
     remove: bool = False
     falloff: float | None = None
     held: str = "cut"
+    crumbs: float | None = None
     up: str | None = None
 
     def __post_init__(self) -> None:
@@ -60,8 +62,10 @@ class EditWords:
             raise ValueError(f"what is removed needs no pose, got {self.posed!r}")
         if not self.remove and self.posed is None:
             raise ValueError(f"there is no posed cage: write {EDIT_SHAPE}")
-        if self.falloff is not None and checked_number(self.falloff, "falloff") < 0.0:
-            raise ValueError(f"falloff must be a width, 0 or more, got {self.falloff:g}")
+        for name in ("falloff", "crumbs"):
+            value = getattr(self, name)
+            if value is not None and checked_number(value, name) < 0.0:
+                raise ValueError(f"{name} must be 0 or more, got {value:g}")
         _ = self.walls  # refuses others
         if self.up not in (None, "y", "z"):
             raise ValueError(f"up must be 'y' or 'z', got {self.up!r}")
@@ -90,7 +94,7 @@ def parse_edit(text: str) -> EditWords:
     """An edit of --edit.
 
     Args:
-        text: CAGE:POSED, with ":keep", ":remove", ":falloff=WIDTH" or ":held=WALLS" at its end.
+        text: CAGE:POSED, with ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS" or ":crumbs=SIZE" at its end.
 
     Returns:
         Its words.
@@ -111,8 +115,7 @@ def parse_edit(text: str) -> EditWords:
         words |= {word[1]: True} if word[1] else {word[2]: word[3]}
         rest = before or None
     try:
-        if "falloff" in words:
-            words["falloff"] = positive_float(words["falloff"])
+        words |= {name: positive_float(words[name]) for name in ("falloff", "crumbs") if name in words}
         return EditWords(cage, rest or None, **words)
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise ValueError(f"--edit {text!r}: {error}") from None

@@ -213,6 +213,13 @@ def add_edits(parser: Arguments) -> None:
         "inside them, world units, so that a part does not tear off (default: no wall is held)",
     )
     parser.add_argument(
+        "--crumbs",
+        type=positive_float,
+        metavar="SIZE",
+        help="clear pieces smaller than this, world units, that a cage cuts off its part, with the part (default: they "
+        "stay)",
+    )
+    parser.add_argument(
         "--edits",
         metavar="FILE",
         help="all edits from a file (warpcage edits writes one), or those of a session of the editor (.session.json)",

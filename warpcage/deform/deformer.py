@@ -24,6 +24,7 @@ from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
+from .crumbs import without_crumbs
 from .edits import CageEdit, PosedEdits, checked_edits
 from .falloff import FalloffBand
 from .lattice_edits import LatticeEdits
@@ -62,7 +63,7 @@ class Deformer:
         ValueError: For names that do not exist, harmonic coordinates without a lattice, or a cage that cannot be used.
 
     Attributes:
-        field: The VoxelField, on the device.
+        field: The VoxelField, on the device; without the crumbs that edits take along.
         edits: The CageEdits in their order.
         device: Warp device.
         coordinates: Kind of coordinates.
@@ -98,7 +99,7 @@ class Deformer:
             raise ValueError('store="weights" keeps weights on a lattice: give a resolution')
         self.edits = checked_edits(rest)
         self.device = field.device if device is None else resolve_device(device)
-        self.field = field.to(self.device)
+        self.field = without_crumbs(field.to(self.device), self.edits)
         self.coordinates, self.resolution, self.density, self.store = coordinates, resolution, density, store
         self.deformed: list[Cage | None] | None = None
         self.lock = owner_lock(self.device)

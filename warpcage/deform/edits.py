@@ -34,6 +34,9 @@ class CageEdit:
             the cage cuts off does not tear. 0 holds no wall.
         held: The walls that a falloff holds: "cut", the faces of the cage that cut matter; "still", those whose
             vertices a pose leaves in place; or the numbers of the faces.
+        crumbs: Pieces of matter outside the cage that its wall cuts off the part, and that are smaller than this
+            (diagonal of their box, world units), are cleared with the part instead of floating where they were. They
+            are not drawn with the part where it goes. 0 leaves all.
 
     Raises:
         ValueError: For keeping and removing at once, a cage that cannot be used, a falloff that is no width or goes
@@ -45,6 +48,7 @@ class CageEdit:
     remove: bool = False
     falloff: float = 0.0
     held: str | tuple[int, ...] = "cut"
+    crumbs: float = 0.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.cage, Cage):
@@ -57,6 +61,9 @@ class CageEdit:
             raise ValueError(f"the falloff of an edit must be a width, 0 or more, got {self.falloff}")
         if self.falloff > 0.0 and self.remove:
             raise ValueError("an edit that removes its cage's content has no pose to fade: leave the falloff out")
+        object.__setattr__(self, "crumbs", checked_number(self.crumbs, "the crumbs of an edit"))
+        if self.crumbs < 0.0:
+            raise ValueError(f"the crumbs of an edit must be a size, 0 or more, got {self.crumbs}")
         object.__setattr__(self, "held", checked_walls(self.held, len(self.cage.faces)))
 
 

@@ -10,22 +10,15 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
+from ..cage.walls import cut_faces, in_matter, wall_groups
 from ..core.arrays import empty_array
 from ..core.devices import launch
-from ..field.surface import half_opaque_density
 from ..field.voxel_field import VoxelField
 from ..kernels.deform import falloff as kernels
 from ..kernels.deform.edits import CELL_FOLDED, CELL_INSIDE
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.walls import Walls
-from ..mesh.topology import connected_parts
 from .edits import CageEdit
-
-#: Samples of a face, one a voxel, that must lie in matter for it to cut matter: less is a speck of a fit.
-LEAST_SAMPLES = 4
-
-#: Most samples along each side of a face.
-MOST_SAMPLES_A_SIDE = 256
 
 #: Vertices nearer to rest than this share of the cage's size are in place.
 STILL = 1e-6
@@ -192,78 +185,10 @@ def wall_corners(cage: Cage, faces: np.ndarray) -> list[np.ndarray]:
     Returns:
         (m, 3, 3) corners of the faces of each wall, world units.
     """
-    if not len(faces):
-        return []
-    corners = cage.vertices[cage.faces[faces]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    edges = np.sort(
-        np.stack([cage.faces[faces][:, [0, 1]], cage.faces[faces][:, [1, 2]], cage.faces[faces][:, [2, 0]]], 1)
-    )
-    keys = (edges[..., 0].astype(np.int64) * len(cage.vertices) + edges[..., 1]).reshape(-1)
-    owner = np.repeat(np.arange(len(faces)), 3)
-    order = np.argsort(keys, kind="stable")
-    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
-    one, two = owner[order[same]], owner[order[same + 1]]
-    flat = np.einsum("ij,ij->i", normals[one], normals[two]) > np.cos(np.radians(WALL_ANGLE))
-    part, count = connected_parts(len(faces), one[flat], two[flat])
-    return [corners[part == number] for number in range(count)]
+    return [cage.vertices[cage.faces[wall]] for wall in wall_groups(cage, faces, WALL_ANGLE)]
 
 
 def still_faces(rest: Cage, posed: Cage) -> np.ndarray:
     """(k,) the faces whose vertices a pose leaves in place."""
     moved = np.linalg.norm(posed.vertices - rest.vertices, axis=1) > STILL * rest.size
     return np.flatnonzero(~moved[rest.faces].any(axis=1))
-
-
-def cut_faces(cage: Cage, field: VoxelField) -> np.ndarray:
-    """The faces of a cage that cut the matter of a field.
-
-    Args:
-        cage: The cage at rest.
-        field: The field; matter is what is half opaque across two voxels.
-
-    Returns:
-        (k,) numbers of faces, ascending.
-    """
-    points, owner = face_samples(cage, float(field.voxel_size.min()))
-    counts = np.bincount(owner[in_matter(field, points)], minlength=len(cage.faces))
-    return np.flatnonzero(counts >= LEAST_SAMPLES)
-
-
-def in_matter(field: VoxelField, points: np.ndarray) -> np.ndarray:
-    """Which points lie in matter.
-
-    Args:
-        field: The field; matter is what is half opaque across two voxels.
-        points: (n, 3) world positions.
-
-    Returns:
-        (n,) bool.
-    """
-    found = ((points > field.bounds[0]) & (points < field.bounds[1])).all(axis=1)
-    inner = points[found]
-    _, density = field.sample(inner, np.broadcast_to([0.0, 0.0, 1.0], inner.shape))
-    found[found] = np.asarray(density) > half_opaque_density(field.voxel_size)
-    return found
-
-
-def face_samples(cage: Cage, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points spread evenly over the faces of a cage.
-
-    Args:
-        cage: The cage.
-        spacing: About how far they are apart, world units.
-
-    Returns:
-        (n, 3) points, world units, and (n,) the face of each.
-    """
-    points, owner = [], []
-    for number, (a, b, c) in enumerate(cage.vertices[cage.faces]):
-        longest = max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b))
-        count = int(np.clip(np.ceil(longest / spacing), 2, MOST_SAMPLES_A_SIDE))
-        u, v = (np.indices((count, count)).reshape(2, -1) + 0.5) / count
-        kept = u + v < 1.0
-        points.append(a + u[kept, None] * (b - a) + v[kept, None] * (c - a))
-        owner.append(np.full(np.count_nonzero(kept), number))
-    return np.concatenate(points), np.concatenate(owner)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,9 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_bounds, checked_positive, checked_vector, checked_whole
 from ..view.camera import Camera
 from .surface import DensityField, node_grid
+
+if TYPE_CHECKING:
+    from .voxel_field import VoxelField
 
 #: A node whose opacity across one voxel, or whose largest weight in any image, reaches this can be seen.
 VISIBLE_OPACITY = 0.01
@@ -101,6 +105,21 @@ def visible_mask(field: DensityField, threshold: float | None = None) -> np.ndar
     if threshold is not None:
         return densities >= threshold
     return densities >= -np.log1p(-VISIBLE_OPACITY) / np.prod(voxel_size) ** (1.0 / 3.0)
+
+
+def visible_rows(field: VoxelField) -> np.ndarray:
+    """The voxels of a VoxelField that can be seen, as `visible_mask` tells them, row by row.
+
+    Args:
+        field: The field.
+
+    Returns:
+        (rows,) bool.
+    """
+    density = field.grid.density.numpy()
+    if field.weights is not None:
+        return np.logical_and(field.weights.numpy() >= VISIBLE_OPACITY, density > 0.0)
+    return density >= -np.log1p(-VISIBLE_OPACITY) / np.prod(field.voxel_size) ** (1.0 / 3.0)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,6 +13,7 @@ EXAMPLE = """\
   warpcage cage room.npz -o chair.glb --seed 0.2 0 -0.5 --floaters 0.01
   warpcage cage dtu.npz -o object.obj --masks data/dtu_scan24 --method voxel
   warpcage cage lego.obj -o box.obj --box --segments 2 2 3
+  warpcage cage house.npz -o wing.obj --snap box.obj --reach 0.1
   warpcage cage lego.obj -o tube.obj --cylinder --axis z --sides 12 --rings 4
 """
 
@@ -47,6 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     shape = parser.add_mutually_exclusive_group()
     shape.add_argument("--box", action="store_true", help="a box along the axes")
     shape.add_argument("--cylinder", action="store_true", help="a cylinder along --axis")
+    shape.add_argument(
+        "--snap",
+        metavar="CAGE",
+        help="this cage around a part of a field, each of its flat walls moved by up to --reach to where it cuts least "
+        "matter",
+    )
+    parser.add_argument("--reach", type=options.positive_float, metavar="LENGTH", help="of --snap, world units")
     parser.add_argument(
         "--segments",
         type=options.positive_int,

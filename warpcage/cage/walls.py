@@ -1,0 +1,97 @@
+"""The walls of a cage, and the matter of a field that they cut."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..field.surface import half_opaque_density
+from ..field.voxel_field import VoxelField
+from ..mesh.topology import connected_parts
+from .cage import Cage
+
+#: Samples of a face, one a voxel, that must lie in matter for it to cut matter: less is a speck of a fit.
+LEAST_SAMPLES = 4
+
+#: Most samples along each side of a face.
+MOST_SAMPLES_A_SIDE = 256
+
+
+def wall_groups(cage: Cage, faces: np.ndarray, angle: float) -> list[np.ndarray]:
+    """Faces of a cage as walls: sets of neighbours that meet at less than an angle.
+
+    Args:
+        cage: The cage.
+        faces: (k,) numbers of faces.
+        angle: Degrees.
+
+    Returns:
+        Numbers of the faces of each wall.
+    """
+    faces = np.asarray(faces, dtype=np.int64)
+    if not len(faces):
+        return []
+    corners, rows = cage.vertices[cage.faces[faces]], cage.faces[faces].astype(np.int64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    edges = np.sort(np.stack([rows[:, [0, 1]], rows[:, [1, 2]], rows[:, [2, 0]]], axis=1))
+    keys = (edges[..., 0] * len(cage.vertices) + edges[..., 1]).reshape(-1)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    order = np.argsort(keys, kind="stable")
+    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
+    one, two = owner[order[same]], owner[order[same + 1]]
+    flat = np.einsum("ij,ij->i", normals[one], normals[two]) > np.cos(np.radians(angle))
+    part, count = connected_parts(len(faces), one[flat], two[flat])
+    return [faces[part == number] for number in range(count)]
+
+
+def cut_faces(cage: Cage, field: VoxelField) -> np.ndarray:
+    """The faces of a cage that cut the matter of a field.
+
+    Args:
+        cage: The cage at rest.
+        field: The field; matter is what is half opaque across two voxels.
+
+    Returns:
+        (k,) numbers of faces, ascending.
+    """
+    points, owner = face_samples(cage, float(field.voxel_size.min()))
+    counts = np.bincount(owner[in_matter(field, points)], minlength=len(cage.faces))
+    return np.flatnonzero(counts >= LEAST_SAMPLES)
+
+
+def in_matter(field: VoxelField, points: np.ndarray) -> np.ndarray:
+    """Which points lie in matter.
+
+    Args:
+        field: The field; matter is what is half opaque across two voxels.
+        points: (n, 3) world positions.
+
+    Returns:
+        (n,) bool.
+    """
+    found = ((points > field.bounds[0]) & (points < field.bounds[1])).all(axis=1)
+    inner = points[found]
+    _, density = field.sample(inner, np.broadcast_to([0.0, 0.0, 1.0], inner.shape))
+    found[found] = np.asarray(density) > half_opaque_density(field.voxel_size)
+    return found
+
+
+def face_samples(cage: Cage, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points spread evenly over the faces of a cage.
+
+    Args:
+        cage: The cage.
+        spacing: About how far they are apart, world units.
+
+    Returns:
+        (n, 3) points, world units, and (n,) the face of each.
+    """
+    points, owner = [], []
+    for number, (a, b, c) in enumerate(cage.vertices[cage.faces]):
+        longest = max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b))
+        count = int(np.clip(np.ceil(longest / spacing), 2, MOST_SAMPLES_A_SIDE))
+        u, v = (np.indices((count, count)).reshape(2, -1) + 0.5) / count
+        kept = u + v < 1.0
+        points.append(a + u[kept, None] * (b - a) + v[kept, None] * (c - a))
+        owner.append(np.full(np.count_nonzero(kept), number))
+    return np.concatenate(points), np.concatenate(owner)
