@@ -25,6 +25,9 @@ BATCH_RAYS, BATCH_SHARE = (4096, 131072), 128
 #: worth it where there are this many steps nonetheless.
 LARGE_BATCH, ENOUGH_STEPS = 65536, 1200
 
+#: Pixels that see the object, of a fit that takes its `epochs` passes; of fewer it may take more (`few_pixels`).
+FULL_PIXELS = 22e6
+
 #: Least voxels along the longest side that the pixels ask for.
 SMALLEST_RESOLUTION = 32
 
@@ -129,18 +132,18 @@ def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[i
     Returns:
         Tiles per batch, and the steps of each level.
     """
-    batch = options.batch_rays
+    batch, active_pixels = options.batch_rays, active_tiles * options.tile_size**2
+    passes = options.epochs * float(np.clip(FULL_PIXELS / max(active_pixels, 1), 1.0, options.few_pixels))
     if batch is None:
         batch = np.clip(pixels // BATCH_SHARE, *BATCH_RAYS)
-        active_pixels = active_tiles * options.tile_size**2
         if batch > LARGE_BATCH:
-            batch = min(batch, max(LARGE_BATCH, options.epochs * active_pixels / ENOUGH_STEPS))
+            batch = min(batch, max(LARGE_BATCH, passes * active_pixels / ENOUGH_STEPS))
         if options.least_steps:
-            batch = min(batch, max(SMALLEST_BATCH, options.epochs * active_pixels / options.least_steps))
+            batch = min(batch, max(SMALLEST_BATCH, passes * active_pixels / options.least_steps))
     batch_tiles = min(max(1, int(batch) // options.tile_size**2), active_tiles)
     shares = options.level_growth ** np.arange(options.levels)
     shares = shares / shares.sum()
-    steps = max(options.epochs * active_tiles / batch_tiles, options.least_steps)
+    steps = max(passes * active_tiles / batch_tiles, options.least_steps)
     return batch_tiles, [max(1, round(float(share) * steps)) for share in shares]
 
 
