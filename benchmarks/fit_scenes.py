@@ -4,23 +4,28 @@
     python benchmarks/fit_scenes.py --size 400 --folder data/lego_800 data/mic_800 data/dtu_scan24_half data/fox:2 \
         --quality fast standard high --device cuda:0 --warm --json scenes.json --worst worst
     python benchmarks/fit_scenes.py --kind "20 views" thin --size 200 --views 60 --option epochs=16
-    python benchmarks/fit_scenes.py --kind --folder data/lego_800:8 --every 4
+    python benchmarks/fit_scenes.py --kind --folder data/lego_800:8 --every 4 --pose-noise 0.2 --jpeg 90
 
 Seconds run from images in host memory to the finished field. Those of the first scene include the compilation of
 kernels that are not in Warp's cache yet; with --warm a small fit compiles them before. The error of opacity is the mean
 absolute difference to the alphas of the held-out views. --worst FOLDER keeps the worst views, each beside its picture.
+
+--pose-noise turns each training camera about a random axis by a normal angle of so many degrees; --jpeg packs the
+training pictures as JPEG of that quality first. Held-out views stay as they are. Peak memory is that of all fits so
+far. benchmarks/fits_page.py makes a page of the JSON files.
 """
 
 import argparse
 import ast
 import dataclasses
-import json
 import pathlib
-import platform
 import time
 
+import imageio.v3 as iio
 import numpy as np
+import trimesh
 import warp as wp
+from results import write_results
 
 import warpcage
 from warpcage.core.devices import resolve_device
@@ -52,10 +57,16 @@ def measure(name, scene, test, device, options: dict) -> tuple[dict, warpcage.Vo
         "alpha_error": alpha_error(field, test),
         "worst": sorted((row["psnr"], row["view"]) for row in views)[:WORST],
         "seconds": seconds,
+        "memory": memory_peak(device),
         "voxels": field.voxel_count,
         "resolution": field.resolution,
     }
     return row, field
+
+
+def memory_peak(device) -> int | None:
+    """Most bytes that Warp's arrays have held on a GPU since the process began."""
+    return None if device.is_cpu else int(wp.get_mempool_used_mem_high(device))
 
 
 def alpha_error(field, scene) -> float | None:
@@ -69,11 +80,31 @@ def alpha_error(field, scene) -> float | None:
 def write_worst(folder: pathlib.Path, row: dict, field, test) -> None:
     """The worst views of a fit as PNG files, what it renders on the left."""
     folder.mkdir(parents=True, exist_ok=True)
-    stem = "_".join([pathlib.Path(row["scene"]).name, row["options"].get("quality", "standard")])
+    stem = "_".join([row["scene"], row["options"].get("quality", "standard")])
     for place, (_, view) in enumerate(row["worst"]):
         index = list(test.names).index(view)
         pair = side_by_side([np.clip(field.render(test.cameras[index]).rgb, 0, 1), test.images[index]])
-        write_png(folder / f"{stem}_{place}.png".replace(" ", "_").replace(",", ""), pair)
+        write_png(folder / f"{stem}_{place}.png".replace(" ", "_").replace(",", "").replace("/", "_"), pair)
+
+
+def shaken(scene, degrees: float):
+    """The scene with cameras turned in place, each about a random axis by a normal angle."""
+    random = np.random.default_rng(0)
+    cameras = []
+    for camera in scene.cameras:
+        axis = random.normal(size=3)
+        turn = trimesh.transformations.rotation_matrix(np.radians(degrees) * random.normal(), axis)
+        cameras.append(dataclasses.replace(camera, camera_to_world=camera.camera_to_world @ turn))
+    return dataclasses.replace(scene, cameras=cameras)
+
+
+def squeezed(scene, quality: int):
+    """The scene with its pictures through JPEG, in 8 bits."""
+    images = [
+        iio.imread(iio.imwrite("<bytes>", np.rint(255 * image).astype(np.uint8), extension=".jpg", quality=quality))
+        for image in scene.images
+    ]
+    return dataclasses.replace(scene, images=np.stack(images).astype(np.float32) / 255)
 
 
 def every_nth(scene, n: int):
@@ -96,7 +127,12 @@ def scenes_of(args, device):
         )
         if args.opaque:
             train = dataclasses.replace(train, alphas=None)
-        yield folder if args.every == 1 else f"{folder}, every {args.every}.", every_nth(train, args.every), test
+        if args.pose_noise:
+            train = shaken(train, args.pose_noise)
+        if args.jpeg:
+            train = squeezed(train, args.jpeg)
+        name = pathlib.Path(path).name + (f", 1/{factor}" if factor else "")
+        yield name if args.every == 1 else f"{name}, every {args.every}.", every_nth(train, args.every), test
 
 
 def main() -> None:
@@ -107,6 +143,8 @@ def main() -> None:
     parser.add_argument("--opaque", action="store_true", help="fit without the alphas")
     parser.add_argument("--folder", nargs="*", default=[], help="more scenes, each FOLDER or FOLDER:DOWNSCALE")
     parser.add_argument("--every", type=int, default=1, help="take every n-th training view of each --folder")
+    parser.add_argument("--pose-noise", type=float, default=0.0, help="degrees that cameras of a --folder are turned")
+    parser.add_argument("--jpeg", type=int, help="pack pictures of a --folder as JPEG of this quality, 1 to 95")
     parser.add_argument("--quality", nargs="*", default=["standard"], choices=["fast", "standard", "high"])
     parser.add_argument("--device", default=None)
     parser.add_argument("--warm", action="store_true", help="compile kernels before the first fit")
@@ -135,8 +173,8 @@ def main() -> None:
             if args.worst:
                 write_worst(pathlib.Path(args.worst), row, field, test)
             if args.json:
-                content = {"device": device.name or platform.processor(), "warp": wp.__version__, "runs": results}
-                pathlib.Path(args.json).write_text(json.dumps(content, indent=1), encoding="utf-8")
+                content = {"pose_noise": args.pose_noise, "jpeg": args.jpeg, "runs": results}
+                write_results(args.json, device, **content)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import importlib.util
 import json
 import os
 import pathlib
@@ -36,7 +37,8 @@ def machine(device) -> dict:
             "memory_gigabytes": round(device.total_memory / 2**30),
         }
     for package in ("scikit-image", "trimesh"):
-        facts[package] = importlib.metadata.version(package)
+        if importlib.util.find_spec(package.replace("scikit-image", "skimage")):  # a GPU machine may lack them
+            facts[package] = importlib.metadata.version(package)
     return facts
 
 

@@ -130,6 +130,11 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
             out / "editor.json",
         ],
         "every_kernel": ["--device", "cpu"],
+        "fit_scenes": [
+            *("--kind", "thin", "--views", 8, "--size", 24, "--option", "least_steps=9"),
+            *("--worst", out / "worst", "--json", out / "fits.json"),
+        ],
+        "fits_page": ["--results", out, "--page", out / "fits.md"],
         "soak": ["--poses", 20, "--fits", 4, "--refused", 200, "--json", out / "soak.json"],
         "page": ["--results", out, "--page", out / "page.md"],
     }

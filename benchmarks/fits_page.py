@@ -1,0 +1,73 @@
+"""Write the page docs/fits.md from the JSON files of fit_scenes.py.
+
+    python benchmarks/fits_page.py --results docs/results --page docs/fits.md
+
+Files are those of the folder whose names begin with "fits".
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pathlib
+
+from page import source, table
+
+INTRODUCTION = """# Measured: fits of several scenes
+
+Every number on this page was written by `benchmarks/fit_scenes.py` to a JSON file in [results/](results/), with the
+machine and the versions in it; the page is made from them by `python benchmarks/fits_page.py`. Fits have a quality and
+nothing else. Seconds run from pictures in host memory to the finished field, kernels compiled before. PSNR is the mean
+over views that the fit has not seen; beside it stand its own views, the mean error of opacity where pictures have
+alpha, and the worst views. What was tried, with outcomes, is in [the notes](../benchmarks/NOTES-fit.md).
+"""
+
+
+def title(results: dict) -> str:
+    parts = []
+    if results["pose_noise"]:
+        parts.append(f"cameras turned by {results['pose_noise']:g} degrees")
+    if results["jpeg"]:
+        parts.append(f"pictures through JPEG of quality {results['jpeg']}")
+    return " and ".join(parts).capitalize() if parts else "As they are"
+
+
+def run_row(run: dict) -> list[str]:
+    opacity = "–" if run["alpha_error"] is None else f"{run['alpha_error']:.4f}"
+    worst = ", ".join(f"{view} {psnr:.1f}" for psnr, view in run["worst"])
+    resolution = "x".join(map(str, run["resolution"]))
+    given = [f"{name}={value}" for name, value in run["options"].items() if name != "quality"]
+    return [
+        run["scene"],
+        str(run["views"]),
+        " ".join([run["options"].get("quality", "standard"), *given]),
+        f"**{run['psnr']:.2f}**",
+        f"{run['seconds']:.1f}",
+        f"{run['psnr_training']:.2f}",
+        opacity,
+        f"{run['voxels'] / 1e6:.1f} of {resolution}",
+        worst,
+    ]
+
+
+HEAD = ["scene", "views", "quality", "PSNR, dB", "seconds", "own views", "opacity", "million voxels", "worst views"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--results", default="docs/results")
+    parser.add_argument("--page", default="docs/fits.md")
+    args = parser.parse_args()
+    paths = sorted(pathlib.Path(args.results).glob("fits*.json"))
+    if not paths:
+        raise SystemExit(f"no fits*.json in {args.results}: run benchmarks/fit_scenes.py --json first")
+    parts = [INTRODUCTION]
+    for path in paths:
+        results = json.loads(path.read_text(encoding="utf-8"))
+        parts += [f"## {title(results)}\n", table(HEAD, [run_row(run) for run in results["runs"]]), source(results)]
+    pathlib.Path(args.page).write_text("\n".join(parts), encoding="utf-8")
+    print(f"{args.page}: {len(paths)} parts")
+
+
+if __name__ == "__main__":
+    main()
