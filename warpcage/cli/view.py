@@ -83,7 +83,7 @@ def camera_keys(args: argparse.Namespace, text: str) -> list[CameraKey]:
     """The cameras of a file as keys, at --size where it is given."""
     path, name = camera_file(text) or (text, "")
     cameras = CameraFile.load(path, size=file_size(args))
-    keys = cameras.moving(name) if name else cameras
+    keys = cameras.path(name)
     return [dataclasses.replace(key, camera=fitted_to(key.camera, args)) for key in keys]
 
 

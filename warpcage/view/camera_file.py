@@ -19,9 +19,6 @@ _FORMAT, _VERSION = "warpcage cameras", 1
 #: Numbers of a camera, by the names of its arguments.
 _NUMBERS = ("fx", "fy", "cx", "cy", "width", "height")
 
-#: Endings of camera files.
-ENDINGS = (".json", ".glb", ".gltf")
-
 
 class CameraFile(list[CameraKey]):
     """The cameras of a file, in their order.
@@ -42,20 +39,25 @@ class CameraFile(list[CameraKey]):
             require_name(loop, LOOPS, "loop")
         self.loop = loop
 
-    def moving(self, name: str) -> list[CameraKey]:
-        """The keys of one camera that moves.
+    def path(self, name: str = "") -> list[CameraKey]:
+        """The keys of a path.
 
         Args:
-            name: Its name.
+            name: Name of the camera that moves. Empty takes all cameras as the keys of one path.
 
         Returns:
-            All keys of that name.
+            The keys.
 
         Raises:
-            ValueError: If there is none.
+            ValueError: For a name that no camera has, or several cameras that move each by itself and no name.
         """
-        keys = [key for key in self if key.name == name]
-        return keys or [CameraKey(self.named(name))]
+        if name:
+            return [key for key in self if key.name == name] or [CameraKey(self.named(name))]
+        times = [key.time for key in self if key.time is not None]
+        if len(set(times)) < len(times):
+            names = listed(dict.fromkeys(key.name for key in self if key.name))
+            raise ValueError(f"several of its cameras are at one time: name the one that moves, of {names}")
+        return list(self)
 
     def named(self, name: str) -> Camera:
         """One of the cameras.
@@ -74,7 +76,12 @@ class CameraFile(list[CameraKey]):
             found = [self[int(name)]]
         if len(found) == 1:
             return found[0].camera
-        names = listed(key.name or str(index) for index, key in enumerate(self))
+        names = listed(dict.fromkeys(key.name or str(index) for index, key in enumerate(self)))
+        if len({key.name for key in found}) == 1 and all(key.time is not None for key in found):
+            raise ValueError(
+                f"its camera {found[0].name!r} moves through {len(found)} keys: take one by its number, 0 to "
+                f"{len(self) - 1}, or all as a path"
+            )
         if not name:
             raise ValueError(f"it holds {len(self)} cameras: name one of {names}")
         raise ValueError(f"it holds {len(found) or 'no'} cameras {name!r}, only {names}")
@@ -124,6 +131,10 @@ class CameraFile(list[CameraKey]):
             ValueError: What is wrong in which file.
         """
         path = require_file(path, "camera file")
+        if path.suffix.lower() in (".glb", ".gltf"):
+            from .gltf_cameras import read_gltf_cameras
+
+            return cls(read_gltf_cameras(path, size))
         try:
             document = json.loads(read_limited(path, "camera file", JSON_ROOM).decode("utf-8"))
             if document["format"] != _FORMAT:

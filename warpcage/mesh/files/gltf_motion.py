@@ -84,10 +84,10 @@ def read_gltf_motion(path: pathlib.Path, name: str = "") -> GltfMotion | None:
         return GltfMotion(shapes, [moving.vertices(shapes={shape: 1.0}) for shape in shapes], shown=shown)
 
 
-def _sampled(moving: _Moving, channels: list[_Channel]) -> GltfMotion:
+def _sampled(moving: _Moving, channels: list[Channel]) -> GltfMotion:
     """The frames of an animation."""
     keys = np.unique(np.concatenate([channel.times for channel in channels]))
-    times, fps = _frames(keys)
+    times, fps = frames_of(keys)
     require_host_memory(24 * moving.count * len(times), f"its {len(times)} frames of {moving.count} vertices need")
     poses = []
     for time in times:
@@ -103,7 +103,7 @@ def _sampled(moving: _Moving, channels: list[_Channel]) -> GltfMotion:
     return GltfMotion(names, poses, tuple(time - times[0] for time in times), fps)
 
 
-def _frames(keys: np.ndarray) -> tuple[list[float], float]:
+def frames_of(keys: np.ndarray) -> tuple[list[float], float]:
     """Times to sample at, and the rate: that on whose frames all keys lie, or the keys themselves."""
     begin, end = float(keys[0]), float(keys[-1])
     for fps in RATES:
@@ -120,7 +120,7 @@ def _frames(keys: np.ndarray) -> tuple[list[float], float]:
     return keys.tolist(), RATES[0]
 
 
-class _Channel:
+class Channel:
     """One value of a node that an animation changes."""
 
     def __init__(self, document: dict, buffers: list[bytes], channel: dict, sampler: dict, shape_count: int):
@@ -267,11 +267,11 @@ class _Moving:
         self.bodies = [_Body(document, buffers, node) for node in node_matrices(document) if "mesh" in nodes[node]]
         self.count = sum(len(body.positions) for body in self.bodies)
 
-    def animations(self) -> dict[str, list[_Channel]]:
+    def animations(self) -> dict[str, list[Channel]]:
         """Channels of each animation that moves a mesh, by its name."""
         shape_counts = {body.node: len(body.shapes) for body in self.bodies}
         concerned = self._concerned()
-        found: dict[str, list[_Channel]] = {}
+        found: dict[str, list[Channel]] = {}
         for number, animation in enumerate(self.document.get("animations", [])):
             channels = []
             for channel in animation["channels"]:
@@ -280,7 +280,7 @@ class _Moving:
                 if known and path in _PATHS:
                     sampler = animation["samplers"][channel["sampler"]]
                     count = shape_counts.get(node, 0)
-                    channels.append(_Channel(self.document, self.buffers, channel, sampler, count))
+                    channels.append(Channel(self.document, self.buffers, channel, sampler, count))
             if channels:
                 found[str(animation.get("name") or f"animation {number + 1}")] = channels
         return found
