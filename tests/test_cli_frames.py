@@ -328,3 +328,36 @@ def test_films_say_the_size_that_they_have(files, tmp_path, capsys):
     assert iio.improps(tmp_path / "film.mp4", plugin="pyav").shape == (2, 12, 16, 3)
     succeed(files, *words, tmp_path / "film.gif")
     assert "2 frames of 17x13," in capsys.readouterr().out and iio.imread(tmp_path / "film.gif").shape[1:3] == (13, 17)
+
+
+def test_several_poses_make_a_picture_each(files, tmp_path, capsys):
+    """As one picture after another, but the field is read once."""
+    words = ["render", "@ball.npz", *SMALL, "--cage", "@cage.obj", "-o"]
+    succeed(files, *words, tmp_path / "poses", "--posed", "bend:20:x:z", "@posed.obj", "rest")
+    assert "3 pictures of 40x40" in capsys.readouterr().out
+    for number, pose in enumerate(("bend:20:x:z", "@posed.obj", "rest"), 1):
+        succeed(files, *words, tmp_path / "one.png", "--posed", pose)
+        one, many = (read_image(tmp_path / name) for name in ("one.png", f"poses/pose_000{number}.png"))
+        assert np.abs(one - many).mean() < 0.004
+    assert len(list((tmp_path / "poses").iterdir())) == 3
+    capsys.readouterr()
+    for out, more, message in (
+        ("x.png", ["rest", "rest"], "2 poses make as many pictures: give a folder"),
+        ("poses", ["rest"], "exists already"),
+        ("new", ["rest", "--masks", tmp_path / "m.png"], "--masks is for one picture"),
+    ):
+        assert run(files, *words, tmp_path / out, "--posed", *more) == 2
+        assert message in capsys.readouterr().err and not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(("size", "more", "cells"), [(8, [], 64), (403, [], 96), (900, [], 128), (8, ["40"], 40)])
+def test_the_lattice_follows_the_size_of_the_picture(size, more, cells):
+    from warpcage.cli.inputs import lattice_cells, set_lattice
+    from warpcage.cli.parser import build_parser
+    from warpcage.view.camera import Camera
+
+    given = ["--resolution", *more] if more else []
+    args = build_parser().parse_args(["render", "f.npz", "-o", "x.png", *given])
+    set_lattice(args, Camera.look_at([1, 0, 0], [0, 0, 0], width=size, height=4))
+    assert lattice_cells(args) == cells
+    assert lattice_cells(build_parser().parse_args(["bake", "f.npz", "-o", "x.npz"])) == 128

@@ -44,6 +44,7 @@ WITH_SESSION = (
     "scene_scale",
     "device",
     "quiet",
+    "verbose",
 )
 
 
@@ -75,6 +76,7 @@ def run(args: argparse.Namespace) -> None:
     film = None if times is None or deformation is None else deformation.camera_film
     cameras = _chosen_cameras(args, inputs.visible_points(field, deformation, args.frame), film, times or [])
     view.warn_of_edges(args, cameras[0], deformation)
+    inputs.set_lattice(args, cameras[0])
     deformer = None if deformation is None else inputs.make_deformer(field, deformation, args)
     shot = _Shot(field, deformer, deformation, cameras, args, times)
 

@@ -40,6 +40,7 @@ def run(args: argparse.Namespace) -> None:
     inputs.require_fillable(args, field)
     cameras = chosen_cameras(args)
     deformation = read_deformation(args, field)
+    inputs.set_lattice(args, cameras[0])
     renderer = inputs.posed_renderer(field, deformation, args)
     drawn = inputs.drawn_cages(renderer, deformation) if args.overlay else ()
 

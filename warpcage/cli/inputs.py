@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 import numpy as np
 import warp as wp
@@ -77,8 +78,25 @@ def visible_points(field: VoxelField, deformation: Deformation | None, frame: st
 def make_deformer(field: VoxelField, deformation: Deformation, args: argparse.Namespace) -> Deformer:
     """The Deformer of the deformation options, not posed yet."""
     return Deformer(
-        field, deformation.edits, coordinates=args.coordinates, resolution=args.resolution, density=args.density
+        field, deformation.edits, coordinates=args.coordinates, resolution=lattice_cells(args), density=args.density
     )
+
+
+#: Fewest and most cells along the longest side of a cage where nobody asks for a number of them, and pixels for each:
+#: a lattice of 64 cells is 72 dB from a fine one in pictures of any size (docs/measurements.md).
+FEWEST_CELLS, MOST_CELLS, PIXELS_PER_CELL = 64, 128, 5
+
+
+def lattice_cells(args: argparse.Namespace) -> int | None:
+    """The lattice of --resolution, None for none; the finest usual one where `set_lattice` chose none."""
+    return MOST_CELLS if args.resolution == options.BY_SIZE else args.resolution
+
+
+def set_lattice(args: argparse.Namespace, camera: Camera) -> None:
+    """Choose the lattice by the size of a camera's picture, where --resolution is not given."""
+    if args.resolution == options.BY_SIZE:
+        cells = 16 * math.ceil(max(camera.width, camera.height) / (16 * PIXELS_PER_CELL))
+        args.resolution = min(max(cells, FEWEST_CELLS), MOST_CELLS)
 
 
 def posed_renderer(

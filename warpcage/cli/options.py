@@ -26,6 +26,9 @@ COLOUR_NAMES = ", ".join(BACKGROUNDS)
 #: The word for no background: pictures with opacity.
 TRANSPARENT = "transparent"
 
+#: The lattice where --resolution is not given.
+BY_SIZE = "by size"
+
 #: What takes arguments: a parser, or a group of its arguments.
 Arguments = argparse._ActionsContainer
 
@@ -146,8 +149,21 @@ def add_masks(parser: Arguments) -> None:
     )
 
 
-def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
-    """The cages of a deformation and how it is computed; keyframes: whether several poses may be given."""
+def add_deformation(
+    parser: Arguments,
+    *,
+    keyframes: bool = False,
+    several: bool = False,
+    usual_resolution: str = "by the picture's size, a cell for 5 pixels, 64 to 128",
+) -> None:
+    """The cages of a deformation and how it is computed.
+
+    Args:
+        parser: What takes the arguments.
+        keyframes: Whether several poses make a film.
+        several: Whether several poses make a picture each.
+        usual_resolution: What the help says of the lattice where it is not given.
+    """
     group = parser.add_argument_group(
         "deformation (--cage and --posed, or --edit, or --edits; without them the field is shown as it is)"
     )
@@ -161,7 +177,9 @@ def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
             ". Several, or all keyframes of a pose file (poses.json), follow one another. An animated glTF file "
             "(walk.glb), numbered files (walk_####.obj) or their folder are taken frame for frame"
         )
-    group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes else None, help=posed)
+    if several:
+        posed += ". Several, or all keyframes of a pose file, make a picture each, in a folder"
+    group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes or several else None, help=posed)
     add_edits(group)
     add_cage_up(group, found=True, posed=True)
     group.add_argument(
@@ -170,10 +188,10 @@ def add_deformation(parser: Arguments, *, keyframes: bool = False) -> None:
     group.add_argument(
         "--resolution",
         type=lattice_resolution,
-        default=128,
+        default=BY_SIZE,
         metavar="N",
         help='lattice cells along the longest side of the cage, or "precise" to evaluate the '
-        "coordinates at every sample (mean_value and green only) (default: %(default)s)",
+        f"coordinates at every sample (mean_value and green only) (default: {usual_resolution})",
     )
     group.add_argument(
         "--density",
@@ -354,9 +372,9 @@ def field_of_view(text: str) -> float:
     return value
 
 
-def lattice_resolution(text: str) -> int | None:
-    """A whole number of at least 1, or None for "precise"."""
-    return None if text == "precise" else positive_int(text)
+def lattice_resolution(text: str) -> int | str | None:
+    """A whole number of at least 1, None for "precise", or BY_SIZE."""
+    return text if text == BY_SIZE else None if text == "precise" else positive_int(text)
 
 
 def colour(text: str) -> str | tuple[float, ...]:

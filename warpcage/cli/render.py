@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import pathlib
 
 from ..view.pictures import write_png
-from . import flight, inputs, options, outputs, view
+from . import flight, inputs, many_poses, options, outputs, view
 from .deformation import read_deformation
 
 
@@ -16,6 +17,10 @@ def run(args: argparse.Namespace) -> None:
         return flight.run(args)
     if args.scene is not None or args.frames is not None:
         raise ValueError("--scene and --frames belong to --cameras")
+    if not pathlib.Path(args.output).suffix and inputs.is_deformed(args):
+        return many_poses.run(args)
+    if args.posed is not None and len(args.posed) > 1:
+        raise ValueError(f"{len(args.posed)} poses make as many pictures: give a folder with -o, which has no ending")
     if args.format is not None:
         raise ValueError("--format is for folders of pictures: the ending of a single one says what it is")
     output = options.check_output(args.output, (".png", ".exr"), "picture")
@@ -35,6 +40,7 @@ def run(args: argparse.Namespace) -> None:
 
     camera = view.chosen_camera(args, inputs.visible_points(field, deformation, args.frame))
     view.warn_of_edges(args, camera, deformation)
+    inputs.set_lattice(args, camera)
     renderer = inputs.posed_renderer(field, deformation, args)
     frame = inputs.render_view(renderer, camera, args)
     drawn = inputs.drawn_cages(renderer, deformation) if args.overlay else ()

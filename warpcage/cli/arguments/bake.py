@@ -30,6 +30,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="warpcage",
         help="file format; svox2 is a Plenoxels checkpoint (default: %(default)s)",
     )
-    options.add_deformation(parser)
+    options.add_deformation(parser, usual_resolution="128")
     options.add_scene_scale(parser)
     options.add_device(parser)

@@ -17,6 +17,7 @@ EXAMPLE = """\
   warpcage render lego.npz --cage cage.obj -o caged.png --overlay
   warpcage render lego.npz --edit arm.obj:arm_up.obj:keep --edit cab.obj:remove -o parts.png
   warpcage render lego.npz -o lego.exr --background transparent
+  warpcage render lego.npz --cage cage.obj --posed bend:20 bend:40 bend:60 -o bends/
   warpcage render lego.npz -o views/ --cameras interpolate --scene data/lego:test --frames 60
 """
 
@@ -26,7 +27,13 @@ STEPS = 8
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument("-o", "--output", required=True, metavar="PICTURE", help="picture to write (.png, .exr)")
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="PICTURE",
+        help="picture to write (.png, .exr), or folder: a picture of each pose",
+    )
     _add_many(parser)
     parser.add_argument("--disparity", metavar="PICTURE", help="also write the disparity in colour (.png)")
     parser.add_argument("--depth", metavar="PICTURE", help="also write the depth in grey, near is white (.png)")
@@ -40,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the picture")
     options.add_clear_background(parser)
     options.add_fill(parser)
-    options.add_deformation(parser)
+    options.add_deformation(parser, several=True)
     options.add_view(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)
