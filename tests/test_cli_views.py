@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
 from warpcage.view.camera import Camera, turntable
 from warpcage.view.camera_file import CameraFile
-from warpcage.view.camera_path import CameraKey
+from warpcage.view.camera_path import CameraKey, camera_at
 from warpcage.view.pictures import read_image
 
 LENS = {"fov_degrees": 50, "width": 40, "height": 40}
@@ -120,3 +122,21 @@ def test_wrong_views(files, tmp_path, capsys, words, said):
     assert run(files, "render", "@ball.npz", "-o", tmp_path / output, *SMALL, *words) == 2
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1 and list(tmp_path.iterdir()) == []
+
+
+def test_cameras_and_poses_with_times_go_together(files, tmp_path):
+    """The film is as long as the keys of the poses say; its cameras are those of the same seconds."""
+    rest = Cage.load(files / "cage.obj")
+    poses = PoseFile(rest, {"rest": rest, "bent": rest.bend(30)})
+    poses.times, poses.fps = {"rest": 0.0, "bent": 1.0}, 4.0
+    poses.save(tmp_path / "poses.json")
+    ring = turntable((0, 0, 0), 4.0, 20, 4, **LENS)
+    keys = [CameraKey(camera, time, easing="linear") for camera, time in zip(ring[:2], (0.0, 2.0), strict=True)]
+    CameraFile(keys).save(tmp_path / "path.json")
+    film = ["animate", "@ball.npz", "-o", tmp_path / "film", *SMALL, "--quiet", "--cage", "@cage.obj"]
+    words = ["--posed", tmp_path / "poses.json", "--cameras", tmp_path / "path.json"]
+    found = cameras_of(files, tmp_path, *film, *words)
+    assert len(found) == 5
+    for key in found:
+        assert is_same(key.camera, camera_at(keys, key.time))
+    assert not is_same(found[-1].camera, ring[1])  # half of the way after one second of two

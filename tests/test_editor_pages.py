@@ -15,6 +15,7 @@ from editor_pages import BOX, WAIT, Page, new_session, pages, with_pages  # noqa
 from editor_pages import nothing_logged as _nothing_logged  # noqa: E402, F401 (a fixture for all tests)
 
 from warpcage.cage.cage import Cage  # noqa: E402
+from warpcage.cage.upright import Standing  # noqa: E402
 from warpcage.editor import checker, clients, server, tasks  # noqa: E402
 from warpcage.editor.document import Document  # noqa: E402
 from warpcage.editor.session_file import read_session  # noqa: E402
@@ -380,12 +381,12 @@ def test_a_page_is_heard_while_its_file_is_read(tmp_path, monkeypatch):
     BOX.save(tmp_path / "cage.obj")
     started, go = threading.Event(), threading.Event()
 
-    def load(path, up=None):
+    def load(*_, **__):
         started.set()
         assert go.wait(WAIT)
-        return BOX
+        return BOX, Standing("z")
 
-    monkeypatch.setattr(tasks.Cage, "load", load)
+    monkeypatch.setattr(tasks, "load_standing", load)
 
     async def test(host, page):
         number = await page.post(do="cage.load", file="cage.obj", edit=None)
@@ -394,6 +395,21 @@ def test_a_page_is_heard_while_its_file_is_read(tmp_path, monkeypatch):
         go.set()
         await page.until(lambda: number in page.replies)
         assert "error" not in page.replies[number] and len(host.session.document.edits) == 2
+
+    with_pages(test, tmp_path)
+
+
+def test_a_pose_with_another_axis_up_is_turned_to_its_cage(tmp_path):
+    posed = BOX.move((0.3, 0.2, 0.4), group=[0, 1])
+    posed.save(tmp_path / "y.obj", up="y")
+    posed.save(tmp_path / "z.obj")
+
+    async def test(host, page):
+        for name, said in (("y.obj", "load y.obj (y up)"), ("z.obj", "load z.obj")):
+            await page.do(do="pose.load", file=name, edit=1)
+            np.testing.assert_allclose(host.session.document.edits[0].posed, posed.vertices, atol=1e-12)
+            assert host.session.history.undo_steps[-1][0] == said
+            await page.do(do="undo")
 
     with_pages(test, tmp_path)
 

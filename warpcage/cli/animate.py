@@ -20,7 +20,7 @@ from ..editor.session_file import read_session
 from ..editor.timeline import frame_times
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
-from ..view.camera_path import path_cameras
+from ..view.camera_path import camera_at, path_cameras
 from ..view.film import FILM_ENDINGS, checked_rate, write_film
 from ..view.frame import Frame
 from ..view.motion import axis_rotation, cameras_along, frame_places
@@ -220,7 +220,10 @@ def _chosen_cameras(
     if any(given is not None for given in (args.turn, args.camera, args.view, args.eye, args.target)):
         raise ValueError("--cameras cannot be combined with --turn, --camera, --view, --eye or --target")
     if view.camera_file(args.cameras):
-        return path_cameras(view.camera_keys(args, args.cameras), args.frames)
+        keys = view.camera_keys(args, args.cameras)
+        if times and all(key.time is not None for key in keys):
+            return [camera_at(keys, time) for time in times]  # of one film with the keys of the poses
+        return path_cameras(keys, args.frames)
     return cameras_along(view.sized_cameras(args, args.cameras), args.frames, args.interpolation)
 
 

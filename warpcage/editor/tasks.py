@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from ..cage.cage import Cage
+from ..cage.upright import Standing, load_standing
 from ..core.files import atomic_path
 from ..mesh.files.files import ENDINGS
 from . import commands, exports, timeline
@@ -227,25 +228,25 @@ class Tasks:
         if number is not None:
             self.session.document.edit(number)
 
-        def load() -> Cage:
-            cage = Cage.load(path, up=up)
+        def load() -> tuple[Cage, Standing]:
+            cage, standing = load_standing(Cage, path, up=up, reference=self.session.field, anywhere=True)
             cage.require_usable(f"cage {path.name!r}")
-            return cage
+            return cage, standing
 
-        cage = await self._read(load)
-        await self._change(lambda document: self._with_cage(document, number, cage, f"load {path.name}"))
+        cage, standing = await self._read(load)
+        await self._change(lambda document: self._with_cage(document, number, cage, _loaded(path, standing)))
 
     async def _load_pose(self, message: dict[str, Any]) -> None:
         """A posed cage from a file, in any order that `Cage.match` takes."""
         path = self.path_of(message["file"])
         edit = self.session.document.edit(message.get("edit", self.session.document.selection.edit))
         up = _up(message)
-        loaded = await self._read(lambda: Cage.load(path, up=up))
+        loaded, standing = await self._read(lambda: load_standing(Cage, path, up=up, reference=edit.rest_cage))
 
         def pose(document: Document) -> Step:
             now = document.edit(edit.id)
             content = {"edit": now.id, "vertices": now.rest_cage.match(loaded).vertices}
-            return f"load {path.name}", commands.set_pose(document, content)[1]
+            return _loaded(path, standing), commands.set_pose(document, content)[1]
 
         await self._change(pose)
 
@@ -406,6 +407,11 @@ def _film(message: dict[str, Any]) -> exports.Film:
     options = {name: message[name] for name in ("width", "height") if message.get(name) is not None}
     flags = {name: checked_flag(message.get(name, False), name) for name in ("overlay", "transparent")}
     return exports.Film(**options, **flags)
+
+
+def _loaded(path: pathlib.Path, standing: Standing) -> str:
+    """What loading a cage is called, with the axis that points up in its file where that was found out."""
+    return f"load {path.name}" + (f" ({standing.up} up)" if standing.turned else "")
 
 
 def _up(message: dict[str, Any]) -> str | None:
