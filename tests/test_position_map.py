@@ -210,6 +210,27 @@ def test_poses_that_take_turns_share_a_graph(device, monkeypatch):
         assert captures == []
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_pose_waits_for_a_graph_once_maps_are_warm(kind, device, monkeypatch):
+    """From the first pose on, whatever its proportions; and with the outcome of poses without graphs."""
+    rest = cage_named("icosphere")
+    poses = [rest.bend(40), rest.scale((1, 1.3, 0.6)), rest.scale((1, 0.6, 0.7)), rest.twist(60), rest]
+    options = dict(coordinates=kind, resolution=24, device=device)
+    points = [inside_points(pose, 100) for pose in poses]
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
+    assert PositionMap(rest, **options).warm().lattice is None  # nothing to be done without graphs
+    expected = [look_up(PositionMap(rest, **options).pose(pose), x) for pose, x in zip(poses, points, strict=True)]
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
+    kept = PositionMap(rest, **options).warm()
+    captures = []
+    monkeypatch.setattr(PoseGraph, "_capture", lambda self: captures.append(self))
+    monkeypatch.setattr(PositionMap, "_pose_step_by_step", lambda self, deformed: captures.append(self))
+    for pose, x, (positions, distance) in zip(poses, points, expected, strict=True):
+        found = look_up(kept.pose(pose), x)
+        assert np.array_equal(found[0], positions) and np.array_equal(found[1], distance)
+    assert captures == []
+
+
 @pytest.mark.parametrize("graphs", [False, True])
 def test_a_refused_pose_leaves_the_last_one(graphs, device, monkeypatch):
     """Graphs start on a pose before its cage is checked."""

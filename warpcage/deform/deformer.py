@@ -284,6 +284,10 @@ class Deformer:
         options.stop = STOP_TRANSMITTANCE
         options.arc_opacity = int(self.density == "opacity")
 
+        # the device is at work while the host goes on
+        self.field.marching.begin()
+        tables = self._edits.row_tables(self.field)
+
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
             edits = posed_edits()
             require_short_march(self._held or (), options.step)
@@ -292,7 +296,7 @@ class Deformer:
             picture = Picture()
             for name, array in arrays.items():
                 setattr(picture, name, array)
-            inputs = [grid, *edits.row_tables(self.field), edits.scene, pinhole, colour, options, picture]
+            inputs = [grid, *tables, edits.scene, pinhole, colour, options, picture]
             launch(edits.render_kernel, threads, inputs, device=self.device, work=work * edits.sample_work)
 
         frame = self.field.render_by(

@@ -212,7 +212,7 @@ class EditLattices:
             "device": device,
             "store": store,
         }
-        self.maps = [None if edit.remove else PositionMap(edit.cage, **options) for edit in edits]
+        self.maps = [None if edit.remove else PositionMap(edit.cage, **options).warm() for edit in edits]
         self.skips: list[wp.array] = []
         self._cells: list[wp.array] = []
         self._structs: list[Any] = []

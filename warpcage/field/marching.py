@@ -46,6 +46,11 @@ class MarchTables:
                 self._columns = ColumnTable(self._grid.links)
             return self._columns
 
+    def begin(self) -> None:
+        """Start on what `grid` waits for; launch what does not need it in between."""
+        with self._lock:
+            self._matter.compare(self._grid.density)
+
     def grid(self) -> Any:
         """The VoxelGrid, with a `skip` that leaves out what holds no matter now."""
         grid, own = VoxelGrid(), self._grid
@@ -69,10 +74,12 @@ class MarchTables:
         Returns:
             A kernel, and its first inputs.
         """
-        grid = self.grid()
+        self.begin()
         if self._is_shaded(centre):
-            return render_shaded_image, [grid, shaded_grid(grid, self.columns, centre, step)]
-        return render_image, [grid, self.rows()]
+            shaded = shaded_grid(self._grid, self.columns, centre, step)
+            return render_shaded_image, [self.grid(), shaded]
+        rows = self.rows()
+        return render_image, [self.grid(), rows]
 
     def _is_shaded(self, centre: wp.vec3) -> bool:
         """Whether voxels are shaded for a camera."""

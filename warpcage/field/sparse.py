@@ -9,6 +9,7 @@ import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.devices import launch
+from ..core.flags import HostFlag
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
 from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS
@@ -80,29 +81,49 @@ class MatterSkip:
         self._links = links
         self._positive: wp.array | None = None
         self._distance: wp.array | None = None
+        self._changed = HostFlag(links.device)
+        self._is_compared = False
+
+    def compare(self, density: wp.array) -> None:
+        """Launch the comparison that `distance` asks for; what is launched in between has the device at work while the
+        host waits.
+
+        Args:
+            density: (rows,) float32, before the ReLU.
+        """
+        self._settle()  # what was found, and nobody has asked for
+        device = self._links.device
+        if self._positive is None or self._positive.size != density.size:
+            self._positive, self._distance = wp.zeros(density.size, dtype=wp.uint8, device=device), None
+        self._changed.clear()
+        self._is_compared = True
+        launch(grid_skip.note_signs, density.size, [density], [self._positive, self._changed.array], device=device)
+        self._changed.send()
 
     def distance(self, density: wp.array) -> wp.array:
         """The distances.
 
         Args:
-            density: (rows,) float32, before the ReLU.
+            density: (rows,) float32, before the ReLU; those of the last `compare`, if nobody has asked since.
 
         Returns:
             (nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with a density above zero at a corner;
             another array whenever any of it changes.
         """
-        device = self._links.device
-        if self._positive is None or self._positive.size != density.size:
-            self._positive, self._distance = wp.zeros(density.size, dtype=wp.uint8, device=device), None
-        changed = wp.zeros(1, dtype=wp.int32, device=device)
-        launch(grid_skip.note_signs, density.size, [density], [self._positive, changed], device=device)
-        if changed.numpy()[0]:
-            self._distance = None
+        if not self._is_compared:
+            self.compare(density)
+        self._settle()
         if self._distance is None:
             distance = _cell_bytes(self._links)
-            launch(grid_skip.mark_matter, distance.size, [self._links, density], [distance], device=device)
+            launch(grid_skip.mark_matter, distance.size, [self._links, density], [distance], device=self._links.device)
             self._distance = _spread(distance)
         return self._distance
+
+    def _settle(self) -> None:
+        """Forget distances of other signs than were found."""
+        if self._is_compared and self._changed.wait():
+            self._distance = None
+        self._is_compared = False
 
 
 def _cell_bytes(links: wp.array) -> wp.array:

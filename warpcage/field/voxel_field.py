@@ -231,6 +231,7 @@ class VoxelField:
         launch(sample_field, x.shape[0], [self.grid, wp.vec3(*origin), x, d], [rgb, density], device=self.device)
         return (rgb, density) if keep else (rgb.numpy(), density.numpy())
 
+    @in_turn
     def render(
         self,
         camera: Camera,
@@ -256,12 +257,13 @@ class VoxelField:
                 a camera so far away that float32 cannot tell steps there, or supersampling out of range.
         """
         step, work = self.march_step(step, camera)
+        # before the arrays of the picture: the device is at work while the host goes on
+        kernel, inputs = self.marching.image_kernel(wp.vec3(*(camera.centre - self._center)), step)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
-            kernel, inputs = self.marching.image_kernel(pinhole.centre, step)
-            inputs += [pinhole, colour, step, STOP_TRANSMITTANCE]
             outputs = [arrays[name] for name in PART_NAMES]
-            launch(kernel, threads, inputs, outputs, device=self.device, work=work)
+            inputs_of_view = [*inputs, pinhole, colour, step, STOP_TRANSMITTANCE]
+            launch(kernel, threads, inputs_of_view, outputs, device=self.device, work=work)
 
         return self.render_by(march, camera, background=background, supersampling=supersampling)
 

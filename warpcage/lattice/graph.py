@@ -12,6 +12,9 @@ from .sizes import PoseSizes
 
 Launches = Callable[[], object]
 
+#: Cut nodes for one row of the tables of sides, at least, of most cages with narrow gaps.
+USUAL_SIDES = 4
+
 
 class PoseGraph:
     """The launches of a pose, captured with somewhat more room than the pose at hand needs.
@@ -67,6 +70,15 @@ class PoseGraph:
         self._make_room()
         self._layout = self._map = self._sides = None
 
+    def capture_sides(self) -> None:
+        """Capture the tables of sides for as many rows as most poses take, before one needs them."""
+        self._find_sides()
+
+    @property
+    def has_room_for_sides(self) -> bool:
+        """Whether there are buffers for the tables of sides that a graph fills."""
+        return self._sides is not None
+
     def begin(self) -> None:
         """Start on the pose that the lattice's constants hold; they stay as they are until `finish`."""
         assert self._layout is not None, "begin comes after fits"
@@ -96,20 +108,23 @@ class PoseGraph:
         Returns:
             False where they must be found step by step.
         """
+        self._find_sides()
+        has_room = self._launches.sides.take()
+        if not has_room:
+            self._sides = None
+        return has_room
+
+    def _find_sides(self) -> None:
+        """Launch what fills the tables of sides, captured where it was not."""
         sides = self._launches.sides
-        if sides.length == 0:  # nobody knows how long they are
-            return False
         if self._sides is None or self._sides_generation != sides.buffers.generation:
-            self._sides_room = max(self._sides_room, sides.length + sides.length // 4 + 32)
+            usual = self._bounds.lists.cut // USUAL_SIDES
+            self._sides_room = max(self._sides_room, usual, sides.length + sides.length // 4 + 32)
             launches = functools.partial(self._launches.launch_sides, self._bounds, self._sides_room)
             launches()  # once outside, so that all buffers and modules are there
             self._sides_generation = sides.buffers.generation
             self._sides = self._captured(launches)
         self._sides()
-        has_room = sides.take()
-        if not has_room:
-            self._sides = None
-        return has_room
 
     def launch(self) -> None:
         """Launch a whole pose one by one, with the sizes that the graphs have."""

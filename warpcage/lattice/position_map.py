@@ -10,7 +10,7 @@ from ..core.arrays import WarpStruct
 from ..core.checks import warn_caller
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
-from ..core.memory import require_memory
+from ..core.memory import free_bytes, require_memory
 from ..core.names import require_coordinates, require_store
 from ..kernels.lattice.cage_map import CageMap
 from ..mesh.closed_mesh import ClosedMesh, require_mesh
@@ -29,6 +29,10 @@ from .weights import LatticeWeights
 
 #: Bytes that a node, a lattice line and a square cell of the cage surface take, and some in any case.
 NODE_BYTES, LEVELS_BYTES, LINE_BYTES, SURFACE_BYTES, FIXED_BYTES = 20, 4, 100, 350, 1 << 19
+
+
+#: How many times the memory of the rest pose must be free for graphs to be captured before the first pose.
+WARM_MEMORY = 8
 
 
 class PositionMap:
@@ -120,6 +124,26 @@ class PositionMap:
             if self._graph is None or self._data is None or not self._replay(self._graph, deformed):
                 require_usable(deformed, "deformed cage")
                 self._pose_step_by_step(deformed)
+        return self
+
+    def warm(self) -> PositionMap:
+        """Pose the rest cage, and capture the graphs that later poses replay; the first poses take no longer then.
+
+        Nothing is done where no graphs are, or where memory is short: a pose will say so.
+
+        Returns:
+            self.
+        """
+        if self.store != "map" or not PoseGraph.is_supported(self.device):
+            return self
+        with self.lock:
+            if WARM_MEMORY * self.memory_bytes(gaps=True) > free_bytes(self.device):
+                return self
+            self.pose(self.rest)
+            launches, lattice = self._posed()
+            assert self._graph is not None
+            self._graph.fits(lattice.sizes(launches.solver.nodes.level_count))
+            self._graph.capture_sides()
         return self
 
     def _pose_step_by_step(self, deformed: ClosedMesh) -> None:
@@ -240,7 +264,8 @@ class PositionMap:
             gaps: Whether to add the most that the tables of narrow gaps may take, where they go all over the cage.
 
         Returns:
-            Bytes, somewhat more than are taken.
+            Bytes, somewhat more than are taken. On CUDA the graphs that later poses replay have room for up to twice as
+            much (lattices of less than four million nodes), or an eighth more.
 
         Raises:
             ValueError: For a cage too far from `origin`.
@@ -317,13 +342,15 @@ class PositionMap:
 
     def _take_sides(self, data: WarpStruct, launches: PoseLaunches, graph: PoseGraph | None) -> None:
         """Give the map the sides of narrow gaps."""
-        sides, needed = launches.sides, lattice_side_bytes(launches.solver.lattice)
-        require_memory(
-            needed,
-            self.device,
-            f"tables for sides of narrow gaps at resolution {self.resolution} need {{size}}: take a lower resolution",
-            held=sides.buffers.bytes,
-        )
+        sides = launches.sides
+        if graph is None or not graph.has_room_for_sides:
+            require_memory(
+                lattice_side_bytes(launches.solver.lattice),
+                self.device,
+                f"tables for sides of narrow gaps at resolution {self.resolution} need {{size}}: "
+                "take a lower resolution",
+                held=sides.buffers.bytes,
+            )
         if graph is None or not graph.find_sides():
             launches.find_sides(launches.solver.sizes)
         data.side_index, data.sides = sides.index, sides.table

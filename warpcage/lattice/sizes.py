@@ -8,6 +8,23 @@ import numpy as np
 
 from ..kernels.lattice.nodes import RINGS
 
+#: Room that launches have over the pose at hand, as a share of it, so that they serve other poses of the same cage as
+#: well: of lattices with fewer nodes than FINE_NODES, whose buffers are small and whose idle threads take no time, room
+#: for most poses that are not a stretch of the whole; else for those that differ by little.
+FINE_NODES, WIDE_ROOM, NARROW_ROOM = 1 << 22, 1.0, 0.125
+
+
+def room_share(nodes: int) -> float:
+    """Room over the pose at hand.
+
+    Args:
+        nodes: Of its lattice.
+
+    Returns:
+        A share of what the pose counts.
+    """
+    return WIDE_ROOM if nodes < FINE_NODES else NARROW_ROOM
+
 
 @dataclass(frozen=True, eq=False)
 class NodeSections:
@@ -72,9 +89,9 @@ class NodeSections:
         """Whether no section is longer than that of `room`."""
         return bool((self.lengths <= room.lengths).all())
 
-    def roomier(self) -> NodeSections:
+    def roomier(self, share: float = NARROW_ROOM) -> NodeSections:
         """Lengths for launches and lists that serve other poses of the same cage as well."""
-        return NodeSections(self.lengths + self.lengths // 8 + 32)
+        return NodeSections(self.lengths + (share * self.lengths).astype(np.int64) + 32)
 
     def larger(self, other: NodeSections) -> NodeSections:
         """The larger of two lengths of each section."""
@@ -128,8 +145,9 @@ class PoseSizes:
 
     def roomier(self, held: PoseSizes | None = None) -> PoseSizes:
         """Bounds with somewhat more room, and no less than `held` has: poses that take turns fit them."""
-        counts = [count + count // 16 for count in self._counts()]
-        sections = self.lists.roomier()
+        share = room_share(self.nodes)
+        counts = [count + int(share * count) for count in self._counts()]
+        sections = self.lists.roomier(share)
         if held is not None:
             counts = [max(pair) for pair in zip(counts, held._counts(), strict=True)]
             sections = sections.larger(held.lists)
