@@ -196,6 +196,8 @@ def edits(device) -> None:
     deformer.render(camera())
     deformer.to_canonical(POINTS, np.ones((64, 3)))
     warpcage.bake(deformer, resolution=16)
+    held = warpcage.CageEdit(slotted(0.5), falloff=0.4, held="still")
+    warpcage.Deformer(field, held, resolution=16, device=device).pose(slotted(0.03)).render(camera())
     precise = warpcage.Deformer(field, cages, coordinates="mean_value", resolution=None, device=device)
     precise.pose([CAGE.translate((0, 0, 3)), POSE]).render(camera())
 

@@ -13,6 +13,9 @@ from ..mesh.walls import Walls, faded_position
 
 wp.set_module_options({"enable_backward": False})
 
+#: Corners of cells with a point in the cage are no farther from it than this, in cells.
+FAR_CELLS = wp.constant(2.0)
+
 
 @wp.func
 def node_position(cage_map: CageMap, i: int, j: int, k: int):
@@ -22,12 +25,15 @@ def node_position(cage_map: CageMap, i: int, j: int, k: int):
 
 @wp.kernel
 def fade_nodes(first: int, cage_map: CageMap, walls: Walls, positions: wp.array3d(dtype=wp.vec3)):
-    """The faded map at each node."""
+    """The faded map at each node, but for those that no look-up in the cage takes in."""
     n = first + wp.tid()
     k = n % positions.shape[2]
     j = (n // positions.shape[2]) % positions.shape[1]
     i = n // (positions.shape[2] * positions.shape[1])
-    positions[i, j, k] = faded_position(walls, node_position(cage_map, i, j, k), cage_map.positions[i, j, k])
+    mapped = cage_map.positions[i, j, k]
+    if cage_map.distance[i, j, k] < FAR_CELLS * cage_map.spacing:
+        mapped = faded_position(walls, node_position(cage_map, i, j, k), mapped)
+    positions[i, j, k] = mapped
 
 
 @wp.kernel

@@ -20,16 +20,15 @@ class Walls:
 
     corners: wp.array(dtype=wp.vec3)  # (3 faces,)
     starts: wp.array(dtype=int)  # (walls + 1,) where the faces of each wall begin
-    lower: wp.vec3  # box of all that is nearer than the width
+    boxes: wp.array(dtype=wp.vec3)  # (2 walls,) lower and upper corner of the box of each wall
+    lower: wp.vec3  # box of all that is nearer to a wall than the width
     upper: wp.vec3
     width: float  # world units
 
 
 @wp.func
-def box_distance_squared(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Squared distance to the box of a triangle: no more than that to the triangle."""
-    lower = wp.min(a, wp.min(b, c))
-    upper = wp.max(a, wp.max(b, c))
+def box_distance_squared(x: wp.vec3, lower: wp.vec3, upper: wp.vec3):
+    """Squared distance to a box: no more than that to what is in it."""
     return wp.length_sq(wp.max(wp.max(lower - x, x - upper), wp.vec3(0.0, 0.0, 0.0)))
 
 
@@ -42,14 +41,15 @@ def walls_share(walls: Walls, x: wp.vec3):
     share = float(1.0)
     for wall in range(walls.starts.shape[0] - 1):
         nearest = walls.width * walls.width
-        for face in range(walls.starts[wall], walls.starts[wall + 1]):
-            a = walls.corners[3 * face]
-            b = walls.corners[3 * face + 1]
-            c = walls.corners[3 * face + 2]
-            if box_distance_squared(x, a, b, c) < nearest:
-                nearest = wp.min(nearest, triangle_distance_squared(x, a, b, c))
-        t = wp.sqrt(nearest) / walls.width
-        share *= t * t * t * (t * (6.0 * t - 15.0) + 10.0)
+        if box_distance_squared(x, walls.boxes[2 * wall], walls.boxes[2 * wall + 1]) < nearest:
+            for face in range(walls.starts[wall], walls.starts[wall + 1]):
+                a = walls.corners[3 * face]
+                b = walls.corners[3 * face + 1]
+                c = walls.corners[3 * face + 2]
+                if box_distance_squared(x, wp.min(a, wp.min(b, c)), wp.max(a, wp.max(b, c))) < nearest:
+                    nearest = wp.min(nearest, triangle_distance_squared(x, a, b, c))
+            t = wp.sqrt(nearest) / walls.width
+            share *= t * t * t * (t * (6.0 * t - 15.0) + 10.0)
     return share
 
 

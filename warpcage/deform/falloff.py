@@ -99,6 +99,8 @@ class FalloffBand:
         corners = np.concatenate(walls).reshape(-1, 3) - np.asarray(origin)
         data.corners = wp.array(corners.astype(np.float32), dtype=wp.vec3, device=device)
         data.starts = wp.array(np.cumsum([0, *map(len, walls)]), dtype=wp.int32, device=device)
+        boxes = [corner for wall in walls for corner in (wall.min(axis=(0, 1)), wall.max(axis=(0, 1)))]
+        data.boxes = wp.array((np.array(boxes) - origin).astype(np.float32), dtype=wp.vec3, device=device)
         data.lower = wp.vec3(*(corners.min(axis=0) - self._width))
         data.upper = wp.vec3(*(corners.max(axis=0) + self._width))
         data.width = self._width
