@@ -147,6 +147,14 @@ def test_cages_of_a_part_stay_as_they_are(files, tmp_path, capsys):
     )
     said = capsys.readouterr().err
     assert "warning" not in said and " % of the object, the rest of it stays where it is" in said
+    # one of several cages holds a part as it should: a word only where another axis would hold far more
+    for top, told in ((-0.5, "has y up, and is turned"), (-0.3, "with y up it would hold")):
+        foot = Cage.box((-0.4, -0.6, -1.0), (0.4, 0.8, top), segments=2)
+        for up in "zy":
+            foot.save(tmp_path / f"{up}.obj", up=up)
+            edit = f"{tmp_path / up}.obj:translate:0:0:0.1"
+            succeed(files, "render", "@post.npz", "-o", tmp_path / "x.png", *VIEW, "--edit", edit)
+            assert (told in capsys.readouterr().err) == (up == "y")
 
 
 def test_a_cage_that_holds_all_either_way_is_kept_and_doubted(tmp_path):

@@ -39,6 +39,12 @@ _NOTHING = 1e-4
 #: A cage that stood beside the object is turned where it then holds this share of it.
 _SOMETHING = 0.01
 
+#: Points of the object that are looked at: fewer for cages of many faces, whose sides each of them asks for.
+_LEAST_POINTS, _MOST_POINTS, _WORK = 1000, 20_000, 20_000_000
+
+#: A part that holds so many times more of the object with another axis may have been written with it.
+_FAR_MORE = 2.0
+
 #: A vertex stays in a pose within this share of the cage's size: files hold 6 digits.
 _STAYS = 1e-4
 
@@ -61,6 +67,7 @@ class Standing:
         turned: Whether it is another one than was expected.
         note: Why, or what speaks against it; empty where there is nothing to say.
         doubtful: Whether the note says that something may be wrong.
+        likelier: Whether a cage of a part would hold far more with another axis.
         lost: Whether the cage holds nothing of its object, however it stands.
     """
 
@@ -68,6 +75,7 @@ class Standing:
     turned: bool = False
     note: str = ""
     doubtful: bool = False
+    likelier: bool = False
     lost: bool = False
 
 
@@ -128,8 +136,10 @@ def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = 
     Returns:
         How it stands. For a cage that cannot be used, or an object that shows nothing, as expected.
     """
-    points = _object_points(thing)
-    if not len(points) or first_problem(cage):
+    if first_problem(cage):
+        return Standing(up)
+    points = _object_points(thing, count=max(_LEAST_POINTS, min(_MOST_POINTS, _WORK // len(cage.faces))))
+    if not len(points):
         return Standing(up)
     here, other = _share_inside(cage, points), _other(up)
     turned = restood(cage, up, other)
@@ -150,7 +160,8 @@ def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = 
         nothing = f"holds nothing of the object, with z up or with y up: it lies at {places}"
         return Standing(up, note=nothing, doubtful=True, lost=True)
     more = f"; with {other} up it would hold {_percent(there)}" if there > here else ""
-    return Standing(up, note=f"holds {_percent(here)} of the object, the rest of it stays where it is{more}")
+    note = f"holds {_percent(here)} of the object, the rest of it stays where it is{more}"
+    return Standing(up, note=note, likelier=there > _FAR_MORE * here)
 
 
 def other_standing(cage: ClosedMesh, thing: object) -> str:
@@ -262,10 +273,14 @@ def restood(cage: Mesh, was: str, up: str) -> Mesh:
     return cage if was == up else cage.with_vertices(turned_up(cage.vertices, up, was))
 
 
-def _object_points(thing: Any) -> np.ndarray:
-    """(n, 3) points of a field, a selection or a mesh, world units."""
+def _object_points(thing: Any, count: int) -> np.ndarray:
+    """(n, 3) at most `count` points of a field, a selection or a mesh, world units."""
     vertices = getattr(thing, "vertices", None)
-    return some_visible_nodes(thing) if vertices is None else np.asarray(vertices, dtype=np.float64)
+    if vertices is None:
+        return some_visible_nodes(thing, count)
+    points = np.asarray(vertices, dtype=np.float64)
+    chosen = np.random.default_rng(0).permutation(len(points))[:count]
+    return points[np.sort(chosen)]
 
 
 def _share_inside(cage: ClosedMesh, points: np.ndarray) -> float:

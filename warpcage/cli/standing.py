@@ -19,7 +19,8 @@ def read_rest(path: str, up: str | None, thing: object = None, *, part: bool = F
         path: The cage's file.
         up: Axis that points up in it, "y" or "z". None finds it.
         thing: The field or mesh that it stands around. None takes the axis of the format.
-        part: Whether it may hold a part alone without a word, as one of several cages.
+        part: Whether it may hold a part alone, as one of several cages: that is said only where another axis would
+            hold far more.
 
     Returns:
         The cage, and the axis to expect in files of its ending.
@@ -30,7 +31,7 @@ def read_rest(path: str, up: str | None, thing: object = None, *, part: bool = F
     """
     rest, standing = load_standing(Cage, path, up=up, reference=thing)
     rest.require_usable(f"cage {path!r}")
-    if standing.turned or standing.doubtful or not part:
+    if standing.turned or standing.doubtful or standing.likelier or not part:
         say_standing(path, standing, "--cage-up")
     return rest, {ending(path): standing.up}
 
