@@ -33,7 +33,7 @@ def test_affine_poses_have_their_stretch_everywhere(pose, volume, stretch):
 def test_a_fold_and_a_pose_turned_inside_out_are_told():
     tight = rod(16).check(pose=rod(16).bend(200, limits=(0.25, 0.5)))
     assert len(tight.pose.intersecting_faces) > 10 and tight.pose.inverted_share > 0.05 and tight.usable
-    assert "inverted volume" in str(tight) and "bring the vertices there apart" in str(tight)
+    assert "turned inside out" in str(tight) and "bring the vertices there apart" in str(tight)
     mirrored = rod().with_vertices(rod().vertices * [-1, 1, 1])
     report = rod().check(pose=mirrored)
     assert not report.usable and not report.pose.usable and "looks inward" in str(report)

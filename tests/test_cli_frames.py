@@ -361,3 +361,26 @@ def test_the_lattice_follows_the_size_of_the_picture(size, more, cells):
     set_lattice(args, Camera.look_at([1, 0, 0], [0, 0, 0], width=size, height=4))
     assert lattice_cells(args) == cells
     assert lattice_cells(build_parser().parse_args(["bake", "f.npz", "-o", "x.npz"])) == 128
+
+
+#: What an artist has no reason to know.
+JARGON = ("rest cage", "the map ", "canonical", "det J", "face terms", "residual", "samples", "genus", "manifold")
+
+
+def test_what_commands_say_of_a_pose_is_plain(files, tmp_path, capsys):
+    """A pose pulled far and turned inside out: warnings and the report say what happens and what to do."""
+    words = ["render", "@ball.npz", *SMALL, "--cage", "@cage.obj", "-o", tmp_path / "a.png", "--masks"]
+    for pose in ("stretch:3", "twist:300", "scale:0.3"):
+        succeed(files, *words, tmp_path / "m.png", "--posed", pose)
+        said = capsys.readouterr().err
+        assert not any(word in said for word in JARGON), said
+    turned = Cage.load(files / "cage.obj")
+    vertices = turned.vertices.copy()
+    top = vertices[:, 2] > 0.5
+    vertices[top, 2] -= 2.0  # the lid below the floor
+    turned.with_vertices(vertices).save(tmp_path / "through.obj")
+    assert run(files, *words, tmp_path / "m.png", "--posed", tmp_path / "through.obj") in (0, 2)
+    run(files, "check", "@cage.obj", "--object", "@ball.npz", "--posed", tmp_path / "through.obj")
+    said = capsys.readouterr().out
+    assert "pose: turned inside out" in said and "pose: has nothing to show" in said and "memory of a pose" in said
+    assert not any(word in said for word in JARGON), said

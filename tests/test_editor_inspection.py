@@ -12,7 +12,7 @@ from warpcage.editor.inspection import Inspector, inspect, inspector
 from warpcage.field.selection import visible_nodes
 
 VIEW = View((3.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
-ALL_IS_WELL = ["All is well: the cage holds all that is visible, and nothing folds."]
+ALL_IS_WELL = ["All is well: the cage holds all that is visible, and nothing is turned inside out."]
 
 
 @pytest.fixture

@@ -136,7 +136,7 @@ def test_a_pose_may_say_which_walls_are_still(field):
 def test_a_band_that_folds_is_told(field):
     edit = CageEdit(HALF, falloff=0.3)
     with pytest.warns(
-        UserWarning, match="the map of edit 0 folds over in its falloff band of 0.3: make the band wider"
+        UserWarning, match="edit 0 turns matter inside out in its falloff band of 0.3: make the band wider"
     ):
         deformer = Deformer(field, edit, resolution=48).pose(HALF.stretch(4.0, axis="x", centre=[0, 0, 0]))
     assert deformer.render(view(size=24)).fold.max() > 0.1

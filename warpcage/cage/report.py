@@ -46,15 +46,15 @@ class PoseReport:
             What was measured, its value, and advice or nothing, for each row.
         """
         inverted = "bring the vertices there apart: colours would show through" if self.inverted_share else ""
-        outside = "pull the pose closer to the rest cage: nothing is drawn there" if self.outside_share > 0.01 else ""
+        outside = "move the cage less there: nothing is shown" if self.outside_share > 0.01 else ""
         strong = self.least_stretch < 0.25 or self.largest_stretch > 4.0
         stretch = "strong: expect blur where it is large, aliasing where it is small" if strong else ""
         return [
             ("pose: volume", f"{100 * self.volume_ratio:.1f} % of rest", ""),
-            ("pose: inverted volume", f"{100 * self.inverted_share:.2f} %", inverted),
-            ("pose: mapped out of the rest cage", f"{100 * self.outside_share:.2f} %", outside),
+            ("pose: turned inside out", f"{100 * self.inverted_share:.2f} %", inverted),
+            ("pose: has nothing to show", f"{100 * self.outside_share:.2f} %", outside),
             ("pose: stretch", f"{self.least_stretch:.3g} to {self.largest_stretch:.3g}", stretch),
-            offender_row("pose: folds (faces that cross)", self.intersecting_faces, "move vertices apart"),
+            offender_row("pose: faces that cross", self.intersecting_faces, "move vertices apart"),
             ("pose: usable", "yes" if self.usable else "no", f"the posed cage {self.problem}" if self.problem else ""),
         ]
 
@@ -166,17 +166,17 @@ class CageReport:
         genus = "not defined" if self.genus is None else self.genus
         rows = [
             ("vertices, faces", f"{self.vertex_count}, {self.face_count}", ""),
-            ("connected parts, handles", f"{self.part_count}, {genus}", ""),
+            ("separate parts, holes through them", f"{self.part_count}, {genus}", ""),
             ("size, volume", f"{self.size:.6g}, {self.volume:.6g}", ""),
-            ("volume of the convex hull filled", f"{100 * self.convexity:.1f} %", ""),
+            ("share of its convex hull", f"{100 * self.convexity:.1f} %", ""),
             offender_row("open edges", self.open_edges, "fill the holes: every edge needs two faces"),
             offender_row("edges of three or more faces", self.crowded_edges, "delete inner faces or split the edge"),
             offender_row("pinched vertices", self.pinched_vertices, "duplicate the vertex, one for each fan of faces"),
             offender_row("clashing edges", self.clashing_edges, "flip faces until all look outward"),
             offender_row("inward parts", self.inward_parts, "flip all faces of the part"),
-            offender_row("degenerate faces", self.degenerate_faces, "remove the face or move its vertices apart"),
+            offender_row("faces without area", self.degenerate_faces, "remove the face or move its vertices apart"),
             offender_row("vertices at the same place", self.coincident_vertices, "merge them or move them apart"),
-            offender_row("intersecting faces", self.intersecting_faces, "move vertices apart: the map folds there"),
+            offender_row("intersecting faces", self.intersecting_faces, "move vertices apart: the picture tears there"),
             offender_row("unused vertices", self.unused_vertices, "harmless: kept so that poses match one to one"),
         ]
         for what, share in (("mesh vertices", self.mesh_enclosed), ("visible voxels", self.field_enclosed)):
@@ -193,10 +193,9 @@ class CageReport:
         cost = self.cost
         rows.append(
             (
-                f"cost of a pose at {COST_RESOLUTION} cells",
+                "memory of a pose",
                 f"{cost['map_bytes'] / 1e6:.0f} MB",
-                f"{cost['nodes'] / 1e6:.2f} million nodes, {cost['face_terms'] / 1e6:.0f} million face "
-                f"terms, {cost['weight_bytes'] / 1e6:.0f} MB as weights",
+                f"at {COST_RESOLUTION} cells along the longest side (--resolution)",
             )
         )
         rows += [] if self.pose is None else self.pose.rows()

@@ -260,7 +260,7 @@ class EditLattices:
             folded = np.argwhere(folded_cells(cells) & ~folded_cells(plain.cells))
             if band.has_matter(struct.deformed.positions.numpy()[tuple(folded.T)] + self._origin):
                 warn_caller(
-                    f"the map of edit {index} folds over in its falloff band of {edit.falloff:.3g}: make the band "
+                    f"edit {index} turns matter inside out in its falloff band of {edit.falloff:.3g}: make the band "
                     "wider, or move the cage less"
                 )
 

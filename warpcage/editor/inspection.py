@@ -206,7 +206,7 @@ def _lines(
     if folded:
         lines.append(f"{_percent(folded)} of the posed cage is turned inside out. Move, turn or twist it less there.")
     if outside:
-        lines.append(f"{_percent(outside)} of the posed cage stays empty, as it leads out of the cage at rest.")
+        lines.append(f"{_percent(outside)} of the posed cage stays empty: it has nothing to show. Move it less there.")
     if leaking:
         faces = "1 face of the cage at rest cuts" if leaking == 1 else f"{leaking} faces of the cage at rest cut"
         lines.append(f"{faces} through what is visible. Move them outward, unless the cut is meant.")
@@ -214,7 +214,7 @@ def _lines(
         lines.append("Nothing visible is inside this cage: it moves nothing.")
     elif inside_share is not None and inside_share < 1.0:
         lines.append(f"{_percent(1.0 - inside_share)} of what is visible is outside this cage and stays where it is.")
-    return lines or ["All is well: the cage holds all that is visible, and nothing folds."]
+    return lines or ["All is well: the cage holds all that is visible, and nothing is turned inside out."]
 
 
 def _percent(share: float) -> str:

@@ -184,8 +184,8 @@ class HarmonicSolver(MapSolver):
         super().take_status(status)
         if self.cycles == MAX_CYCLES and self.residual > self.tolerance:
             warn_caller(
-                f"harmonic map: {self.residual:.1e} of the size left after {MAX_CYCLES} cycles, above the tolerance "
-                f"{self.tolerance:.1e}: the cage may cross itself or be too thin for its resolution"
+                f"the harmonic deformation is off by about {self.residual:.1e} of the cage's size (asked for: "
+                f"{self.tolerance:.1e}): the cage may cross itself, or be too thin for a lattice of this resolution"
             )
 
     def _continue_map(self, sections: NodeSections, vertex_values: wp.array) -> None:

@@ -335,9 +335,9 @@ class PositionMap:
         self._data = data  # whole: sides that there is no memory for leave none
         if self.gap_jump > REPORTED_JUMP:
             warn_caller(
-                f"a cage has gaps narrower than a cell of its {self.coordinates} lattice, which the map opens by up to "
-                f"{self.gap_jump:.2g} of the size: it is rough there, take a resolution above {self.resolution} or "
-                "open the gaps"
+                f"a cage has gaps narrower than a cell of its {self.coordinates} lattice, which the pose opens by "
+                f"up to {self.gap_jump:.2g} of its size: the picture is rough there; open the gaps in the cage, or take "
+                f"a finer lattice, a resolution above {self.resolution}"
             )
 
     def _take_sides(self, data: WarpStruct, launches: PoseLaunches, graph: PoseGraph | None) -> None:

@@ -14,10 +14,13 @@ from .pictures import colour_disparity, disparity_range
 
 #: Mask -> its colour in the picture, and what a warning says of the share that it marks.
 MASKS = {
-    "fold": ((0.9, 0.1, 0.1), "folds over (the map turns inside out; red)"),
+    "fold": ((0.9, 0.1, 0.1), "shows parts that are turned inside out, where a cage is bent or pushed too far (red)"),
     "reveal": ((0.1, 0.3, 0.9), "shows what a moved cage uncovered, which no camera may have seen (blue)"),
     "filled": ((0.6, 0.25, 0.85), "was uncovered and is filled by a smooth continuation, made up (violet)"),
-    "outside": ((0.95, 0.75, 0.1), "lost samples that the map sends out of the rest cage (yellow)"),
+    "outside": (
+        (0.95, 0.75, 0.1),
+        "may have holes, as parts of a posed cage have nothing to show: move it less there (yellow)",
+    ),
 }
 
 #: A pixel counts as marked from this value on: opacity that folds or was uncovered, or number of samples lost.

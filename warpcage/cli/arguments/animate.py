@@ -116,8 +116,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--show",
         choices=options.PICTURE_KINDS,
         default="rgb",
-        help="rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: where the map "
-        "folds, what it uncovers and what it loses, with a warning of how much (default: %(default)s)",
+        help="rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: what is turned "
+        "inside out, what was uncovered and where a posed cage has nothing to show, with a warning of how much "
+        "(default: %(default)s)",
     )
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the pictures")
     options.add_clear_background(parser)

@@ -41,8 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--masks",
         metavar="PICTURE",
-        help="also write where the map folds over (red), what it uncovers (blue) and what it sends out of the "
-        "rest cage (yellow) (.png), and warn of how much there is of each",
+        help="also write what is turned inside out (red), what was uncovered (blue) and where the posed cage has "
+        "nothing to show (yellow) (.png), and warn of how much there is of each",
     )
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the picture")
     options.add_clear_background(parser)

@@ -53,9 +53,9 @@ function backgroundField() {
 /** What the colours of the masks mean, and how much of the picture they cover. */
 function legend() {
   const kinds = [
-    ["fold", "Folded: turned inside out"],
+    ["fold", "Turned inside out: moved too far"],
     ["reveal", "Uncovered: no camera saw it"],
-    ["outside", "Lost: leads out of the cage"],
+    ["outside", "Empty: nothing to show there"],
   ];
   const shares = new Map();
   const root = el("ul", { id: "mask-legend", class: "legend", "aria-label": "Colours of the masks" });
@@ -116,7 +116,7 @@ export function viewGroup() {
       ["rgb", "Colour", "The scene in colour"],
       ["disparity", "Disparity", "How near matter is"],
       ["alpha", "Alpha", "How much covers the background"],
-      ["masks", "Masks", "What folds, what is uncovered, what left the cage"],
+      ["masks", "Masks", "What is turned inside out, uncovered or empty"],
     ],
     value: "rgb",
     onChange: (value) => change({ show: value }),
