@@ -336,8 +336,8 @@ class PositionMap:
         if self.gap_jump > REPORTED_JUMP:
             warn_caller(
                 f"a cage has gaps narrower than a cell of its {self.coordinates} lattice, which the pose opens by "
-                f"up to {self.gap_jump:.2g} of its size: the picture is rough there; open the gaps in the cage, or take "
-                f"a finer lattice, a resolution above {self.resolution}"
+                f"up to {self.gap_jump:.2g} of its size: the picture is rough there; open the gaps in the cage, or "
+                f"take a finer lattice, a resolution above {self.resolution}"
             )
 
     def _take_sides(self, data: WarpStruct, launches: PoseLaunches, graph: PoseGraph | None) -> None:
