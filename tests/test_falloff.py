@@ -15,7 +15,7 @@ from warpcage.deform.falloff import walls_share
 
 WIDTH = 0.25
 #: Around the right half of a bar along x: its wall at x = 0 cuts the bar.
-HALF = Cage.box([0.0, -0.5, -0.5], [0.97, 0.5, 0.5], segments=3)
+HALF = Cage.box([0.0, -0.5, -0.5], [0.97, 0.5, 0.5], segments=2)
 RAISED = HALF.stretch(1.2, axis="x", centre=[0, 0, 0]).translate([0, 0, 0.12]).twist(15, axis="x")
 ON_WALL = np.flatnonzero(HALF.vertices[:, 0] == 0.0)
 
@@ -69,7 +69,7 @@ def test_the_map_is_the_cage_map_times_its_share(field, kind, resolution):
 
 @pytest.mark.parametrize(
     ("kind", "resolution", "slack"),
-    [("harmonic", 64, 1e-3), ("mean_value", 64, 1e-3), ("green", 64, 1e-3), ("mean_value", None, 1e-4)],
+    [("harmonic", 64, 1e-3), ("mean_value", 48, 1e-3), ("green", 48, 1e-3), ("mean_value", None, 1e-4)],
 )
 def test_positions_and_directions_go_on_through_a_held_wall(field, kind, resolution, slack):
     """Just inside the wall both are what they are just outside of it; without a falloff both jump."""
@@ -91,7 +91,7 @@ def test_positions_and_directions_go_on_through_a_held_wall(field, kind, resolut
 
 def test_the_band_has_no_jump_within(field):
     """Along a way through wall and band neither the position nor its slope jumps, also where two held walls meet."""
-    corner = Cage.box([0.0, -0.5, -0.2], [0.97, 0.5, 0.8], segments=3)
+    corner = Cage.box([0.0, -0.5, -0.2], [0.97, 0.5, 0.8], segments=2)
     moved = corner.translate([0.05, 0.05, 0.1])
     deformer = Deformer(field, CageEdit(corner, falloff=0.3), coordinates="mean_value", resolution=None).pose(moved)
     along = np.linspace(-0.05, 0.4, 451)
@@ -101,7 +101,7 @@ def test_the_band_has_no_jump_within(field):
             x[:, 2] = 0.02
         points, _, _ = deformer.to_canonical(x, np.broadcast_to(way, x.shape))
         slope = np.diff(points - x, axis=0) / np.diff(along)[:, None]
-        assert np.abs(slope).max() > 0.1  # it moves
+        assert np.abs(slope).max() > 0.05  # it moves
         assert np.abs(np.diff(slope, axis=0)).max() < 0.02
 
 
