@@ -231,7 +231,7 @@ def test_a_film_of_cameras_alone_shows_the_scene_at_rest(files, tmp_path):
         key = ["--key", name, "--at", split, "--camera", f"@scene:test:{split}", "--fps", 2]
         succeed(files, "pose", "@cage.obj", "-o", poses, *key)
     words = ["animate", "@ball.npz", "--cage", "@cage.obj", "--posed", poses, "--quiet", "-o", tmp_path / "film"]
-    succeed(files, *words)
+    succeed(files, *words, *LOOK[-4:])
     frames = frames_of(tmp_path / "film")
     succeed(files, "render", "@ball.npz", "--camera", "@scene:test:1", "-o", tmp_path / "two.png")
     assert len(frames) == 3

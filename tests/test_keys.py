@@ -11,7 +11,7 @@ STEPS = st.floats(0.05, 3.0)
 HEIGHTS = st.sampled_from([-1.0, 0.0, 0.0, 0.3, 1.0, 1.0, 7.0])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(STEPS, HEIGHTS), min_size=2, max_size=7), st.booleans())
 def test_nothing_goes_beyond_its_keys(keys, still_ends):
     times = np.cumsum([step for step, _ in keys]).tolist()
