@@ -50,7 +50,8 @@ def say_standing(name: str, standing: Standing, option: str) -> None:
         option: The option that names its axis.
     """
     if standing.turned:
-        print(f"warpcage: cage {name!r} {standing.note} ({option} says otherwise)", file=sys.stderr)
+        before = "z" if standing.up == "y" else "y"
+        print(f"warpcage: cage {name!r} {standing.note} ({option} {before} keeps it as it was)", file=sys.stderr)
     elif standing.doubtful:
         print(f"warpcage: warning: cage {name!r} {standing.note} (see {option})", file=sys.stderr)
     elif standing.note:
