@@ -259,3 +259,17 @@ def test_times_and_easings_of_pose_files_are_checked_and_older_files_have_none(t
     with pytest.raises(ValueError, match="there is no keyframe 'nobody'"):
         file.save(tmp_path / "worse.json")
     assert not (tmp_path / "worse.json").exists()
+
+
+def test_pose_files_hold_the_cameras_too(tmp_path):
+    side = dataclasses.replace(VIEW, eye=(0.0, 4.0, 2.0), fov=60.0)
+    made = film((0.0, "linear", POSES[0], VIEW), (1.0, "smooth", POSES[1], None), (2.0, "smooth", None, side), fps=12.0)
+    pose_file(made, 1).save(tmp_path / "poses.json")
+    file = PoseFile.load(tmp_path / "poses.json")
+    assert file.fps == 12.0 and file.length == 2.0 and [key.time for key in file.cameras] == [0.0, 2.0]
+    for time in (0.0, 0.7, 2.0):
+        view, looking = state_at(made, time)[1], file.camera_at(time)
+        np.testing.assert_allclose(looking.centre, view.eye, atol=1e-9)
+        ahead = np.subtract(view.target, view.eye) / np.linalg.norm(np.subtract(view.target, view.eye))
+        np.testing.assert_allclose(looking.rotation[:, 2], ahead, atol=1e-9)
+    assert looking.height / looking.fy == pytest.approx(2 * np.tan(np.radians(30.0)))

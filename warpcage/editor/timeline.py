@@ -13,8 +13,13 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..view import keys as between
+from ..view.camera_path import CameraKey
 from .checked import MAX_KEYS, MAX_NAME, MAX_SECONDS, frozen_vertices
 from .document import EASINGS, Document, Key, Timeline, View
+from .scene import camera
+
+#: Width and height of the pictures of cameras in pose files, pixels.
+PICTURE = (800, 600)
 
 #: Fields of view, degrees: a smooth way may swing beyond those of its keys.
 LEAST_FOV, LARGEST_FOV = 1.0, 150.0
@@ -103,7 +108,7 @@ def frame_rate(timeline: Timeline) -> Fraction:
 
 
 def pose_file(document: Document, number: int) -> PoseFile:
-    """The keys of an edit as a pose file, with times and easings.
+    """The keys of an edit as a pose file, with times, easings, and the keys of cameras.
 
     Args:
         document: The document.
@@ -129,6 +134,10 @@ def pose_file(document: Document, number: int) -> PoseFile:
     if not len(file):
         raise ValueError(f"no key holds a pose of {edit.name!r}: add one first")
     file.fps, file.loop = float(document.timeline.fps), document.timeline.loop
+    for key in document.timeline.keys:
+        if key.view is not None and not (file.cameras and file.cameras[-1].time == key.time):
+            looking, target = camera(key.view, *PICTURE), np.array(key.view.target)
+            file.cameras.append(CameraKey(looking, key.time, key.name, key.easing, target))
     return file
 
 
