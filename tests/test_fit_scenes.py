@@ -11,7 +11,6 @@ from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.fitting.options import checked_options
 from warpcage.fitting.plan import MOST_SCARCE, PLENTY, plan_batches, scarcity
-from warpcage.fitting.schedule import Schedule
 from warpcage.kernels.fitting.rmsprop import shrink_view_dependence
 from warpcage.reference.fit_scenes import KINDS, synthetic_scene
 from warpcage.reference.models import MODELS
@@ -86,25 +85,15 @@ def test_few_pixels_get_steps_enough(device):
 
 @pytest.mark.parametrize(
     ("quality", "millions", "passes", "rays"),
-    [("standard", 22, 11, 131072), ("standard", 6, 11, 65536), ("fast", 22, 3, 65536), ("high", 11, 35.2, 131072)],
+    [("standard", 22, 11, 131072), ("standard", 6, 11, 65536), ("fast", 22, 3.1, 65536), ("high", 11, 20, 131072)],
 )
 def test_batches_are_large_where_steps_are_many(quality, millions, passes, rays):
-    """And where few pixels see the object, a long fit takes more passes."""
+    """A step costs much whatever its batch counts."""
     tiles = millions * 1_000_000 // 4
     batch, steps = plan_batches(checked_options({"quality": quality}), 56_000_000, tiles)
     assert 4 * batch == rays and sum(steps) == pytest.approx(passes * tiles / batch, rel=0.01)
     asked = plan_batches(checked_options({"quality": quality, "epochs": 5.0}), 56_000_000, tiles)
     assert sum(asked[1]) == pytest.approx(5 * tiles / asked[0], rel=0.01)
-
-
-def test_pixels_get_four_rays_late():
-    schedule = Schedule(checked_options({"quality": "high"}), [10, 20, 50], 1.0)
-    sides = []
-    while not schedule.is_done:
-        schedule.level += schedule.refines
-        sides.append(schedule.rays_per_side)
-        schedule.step_count += 1
-    assert sides == [1] * 45 + [2] * 35
 
 
 @pytest.mark.parametrize("model", MODELS)

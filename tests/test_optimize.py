@@ -215,7 +215,7 @@ def test_variation_gradient_matches_finite_differences(device):
     rows = field.voxel_count
     gradients = wp.zeros(25 * rows, dtype=wp.float32, device=device)
     touched = wp.zeros(rows, dtype=wp.uint8, device=device)
-    unit, scale_density, scale_sh, scale_directional = 0.7, 0.3, 0.2, 0.9
+    unit, scale_density, scale_sh, scale_high_degree = 0.7, 0.3, 0.2, 0.9
     wp.launch(
         field_variation.accumulate_variation_gradient,
         dim=25 * rows,
@@ -228,7 +228,7 @@ def test_variation_gradient_matches_finite_differences(device):
             unit,
             scale_density,
             scale_sh,
-            scale_directional,
+            scale_high_degree,
         ],
         outputs=[gradients, touched],
     )
@@ -252,9 +252,10 @@ def test_variation_gradient_matches_finite_differences(device):
         for values, gradient, scale, index in (
             (density[..., None] / unit, gradients[row, 24], scale_density / unit, 0),
             (sh, gradients[row, 0], scale_sh, 0),
-            (sh, gradients[row, 14], scale_directional, 14),
+            (sh, gradients[row, 14], scale_high_degree, 14),
             (sh, gradients[row, 20], scale_sh, 20),
-            (sh, gradients[row, 23], scale_directional, 23),
+            (sh, gradients[row, 3], scale_sh, 3),
+            (sh, gradients[row, 23], scale_sh, 23),
         ):
             difference = []
             for sign in (1, -1):

@@ -32,12 +32,12 @@ def accumulate_variation_gradient(
     density_unit: float,
     scale_density: float,
     scale_sh: float,
-    scale_directional: float,
+    scale_high_degree: float,
     gradients: wp.array(dtype=wp.float32),
     touched: wp.array(dtype=wp.uint8),
 ):
     """Adds the gradient of a sum of total variations over a run of rows: scale_density * TV(density / density_unit),
-    scale_sh * TV(sh) of the constant terms and scale_directional * TV(sh) of the others.
+    scale_sh * TV(sh) of degrees 0 and 1 and scale_high_degree * TV(sh) of degrees 2 and 3.
 
     GRADIENT_ROW items per row, one per number, so that neighbouring threads read neighbouring numbers. nodes: (rows,)
     grid indices of each row. first_row: where the run begins; it goes on at row 0 after the last one. gradients:
@@ -51,8 +51,8 @@ def accumulate_variation_gradient(
     scale = float(scale_sh)
     value = float(0.0)
     if number < COEFFICIENTS:
-        if harmonic_degree(number) > 0:
-            scale = scale_directional
+        if harmonic_degree(number) > 1:
+            scale = scale_high_degree
         value = grid.sh[row, number]
     else:
         unit = density_unit

@@ -81,7 +81,7 @@ class MatterSkip:
         self._links = links
         self._positive: wp.array | None = None
         self._distance: wp.array | None = None
-        self._changed = HostFlag(links.device)
+        self._changed: HostFlag | None = None
         self._is_compared = False
 
     def compare(self, density: wp.array) -> None:
@@ -95,6 +95,8 @@ class MatterSkip:
         device = self._links.device
         if self._positive is None or self._positive.size != density.size:
             self._positive, self._distance = wp.zeros(density.size, dtype=wp.uint8, device=device), None
+        if self._changed is None:  # a fit never asks
+            self._changed = HostFlag(device)
         self._changed.clear()
         self._is_compared = True
         launch(grid_skip.note_signs, density.size, [density], [self._positive, self._changed.array], device=device)
@@ -121,7 +123,7 @@ class MatterSkip:
 
     def _settle(self) -> None:
         """Forget distances of other signs than were found."""
-        if self._is_compared and self._changed.wait():
+        if self._is_compared and self._changed is not None and self._changed.wait():
             self._distance = None
         self._is_compared = False
 

@@ -213,7 +213,8 @@ class Level:
 
         Args:
             batch: The batch. Its squared errors are written.
-            weights: Of the total variation of density, of constant SH terms and of the others, per voxel of the box.
+            weights: Of the total variation of density, of SH coefficients of degree 0 and 1, and of degree 2 and 3, per
+                voxel of the box.
             share: Of the rows that get a gradient of the total variation.
             random: Chooses the first of those rows.
         """

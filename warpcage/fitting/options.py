@@ -84,13 +84,6 @@ class FitOptions:
     )
     level_growth: float = _positive(2.6, "Rays of a level over the rays of the level before.")
     epochs: float = _positive(11.0, "Passes over the pixels that see the object.")
-    few_pixels: float = _number(
-        1.0,
-        1.0,
-        LARGEST_FACTOR,
-        "Factor on `epochs`, at most, where fewer pixels see the object than 87 views of 800x800 that it fills to two "
-        "fifths: passes over them take less time. It is 1 where `epochs` is given.",
-    )
     least_steps: int = _whole(
         600,
         0,
@@ -138,12 +131,12 @@ class FitOptions:
         3e-6, "Weight of the total variation of density (per half of the box) per voxel of the box."
     )
     variation_sh: float = _weight(6e-4, "Weight of the total variation of the SH coefficients per voxel of the box.")
-    variation_directional: float = _number(
+    variation_high_degree: float = _number(
         5.0,
         0.0,
         LARGEST_FACTOR,
-        "Factor on that weight for the coefficients that depend on direction: reflectance changes less from place to "
-        "place than colour.",
+        "Factor on that weight for the coefficients of degree 2 and 3: how a surface reflects changes less from place "
+        "to place than its colour.",
     )
     variation: float | None = _number(
         None,
@@ -171,9 +164,8 @@ class FitOptions:
     )
     keep_at: float = _number(0.4, 0.0, 1.0, "Share of the last level's steps after which `keep_weight` is first used.")
     supersampling: int = _whole(
-        1, 1, 2, "Rays along each side of a pixel, late in the last level and in renders of the field."
+        1, 1, 2, "Rays along each side of a pixel, in the last level and in renders of the field."
     )
-    supersample_at: float = _number(0.3, 0.0, 1.0, "Share of the last level's steps after which pixels get them.")
     view_share: float = _number(0.1, 0.0, 1.0, "Voxels that fewer than this share of the cameras see are left empty.")
     background: str = _option(
         "auto",
@@ -221,8 +213,8 @@ def _arguments() -> str:
 
 FitOptions.__doc__ = f"{inspect.cleandoc(FitOptions.__doc__ or '')}\n\n{_arguments()}\n"
 
-_FAST = {"epochs": 3.0}
-_HIGH = {"epochs": 22.0, "few_pixels": 1.6, "max_resolution": 720, "supersampling": 2}
+_FAST = {"epochs": 3.1}
+_HIGH = {"epochs": 20.0, "max_resolution": 720, "supersampling": 2}
 
 #: What each quality sets in place of the defaults.
 _SET_BY_QUALITY: dict[str, dict[str, Any]] = dict(zip(QUALITIES, (_FAST, {}, _HIGH), strict=True))
@@ -256,7 +248,7 @@ def checked_options(options: dict) -> FitOptions:
     if quality not in QUALITIES:
         raise ValueError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
     if "epochs" in options:
-        options = {"least_steps": 0, "few_pixels": 1.0, **options}
+        options.setdefault("least_steps", 0)
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
     checked = FitOptions(**{**_SET_BY_QUALITY[quality], **options})

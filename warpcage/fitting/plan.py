@@ -25,9 +25,6 @@ BATCH_RAYS, BATCH_SHARE = (4096, 131072), 128
 #: worth it where there are this many steps nonetheless.
 LARGE_BATCH, ENOUGH_STEPS = 65536, 1200
 
-#: Pixels that see the object, of a fit that takes its `epochs` passes; of fewer it may take more (`few_pixels`).
-FULL_PIXELS = 22e6
-
 #: Least voxels along the longest side that the pixels ask for.
 SMALLEST_RESOLUTION = 32
 
@@ -61,7 +58,8 @@ class GridPlan:
         bounds: (2, 3) float64, world units: the object's box, grown to whole voxels.
         shapes: (nx, ny, nz) voxels of each level.
         scarcity: How few rays see a voxel; see `scarcity`.
-        variation: Weights of the total variation of density, of constant SH terms and of the others.
+        variation: Weights of the total variation of density, of SH coefficients of degree 0 and 1, and of degree 2
+            and 3.
     """
 
     levels: int
@@ -111,14 +109,14 @@ def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool)
 
 
 def _variation(options: FitOptions, scarce: float, captured: bool) -> tuple[float, float, float]:
-    """Weights of the total variation of density, of constant SH terms and of the others."""
+    """Weights of the total variation of density, of SH coefficients of degree 0 and 1, and of degree 2 and 3."""
     if options.variation is not None:
         factors = options.variation, options.variation
     else:
         least = (CAPTURED_VARIATION, CAPTURED_SH_VARIATION) if captured else (0.0, 0.0)
         factors = max(least[0], scarce**DENSITY_POWER), max(least[1], scarce**SH_POWER)
     sh = options.variation_sh * factors[1]
-    return options.variation_density * factors[0], sh, sh * options.variation_directional
+    return options.variation_density * factors[0], sh, sh * options.variation_high_degree
 
 
 def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[int, list[int]]:
@@ -133,17 +131,16 @@ def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[i
         Tiles per batch, and the steps of each level.
     """
     batch, active_pixels = options.batch_rays, active_tiles * options.tile_size**2
-    passes = options.epochs * float(np.clip(FULL_PIXELS / max(active_pixels, 1), 1.0, options.few_pixels))
     if batch is None:
         batch = np.clip(pixels // BATCH_SHARE, *BATCH_RAYS)
         if batch > LARGE_BATCH:
-            batch = min(batch, max(LARGE_BATCH, passes * active_pixels / ENOUGH_STEPS))
+            batch = min(batch, max(LARGE_BATCH, options.epochs * active_pixels / ENOUGH_STEPS))
         if options.least_steps:
-            batch = min(batch, max(SMALLEST_BATCH, passes * active_pixels / options.least_steps))
+            batch = min(batch, max(SMALLEST_BATCH, options.epochs * active_pixels / options.least_steps))
     batch_tiles = min(max(1, int(batch) // options.tile_size**2), active_tiles)
     shares = options.level_growth ** np.arange(options.levels)
     shares = shares / shares.sum()
-    steps = max(passes * active_tiles / batch_tiles, options.least_steps)
+    steps = max(options.epochs * active_tiles / batch_tiles, options.least_steps)
     return batch_tiles, [max(1, round(float(share) * steps)) for share in shares]
 
 

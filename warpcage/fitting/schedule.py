@@ -88,11 +88,8 @@ class Schedule:
 
     @property
     def rays_per_side(self) -> int:
-        """Rays along each side of a pixel. Coarse voxels are wider than a part of a pixel, and what they found has to
-        settle on fine ones first: there it is one."""
-        last = self.level_steps[-1]
-        late = self.step_count >= self.total_steps - round((1.0 - self.options.supersample_at) * last)
-        return self.options.supersampling if self.is_last_level and late else 1
+        """Rays along each side of a pixel. Coarse voxels are wider than a part of a pixel: there it is one."""
+        return self.options.supersampling if self.is_last_level else 1
 
     @property
     def supervises_opacity(self) -> bool:
