@@ -61,10 +61,15 @@ def main() -> None:
     paths = sorted(pathlib.Path(args.results).glob("fits*.json"))
     if not paths:
         raise SystemExit(f"no fits*.json in {args.results}: run benchmarks/fit_scenes.py --json first")
-    parts = [INTRODUCTION]
+    parts, heading = [INTRODUCTION], ""
     for path in paths:
         results = json.loads(path.read_text(encoding="utf-8"))
-        parts += [f"## {title(results)}\n", table(HEAD, [run_row(run) for run in results["runs"]]), source(results)]
+        if title(results) != heading:
+            heading = title(results)
+            parts.append(f"## {heading}\n")
+        parts += [table(HEAD, [run_row(run) for run in results["runs"]]), source(results)]
+        if "note" in results:
+            parts.append(results["note"] + "\n")
     pathlib.Path(args.page).write_text("\n".join(parts), encoding="utf-8")
     print(f"{args.page}: {len(paths)} parts")
 
