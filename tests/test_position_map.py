@@ -13,6 +13,7 @@ from warpcage.core import memory
 from warpcage.core.devices import launch
 from warpcage.kernels.lattice.cage_map import sample_map
 from warpcage.lattice import block_faces
+from warpcage.lattice import lattice as lattices
 from warpcage.lattice.graph import PoseGraph
 from warpcage.lattice.position_map import PositionMap, fit_affine
 
@@ -212,9 +213,19 @@ def test_poses_that_take_turns_share_a_graph(device, monkeypatch):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_pose_waits_for_a_graph_once_maps_are_warm(kind, device, monkeypatch):
-    """From the first pose on, whatever its proportions; and with the outcome of poses without graphs."""
+    """From the first pose on, whatever its proportions; and with the outcome of poses without graphs.
+
+    Lines of the first pose cross the cage more often than they have room for without graphs.
+    """
+    monkeypatch.setattr(lattices, "LINE_CAPACITY", 2)
     rest = cage_named("icosphere")
-    poses = [rest.bend(40), rest.scale((1, 1.3, 0.6)), rest.scale((1, 0.6, 0.7)), rest.twist(60), rest]
+    poses = [
+        rest.stretch(1.8, axis="x").bend(150, axis="x", towards="z"),
+        rest.scale((1, 1.3, 0.6)),
+        rest.scale((1, 0.6, 0.7)),
+        rest.twist(60),
+        rest,
+    ]
     options = dict(coordinates=kind, resolution=24, device=device)
     points = [inside_points(pose, 100) for pose in poses]
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))

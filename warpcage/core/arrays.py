@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
@@ -60,6 +60,21 @@ def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike)
         The array.
     """
     return wp.empty(shape, dtype=dtype, device=device)
+
+
+def struct_array(structs: Sequence[WarpStruct], dtype: Any, device: wp.DeviceLike) -> wp.array:
+    """Structs as an array: wp.array, which looks for a NumPy type of the struct each time and takes ten times as long.
+
+    Args:
+        structs: Instances of one struct. What their arrays point to must be kept alive by the caller.
+        dtype: The struct.
+        device: Warp device.
+
+    Returns:
+        (n,) on the device.
+    """
+    raw = np.frombuffer(b"".join(bytes(struct.__ctype__()) for struct in structs), dtype=np.uint8)
+    return array_view(wp.array(raw, dtype=wp.uint8, device=device), dtype, len(structs))
 
 
 def as_points(

@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import empty_array
+from ..core.arrays import empty_array, struct_array
 from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.modules import load_modules
@@ -36,6 +36,7 @@ from ..kernels.lattice import (
 )
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh import fans
+from ..lattice.capture import Buffer, BufferPool
 from ..lattice.lattice import CageLattice
 from ..lattice.position_map import PositionMap
 from ..mesh.containment import SURFACE_TOLERANCE
@@ -99,6 +100,9 @@ class LatticeEdits(PosedEdits):
         load_pose_modules(coordinates, [render_single, render_sides] if self._is_single else [render], device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands)
         self._flat: list[Any] = []
+        pool = BufferPool(device)
+        self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
+        self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
 
     def row_tables(self, field: VoxelField) -> list[Any]:
         return [field.marching.rows()]
@@ -119,10 +123,8 @@ class LatticeEdits(PosedEdits):
         Returns:
             The one FlatEdit of kernels/deform/flat_edits.py, or an array of several.
         """
-        last = [*self._flat, *[None] * len(self._edits)]
-        self._flat = [
-            flat_edit(edit, skip, old) for (edit, skip), old in zip(self.lattices.posed(), last, strict=False)
-        ]
+        posed = zip(self.lattices.posed(), self._look_buffers, self._node_buffers, strict=True)
+        self._flat = [flat_edit(edit, skip, look, nodes) for (edit, skip), look, nodes in posed]
         if not self._is_single:
             return self.flat_array()
         (flat,) = self._flat
@@ -131,16 +133,17 @@ class LatticeEdits(PosedEdits):
 
     def flat_array(self) -> wp.array:
         """(edits,) FlatEdit, as the kernel for several edits takes them."""
-        return wp.array(self._flat, dtype=flat_edits.FlatEdit, device=self._device)
+        return struct_array(self._flat, flat_edits.FlatEdit, self._device)
 
 
-def flat_edit(edit: Any, skip: wp.array, last: Any = None) -> Any:
+def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
     """A LatticeEdit with flat arrays.
 
     Args:
         edit: The posed LatticeEdit.
         skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
-        last: The FlatEdit of the last pose, whose arrays are used again where they fit, or None.
+        look: Of uint8, for the table of cells.
+        nodes: Of vec4, for the nodes.
 
     Returns:
         A FlatEdit of kernels/deform/flat_edits.py.
@@ -149,11 +152,7 @@ def flat_edit(edit: Any, skip: wp.array, last: Any = None) -> Any:
     flat = flat_edits.FlatEdit()
     flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
     flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
-    if last is not None and last.look.size == node_count:
-        flat.look, flat.nodes = last.look, last.nodes
-    else:
-        flat.look = wp.zeros(node_count, dtype=wp.uint8, device=device)
-        flat.nodes = empty_array(node_count, wp.vec4, device)
+    flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)  # nobody looks at the last cells of an axis
     flat.rest = edit.rest
     side_index = edit.deformed.side_index
     flat.has_sides = int(side_index is not None and side_index.size > 0)
@@ -214,6 +213,9 @@ class EditLattices:
         }
         self.maps = [None if edit.remove else PositionMap(edit.cage, **options).warm() for edit in edits]
         self.skips: list[wp.array] = []
+        pool = BufferPool(device)  # poses differ in shape, and an allocation takes as long as a launch
+        self._cell_buffers, self._skip_buffers = ([pool.buffer(wp.uint8) for _ in edits] for _ in range(2))
+        self._mark_buffer = pool.buffer(wp.uint8)
         self._cells: list[wp.array] = []
         self._structs: list[Any] = []
         self.array: wp.array | None = None
@@ -231,8 +233,8 @@ class EditLattices:
             for edit, rest, cage_map, cage in zip(self._edits, self.rests, self._faded, cages, strict=True)
         ]
         shapes = [cell_shape(struct.deformed) for struct in self._structs]
-        self._cells = cell_buffers(self._cells, shapes, self._device)
-        self.skips = cell_buffers(self.skips, shapes, self._device)
+        self._cells = [buffer.take(shape) for buffer, shape in zip(self._cell_buffers, shapes, strict=True)]
+        self.skips = [buffer.take(shape) for buffer, shape in zip(self._skip_buffers, shapes, strict=True)]
         for struct, cells, skip in zip(self._structs, self._cells, self.skips, strict=True):
             struct.cells, struct.skip = cells, skip
         self.settle_cells()
@@ -269,7 +271,7 @@ class EditLattices:
         for struct in self._structs:
             launch(cell_tables.mark_edit_cases, struct.cells.size, [struct], [struct.cells], device=self._device)
         # the structs stay, as they own what the array on the device points to
-        self.array = wp.array(self._structs, dtype=LatticeEdit, device=self._device)
+        self.array = struct_array(self._structs, LatticeEdit, self._device)
         self._marked_step = 0.0
 
     def mark_empty(self, grid: Any, step: float) -> bool:
@@ -286,7 +288,7 @@ class EditLattices:
             return False
         self._marked_step = 0.0  # an interrupt leaves tables that are half written
         for index, skip in enumerate(self.skips):  # in order: each looks at the ones before it
-            marks = wp.empty_like(skip)
+            marks = self._mark_buffer.take(skip.shape)
             inputs = [grid, self.array, index, step]
             launch(cell_tables.mark_edit_cells, skip.size, inputs, [marks], device=self._device)
             source, target = marks, skip
@@ -353,21 +355,3 @@ def cell_shape(cage_map: Any) -> tuple[int, ...]:
         (3,) counts.
     """
     return tuple(side - 1 for side in cage_map.distance.shape)
-
-
-def cell_buffers(held: list[wp.array], shapes: list[tuple[int, ...]], device: wp.Device) -> list[wp.array]:
-    """One byte for each cell of several lattices.
-
-    Args:
-        held: The arrays of the last pose, or none; those that fit are used again.
-        shapes: Cells of each lattice along each axis.
-        device: Warp device.
-
-    Returns:
-        A uint8 array of each shape.
-    """
-    last = [*held, *[None] * (len(shapes) - len(held))]
-    return [
-        array if array is not None and array.shape == shape else empty_array(shape, wp.uint8, device)
-        for array, shape in zip(last, shapes, strict=True)
-    ]

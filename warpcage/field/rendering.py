@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import empty_array
+from ..core.arrays import array_view, empty_array
 from ..view.camera import Camera, camera_struct, tile_threads
 from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera
 from .background import LayeredBackground
@@ -50,10 +50,28 @@ def render_frame(
     """
     fine = finer_camera(camera, supersampling)
     count = fine.width * fine.height
-    arrays = {
-        name: empty_array(count, wp.vec3 if name == "rgb" else wp.float32, device) for name in (*PART_NAMES, *masks)
-    }
+    arrays = picture_arrays(count, (*PART_NAMES, *masks), device)
     march(tile_threads(fine), camera_struct(fine, origin), wp.vec3(*map(float, colour)), arrays)
     if layers is not None:
         layers.add_behind(fine, arrays["rgb"], arrays["alpha"])
     return average_frame(Frame(fine.width, fine.height, **arrays), supersampling)
+
+
+def picture_arrays(count: int, names: Sequence[str], device: wp.Device) -> dict[str, wp.array]:
+    """The arrays of a picture, in one allocation: on a GPU it takes as long as a launch.
+
+    Args:
+        count: Pixels.
+        names: "rgb" and other parts and masks of a Frame.
+        device: Warp device.
+
+    Returns:
+        Arrays (count,) by name, vec3 for "rgb" and float32 for others.
+    """
+    widths = [3 if name == "rgb" else 1 for name in names]
+    block = empty_array((sum(widths), count), wp.float32, device)
+    arrays, begin = {}, 0
+    for name, width in zip(names, widths, strict=True):
+        arrays[name] = array_view(block, wp.vec3 if width == 3 else wp.float32, count, offset=4 * begin)
+        begin += count * width
+    return arrays

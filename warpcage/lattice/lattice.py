@@ -279,6 +279,10 @@ class CageLattice:
         inputs.append(self.constants.scales.array)
         launch(measure_band, BLOCK**3 * sizes.blocks, [*inputs, self.flat_distance], device=self.device)
 
+    def make_room(self, crossings: int) -> None:
+        """Have room for this many crossings a line from the next pose on, before one needs it."""
+        self._line_capacity = max(self._line_capacity, crossings)
+
     def _lengthen_lines(self) -> bool:
         """Wait, and whether lines were too short for their crossings."""
         needed = int(self.flags.lines.numpy()[0])

@@ -34,6 +34,9 @@ NODE_BYTES, LEVELS_BYTES, LINE_BYTES, SURFACE_BYTES, FIXED_BYTES = 20, 4, 100, 3
 #: How many times the memory of the rest pose must be free for graphs to be captured before the first pose.
 WARM_MEMORY = 8
 
+#: Crossings of a lattice line that these graphs have room for: twice what lines have otherwise.
+WARM_CROSSINGS = 16
+
 
 class PositionMap:
     """The map x -> sum_j w_j(x) v_j from a deformed cage to its rest cage, on the nodes of a lattice over the former.
@@ -142,6 +145,7 @@ class PositionMap:
             self.pose(self.rest)
             launches, lattice = self._posed()
             assert self._graph is not None
+            lattice.make_room(WARM_CROSSINGS)
             self._graph.fits(lattice.sizes(launches.solver.nodes.level_count))
             self._graph.capture_sides()
         return self
