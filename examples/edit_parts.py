@@ -5,7 +5,8 @@
 
 Boxes around the cabin, the bucket and the arm. Writes to the folder of --out: order.png (the scene, the cabin copied on
 top of itself, the bucket removed besides, and the arm swung besides; the cages drawn over it), falloff.png (the arm
-lifted by a cage that cuts it off, and the same with a falloff at the cut), the cages, and excavator.edits.json, which
+lifted by a cage that cuts it off, and the same with a falloff at the cut), clean.png (close up: the bucket removed by
+its box; by the box with its walls snapped to gaps; and its crumbs with it), the cages, and excavator.edits.json, which
 `warpcage render --edits` takes.
 """
 
@@ -18,6 +19,7 @@ import pathlib
 import numpy as np
 
 import warpcage
+from warpcage.cage.snap import snap_to_gaps
 from warpcage.core.devices import resolve_device
 from warpcage.core.files import atomic_path
 from warpcage.editor.demo import demo_files
@@ -54,6 +56,17 @@ def main(argv=None) -> dict:
     edits = [warpcage.CageEdit(arm), warpcage.CageEdit(arm, falloff=args.falloff)]
     panels = [panel(field, [(edit, lifted)], camera, args.resolution, overlay) for edit in edits for overlay in (0, 1)]
     write_png(out / "falloff.png", contact_sheet(panels, columns=4))
+
+    # the box of the bucket is drawn by eye: its walls go to where they cut less, and what they cut off goes too
+    close = warpcage.Camera.look_at(
+        (2.1, -2.8, 1.5), (0.45, -0.2, 0), width=args.size, height=args.size, fov_degrees=22
+    )
+    snapped = snap_to_gaps(bucket, field, reach=0.1)
+    cuts = [
+        warpcage.CageEdit(cage, remove=True, crumbs=size) for cage, size in ((bucket, 0), (snapped, 0), (snapped, 0.5))
+    ]
+    panels = [panel(field, [(edit, None)], close, args.resolution) for edit in cuts]
+    write_png(out / "clean.png", contact_sheet(panels, columns=3))
 
     for name, cage in {"cabin": cabin, "on_top": on_top, "bucket": bucket, "arm": arm, "swung": swung}.items():
         cage.save(out / f"{name}.obj")

@@ -62,6 +62,7 @@ def expected(files, edits, poses):
         ("cage.obj:remove:crumbs=0.1", EditWords("cage.obj", remove=True, crumbs=0.1)),
         ("a.obj:twist:30:held=3,4:falloff=1", EditWords("a.obj", "twist:30", falloff=1.0, held="3,4")),
         ("my.obj files/a.obj:b.obj", EditWords("my.obj files/a.obj", "b.obj")),
+        ("a.obj:my.obj files/b.glb:wave", EditWords("a.obj", "my.obj files/b.glb:wave")),
     ],
 )
 def test_words_of_an_edit(text, words):
@@ -77,6 +78,8 @@ def test_words_of_an_edit(text, words):
         ("cage.obj:keep:remove", "do not go together"),
         ("cage.obj:posed.obj:remove", "needs no pose"),
         ("cage.obj:posed.obj:falloff=wide", "falloff|finite number"),
+        ("cage.obj:posed.obj:kept", "'kept' is no word of an edit"),
+        ("cage.obj:posed.obj:falof=1:keep", "'falof=1' is no word of an edit"),
         ("cage.obj:posed.obj:held=left:falloff=1", "held must be cut, still, or numbers"),
     ],
 )
@@ -212,6 +215,8 @@ def test_a_cage_is_seen_without_a_pose(files, tmp_path):
         (["--edit", "@top.obj:rest", "--edit", "@left.obj:@posed.obj"], "edit 2 of 2: cage"),
         (["--edit", "@left.obj:@left.json"], "holds 2 keyframes: name one"),
         (["--edit", "@open.obj:rest"], "edit 1 of 1: cage"),
+        (["--edit", "@top.obj:@top_up.obj:held=3"], "edit 1 of 1: held names the walls that an edit fades towards"),
+        (["--overlay"], "--overlay needs a deformation: --cage and --posed (or --cage alone, at rest)"),
         (["--cage", "@top.obj"], "--cage and --posed go together"),
         (["--posed", "@top.obj"], "--posed needs --cage"),
         (["--cage", "@top.obj", "--posed", "rest", "--edit", "@top.obj:rest"], "--cage and --edit do not go together"),
@@ -224,6 +229,15 @@ def test_bad_edits_end_in_one_line(files, tmp_path, capsys, words, message):
     assert run(files, "render", "@ball.npz", "-o", tmp_path / "a.png", *VIEW, *words) == 2
     said = capsys.readouterr().err
     assert message in said and said.count("\n") == 1 and not (tmp_path / "a.png").exists()
+
+
+def test_all_of_an_edit_is_said():
+    edits = [EditWords("a.obj", "b.obj", keep=True, falloff=0.5, held="3,4", crumbs=0.1),
+             EditWords("a.obj", remove=True, crumbs=0.1)]  # fmt: skip
+    assert [str(edit) for edit in edits] == [
+        "a.obj -> b.obj, the source stays (a copy), fades to rest over 0.5 (held=3,4), crumbs below 0.1 go too",
+        "a.obj: removed, crumbs below 0.1 go too",
+    ]
 
 
 @pytest.mark.parametrize(

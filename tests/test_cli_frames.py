@@ -247,7 +247,7 @@ def test_poses_come_from_pose_files(files, tmp_path, capsys):
         assert "pose: usable" in capsys.readouterr().out
     for pose, said in (
         (path, "holds 2 keyframes: name one"),
-        (f"{path}:no", "there is no keyframe 'no', only bent, small one"),
+        (f"{path}:no", f"{str(path)!r}: there is no keyframe 'no', only bent, small one"),
         (tmp_path / "none.json", "is not there"),
     ):
         assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *view, *words, pose) == 2

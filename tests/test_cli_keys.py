@@ -201,6 +201,12 @@ def test_cameras_are_keyed_beside_poses(files, tmp_path, capsys):
     assert [(key.name, key.time, key.easing) for key in file.cameras] == [("front", 0, "linear"), ("side", 1, "smooth")]
     # half-way it stands at the corner, as far away as before
     np.testing.assert_allclose(file.camera_at(0.5).centre, 3 * np.sqrt(0.5) * np.array([1, -1, 0]), atol=1e-9)
+    succeed(files, "info", poses)
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-5] == "film 1 s, 4 frames a second"
+    assert lines[-4] == "pose 'a' at 0 s, smooth: 0 vertices moved by up to 0"
+    assert lines[-3].startswith("pose 'side' at 1 s, smooth: 26 vertices")
+    assert lines[-2:] == ["camera 'front' at 0 s, linear", "camera 'side' at 1 s, smooth"]
 
     film = ["animate", "@ball.npz", "--cage", "@cage.obj", *LOOK[-4:], "--quiet", "--posed", poses, "-o"]
     succeed(files, *film, tmp_path / "film")

@@ -108,7 +108,8 @@ def test_films_go_along_the_keys_of_a_file(files, tmp_path):
     "words, said",
     [
         (["--camera", "@two.json"], "two.json: it holds 2 cameras: name one of 0, 1"),
-        (["--camera", "@two.json:9"], "it holds no cameras '9'"),
+        (["--camera", "@two.json:9"], "it holds no camera '9', only 0, 1"),
+        (["--camera", "@ball.npz"], "must be a camera file (.json, .glb, .gltf), SCENE:INDEX"),
         (["--camera", "@none.json"], "none.json' is not there"),
         (["--camera", "@two.json:0", "--view", "top"], "cannot be combined"),
         (["--eye", 0, 0, 3, "--view", "top"], "cannot be combined"),

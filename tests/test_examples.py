@@ -89,6 +89,10 @@ def test_edit_parts_of_the_bricks(tmp_path, device):
     panels = [order[:, 52 * i : 52 * i + 48] for i in range(5)]
     shown = [(panel < 0.95).any(axis=-1).sum() for panel in panels]
     assert shown[1] > shown[0] + 40 and shown[2] < shown[1] - 15  # a second cabin, no bucket
+    clean = read_image(tmp_path / "out" / "clean.png")
+    assert clean.shape[:2] == (48, 3 * 48 + 2 * 4)
+    left = [(clean[:, 52 * i : 52 * i + 48] < 0.95).any(axis=-1).sum() for i in range(3)]
+    assert left[2] <= left[1] < left[0]  # snapped walls take more of the bucket along, crumbs the rest of it
     said = succeed_here("edits", tmp_path / "out" / "excavator.edits.json")
     assert said == 0
 

@@ -210,6 +210,8 @@ def _read_edit(
     rest, expected = read_rest(words.cage, words.up or args.cage_up, field, part=part)
     texts = [with_up(text, None if field is None else field.up.tolist()) if is_preset(text) else text for text in texts]
     falloff = 0.0 if words.remove else _own_or_all(words.falloff, args, "falloff")
+    if words.held != "cut" and not falloff and not words.remove:
+        raise ValueError("held names the walls that an edit fades towards: give it a falloff=WIDTH, or leave held out")
     crumbs = _own_or_all(words.crumbs, args, "crumbs")
     edit = CageEdit(rest, keep_source=words.keep, remove=words.remove, falloff=falloff, held=words.walls, crumbs=crumbs)
     if words.remove:

@@ -23,6 +23,9 @@ EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remo
 #: Words after the cages.
 _LAST_WORD = re.compile(r"(keep|remove)|(falloff|crumbs|held)=([^:]*)")
 
+#: A word that is none of them, after a posed cage: only glTF and pose files hold things with names.
+_SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
+
 #: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
 #: Windows drive (C:\cage.obj) separates nothing.
 _CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, CAGE_ENDINGS))}))(?::(.*))?", re.IGNORECASE | re.DOTALL)
@@ -83,11 +86,13 @@ class EditWords:
             ) from None
 
     def __str__(self) -> str:
+        crumbs = f", crumbs below {self.crumbs:g} go too" if self.crumbs else ""
         if self.remove:
-            return f"{self.cage}: removed"
+            return f"{self.cage}: removed{crumbs}"
         copy = ", the source stays (a copy)" if self.keep else ""
-        fades = f", fades to rest over {self.falloff:g}" if self.falloff else ""
-        return f"{self.cage} -> {self.posed}{copy}{fades}"
+        walls = "" if self.held == "cut" else f" (held={self.held})"
+        fades = f", fades to rest over {self.falloff:g}{walls}" if self.falloff else ""
+        return f"{self.cage} -> {self.posed}{copy}{fades}{crumbs}"
 
 
 def parse_edit(text: str) -> EditWords:
@@ -115,6 +120,8 @@ def parse_edit(text: str) -> EditWords:
         words |= {word[1]: True} if word[1] else {word[2]: word[3]}
         rest = before or None
     try:
+        if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
+            raise ValueError(f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held= and crumbs=")
         words |= {name: positive_float(words[name]) for name in ("falloff", "crumbs") if name in words}
         return EditWords(cage, rest or None, **words)
     except (ValueError, argparse.ArgumentTypeError) as error:

@@ -142,9 +142,14 @@ def _poses(path: pathlib.Path) -> Rows:
         ("cage bounds", _box(*rest.bounds)),
         ("file", _file_size(path)),
     ]
-    for name in poses.names:
+    if poses.times or poses.cameras:
+        rate = f", {poses.fps:g} frames a second" if poses.fps else ""
+        rows.append(("film", f"{poses.length:g} s{rate}" + (f", {poses.loop}" if poses.loop else "")))
+    for name in (*poses.timed, *(name for name in poses.names if name not in poses.times)):
         moved = np.linalg.norm(poses[name].vertices - rest.vertices, axis=1)
-        rows.append((f"pose {name!r}", f"{int((moved > 0).sum())} vertices moved by up to {moved.max():.4g}"))
+        at = f"at {poses.times[name]:g} s, {poses.easings.get(name, 'smooth')}: " if name in poses.times else ""
+        rows.append((f"pose {name!r}", f"{at}{int((moved > 0).sum())} vertices moved by up to {moved.max():.4g}"))
+    rows += [(f"camera {key.name!r}", f"at {key.time:g} s, {key.easing}") for key in poses.cameras]
     return rows
 
 

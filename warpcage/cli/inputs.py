@@ -54,7 +54,8 @@ def require_field_scale(args: argparse.Namespace) -> None:
 def require_deformation(args: argparse.Namespace, what: str) -> None:
     """Raises ValueError where no cage is given for something that needs one; what: how the message calls it."""
     if not is_deformed(args):
-        raise ValueError(f"{what} needs a deformation: --cage and --posed, --edit or --edits")
+        alone = " (or --cage alone, at rest)" if what == "--overlay" else ""
+        raise ValueError(f"{what} needs a deformation: --cage and --posed{alone}, --edit or --edits")
 
 
 def visible_points(field: VoxelField, deformation: Deformation | None, frame: str | None) -> np.ndarray:

@@ -14,6 +14,7 @@ from ..cage.cage import Cage
 from ..cage.motion import gltf_poses, gltf_shown, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
 from ..cage.upright import load_standing
+from ..core.checks import listed
 from ..view.motion import pose_along, value_along
 from .axes import AXIS_WORDS, axis_of, default_towards, is_axis
 from .film_keys import gltf_file as gltf_file
@@ -109,6 +110,8 @@ def read_poses(
         file = PoseFile.load(path, rest)
         if not len(file):
             raise ValueError(f"pose file {path!r} holds no keyframes")
+        if name and name not in file:
+            raise ValueError(f"pose file {path!r}: there is no keyframe {name!r}, only {listed(file)}")
         poses = [file[name] for name in ([name] if name else file.names)]
     elif moving := _moving_poses(rest, text, up, expected):
         poses = moving

@@ -177,7 +177,9 @@ def scene_camera(args: argparse.Namespace, text: str) -> Camera:
     """The camera that SCENE:[SPLIT:]INDEX names."""
     path, separator, index = text.rpartition(":")
     if not separator or not index.isdigit():
-        raise ValueError(f"--camera must be SCENE:INDEX or SCENE:SPLIT:INDEX, got {text!r}")
+        raise ValueError(
+            f"--camera must be a camera file (.json, .glb, .gltf), SCENE:INDEX or SCENE:SPLIT:INDEX, got {text!r}"
+        )
     cameras = scene_cameras(args, path)
     if int(index) >= len(cameras):
         raise ValueError(f"{path!r} has pictures 0 to {len(cameras) - 1}, got {index}")

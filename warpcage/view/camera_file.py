@@ -84,7 +84,7 @@ class CameraFile(list[CameraKey]):
             )
         if not name:
             raise ValueError(f"it holds {len(self)} cameras: name one of {names}")
-        raise ValueError(f"it holds {len(found) or 'no'} cameras {name!r}, only {names}")
+        raise ValueError(f"it holds {f'{len(found)} cameras' if found else 'no camera'} {name!r}, only {names}")
 
     def save(self, path: PathLike) -> None:
         """Write the file as JSON, whole or not at all. All numbers keep their digits.

@@ -67,8 +67,9 @@ def read_gltf_motion(path: pathlib.Path, name: str = "") -> GltfMotion | None:
         animations = moving.animations()
         shapes = moving.shape_names()
         if name and name not in animations and name not in shapes:
-            known = listed([*animations, *shapes], none="no animation and no shape")
-            raise ValueError(f"there is no animation or shape {name!r}, only {known}")
+            known = [*animations, *shapes]
+            held = f"only {listed(known)}" if known else "and nothing else that moves"
+            raise ValueError(f"there is no animation or shape {name!r}, {held}")
         if len(animations) > 1 and not name:
             raise ValueError(
                 f"it holds {len(animations)} animations ({listed(animations)}): name one, as in {path.name}:"
