@@ -112,6 +112,9 @@ def test_films_go_along_the_keys_of_a_file(files, tmp_path):
         (["--camera", "@ball.npz"], "must be a camera file (.json, .glb, .gltf), SCENE:INDEX"),
         (["--camera", "@none.json"], "none.json' is not there"),
         (["--camera", "@two.json:0", "--view", "top"], "cannot be combined"),
+        (["--camera", "@two.json:0", "--frame", "posed"], "cannot be combined"),
+        (["--size", 99999], "99999x99999 is too large, a picture has at most 2,147,483,647 pixels"),
+        (["--background", "seethrough"], "'seethrough' is not known: white, black, grey, gray, transparent, or"),
         (["--eye", 0, 0, 3, "--view", "top"], "cannot be combined"),
         (["--save-camera", "camera.txt"], "must end in .json"),
         (["--cameras", "given", "--scene", "@two.json", "--view", "top"], "cannot be combined with --view"),
@@ -141,3 +144,37 @@ def test_cameras_and_poses_with_times_go_together(files, tmp_path):
     for key in found:
         assert is_same(key.camera, camera_at(keys, key.time))
     assert not is_same(found[-1].camera, ring[1])  # half of the way after one second of two
+
+
+@pytest.mark.parametrize(
+    "data, said",
+    [
+        (b"", "it is empty"),
+        (b"\n", "it is empty"),
+        (b"\xff\xfe\x00", "it holds no text"),
+        (b'{"format": "warpcage cam', "its JSON breaks off or is damaged at line 1, column 12"),
+        (b"[]", "it holds no JSON object"),
+        (b"{}", "it lacks 'format'"),
+        (b'{"format": "warpcage cameras", "version": 1}', "it lacks 'cameras'"),
+        (b'{"format": "warpcage cameras", "version": 1, "cameras": [7]}', "of another kind than it should be"),
+    ],
+)
+def test_damaged_camera_files_are_told_in_plain_words(files, tmp_path, capsys, data, said):
+    (tmp_path / "bad.json").write_bytes(data)
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", "--camera", tmp_path / "bad.json") == 2
+    error = capsys.readouterr().err
+    assert "bad.json: not a camera file: " in error and said in error
+    assert error.count("\n") == 1 and "Error" not in error and not (tmp_path / "x.png").exists()
+
+
+def test_info_of_cameras_and_of_foreign_json(files, tmp_path, capsys):
+    keys = turntable((0, 0, 0), 3.0, 10, 2, **LENS)
+    CameraFile([CameraKey(keys[0], 0.0, name="near"), CameraKey(keys[1], 1.5)]).save(tmp_path / "two.json")
+    succeed(files, "info", tmp_path / "two.json")
+    told = capsys.readouterr().out
+    said = ("cameras", f"{LENS['width']}x{LENS['height']} from ", "'near'", "at 0 s", "at 1.5 s")
+    assert all(word in told for word in said)
+    (tmp_path / "other.json").write_text('{"figures": 3}')
+    assert run(files, "info", tmp_path / "other.json") == 2
+    error = capsys.readouterr().err
+    assert "its format is none of warpcage poses, warpcage cameras, warpcage edits" in error and error.count("\n") == 1

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_number, checked_positive, listed
-from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
+from ..core.files import PathLike, atomic_path, require_file
+from ..core.json_files import DAMAGED, damage, read_json
 from ..core.names import require_name
 from ..mesh.closed_mesh import require_mesh
 from ..view.camera import Camera
@@ -22,17 +23,6 @@ from ..view.motion import value_along
 from .cage import Cage
 
 _FORMAT, _VERSION = "warpcage poses", 1
-
-#: What reading a file raises that is not as it should be.
-_DAMAGED = (
-    KeyError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-    UnicodeDecodeError,
-    json.JSONDecodeError,
-)
 
 
 class PoseFile:
@@ -261,7 +251,7 @@ class PoseFile:
         """
         path = require_file(path, "pose file")
         try:
-            document = json.loads(read_limited(path, "pose file", JSON_ROOM).decode("utf-8"))
+            document = read_json(path, "pose file")
             if document["format"] != _FORMAT:
                 raise ValueError(f"its format is {document['format']!r}, not {_FORMAT!r}")
             version, keyframes = document["version"], document["keyframes"]
@@ -286,8 +276,8 @@ class PoseFile:
             file.cameras = [camera_from_json(entry, index) for index, entry in enumerate(document.get("cameras", []))]
             file._check_moments()
             return file
-        except _DAMAGED as error:
-            raise ValueError(f"{path}: not a pose file: {type(error).__name__} {error}") from None
+        except DAMAGED as error:
+            raise ValueError(f"{path}: {damage('pose file', error)}") from None
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 

@@ -217,8 +217,8 @@ def _chosen_cameras(
     if args.cameras is None:
         camera, pivot = view.chosen_camera(args, points), view.chosen_target(args, points)
         return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)
-    if any(given is not None for given in (args.turn, args.camera, args.view, args.eye, args.target)):
-        raise ValueError("--cameras cannot be combined with --turn, --camera, --view, --eye or --target")
+    if any(given is not None for given in (args.turn, args.camera, args.view, args.frame, args.eye, args.target)):
+        raise ValueError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
     if view.camera_file(args.cameras):
         keys = view.camera_keys(args, args.cameras)
         if times and all(key.time is not None for key in keys):

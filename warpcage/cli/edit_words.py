@@ -11,7 +11,8 @@ import re
 from typing import Any
 
 from ..core.checks import checked_number, listed
-from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
+from ..core.files import PathLike, atomic_path, require_file
+from ..core.json_files import read_json
 from .keyframes import is_preset
 from .options import CAGE_ENDINGS, positive_float
 
@@ -158,23 +159,9 @@ def read_edits_file(path: PathLike) -> list[EditWords]:
         raise ValueError(f"{path}: {error}") from None
 
 
-def is_edits_file(path: pathlib.Path) -> bool:
-    """Whether a file holds edits, rather than poses, say."""
-    try:
-        return read_edits_json(path).get("format") == FORMAT
-    except ValueError:
-        return False
-
-
 def read_edits_json(path: pathlib.Path) -> dict[str, Any]:
     """What a JSON file holds. Raises ValueError where it is no JSON object."""
-    try:
-        content = json.loads(read_limited(path, "edits file", JSON_ROOM).decode("utf-8"))
-    except (RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"not an edits file: {type(error).__name__} {error}") from None
-    if not isinstance(content, dict):
-        raise ValueError("not an edits file: it holds no JSON object")
-    return content
+    return read_json(path, "edits file")
 
 
 def write_edits_file(path: PathLike, edits: list[EditWords]) -> None:

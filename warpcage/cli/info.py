@@ -11,14 +11,16 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
+from ..core.json_files import read_json
 from ..core.threads import cpu_threads
 from ..field.background import LayeredBackground
 from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
+from ..view.camera_file import CameraFile
 from ..view.pictures import contact_sheet, shrink, write_png
 from . import inputs, options
 from .arguments.info import SHEET_PICTURES, SHEET_SIDE
-from .edit_words import is_edits_file, read_edits_file
+from .edit_words import read_edits_file
 
 #: Names and values, one per printed line.
 Rows = list[tuple[str, object]]
@@ -41,11 +43,11 @@ def run(args: argparse.Namespace) -> None:
     elif path.suffix.lower() in options.CAGE_ENDINGS:
         rows = _cage(path)
     elif path.suffix.lower() == ".json":
-        rows = _edits(path) if is_edits_file(path) else _poses(path)
+        rows = _json(path)
     else:
         raise ValueError(
-            f"{args.field!r} is not a field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), pose file "
-            "(.json) or scene folder"
+            f"{args.field!r} is not a field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), poses, "
+            "edits or cameras (.json) or scene folder"
         )
     width = max(len(name) for name, _ in rows)
     for name, value in rows:
@@ -128,6 +130,34 @@ def _cage(path: pathlib.Path) -> Rows:
         ("usable", state),
         ("file", _file_size(path)),
     ]
+
+
+def _json(path: pathlib.Path) -> Rows:
+    """What a JSON file holds, by the format that it names."""
+    kinds = {"warpcage poses": _poses, "warpcage cameras": _cameras, "warpcage edits": _edits}
+    try:
+        kind = read_json(path, "file of warpcage").get("format")
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    if kind == "warpcage session":
+        raise ValueError(f"{path}: a session of the editor: `warpcage edits {path}` lists its edits")
+    if not isinstance(kind, str) or kind not in kinds:
+        raise ValueError(f"{path}: not a file of warpcage: its format is none of {', '.join(kinds)}")
+    return kinds[kind](path)
+
+
+def _cameras(path: pathlib.Path) -> Rows:
+    cameras = CameraFile.load(path)
+    rows: Rows = [("kind", "cameras"), ("cameras", len(cameras)), ("file", _file_size(path))]
+    for index, key in enumerate(cameras):
+        camera = key.camera
+        place = f"{camera.width}x{camera.height} from {camera.centre.round(4).tolist()}"
+        rows.append((f"camera {key.name or index!r}", place + _moment(key.time)))
+    return rows
+
+
+def _moment(time: float | None) -> str:
+    return "" if time is None else f", at {time:g} s"
 
 
 def _poses(path: pathlib.Path) -> Rows:

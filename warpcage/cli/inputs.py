@@ -11,6 +11,7 @@ import warp as wp
 from ..cage.cage import Cage
 from ..core.devices import resolve_device
 from ..core.files import require_file
+from ..core.names import BACKGROUNDS
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
@@ -110,7 +111,16 @@ def posed_renderer(
 
 
 def is_transparent(args: argparse.Namespace) -> bool:
-    """Whether pictures have opacity instead of a background. Raises ValueError where both are asked for."""
+    """Whether pictures have opacity instead of a background.
+
+    Raises ValueError where both are asked for, and for words that are no background, before any long work.
+    """
+    known = (*BACKGROUNDS, options.TRANSPARENT)
+    if isinstance(args.background, str) and args.background not in known:
+        raise ValueError(
+            f"--background {args.background!r} is not known: {', '.join(known)}, or three numbers in [0, 1] such as "
+            "0.2,0.3,0.4"
+        )
     if args.transparent and args.background not in (None, options.TRANSPARENT):
         raise ValueError("--transparent cannot be combined with --background: give one of them")
     return args.transparent or args.background == options.TRANSPARENT

@@ -35,21 +35,28 @@ SIDES = {
 }
 
 
+#: An array of Warp holds as many.
+MOST_PIXELS = 2**31 - 1
+
+
 def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
     """Width and height of --size, None where it is not given."""
     if args.size is None:
         return None
     if len(args.size) > 2:
         raise ValueError(f"--size takes a width, or a width and a height, got {len(args.size)} numbers")
-    return args.size[0], args.size[-1]
+    width, height = args.size[0], args.size[-1]
+    if width * height > MOST_PIXELS:
+        raise ValueError(f"--size: {width}x{height} is too large, a picture has at most {MOST_PIXELS:,} pixels")
+    return width, height
 
 
 def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
     """The camera of the view options. Where none is given, it sees all points (n, 3)."""
     size = image_size(args)
     if args.camera is not None:
-        if args.eye is not None or args.target is not None or args.view is not None:
-            raise ValueError("--camera cannot be combined with --eye, --target or --view")
+        if any(given is not None for given in (args.eye, args.target, args.view, args.frame)):
+            raise ValueError("--camera cannot be combined with --eye, --target, --view or --frame")
         if named := camera_file(args.camera):
             return fitted_to(Camera.load(*named, size=file_size(args)), args)
         return fitted_to(scene_camera(args, args.camera), args)

@@ -8,7 +8,8 @@ import pathlib
 from typing import Any
 
 from ..core.checks import listed
-from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
+from ..core.files import PathLike, atomic_path, require_file
+from ..core.json_files import DAMAGED, damage, read_json
 from ..field.voxel_field import VoxelField
 from .document import Document
 
@@ -83,8 +84,8 @@ def read_session(path: PathLike, field: VoxelField | None = None) -> Document:
     """
     path = require_file(path, "session file")
     try:
-        content: Any = json.loads(read_limited(path, "session file", JSON_ROOM).decode("utf-8"))
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
+        content: Any = read_json(path, "session file")
+        if content.get("format") != FORMAT:
             raise ValueError(f"it is no {FORMAT}")
         version = content.get("version")
         if type(version) is not int or version < 1:
@@ -95,7 +96,7 @@ def read_session(path: PathLike, field: VoxelField | None = None) -> Document:
             name = listed([str(content["field"].get("name"))])
             raise ValueError(f"it belongs to another field, {name}, with other bounds")
         return Document.from_json(content["document"])
-    except (KeyError, TypeError, AttributeError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path}: not a session file: {type(error).__name__} {error}") from None
+    except DAMAGED as error:
+        raise ValueError(f"{path}: {damage('session file', error)}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None

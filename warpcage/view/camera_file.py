@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..core.checks import checked_positive, listed
-from ..core.files import JSON_ROOM, PathLike, atomic_path, read_limited, require_file
+from ..core.files import PathLike, atomic_path, require_file
+from ..core.json_files import DAMAGED, damage, read_json
 from ..core.names import require_name
 from .camera import Camera
 from .camera_path import CameraKey
@@ -136,7 +137,7 @@ class CameraFile(list[CameraKey]):
 
             return cls(read_gltf_cameras(path, size))
         try:
-            document = json.loads(read_limited(path, "camera file", JSON_ROOM).decode("utf-8"))
+            document = read_json(path, "camera file")
             if document["format"] != _FORMAT:
                 raise ValueError(f"its format is {str(document['format'])[:40]!r}, not {_FORMAT!r}")
             version = document["version"]
@@ -149,8 +150,8 @@ class CameraFile(list[CameraKey]):
                 raise ValueError("its cameras must be a list of at least one")
             keys = [camera_from_json(entry, index) for index, entry in enumerate(cameras)]
             return cls(keys, fps=document.get("fps"), loop=document.get("loop"))
-        except (KeyError, TypeError, OverflowError, RecursionError, UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ValueError(f"{path}: not a camera file: {type(error).__name__} {error}") from None
+        except DAMAGED as error:
+            raise ValueError(f"{path}: {damage('camera file', error)}") from None
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 

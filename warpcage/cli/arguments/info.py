@@ -7,7 +7,7 @@ import argparse
 from .. import options
 
 NAME = "info"
-HELP = "describe a field, a cage, poses, edits or a scene; without a file: versions and devices"
+HELP = "describe a field, a cage, poses, edits, cameras or a scene; without a file: versions and devices"
 EXAMPLE = """\
   warpcage info
   warpcage info lego.npz
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "field",
         metavar="file",
         nargs="?",
-        help=f"field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), poses or edits (.json) or scene folder",
+        help=f"field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), poses, edits or cameras (.json) or scene folder",
     )
     parser.add_argument("--split", default="train", help="split of a scene (default: %(default)s)")
     options.add_scene_format(parser)
