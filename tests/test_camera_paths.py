@@ -85,7 +85,7 @@ def test_files_that_cannot_be_read_are_refused_in_one_line(tmp_path):
         Camera.load(tmp_path / "none.json")
     with pytest.raises(ValueError, match="good.json: it holds 2 cameras: name one of 0, 1"):
         Camera.load(tmp_path / "good.json")
-    with pytest.raises(ValueError, match="it holds no cameras 'side', only 0, 1"):
+    with pytest.raises(ValueError, match="it holds no camera 'side', only 0, 1"):
         Camera.load(tmp_path / "good.json", "side")
     with pytest.raises(ValueError, match="must end in .json"):
         some_cameras(1)[0].save(tmp_path / "camera.txt")

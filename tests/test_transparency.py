@@ -134,7 +134,7 @@ def test_straight_colours_of_a_frame():
     [
         (["-o", "@new.mp4", "--background", "transparent"], "a film that ends in .mp4 has no opacity: give .mov"),
         (["-o", "@new.gif", "--transparent"], "a film that ends in .gif has no opacity"),
-        (["-o", "@new.mov", "--transparent", "--background", "red"], "give one of them"),
+        (["-o", "@new.mov", "--transparent", "--background", "black"], "give one of them"),
         (["-o", "@new", "--transparent", "--show", "depth"], "--show depth has no opacity"),
         (["-o", "@new.mov", "--format", "exr"], "--format is for folders"),
         (["-o", "@new", "--format", "exr", "--show", "alpha"], "leave out --show"),

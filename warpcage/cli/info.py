@@ -12,6 +12,7 @@ import warp as wp
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..core.json_files import read_json
+from ..core.modules import start_warp
 from ..core.threads import cpu_threads
 from ..field.background import LayeredBackground
 from ..scene.load import detect_format, load_scene
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> None:
 
 def _machine() -> Rows:
     inputs.quiet_warp()
-    wp.init()
+    start_warp()
     rows: Rows = [
         ("warpcage", options.package_version()),
         ("warp", wp.__version__),
