@@ -77,6 +77,8 @@ def test_words_of_an_edit(text, words):
         ("cage.obj:keep", "there is no posed cage"),
         ("cage.obj:keep:remove", "do not go together"),
         ("cage.obj:posed.obj:remove", "needs no pose"),
+        ("cage.obj:remove:falloff=0.2", "no band in which it fades"),
+        ("cage.obj:remove:held=4,5", "no band in which it fades"),
         ("cage.obj:posed.obj:falloff=wide", "falloff|finite number"),
         ("cage.obj:posed.obj:kept", "'kept' is no word of an edit"),
         ("cage.obj:posed.obj:falof=1:keep", "'falof=1' is no word of an edit"),

@@ -64,6 +64,8 @@ class EditWords:
             raise ValueError("keep and remove do not go together: choose one")
         if self.remove and self.posed is not None:
             raise ValueError(f"what is removed needs no pose, got {self.posed!r}")
+        if self.remove and (self.falloff is not None or self.held != "cut"):
+            raise ValueError("what is removed has no band in which it fades to rest: leave falloff and held out")
         if not self.remove and self.posed is None:
             raise ValueError(f"there is no posed cage: write {EDIT_SHAPE}")
         for name in ("falloff", "crumbs"):
