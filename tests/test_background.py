@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from background_scenes import room_cameras, room_scene, write_room
-from test_optimize import photometric_gradient, training_rays
+from test_fit_gradients import photometric_gradient, training_rays
 
 import warpcage
 from warpcage.cli import main

@@ -12,10 +12,8 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 vec16 = wp.types.vector(length=16, dtype=wp.float32)
 
-#: Numbers of a row of either kind, and harmonics of its parts.
-RGB_NUMBERS = wp.constant(27)
+#: Numbers of a luminous row, and harmonics of its parts.
 LUMINANCE_NUMBERS = wp.constant(24)
-RGB_BASIS = wp.constant(9)
 LUMINANCE_BASIS = wp.constant(16)
 DIFFERENCE_BASIS = wp.constant(4)
 

@@ -7,7 +7,6 @@ import json
 
 from ..core.files import atomic_path
 from ..fitting.evaluation import comparison, error_image, evaluate, in_world_of, mean_psnr
-from ..scene.load import load_scene
 from ..view.pictures import side_by_side, write_png
 from . import inputs, options
 
@@ -19,14 +18,7 @@ def run(args: argparse.Namespace) -> None:
     field = inputs.read_field(args)
 
     background = field.background if args.background is None else args.background
-    scene = load_scene(
-        args.scene,
-        split=args.split,
-        downscale=args.downscale,
-        format=args.format,
-        background=background,
-        masks=args.masks,
-    )
+    scene = inputs.read_scene(args, background)
     scene = in_world_of(field, scene)
     rows = evaluate(field, scene, similarity=min(scene.images.shape[1:3]) >= 11, progress=not args.quiet)
     mean = mean_psnr(rows)

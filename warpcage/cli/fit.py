@@ -7,7 +7,6 @@ import argparse
 from ..core.names import FIT_BACKGROUNDS
 from ..fitting.memory import memory_size
 from ..fitting.optimizer import fit
-from ..scene.load import load_scene
 from . import inputs, options
 
 
@@ -22,15 +21,7 @@ def run(args: argparse.Namespace) -> None:
     is_kind = args.background in FIT_BACKGROUNDS
     kind = args.background if is_kind else "auto"
     colour = "white" if is_kind or args.background is None else args.background
-    scene = load_scene(
-        args.scene,
-        split=args.split,
-        downscale=args.downscale,
-        format=args.format,
-        background=colour,
-        masks=args.masks,
-        orient="up" if args.straighten else None,
-    )
+    scene = inputs.read_scene(args, colour, orient="up" if args.straighten else None)
     names = ("resolution", "epochs", "variation", "max_memory")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     if args.bounds is not None:

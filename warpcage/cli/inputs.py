@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.devices import resolve_device
@@ -15,6 +16,8 @@ from ..core.names import BACKGROUNDS
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
+from ..scene.load import load_scene
+from ..scene.scene import Scene
 from ..view.camera import Camera
 from ..view.frame import Frame
 from . import options, verbosity
@@ -44,6 +47,19 @@ def read_field(args: argparse.Namespace) -> VoxelField:
         args.up = tuple(field.up)
     args.straightening = field.straightening
     return field
+
+
+def read_scene(args: argparse.Namespace, background: str | ArrayLike, orient: str | None = None) -> Scene:
+    """The scene folder of a command, by its --split, --downscale, --format and --masks. See `load_scene`."""
+    return load_scene(
+        args.scene,
+        split=args.split,
+        downscale=args.downscale,
+        format=args.format,
+        background=background,
+        masks=args.masks,
+        orient=orient,
+    )
 
 
 def require_field_scale(args: argparse.Namespace) -> None:

@@ -20,11 +20,11 @@ from ..view.backgrounds import parse_background
 from ..view.camera import Camera, rigid_motion
 from ..view.frame import PART_NAMES, Frame, checked_supersampling
 from .background import LayeredBackground
-from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, FieldContents
+from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field
 from .marching import MarchTables
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
-from .sparse import harmonics_on_device, harmonics_on_host, link_mask, measure_skip, values_on_device
+from .sparse import harmonics_on_device, harmonics_on_host, measure_skip, values_on_device
 from .surface import extract_mesh
 from .surface_colors import surface_colors
 
@@ -466,34 +466,6 @@ class VoxelField:
             "straightening": self.straightening,
             "supersampling": self.supersampling,
         }
-
-
-def field_from_mask(
-    bounds: ArrayLike, mask: wp.array, density: float, *, background: str | ArrayLike, device: wp.DeviceLike
-) -> tuple[VoxelField, wp.array]:
-    """A grey field of one density at the set nodes of a mask.
-
-    Args:
-        bounds: (2, 3) lower and upper corner, world units.
-        mask: (nx, ny, nz) uint8.
-        density: Density of the set nodes, per world unit.
-        background: Colour behind everything, a name or (3,) in [0, 1].
-        device: Warp device of the field.
-
-    Returns:
-        The field, and its nodes (rows,) vec3i.
-    """
-    links, nodes = link_mask(mask)
-    rows = nodes.shape[0]
-    field = VoxelField(
-        bounds,
-        links,
-        wp.full(rows, density, dtype=wp.float32, device=device),
-        wp.zeros((rows, LUMINANCE_NUMBERS), dtype=wp.float32, device=device),
-        background=background,
-        device=device,
-    )
-    return field, nodes
 
 
 def _checked_up(up: ArrayLike) -> np.ndarray:
