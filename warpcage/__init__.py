@@ -34,6 +34,7 @@ _HOMES = {
     "PoseFile": "cage.pose_file",
     "PositionMap": "lattice.position_map",
     "Scene": "scene.scene",
+    "SplatField": "splats.splat_field",
     "VoxelField": "field.voxel_field",
     "bake": "deform.bake",
     "camera_at": "view.camera_path",
@@ -66,6 +67,7 @@ _ROOMS = (
     "mesh",
     "reference",
     "scene",
+    "splats",
     "view",
 )
 __all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]  (checkers read the stub)

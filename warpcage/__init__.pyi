@@ -24,6 +24,7 @@ from .fitting.options import FitOptions as FitOptions
 from .lattice.position_map import PositionMap as PositionMap
 from .scene.load import load_scene as load_scene
 from .scene.scene import Scene as Scene
+from .splats.splat_field import SplatField as SplatField
 from .view.camera import Camera as Camera
 from .view.camera import turntable as turntable
 from .view.camera_file import CameraFile as CameraFile
@@ -47,6 +48,7 @@ __all__ = [
     "PoseFile",
     "PositionMap",
     "Scene",
+    "SplatField",
     "VoxelField",
     "bake",
     "camera_at",

@@ -41,7 +41,7 @@ def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list
         ValueError: What is wrong, in which file and line.
     """
     data = read_limited(path, "PLY file")
-    order, elements, body, body_line = _ply_header(path, data)
+    order, elements, body, body_line = ply_header(path, data)
     if order == "ascii":
         require_host_memory(TEXT_ROOM * len(data), f"{path}: its {len(data)} bytes of text need")
     rows = _ply_text_rows if order == "ascii" else _ply_binary_rows
@@ -70,8 +70,19 @@ def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list
     return vertices.reshape(-1, 3), polygons
 
 
-def _ply_header(path: pathlib.Path, data: bytes) -> tuple[str, list[Element], int, int]:
-    """'ascii', '<' or '>'; elements (name, count, properties); where the body begins, and on which line."""
+def ply_header(path: pathlib.Path, data: bytes) -> tuple[str, list[Element], int, int]:
+    """The header of a PLY file.
+
+    Args:
+        path: The file, for messages.
+        data: Its bytes.
+
+    Returns:
+        'ascii', '<' or '>'; elements (name, count, properties); where the body begins, and on which line.
+
+    Raises:
+        ValueError: What is wrong, in which line.
+    """
     order, elements, position = None, [], 0
     for line in range(1, data.count(b"\n") + 2):
         end = data.find(b"\n", position)

@@ -1,0 +1,290 @@
+"""Files of Gaussian splats: round trips, foreign values, other layouts, damaged files."""
+
+import gzip
+import os
+import pathlib
+
+import numpy as np
+import pytest
+from field_oracles import basis
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import warpcage
+from warpcage.splats.files.contents import SplatContents
+from warpcage.splats.files.files import WRITERS, is_splat_file
+from warpcage.splats.files.spz import turned_over
+
+DATA = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data")) / "splats"
+DEGREE3, COMPRESSED = DATA / "small_degree3.ply", DATA / "biker.compressed.ply"
+needs_data = pytest.mark.skipif(not DEGREE3.is_file(), reason=f"no data in {DATA} (set WARPCAGE_DATA)")
+
+
+def some_splats(count=300, degree=3, seed=0):
+    rng = np.random.default_rng(seed)
+    return SplatContents(
+        rng.uniform(-2.0, 2.0, (count, 3)).astype(np.float32),
+        rng.uniform(-6.0, -2.0, (count, 3)).astype(np.float32),
+        (rng.normal(size=(count, 4)) * rng.uniform(0.2, 5.0, (count, 1))).astype(np.float32),
+        rng.uniform(-4.0, 4.0, count).astype(np.float32),
+        rng.uniform(-0.5, 0.5, (count, (degree + 1) ** 2, 3)).astype(np.float32),
+    )
+
+
+def field_of(contents):
+    return warpcage.SplatField.from_contents(contents, device="cpu")
+
+
+def foreign_ply(order, count=5):
+    """A file whose properties come in another order, with foreign ones, doubles, and elements before and after."""
+    rng = np.random.default_rng(3)
+    names = ["rot_3", "rot_0", "rot_1", "rot_2", "label", "z", "x", "y", "f_dc_2", "f_dc_0", "f_dc_1", "opacity"]
+    names += [f"f_rest_{k}" for k in reversed(range(9))] + ["scale_0", "scale_2", "scale_1", "beta"]
+    kinds = {"label": "i2", "beta": "f4", "scale_0": "f8", "x": "f8"}
+    words = {"i2": "short", "f4": "float", "f8": "double"}
+    table = np.zeros(count, [(name, order + kinds.get(name, "f4")) for name in names])
+    for name in names:
+        table[name] = rng.integers(0, 9, count) if name == "label" else rng.normal(size=count)
+    table["beta"][1] = np.nan  # foreign values may be anything
+    lines = ["ply", f"format binary_{'little' if order == '<' else 'big'}_endian 1.0", "comment of mine"]
+    lines += ["element camera 2", "property uchar id", f"element vertex {count}"]
+    lines += [f"property {words[kinds.get(name, 'f4')]} {name}" for name in names]
+    lines += ["element face 1", "property list uchar int vertex_indices", "end_header", ""]
+    after = b"\x03" + np.arange(3, dtype=order + "i4").tobytes()
+    return "\n".join(lines).encode() + b"\x07\x09" + table.tobytes() + after, table
+
+
+@needs_data
+def test_a_file_of_degree_3_is_the_same_file_again(tmp_path):
+    field = warpcage.SplatField.load(DEGREE3, device="cpu")
+    assert (field.splat_count, field.degree) == (9080, 3)
+    field.save(tmp_path / "again.ply")
+    assert (tmp_path / "again.ply").read_bytes() == DEGREE3.read_bytes()
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_foreign_layouts_are_kept_to_the_bit(order, tmp_path):
+    data, table = foreign_ply(order)
+    path = tmp_path / "foreign.ply"
+    path.write_bytes(data)
+    field = warpcage.SplatField.load(path, device="cpu")
+    np.testing.assert_array_equal(field.contents.centres, np.stack([table[axis] for axis in "xyz"], axis=1))
+    np.testing.assert_array_equal(field.contents.quaternions[:, 3], table["rot_3"].astype(np.float32))
+    # channel-major: the second harmonic of blue is f_rest_7 of nine
+    np.testing.assert_array_equal(field.contents.harmonics[:, 2, 2], table["f_rest_7"].astype(np.float32))
+    field.save(tmp_path / "again.ply")
+    assert (tmp_path / "again.ply").read_bytes() == data
+    some = field.chosen([4, 1])
+    some.save(tmp_path / "some.ply")
+    again = warpcage.SplatField.load(tmp_path / "some.ply", device="cpu")
+    assert again.contents.layout.table.tobytes() == table[[4, 1]].tobytes()
+    assert b"element camera 2" in again.contents.layout.header and b"element face" not in again.contents.layout.header
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_the_usual_layout_and_any_degree(degree, tmp_path):
+    contents = some_splats(degree=degree)
+    field_of(contents).save(tmp_path / "splats.ply")
+    again = warpcage.SplatField.load(tmp_path / "splats.ply", device="cpu").contents
+    for name in ("centres", "log_scales", "quaternions", "logits", "harmonics"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(contents, name))
+
+
+@pytest.mark.parametrize(
+    "ending, place, scale, turn, opacity, colour, further",
+    [
+        (".compressed.ply", 4.1 / 1023, 4.1 / 1023, 2e-3, 2e-3, 3e-3, 1.7e-2),
+        (".splat", 0.0, 1e-6, 1.2e-2, 2e-3, 7.1e-3, None),
+        (".spz", 1.3e-4, 3.2e-2, 2.5e-3, 2e-3, 1.4e-2, 4e-3),
+    ],
+)
+def test_quantised_formats_hold_what_they_can(ending, place, scale, turn, opacity, colour, further, tmp_path):
+    field = field_of(some_splats())
+    field.save(tmp_path / f"a{ending}")
+    again = warpcage.SplatField.load(tmp_path / f"a{ending}", device="cpu")
+    old, new = field.contents, again.contents
+    assert np.abs(new.centres - old.centres).max() <= place
+    assert np.abs(new.log_scales - old.log_scales).max() <= scale
+    assert np.abs(again.rotations - field.rotations).max() <= 2 * turn
+    assert np.abs(again.opacities - field.opacities).max() <= opacity
+    assert np.abs(new.harmonics[:, 0] - old.harmonics[:, 0]).max() <= colour
+    if further is None:
+        assert again.degree == 0
+    else:
+        assert np.abs(new.harmonics[:, 1:] - old.harmonics[:, 1:]).max() <= further
+
+
+@needs_data
+def test_supersplats_own_file(tmp_path):
+    field = warpcage.SplatField.load(COMPRESSED, device="cpu")
+    assert (field.splat_count, field.degree) == (152746, 0)
+    assert np.allclose(np.linalg.norm(field.contents.quaternions, axis=1), 1.0, atol=1e-6)
+    field.save(tmp_path / "again.compressed.ply")
+    again = warpcage.SplatField.load(tmp_path / "again.compressed.ply", device="cpu")
+    np.testing.assert_array_equal(again.contents.centres, field.contents.centres)
+    np.testing.assert_array_equal(again.contents.log_scales, field.contents.log_scales)
+    np.testing.assert_array_equal(again.contents.harmonics, field.contents.harmonics)
+    np.testing.assert_array_equal(again.contents.logits, field.contents.logits)
+    assert np.abs(again.rotations - field.rotations).max() < 4e-3
+
+
+def test_words_of_a_compressed_file_by_hand(tmp_path):
+    """One splat at a third of its chunk's range, a quarter of a turn about z, opacity 51 / 255."""
+    names = [f"{begin}{axis}" for begin in ("min_", "max_", "min_scale_", "max_scale_") for axis in "xyz"]
+    chunk = np.array([-1, -2, -3, 1, 2, 3, -6, -6, -6, -2, -2, -2], "<f4")
+    half = round((0.0 * np.sqrt(0.5) + 0.5) * 1023)
+    quarter = 1023  # z = sqrt(1/2), the largest that the others can be
+    words = [(2047 << 21) | (0 << 11) | 2047, (0 << 30) | (half << 20) | (half << 10) | quarter, 0, 0x804020 << 8 | 51]
+    lines = ["ply", "format binary_little_endian 1.0", "element chunk 1", *(f"property float {name}" for name in names)]
+    lines += ["element vertex 1"]
+    lines += [f"property uint packed_{name}" for name in ("position", "rotation", "scale", "color")]
+    path = tmp_path / "one.ply"
+    path.write_bytes(
+        "\n".join([*lines, "end_header", ""]).encode() + chunk.tobytes() + np.array(words, "<u4").tobytes()
+    )
+    field = warpcage.SplatField.load(path, device="cpu")
+    np.testing.assert_allclose(field.contents.centres, [[1, -2, 3]])
+    np.testing.assert_allclose(field.contents.log_scales, [[-6, -6, -6]])
+    np.testing.assert_allclose(field.rotations[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=3e-3)
+    np.testing.assert_allclose(field.opacities, [0.2], atol=1e-6)
+    np.testing.assert_allclose(
+        0.5 + 0.28209479 * field.contents.harmonics[0, 0], [128 / 255, 64 / 255, 32 / 255], atol=1e-6
+    )
+
+
+def test_spz_is_turned_over_and_back(tmp_path):
+    """Half a turn about x: what is seen along a direction is seen along the turned one."""
+    contents = some_splats(20)
+    turned = turned_over(contents)
+    directions = np.random.default_rng(1).normal(size=(20, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    seen = np.einsum("nb,nbc->nc", basis(directions, 4), contents.harmonics)
+    seen_turned = np.einsum("nb,nbc->nc", basis(directions * [1, -1, -1], 4), turned.harmonics)
+    np.testing.assert_allclose(seen_turned, seen, atol=1e-6)
+    half_turn = np.diag([1.0, -1.0, -1.0])
+    np.testing.assert_allclose(field_of(turned).covariances, half_turn @ field_of(contents).covariances @ half_turn)
+    for name in ("centres", "quaternions", "harmonics"):
+        np.testing.assert_array_equal(getattr(turned_over(turned), name), getattr(contents, name))
+
+
+def test_spz_of_version_2(tmp_path):
+    """Rotations of three bytes: x y z, and w from them."""
+    header = (
+        (0x5053474E).to_bytes(4, "little")
+        + (2).to_bytes(4, "little")
+        + (1).to_bytes(4, "little")
+        + bytes([0, 12, 0, 0])
+    )
+    body = (4096).to_bytes(3, "little") + (-8192).to_bytes(3, "little", signed=True) + bytes(3)
+    body += bytes([128]) + bytes([255, 128, 0]) + bytes([160, 144, 128]) + bytes([128, 128, 255])
+    (tmp_path / "old.spz").write_bytes(gzip.compress(header + body))
+    field = warpcage.SplatField.load(tmp_path / "old.spz", device="cpu")
+    np.testing.assert_allclose(field.contents.centres, [[1.0, 2.0, 0.0]])  # y down
+    np.testing.assert_allclose(field.contents.log_scales, [[0.0, -1.0, -2.0]])
+    np.testing.assert_allclose(field.contents.quaternions, [[0.0, 0.0, 0.0, -1.0]], atol=6e-3)
+    np.testing.assert_allclose(field.opacities, [128 / 255], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda text: text.replace(b"property float rot_3\n", b""), "lack rot_3"),
+        (lambda text: text.replace(b"binary_little_endian", b"ascii"), "files of text"),
+        (lambda text: text.replace(b"f_rest_8\n", b"f_rest_9\n"), "0, 9, 24 or 45"),
+        (lambda text: text.replace(b"element vertex", b"element point"), "element 'vertex'"),
+        (lambda text: text.replace(b"float opacity", b"int opacity"), "must be float or double"),
+        (lambda text: text.replace(b"property float nx", b"property list uchar float nx"), "lists"),
+        (lambda text: text.replace(b"float nx", b"float x"), "twice"),
+        (lambda text: text[:-3], "ends within"),
+        (lambda text: text[:-4] + np.float32(np.nan).tobytes(), "splat 4 has quaternions that are not finite"),
+    ],
+)
+def test_other_layouts_are_refused_in_one_line(change, said, tmp_path):
+    field_of(some_splats(5, degree=1)).save(tmp_path / "good.ply")
+    path = tmp_path / "bad.ply"
+    path.write_bytes(change((tmp_path / "good.ply").read_bytes()))
+    with pytest.raises(ValueError, match=said) as error:
+        warpcage.SplatField.load(path, device="cpu")
+    assert "\n" not in str(error.value) and "bad.ply" in str(error.value)
+
+
+def test_files_of_no_splats(tmp_path):
+    with pytest.raises(FileNotFoundError, match="not there"):
+        warpcage.SplatField.load(tmp_path / "none.ply")
+    with pytest.raises(ValueError, match="must end in"):
+        warpcage.SplatField.load(tmp_path / "splats.obj")
+    with pytest.raises(ValueError, match="must end in"):
+        field_of(some_splats(3)).save(tmp_path / "splats.npz")
+    warpcage.Cage.box((0, 0, 0), (1, 1, 1)).save(tmp_path / "cage.ply")
+    assert not is_splat_file(tmp_path / "cage.ply")
+    with pytest.raises(ValueError, match="no 3DGS splats: the vertices lack f_dc_0"):
+        warpcage.SplatField.load(tmp_path / "cage.ply")
+    far = some_splats(3)
+    far.centres[1, 2] = 1e8
+    with pytest.raises(ValueError, match="holds positions up to"):
+        field_of(far).save(tmp_path / "far.spz")
+    assert list(tmp_path.glob("*far*")) == []
+
+
+@pytest.mark.parametrize("ending", list(WRITERS))
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_damaged_files_are_refused_or_read(ending, data, tmp_path_factory):
+    """Bytes cut off, changed or put in never give anything but ValueError."""
+    whole = WRITERS[ending](some_splats(4, degree=1))
+    if ending == ".spz" and data.draw(st.booleans()):
+        whole = gzip.decompress(whole)
+    changed = bytearray(whole)
+    for _ in range(data.draw(st.integers(1, 4))):
+        if not changed:
+            break
+        place = data.draw(st.integers(0, len(changed) - 1))
+        what = data.draw(st.sampled_from(["cut", "byte", "insert"]))
+        if what == "cut":
+            del changed[place:]
+        elif what == "byte":
+            changed[place] = data.draw(st.integers(0, 255))
+        else:
+            changed[place:place] = data.draw(st.binary(max_size=5))
+    content = bytes(changed)
+    if ending == ".spz" and not whole.startswith(b"\x1f\x8b"):
+        content = gzip.compress(content)
+    path = tmp_path_factory.getbasetemp() / f"damaged{ending}"
+    path.write_bytes(content)
+    try:
+        field = warpcage.SplatField.load(path, device="cpu")
+    except ValueError as error:
+        assert "\n" not in str(error) and path.name in str(error)
+    else:
+        assert np.isfinite(field.bounds).all() and field.splat_count == len(field.covariances)
+
+
+@pytest.mark.parametrize(
+    "values, said",
+    [
+        ({"harmonics": np.zeros((4, 5, 3))}, "1, 4, 9, 16"),
+        ({"logits": np.zeros(3)}, "logits of 4 splats"),
+        ({"log_scales": np.full((4, 3), 60.0)}, "float32 cannot hold"),
+        ({"centres": np.full((4, 3), np.inf)}, "splat 0 has centres that are not finite"),
+    ],
+)
+def test_values_that_do_not_fit(values, said):
+    whole = {"centres": np.zeros((4, 3)), "log_scales": np.zeros((4, 3)), "quaternions": np.ones((4, 4))}
+    whole |= {"logits": np.zeros(4), "harmonics": np.zeros((4, 1, 3))}
+    with pytest.raises(ValueError, match=said):
+        warpcage.SplatField(**(whole | values), device="cpu")
+
+
+def test_values_on_the_device(device):
+    contents = some_splats(50)
+    contents.quaternions[3] = 0.0
+    field = warpcage.SplatField.from_contents(contents, device=device)
+    np.testing.assert_array_equal(field.rotations[3], np.eye(3))
+    splats = field.splats
+    np.testing.assert_allclose(splats.centres.numpy() + field.center, contents.centres, atol=1e-6)
+    held = splats.covariances.numpy()[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    np.testing.assert_allclose(held, field.covariances, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.eigvalsh(field.covariances), np.sort(field.scales**2, axis=1), rtol=1e-6)
+    np.testing.assert_array_equal(splats.harmonics.numpy().reshape(contents.harmonics.shape), contents.harmonics)
+    np.testing.assert_allclose(splats.opacities.numpy(), 1 / (1 + np.exp(-contents.logits)), rtol=1e-6)
+    assert field.to(device) is field and (splats.degree, splats.turns.size, splats.rows.size) == (3, 0, 0)

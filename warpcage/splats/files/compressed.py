@@ -1,0 +1,235 @@
+"""SuperSplat's .compressed.ply: splats in chunks of 256, 16 bytes each, and a byte for each further harmonic.
+
+As PlayCanvas' readers and writers have it: element `chunk` with the range of positions, logarithms of scales and, in
+newer files, of colours; element `vertex` of four words: positions and scales of 11, 10 and 11 bits within the range,
+rotations of 2 + 3 x 10 bits (which of w x y z is the largest, and the others), colour and opacity of 8 bits each;
+element `sh` with the f_rest of 3DGS in bytes, -4 to 4.
+"""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+
+from ...core.checks import listed
+from .contents import Y0, SplatContents, logits_of, opacities_of
+from .ply import PlyParts
+
+#: Splats of a chunk.
+CHUNK = 256
+
+#: Scales of files beyond exp(+-20) are cut.
+MOST_LOG_SCALE = 20.0
+
+_WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_ALPHA_EDGE = 0.25 / 255.0
+
+
+def is_compressed(parts: PlyParts) -> bool:
+    """Whether a PLY file holds packed splats."""
+    table = parts.tables.get("vertex")
+    return table is not None and "packed_position" in (table.dtype.names or ())
+
+
+def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
+    """The splats of a .compressed.ply file.
+
+    Args:
+        path: The file, for messages.
+        parts: What was read of it, with the elements chunk, vertex and sh.
+
+    Returns:
+        The splats.
+
+    Raises:
+        ValueError: For another layout.
+    """
+    chunk, vertex = parts.tables.get("chunk"), parts.tables["vertex"]
+    if chunk is None:
+        raise ValueError(f"{path}: packed splats need an element 'chunk', got {listed(parts.tables)}")
+    ranges = [f"{begin}{axis}" for begin in ("min_", "max_", "min_scale_", "max_scale_") for axis in "xyz"]
+    for table, names, kind in ((chunk, ranges, "f4"), (vertex, _WORDS, "u4")):
+        lacking = [name for name in names if name not in (table.dtype.names or ()) or table.dtype[name].str[1:] != kind]
+        if lacking:
+            raise ValueError(f"{path}: packed splats lack {listed(lacking)}")
+    if len(chunk) * CHUNK < len(vertex):
+        raise ValueError(
+            f"{path}: {len(vertex)} packed splats need {-(-len(vertex) // CHUNK)} chunks, got {len(chunk)}"
+        )
+    of = np.arange(len(vertex)) // CHUNK
+
+    def within(values: np.ndarray, begin: str, axes: str) -> np.ndarray:
+        low, high = (_columns(chunk, [f"{end}_{begin}{axis}" for axis in axes])[of] for end in ("min", "max"))
+        with np.errstate(over="ignore", invalid="ignore"):  # found by the check of what is finite
+            return low * (1.0 - values) + high * values
+
+    colours = _bytes(vertex["packed_color"])
+    opacities = np.clip(colours[:, 3], _ALPHA_EDGE, 1.0 - _ALPHA_EDGE)
+    colours = colours[:, :3]
+    named = chunk.dtype.names or ()
+    if "min_r" in named:
+        lacking = [f"{end}_{c}" for end in ("min", "max") for c in "rgb" if f"{end}_{c}" not in named]
+        if lacking:
+            raise ValueError(f"{path}: packed splats lack {listed(lacking)}")
+        colours = within(colours, "", "rgb")
+    further = _further(path, parts, len(vertex))
+    harmonics = np.zeros((len(vertex), 1 + further.shape[1], 3), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        harmonics[:, 0] = (colours - 0.5) / Y0
+        harmonics[:, 1:] = further
+        return SplatContents(
+            within(_thirds(vertex["packed_position"]), "", "xyz").astype(np.float32),
+            within(_thirds(vertex["packed_scale"]), "scale_", "xyz").astype(np.float32),
+            _unpacked_quaternions(vertex["packed_rotation"]).astype(np.float32),
+            logits_of(opacities),
+            harmonics,
+        )
+
+
+def write_compressed_ply(contents: SplatContents) -> bytes:
+    """A .compressed.ply file. The splats keep their order.
+
+    Args:
+        contents: The splats.
+
+    Returns:
+        The contents of the file.
+    """
+    count = contents.count
+    begins = np.arange(0, count, CHUNK)
+    scales = np.clip(contents.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE)
+    colours = 0.5 + Y0 * contents.harmonics[:, 0].astype(np.float64)
+    named = {"": contents.centres.astype(np.float64), "scale_": scales}
+    ranges, placed = {}, {}
+    for what, values, axes in (*((what, values, "xyz") for what, values in named.items()), ("c", colours, "rgb")):
+        low, high = (
+            ends.reduceat(values, begins, axis=0).astype("<f4") if count else np.zeros((0, 3), "<f4")
+            for ends in (np.minimum, np.maximum)
+        )
+        prefix = "" if what == "c" else what
+        ranges |= {f"min_{prefix}{axis}": low[:, k] for k, axis in enumerate(axes)}
+        ranges |= {f"max_{prefix}{axis}": high[:, k] for k, axis in enumerate(axes)}
+        of = np.arange(count) // CHUNK
+        span = high.astype(np.float64) - low
+        with np.errstate(divide="ignore", invalid="ignore"):
+            placed[what] = np.where(span[of] > 0.0, (values - low[of]) / span[of], 0.0)
+    chunk = np.zeros(len(begins), [(name, "<f4") for name in ranges])
+    for name, values in ranges.items():
+        chunk[name] = values
+    vertex = np.zeros(count, [(name, "<u4") for name in _WORDS])
+    vertex["packed_position"] = _packed_thirds(placed[""])
+    vertex["packed_scale"] = _packed_thirds(placed["scale_"])
+    vertex["packed_rotation"] = _packed_quaternions(contents.quaternions)
+    alpha = opacities_of(contents.logits)
+    vertex["packed_color"] = _packed(np.column_stack([placed["c"], alpha]), (24, 16, 8, 0), (8, 8, 8, 8))
+    further = contents.harmonics[:, 1:].transpose(0, 2, 1).reshape(count, -1).astype(np.float64)
+    octets = np.clip(np.trunc((further / 8.0 + 0.5) * 256.0), 0, 255).astype(np.uint8)
+    lines = ["ply", "format binary_little_endian 1.0", f"element chunk {len(chunk)}"]
+    lines += [f"property float {name}" for name in ranges]
+    lines += [f"element vertex {count}", *(f"property uint {name}" for name in _WORDS)]
+    if octets.shape[1]:
+        lines += [f"element sh {count}", *(f"property uchar f_rest_{k}" for k in range(octets.shape[1]))]
+    header = "\n".join([*lines, "end_header", ""])
+    return header.encode() + chunk.tobytes() + vertex.tobytes() + octets.tobytes()
+
+
+def _further(path: pathlib.Path, parts: PlyParts, count: int) -> np.ndarray:
+    """(n, b - 1, 3) the harmonics after the first."""
+    table = parts.tables.get("sh")
+    if table is None:
+        return np.zeros((count, 0, 3))
+    names = [f"f_rest_{k}" for k in range(len(table.dtype.names or ()))]
+    odd = sorted(set(table.dtype.names or ()) ^ set(names))
+    if odd or len(names) not in (9, 24, 45) or len(table) != count:
+        raise ValueError(f"{path}: element 'sh' must have 9, 24 or 45 bytes f_rest_0 and on for each of {count} splats")
+    if any(table.dtype[name].str[1:] != "u1" for name in names):
+        raise ValueError(f"{path}: element 'sh' must hold bytes (uchar)")
+    octets = np.stack([table[name] for name in names], axis=1).astype(np.float64)
+    shares = np.where(octets == 0, 0.0, np.where(octets == 255, 1.0, (octets + 0.5) / 256.0))
+    return (8.0 * (shares - 0.5)).reshape(count, 3, -1).transpose(0, 2, 1)
+
+
+def _columns(table: np.ndarray, names: list[str]) -> np.ndarray:
+    return np.stack([table[name] for name in names], axis=1).astype(np.float64)
+
+
+def _bits(words: np.ndarray, shift: int, bits: int) -> np.ndarray:
+    """Some bits of words as a share of their most."""
+    most = (1 << bits) - 1
+    return ((words >> np.uint32(shift)) & np.uint32(most)).astype(np.float64) / most
+
+
+def _thirds(words: np.ndarray) -> np.ndarray:
+    """(n, 3) the shares that words of 11, 10 and 11 bits hold."""
+    return np.stack([_bits(words, 21, 11), _bits(words, 11, 10), _bits(words, 0, 11)], axis=1)
+
+
+def _bytes(words: np.ndarray) -> np.ndarray:
+    """(n, 4) the shares that words of four bytes hold, the highest first."""
+    return np.stack([_bits(words, shift, 8) for shift in (24, 16, 8, 0)], axis=1)
+
+
+def _packed(shares: np.ndarray, shifts: tuple[int, ...], bits: tuple[int, ...]) -> np.ndarray:
+    """(n,) words of shares (n, k), 0 to 1."""
+    words = np.zeros(len(shares), np.uint32)
+    for k, (shift, width) in enumerate(zip(shifts, bits, strict=True)):
+        most = (1 << width) - 1
+        values = np.clip(np.floor(shares[:, k] * most + 0.5), 0, most).astype(np.uint32)
+        words |= values << np.uint32(shift)
+    return words
+
+
+def _packed_thirds(shares: np.ndarray) -> np.ndarray:
+    return _packed(shares, (21, 11, 0), (11, 10, 11))
+
+
+def _unpacked_quaternions(words: np.ndarray) -> np.ndarray:
+    """(n, 4) w x y z: the largest is left out, and found from the others."""
+    others = np.stack([_bits(words, shift, 10) for shift in (20, 10, 0)], axis=1)
+    others = (others - 0.5) * np.sqrt(2.0)
+    largest = (words >> np.uint32(30)).astype(int)
+    return with_largest(others, largest)
+
+
+def with_largest(others: np.ndarray, largest: np.ndarray) -> np.ndarray:
+    """Unit quaternions from all numbers but the largest.
+
+    Args:
+        others: (n, 3) the other numbers in their order.
+        largest: (n,) which number is left out.
+
+    Returns:
+        (n, 4) float64.
+    """
+    quaternions = np.empty((len(others), 4))
+    rows = np.arange(len(others))
+    for k in range(3):
+        quaternions[rows, k + (largest <= k)] = others[:, k]
+    quaternions[rows, largest] = np.sqrt(np.maximum(1.0 - (others**2).sum(axis=1), 0.0))
+    return quaternions
+
+
+def without_largest(quaternions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All numbers of quaternions but the largest, which is made positive.
+
+    Args:
+        quaternions: (n, 4) of any length; of length zero means w = 1.
+
+    Returns:
+        (n, 3) the other numbers, and (n,) which is left out.
+    """
+    quaternions = quaternions.astype(np.float64)
+    length = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    unit = np.where(length > 0.0, quaternions / np.where(length > 0.0, length, 1.0), [1.0, 0.0, 0.0, 0.0])
+    largest = np.argmax(np.abs(unit), axis=1)
+    rows = np.arange(len(unit))
+    unit *= np.where(unit[rows, largest] < 0.0, -1.0, 1.0)[:, None]
+    others = np.stack([unit[rows, k + (largest <= k)] for k in range(3)], axis=1)
+    return others, largest
+
+
+def _packed_quaternions(quaternions: np.ndarray) -> np.ndarray:
+    others, largest = without_largest(quaternions)
+    words = _packed(others / np.sqrt(2.0) + 0.5, (20, 10, 0), (10, 10, 10))
+    return words | (largest.astype(np.uint32) << np.uint32(30))

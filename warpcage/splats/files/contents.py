@@ -1,0 +1,116 @@
+"""What a file of Gaussian splats holds, as plain arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ...core.checks import listed
+
+#: The first of the real harmonics, Y_0.
+Y0 = 0.28209479177387814
+
+#: Harmonics of degree 0 to 3, by the numbers of a colour channel.
+DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
+
+#: Logarithms of scales beyond which float32 cannot hold a covariance.
+MOST_LOG_SCALE = 40.0
+
+
+@dataclasses.dataclass(frozen=True)
+class PlyLayout:
+    """A PLY file of splats but for the values that a SplatField has: all that a round trip must keep.
+
+    Args:
+        header: The header as found, to the end of its last line.
+        before: The elements before the splats, as found.
+        table: (n,) one row a splat, with all its properties in the order of the file.
+        after: The elements after the splats, as found.
+    """
+
+    header: bytes
+    before: bytes
+    table: np.ndarray
+    after: bytes
+
+
+@dataclasses.dataclass(frozen=True)
+class SplatContents:
+    """Splats as files hold them.
+
+    Args:
+        centres: (n, 3) float32 or float64, world units.
+        log_scales: (n, 3) float32, natural logarithms of the standard deviations along the splat's own axes.
+        quaternions: (n, 4) float32 w x y z, of any length; of length zero where the splat is not turned.
+        logits: (n,) float32, logarithm of opacity / (1 - opacity); infinite for 0 and 1.
+        harmonics: (n, b, 3) float32, b = 1, 4, 9 or 16 coefficients in red, green and blue.
+        layout: The PLY file that they come from, or None.
+    """
+
+    centres: np.ndarray
+    log_scales: np.ndarray
+    quaternions: np.ndarray
+    logits: np.ndarray
+    harmonics: np.ndarray
+    layout: PlyLayout | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of splats."""
+        return len(self.centres)
+
+    @property
+    def degree(self) -> int:
+        """Degree of the harmonics."""
+        return DEGREES[self.harmonics.shape[1]]
+
+
+def checked_contents(contents: SplatContents) -> SplatContents:
+    """Splats whose arrays fit together and are numbers.
+
+    Args:
+        contents: The splats.
+
+    Returns:
+        The same.
+
+    Raises:
+        ValueError: For arrays that do not fit, and for values that are not finite, with the row of the first.
+    """
+    count = len(contents.centres)
+    shapes = {
+        "centres": (count, 3),
+        "log_scales": (count, 3),
+        "quaternions": (count, 4),
+        "logits": (count,),
+        "harmonics": (count, contents.harmonics.shape[1] if contents.harmonics.ndim == 3 else 1, 3),
+    }
+    for name, shape in shapes.items():
+        values = getattr(contents, name)
+        if values.shape != shape:
+            raise ValueError(f"{name} of {count} splats must be {shape}, got {values.shape}")
+        bad = np.isnan(values) if name == "logits" else ~np.isfinite(values)
+        if bad.any():
+            row = int(np.argwhere(bad)[0][0])
+            raise ValueError(f"splat {row} has {name} that are not finite: {values[row].tolist()}")
+    if contents.harmonics.shape[1] not in DEGREES:
+        raise ValueError(f"splats need {listed(DEGREES)} harmonics a channel, got {contents.harmonics.shape[1]}")
+    if count and contents.log_scales.max() > MOST_LOG_SCALE:
+        row = int(np.argmax(contents.log_scales.max(axis=1)))
+        raise ValueError(
+            f"splat {row} has a scale of exp({contents.log_scales[row].max():.3g}): float32 cannot hold it"
+        )
+    return contents
+
+
+def logits_of(opacities: np.ndarray) -> np.ndarray:
+    """Logits of opacities (n,), 0 to 1; float32. 0 and 1 become infinite."""
+    with np.errstate(divide="ignore"):
+        return (np.log(opacities) - np.log1p(-opacities)).astype(np.float32)
+
+
+def opacities_of(logits: np.ndarray) -> np.ndarray:
+    """Opacities (n,) of logits; float64."""
+    with np.errstate(over="ignore"):
+        return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))

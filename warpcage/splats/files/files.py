@@ -1,0 +1,98 @@
+"""Files of splats by their endings, read and written."""
+
+from __future__ import annotations
+
+import pathlib
+
+from ...core.files import PathLike, atomic_path, require_file
+from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
+from .contents import SplatContents, checked_contents
+from .ply import read_parts, read_splat_ply, write_splat_ply
+from .splat import read_splat, write_splat
+from .spz import read_spz, write_spz
+
+#: Endings of the files, and what writes them. The first that fits counts.
+WRITERS = {".compressed.ply": write_compressed_ply, ".ply": write_splat_ply, ".splat": write_splat, ".spz": write_spz}
+SPLAT_ENDINGS = tuple(WRITERS)
+
+
+def splat_ending(path: PathLike) -> str:
+    """The ending of a splat file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        One of SPLAT_ENDINGS.
+
+    Raises:
+        ValueError: For any other.
+    """
+    name = pathlib.Path(path).name.lower()
+    for ending in SPLAT_ENDINGS:
+        if name.endswith(ending):
+            return ending
+    raise ValueError(f"splat file {str(path)!r} must end in {', '.join(SPLAT_ENDINGS)}")
+
+
+def read_splats(path: PathLike) -> SplatContents:
+    """Read a file of splats.
+
+    Args:
+        path: The file. Whether a .ply is a compressed one its header tells.
+
+    Returns:
+        The splats.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For a file that is none, with what is wrong.
+    """
+    ending = splat_ending(path)
+    file = require_file(path, "splat file")
+    if ending == ".splat":
+        contents = read_splat(file)
+    elif ending == ".spz":
+        contents = read_spz(file)
+    else:
+        parts = read_parts(file, ("chunk", "vertex", "sh"))
+        contents = read_compressed_ply(file, parts) if is_compressed(parts) else read_splat_ply(file, parts)
+    try:
+        return checked_contents(contents)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def write_splats(contents: SplatContents, path: PathLike) -> None:
+    """Write a file of splats, whole or not at all.
+
+    Args:
+        contents: The splats.
+        path: The file; its ending says the format.
+
+    Raises:
+        ValueError: For another ending, or splats that the format cannot hold.
+    """
+    data = WRITERS[splat_ending(path)](contents)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def is_splat_file(path: PathLike) -> bool:
+    """Whether a file holds splats, by its ending, and for .ply by its header.
+
+    Args:
+        path: The file.
+
+    Returns:
+        True for files of splats; False for others, meshes among them, and where there is none.
+    """
+    file = pathlib.Path(path)
+    name = file.name.lower()
+    if name.endswith((".splat", ".spz")):
+        return True
+    if not name.endswith(".ply") or not file.is_file():
+        return name.endswith(".compressed.ply")
+    with file.open("rb") as opened:
+        head = opened.read(1 << 16).partition(b"end_header")[0]
+    return b"packed_position" in head or (b"f_dc_0" in head and b"rot_0" in head)

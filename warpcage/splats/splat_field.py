@@ -1,0 +1,293 @@
+"""The field of Gaussian splats."""
+
+from __future__ import annotations
+
+import functools
+import os
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..core.arrays import empty_array
+from ..core.checks import checked_vector
+from ..core.devices import resolve_device
+from ..core.locks import in_turn
+from ..kernels.splats.splats import Splats
+from ..view.backgrounds import parse_background
+from .files.contents import SplatContents, checked_contents, opacities_of
+from .files.files import read_splats, write_splats
+from .files.ply import PlyLayout, chosen_layout
+
+#: Standard deviations to which a splat is taken to reach.
+REACH = 3.0
+
+#: A splat less opaque than this is not seen in pictures of bytes.
+LEAST_OPACITY = 1.0 / 255.0
+
+
+class SplatField:
+    """3D Gaussian splats: matter around centres, with spherical harmonics of degree 0 to 3.
+
+    Opacity o exp(-1/2 (x - c)^T S^-1 (x - c)), S = R diag(s^2) R^T, colour max(0, 0.5 + SH . Y(d)), d from the camera
+    into the scene. Values are held as files have them (logarithms of scales, logits of opacities, quaternions of any
+    length), so that loading and saving a .ply keeps every bit, and properties that nobody here knows.
+
+    References: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023).
+
+    Args:
+        centres: (n, 3) float32 or float64, world units.
+        log_scales: (n, 3) natural logarithms of the standard deviations along each splat's own axes, world units.
+        quaternions: (n, 4) w x y z, rotations of those axes, of any length. One of length zero turns nothing.
+        logits: (n,) logarithms of opacity / (1 - opacity).
+        harmonics: (n, b, 3) coefficients in red, green and blue; b = 1, 4, 9 or 16.
+        layout: The PLY file that the splats come from, for what else is in it. None is the usual layout.
+        background: Colour behind the splats, a name or (3,) in [0, 1].
+        up: (3,) what is up in the world, for views of it, of any length but zero.
+        device: Warp device. None is CUDA where there is one.
+
+    Raises:
+        ValueError: For shapes that do not fit together, or values that are not finite.
+
+    Attributes:
+        contents: The values as files have them. They are not to be written to.
+        background: (3,) float32 colour behind the splats.
+        up: (3,) float64 unit vector.
+        device: Warp device.
+    """
+
+    def __init__(
+        self,
+        centres: ArrayLike,
+        log_scales: ArrayLike,
+        quaternions: ArrayLike,
+        logits: ArrayLike,
+        harmonics: ArrayLike,
+        *,
+        layout: PlyLayout | None = None,
+        background: str | ArrayLike = "black",
+        up: ArrayLike = (0.0, -1.0, 0.0),
+        device: wp.DeviceLike = None,
+    ):
+        places = np.asarray(centres)
+        places = places if places.dtype in (np.float32, np.float64) else places.astype(np.float32)
+        scales, turns, opacities, colours = (
+            np.asarray(values, np.float32) for values in (log_scales, quaternions, logits, harmonics)
+        )
+        if places.ndim != 2 or colours.ndim != 3:
+            raise ValueError(f"centres must be (n, 3) and harmonics (n, b, 3), got {places.shape}, {colours.shape}")
+        self.contents = checked_contents(SplatContents(places, scales, turns, opacities, colours, layout))
+        self.device = resolve_device(device)
+        self.background = parse_background(background)
+        direction = checked_vector(up, "up")
+        if not np.linalg.norm(direction) > 0:
+            raise ValueError(f"up must be a direction, got {direction.tolist()}")
+        self.up = direction / np.linalg.norm(direction)
+        self._splats: Any = None
+
+    @classmethod
+    def load(cls, path: str | os.PathLike, *, device: wp.DeviceLike = None) -> SplatField:
+        """Read splats from a file.
+
+        Args:
+            path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat or an .spz.
+            device: Warp device. None is CUDA where there is one.
+
+        Returns:
+            The field.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: For a file of another layout, or with values that are not finite.
+        """
+        return cls.from_contents(read_splats(path), device=device)
+
+    @classmethod
+    def from_contents(cls, contents: SplatContents, **options: Any) -> SplatField:
+        """A field of values as files have them.
+
+        Args:
+            contents: The values.
+            options: `background`, `up` and `device`, as for the constructor.
+
+        Returns:
+            The field.
+
+        Raises:
+            ValueError: As the constructor.
+        """
+        values = (contents.log_scales, contents.quaternions, contents.logits, contents.harmonics)
+        return cls(contents.centres, *values, layout=contents.layout, **options)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the splats to a file, whole or not at all.
+
+        What was loaded from a .ply and is saved as one is the same file, bit for bit. The other formats quantise:
+        .compressed.ply positions and scales to 11 bits of a chunk's range, .spz positions to 1 / 4096 of a unit,
+        .splat has no harmonics but the first.
+
+        Args:
+            path: The file; it must end in .ply, .compressed.ply, .splat or .spz.
+
+        Raises:
+            ValueError: For another ending, or splats that the format cannot hold.
+        """
+        write_splats(self.contents, path)
+
+    @property
+    def splat_count(self) -> int:
+        """Number of splats."""
+        return self.contents.count
+
+    @property
+    def degree(self) -> int:
+        """Degree of the harmonics, 0 to 3."""
+        return self.contents.degree
+
+    @functools.cached_property
+    def scales(self) -> np.ndarray:
+        """(n, 3) float64 standard deviations along each splat's own axes, world units."""
+        return np.exp(self.contents.log_scales.astype(np.float64))
+
+    @functools.cached_property
+    def rotations(self) -> np.ndarray:
+        """(n, 3, 3) float64 each splat's own axes, one per column."""
+        return rotation_matrices(self.contents.quaternions)
+
+    @functools.cached_property
+    def opacities(self) -> np.ndarray:
+        """(n,) float64 opacity at each centre, 0 to 1."""
+        return opacities_of(self.contents.logits)
+
+    @functools.cached_property
+    def covariances(self) -> np.ndarray:
+        """(n, 3, 3) float64, world units squared."""
+        factors = self.rotations * self.scales[:, None, :]
+        return factors @ factors.transpose(0, 2, 1)
+
+    @functools.cached_property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) float64 box of all splats that can be seen, to three standard deviations, world units."""
+        seen = self.opacities >= LEAST_OPACITY
+        if not seen.any():
+            seen[:] = True
+        if not len(seen):
+            return np.array([np.full(3, -0.5), np.full(3, 0.5)])
+        reach = REACH * np.sqrt(np.einsum("nii->ni", self.covariances)[seen])
+        centres = self.contents.centres[seen].astype(np.float64)
+        low, high = (centres - reach).min(axis=0), (centres + reach).max(axis=0)
+        thin = 1e-6 * max(float((high - low).max()), 1e-9)
+        return np.array([np.minimum(low, high - thin), high])
+
+    @property
+    def center(self) -> np.ndarray:
+        """(3,) float64 middle of the bounds: the origin that kernels' positions are relative to."""
+        return self.bounds.mean(axis=0)
+
+    @property
+    def splats(self) -> Any:
+        """The Splats of kernels/splats/splats.py on the device, relative to `center`. They are not to be written to."""
+        if self._splats is None:
+            self._splats = self._on_device()
+        return self._splats
+
+    @in_turn
+    def _on_device(self) -> Any:
+        splats = Splats()
+        device = self.device
+        centres = (self.contents.centres.astype(np.float64) - self.center).astype(np.float32)
+        covariances = self.covariances[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].astype(np.float32)
+        harmonics = np.ascontiguousarray(self.contents.harmonics.reshape(self.splat_count, -1))
+        splats.centres = wp.array(centres, dtype=wp.vec3, device=device)
+        splats.covariances = wp.array(covariances, dtype=wp.float32, device=device)
+        splats.opacities = wp.array(self.opacities.astype(np.float32), dtype=wp.float32, device=device)
+        splats.harmonics = wp.array(harmonics, dtype=wp.float32, device=device)
+        splats.degree = self.degree
+        splats.turns = empty_array(0, wp.quat, device)
+        splats.rows = empty_array(0, wp.int32, device)
+        return splats
+
+    def to(self, device: wp.DeviceLike) -> SplatField:
+        """The same field on another device.
+
+        Args:
+            device: Warp device. None is CUDA where there is one.
+
+        Returns:
+            The field; this one if it is there already.
+        """
+        device = resolve_device(device)
+        return (
+            self if device == self.device else self.from_contents(self.contents, **self.view_options(), device=device)
+        )
+
+    def chosen(self, rows: ArrayLike) -> SplatField:
+        """Some of the splats, with what else their file says of each.
+
+        Args:
+            rows: (n,) bool, or the numbers of the splats in any order.
+
+        Returns:
+            The field of those.
+
+        Raises:
+            ValueError: For rows that are not there.
+        """
+        rows = np.asarray(rows)
+        if rows.dtype == bool:
+            if rows.shape != (self.splat_count,):
+                raise ValueError(f"a mask of {self.splat_count} splats must be ({self.splat_count},), got {rows.shape}")
+            rows = np.flatnonzero(rows)
+        if rows.ndim != 1 or (
+            len(rows) and not (rows.dtype.kind in "iu" and 0 <= rows.min() <= rows.max() < len(self))
+        ):
+            raise ValueError(f"rows must be whole numbers from 0 to {self.splat_count - 1}, got {rows!r:.60}")
+        rows = rows.astype(np.int64)
+        held = self.contents
+        values = (held.log_scales, held.quaternions, held.logits, held.harmonics)
+        return SplatField(
+            held.centres[rows],
+            *(each[rows] for each in values),
+            layout=chosen_layout(held.layout, rows),
+            device=self.device,
+            **self.view_options(),
+        )
+
+    def view_options(self) -> dict[str, Any]:
+        """What views of the field depend on besides its splats, by the constructor's names."""
+        return {"background": self.background, "up": self.up}
+
+    def __len__(self) -> int:
+        return self.splat_count
+
+    def __repr__(self) -> str:
+        bounds = np.round(self.bounds, 4).tolist()
+        return f"SplatField({self.splat_count} splats of degree {self.degree}, bounds {bounds}, {self.device})"
+
+    def __reduce__(self):
+        raise TypeError(
+            "a SplatField is held on a device and not copied between processes: save it, and load the file "
+            "in each of them"
+        )
+
+
+def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Rotations of quaternions of any length.
+
+    Args:
+        quaternions: (n, 4) w x y z; of length zero for no rotation.
+
+    Returns:
+        (n, 3, 3) float64.
+    """
+    q = quaternions.astype(np.float64)
+    largest = np.abs(q).max(axis=1, keepdims=True, initial=0.0)
+    q = np.where(largest > 0.0, q / np.where(largest > 0.0, largest, 1.0), [1.0, 0.0, 0.0, 0.0])
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
