@@ -155,11 +155,15 @@ def test_gradient_of_subrays_matches_finite_differences(device):
             assert abs(found - (ends[0] - ends[1]) / 1e-2) < 2e-2 * abs(found) + 2e-3
 
 
+@pytest.mark.parametrize("density_scale", [0.05, 1.5, 30.0])  # more samples of a ray than are kept, and fewer
 @pytest.mark.parametrize("side", [1, 2])
-def test_gradient_by_warps_is_the_same(device, side):
+def test_gradient_by_warps_is_the_same(device, side, density_scale):
     if device == "cpu":
         pytest.skip("warp shuffles: CUDA only")
-    field, _, _ = oracle.random_field(device, resolution=(40, 36, 44), keep=0.6, density_scale=1.5, numbers=(24,))
+    resolution = (40, 36, 44)
+    field, _, _ = oracle.random_field(
+        device, resolution=resolution, keep=0.6, density_scale=density_scale, numbers=(24,)
+    )
     cameras = [
         warpcage.Camera.look_at(eye, [0, 0, 0.3], fov_degrees=60, width=7, height=5)
         for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2], [0.1, 0.2, 0.3])

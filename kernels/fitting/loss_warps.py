@@ -2,14 +2,25 @@
 
 The sums are those of accumulate_photometric_gradient there, which documents them. The densities of 32 successive
 samples are looked up at once, one per lane. Then the samples that hold matter are taken one by one: 24 neighbouring
-lanes read the 24 coefficients of a voxel and add their gradients, so that a voxel's row is one run of memory instead of
-24 scattered numbers. (Lanes for coefficients: Plenoxels 2022, in its CUDA code.)
-Needs: core/lanes, field/grid, field/harmonics, field/samples, fitting/loss, fitting/rmsprop.
+lanes read the 24 coefficients of a voxel, so that a voxel's row is one run of memory instead of 24 scattered numbers.
+(Lanes for coefficients: Plenoxels 2022, in its CUDA code.) What a sample was found to weigh and to show is kept for the
+adjoint, which then reads no density and no colour again; a sub-ray for which there is no room left marches twice.
+Needs: core/lanes, core/warp_memory, field/grid, field/harmonics, field/samples, fitting/loss, fitting/rmsprop.
 """
 
 import warp as wp
 
-from ..core.lanes import ballot, from_lane, index_from_lane, lowest_bit, without_lowest_bit
+from ..core.lanes import ballot, from_lane, lowest_bit, without_lowest_bit
+from ..core.warp_memory import (
+    WARP_NUMBERS,
+    bits_as_float,
+    bits_as_int,
+    four_kept,
+    keep_four,
+    keep_one,
+    one_kept,
+    warp_meets,
+)
 from ..field.grid import CellSample, VoxelGrid, cell_density, cell_sample, empty_distance
 from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS, luminance_colour, sh_basis
 from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
@@ -24,6 +35,17 @@ NEAR = wp.constant(4)
 
 #: Sample at which a march has nothing to do.
 BEYOND = wp.constant(1 << 28)
+
+#: What a warp keeps (core/warp_memory). For each lane CELL_FOURS times four numbers: weights and rows of the eight
+#: corners of its sample's cell, and four more. From HEADS on, eight numbers for each sub-ray: its colour, where its
+#: samples begin, their number or -1, where it first comes near to anything. From SAMPLES on, seven for each sample that
+#: holds matter: its index, transmittance before it, weight, colour, (none).
+CELL_FOURS = wp.constant(5)
+HEADS = wp.constant(32 * 4 * 5)
+HEAD = wp.constant(8)
+SAMPLES = wp.constant(32 * 4 * 5 + 4 * 8)
+SAMPLE = wp.constant(7)  # odd, so that lanes read from different banks
+MOST_SAMPLES = wp.constant((WARP_NUMBERS - 32 * 4 * 5 - 4 * 8) // 7)
 
 
 @wp.func
@@ -60,12 +82,39 @@ def channels(value: float):
 
 
 @wp.func
-def corner_weight(f: wp.vec3, corner: int):
-    """Trilinear weight of a corner of a cell. f: place within it."""
-    wx = wp.where((corner >> 2) == 1, f[0], 1.0 - f[0])
-    wy = wp.where(((corner >> 1) & 1) == 1, f[1], 1.0 - f[1])
-    wz = wp.where((corner & 1) == 1, f[2], 1.0 - f[2])
-    return wx * wy * wz
+def keep_cell(own: CellSample, lane: int):
+    """Leave the cell of a lane's sample for the others."""
+    place = CELL_FOURS * lane
+    keep_four(place, wp.vec4(own.weights[0], own.weights[1], own.weights[2], own.weights[3]))
+    keep_four(place + 1, wp.vec4(own.weights[4], own.weights[5], own.weights[6], own.weights[7]))
+    for half in range(2):
+        rows = wp.vec4()
+        for c in range(4):
+            rows[c] = bits_as_float(own.rows[4 * half + c])
+        keep_four(place + 2 + half, rows)
+
+
+@wp.func
+def add_corner_gradients(
+    gradients: wp.array(dtype=wp.float32), j: int, lane: int, stride: int, first_place: int, gradient: float
+):
+    """Add a gradient by this lane's number of a row to the eight rows of lane j's cell."""
+    if lane < GRADIENT_ROW:
+        for half in range(2):
+            weights = four_kept(CELL_FOURS * j + half)
+            rows = four_kept(CELL_FOURS * j + 2 + half)
+            for c in range(4):
+                row = bits_as_int(rows[c])
+                if row >= 0:
+                    wp.atomic_add(gradients, row * stride + first_place, weights[c] * gradient)
+
+
+@wp.func
+def touch_rows(touched: wp.array(dtype=wp.uint8), own: CellSample):
+    """Mark the rows of this lane's cell."""
+    for c in range(8):
+        if own.rows[c] >= 0:
+            touched[own.rows[c]] = wp.uint8(1)
 
 
 @wp.func
@@ -74,13 +123,9 @@ def pick(v: wp.vec3, channel: int):
 
 
 @wp.func
-def part_gradient(change: wp.vec3, lane: int):
-    """Gradient by the part of a colour that a lane's coefficient belongs to. change: by red, green and blue."""
-    if lane < LUMINANCE_BASIS:
-        return change[0] + change[1] + change[2]
-    if lane < LUMINANCE_BASIS + DIFFERENCE_BASIS:
-        return change[0] - change[2]
-    return change[1] - 0.5 * (change[0] + change[2])
+def part_gradients(change: wp.vec3):
+    """Gradients by luminance, orange and green of a colour. change: by red, green and blue."""
+    return change[0] + change[1] + change[2], change[0] - change[2], change[1] - 0.5 * (change[0] + change[2])
 
 
 # few registers: many rays in flight hide the latency of their loads
@@ -119,6 +164,7 @@ def accumulate_photometric_gradient_by_warps(
         return
     channel = lane % 3  # of colours that a lane keeps: registers are what is short
     number = wp.min(lane, COEFFICIENTS - 1)
+    part = wp.where(lane < LUMINANCE_BASIS, 0, wp.min((lane - LUMINANCE_BASIS) // DIFFERENCE_BASIS + 1, 3))
     first_place = gradient_place(0, lane, touched.shape[0])
     stride = wp.where(lane < COEFFICIENTS, COEFFICIENTS, 1)
     all_behind = background_behind(background, random_background, seed, n)
@@ -127,92 +173,155 @@ def accumulate_photometric_gradient_by_warps(
     behind = pick(all_behind, channel)
     target = pick(training_colour(rays, pixel, all_behind), channel)
 
-    # of this lane's channel
     subray_count = rays.rays_per_side * rays.rays_per_side
-    colours = wp.vec4()
-    starts = wp.vec4i(BEYOND, BEYOND, BEYOND, BEYOND)  # where a sub-ray first comes near to anything
+    mean_colour = float(0.0)  # of this lane's channel
     left_over = float(0.0)  # transmittance, summed over the sub-rays
     grad_colour = float(0.0)
+    kept = int(0)  # samples of all sub-rays
     march = int(0)
     while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
         subray = march % subray_count
+        head = HEADS + HEAD * subray
         camera = rays.cameras[pixel[0]]  # not kept from march to march: registers are what is short
         direction = subray_direction(rays, camera, pixel, subray, seed, n)
         all_basis = sh_basis(direction)
-        basis = float(0.0)
+        basis = float(1.0)  # for the lane of the density's gradient
         own_basis = wp.where(lane < LUMINANCE_BASIS, lane, lane % DIFFERENCE_BASIS)
         for b in range(16):
             if lane < COEFFICIENTS and own_basis == b:
                 basis = all_basis[b]
         ray = grid_ray(grid, camera.centre, direction, step)
-        # the part of C . dL/dC that comes from behind the current sample
-        later = over_channels(colours[subray] * grad_colour)
+        k = ray.first
+        start = int(BEYOND)
+        first_kept = kept
+        later = float(0.0)  # the part of C . dL/dC that comes from behind the current sample
+        if march >= subray_count:
+            later = over_channels(one_kept(head + channel) * grad_colour)
+            first_kept = bits_as_int(one_kept(head + 3))
+            count = bits_as_int(one_kept(head + 4))
+            k = bits_as_int(one_kept(head + 5))
+            all_gradients = channels(grad_colour)
+            if count >= 0:
+                k = BEYOND
+            done = int(0)
+            while done < count:  # 32 samples at a time, one a lane
+                present = done + lane < count
+                place = SAMPLES + SAMPLE * (first_kept + wp.min(done + lane, count - 1))
+                left = one_kept(place + 1)
+                weight = one_kept(place + 2)
+                radiance = wp.vec3(one_kept(place + 3), one_kept(place + 4), one_kept(place + 5))
+                own = cell_sample(grid, sample_place(ray, bits_as_int(one_kept(place))))
+                change = wp.dot(radiance, all_gradients)
+                share = wp.where(present, weight * change, 0.0)
+                later_own = later - sum_before(share, lane) - share
+                passed = wp.vec3()
+                for c in range(3):
+                    if radiance[c] > 0.0:  # the clamp max(0, .) passes no gradient
+                        passed[c] = weight * all_gradients[c]
+                luminance, orange, green = part_gradients(passed)
+                warp_meets()
+                keep_cell(own, lane)
+                slope = step * ((left - weight) * change - later_own)
+                keep_four(CELL_FOURS * lane + 4, wp.vec4(luminance, orange, green, slope))
+                later = from_lane(later_own, LANES - 1)
+                if present:
+                    touch_rows(touched, own)
+                warp_meets()
+                for j in range(wp.min(count - done, LANES)):
+                    gradient = basis * one_kept(4 * (CELL_FOURS * j + 4) + part)
+                    add_corner_gradients(gradients, j, lane, stride, first_place, gradient)
+                done += LANES
         colour = float(0.0)
         transmittance = float(1.0)
-        k = wp.where(march < subray_count, ray.first, starts[subray])
         while sample_distance(ray, k) < ray.far and transmittance > stop:
             g = sample_place(ray, k)
             empty = empty_distance(grid, g)
             if empty > NEAR:
                 k = sample_beyond(ray, k, g, empty)
             else:
-                if march < subray_count:
-                    starts[subray] = wp.min(starts[subray], k)
-                # density of 32 samples, one a lane, which keeps the rows of its cell for the others
+                start = wp.min(start, k)
+                # density of 32 samples, one a lane, which leaves its cell for the others
                 own_g = sample_place(ray, k + lane)
                 depth = float(0.0)
-                own = CellSample()
+                warp_meets()
                 if sample_distance(ray, k + lane) < ray.far and empty_distance(grid, own_g) == 0:
                     own = cell_sample(grid, own_g)
                     depth = wp.max(cell_density(grid, own), 0.0) * step
+                    keep_cell(own, lane)
                 before = transmittance * wp.exp(-sum_before(depth, lane))
                 alpha = 1.0 - wp.exp(-depth)
                 matter = ballot(wp.where(depth > 0.0 and before > stop, 1, 0))
                 transmittance = from_lane(before * (1.0 - alpha), LANES - 1)
+                warp_meets()
                 while matter != 0:
                     j = lowest_bit(matter)
                     matter = without_lowest_bit(matter)
-                    g_j = sample_place(ray, k + j)
-                    f = g_j - wp.vec3(wp.floor(g_j[0]), wp.floor(g_j[1]), wp.floor(g_j[2]))
                     left = from_lane(before, j)
                     weight = left * from_lane(alpha, j)
                     value = float(0.0)
-                    for c in range(8):  # no branches: all eight loads are on their way together
-                        row = index_from_lane(own.rows[c], j)
-                        there = wp.where(row >= 0, corner_weight(f, c), 0.0)
-                        value += there * grid.sh[wp.max(row, 0), number]
+                    for half in range(2):  # no branches: all eight loads are on their way together
+                        weights = four_kept(CELL_FOURS * j + half)
+                        rows = four_kept(CELL_FOURS * j + 2 + half)
+                        for c in range(4):
+                            row = bits_as_int(rows[c])
+                            value += wp.where(row >= 0, weights[c], 0.0) * grid.sh[wp.max(row, 0), number]
                     sums = part_sums(basis * value, lane)
                     raw = 0.5 + pick(luminance_colour(sums), channel)
-                    radiance = wp.max(raw, 0.0)
+                    radiance_own = wp.max(raw, 0.0)
                     if march < subray_count:
-                        colour += weight * radiance
+                        colour += weight * radiance_own
+                        if kept < MOST_SAMPLES:
+                            keeping = radiance_own
+                            slot = 3 + lane
+                            if lane == 3:
+                                keeping = bits_as_float(k + j)
+                                slot = 0
+                            if lane == 4:
+                                keeping = left
+                                slot = 1
+                            if lane == 5:
+                                keeping = weight
+                                slot = 2
+                            if lane < 6:
+                                keep_one(SAMPLES + SAMPLE * kept + slot, keeping)
+                        kept += 1
                     else:
-                        change = over_channels(radiance * grad_colour)
-                        later -= weight * change
-                        passed = channels(wp.where(raw > 0.0, grad_colour, 0.0))
-                        gradient = weight * basis * part_gradient(passed, lane)
+                        change_all = over_channels(radiance_own * grad_colour)
+                        later -= weight * change_all
+                        passed_all = part_gradients(channels(wp.where(raw > 0.0, weight * grad_colour, 0.0)))
+                        gradient_own = basis * pick(wp.vec3(passed_all[0], passed_all[1], passed_all[2]), part)
                         if lane == COEFFICIENTS:
-                            gradient = step * ((left - weight) * change - later)
-                        marked = int(-1)
-                        for c in range(8):
-                            row = index_from_lane(own.rows[c], j)
-                            if lane == c:
-                                marked = row
-                            if row >= 0 and lane < GRADIENT_ROW:
-                                wp.atomic_add(gradients, row * stride + first_place, corner_weight(f, c) * gradient)
-                        if marked >= 0:
-                            touched[marked] = wp.uint8(1)
+                            gradient_own = step * ((left - weight) * change_all - later)
+                        add_corner_gradients(gradients, j, lane, stride, first_place, gradient_own)
+                        if lane < 8:
+                            marked = bits_as_int(one_kept(4 * (CELL_FOURS * j + 2) + lane))
+                            if marked >= 0:
+                                touched[marked] = wp.uint8(1)
                 k += LANES
         if march < subray_count:
-            colours[subray] = colour + transmittance * behind
+            colour += transmittance * behind
+            mean_colour += colour / float(subray_count)
             left_over += transmittance
+            count_kept = kept - first_kept
+            if kept > MOST_SAMPLES:  # no room: the adjoint marches again
+                kept = first_kept
+                count_kept = -1
+            if lane < 3:
+                keep_one(head + lane, colour)
+            if lane == 3:
+                keep_one(head + 3, bits_as_float(first_kept))
+            if lane == 4:
+                keep_one(head + 4, bits_as_float(count_kept))
+            if lane == 5:
+                keep_one(head + 5, bits_as_float(start))
+            warp_meets()
         if march == subray_count - 1:
-            error = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count) - target
+            error = mean_colour - target
             grad_colour = 2.0 * scale / float(subray_count) * error
             total = over_channels(error * error)
-            all_gradients = channels(grad_colour)
+            all_errors = channels(grad_colour)
             if lane == 0:
                 squared_error[n] = total
                 if has_background:
-                    grad_background[n] = left_over * all_gradients
+                    grad_background[n] = left_over * all_errors
         march += 1
