@@ -173,7 +173,7 @@ def test_gradient_by_warps_is_the_same(device, side, density_scale):
     how = {"random_background": 1, "seed": 5, "stop": 1e-4}
     expected, expected_error = photometric_gradient(field, rays, 144, **how)
     found, found_error = photometric_gradient(field, rays, 144, by_warps=True, **how)
-    np.testing.assert_allclose(found_error, expected_error, atol=2e-4)
+    np.testing.assert_allclose(found_error, expected_error, atol=2e-4, rtol=2e-4)  # marches end at other samples
     assert (np.abs(found - expected) < 1e-3 * np.abs(expected).max(axis=0)).all()
 
 
