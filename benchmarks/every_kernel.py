@@ -198,6 +198,10 @@ def edits(device) -> None:
     warpcage.bake(deformer, resolution=16)
     held = warpcage.CageEdit(slotted(0.5), falloff=0.4, held="still")
     warpcage.Deformer(field, held, resolution=16, device=device).pose(slotted(0.03)).render(camera())
+    low = warpcage.Cage.box((-1, -1, -1), (1, 1, 0.6))  # what stands out of it is a crumb
+    for options in ({"resolution": 12}, {"coordinates": "mean_value", "resolution": None}):
+        part = warpcage.Deformer(field, warpcage.CageEdit(low, crumbs=2.0), device=device, **options)
+        part.pose(low.bend(20)).render(camera())
     precise = warpcage.Deformer(field, cages, coordinates="mean_value", resolution=None, device=device)
     precise.pose([CAGE.translate((0, 0, 3)), POSE]).render(camera())
 

@@ -6,7 +6,8 @@
 Boxes around the cabin, the bucket and the arm. Writes to the folder of --out: order.png (the scene, the cabin copied on
 top of itself, the bucket removed besides, and the arm swung besides; the cages drawn over it), falloff.png (the arm
 lifted by a cage that cuts it off, and the same with a falloff at the cut), clean.png (close up: the bucket removed by
-its box; by the box with its walls snapped to gaps; and its crumbs with it), the cages, and excavator.edits.json, which
+its box; by the box with its walls snapped to gaps; and its crumbs with it), carried.png (the bucket moved aside: its
+crumbs left where they were; and taken along; and the cage over that), the cages, and excavator.edits.json, which
 `warpcage render --edits` takes.
 """
 
@@ -29,6 +30,7 @@ from warpcage.view.pictures import contact_sheet, write_png
 #: Corners of the boxes, world units of the brick scene: x ahead, z up.
 CABIN = ([-0.53, -0.03, -0.12], [0.25, 0.56, 0.6])
 BUCKET = ([0.44, -0.6, -0.45], [1.02, 0.09, 0.06])
+SMALL = ([0.44, -0.5, -0.3], [1.0, 0.09, 0.06])  # of the bucket
 ARM = ([0.36, -0.6, -0.45], [1.09, 0.09, 0.93])
 
 
@@ -67,6 +69,17 @@ def main(argv=None) -> dict:
     ]
     panels = [panel(field, [(edit, None)], close, args.resolution) for edit in cuts]
     write_png(out / "clean.png", contact_sheet(panels, columns=3))
+
+    # a box that is drawn too small: what stands out of it and hangs on it alone goes along
+    small = warpcage.Cage.box(*SMALL, segments=3)
+    aside = small.rotate(20, axis="z").translate([0.05, -0.75, 0.1])
+    beside = warpcage.Camera.look_at(
+        (2.9, -1.9, 1.3), (0.5, -0.5, 0), width=args.size, height=args.size, fov_degrees=28
+    )
+    left, taken = ([(warpcage.CageEdit(small, crumbs=most), aside)] for most in (0.0, 0.9))
+    panels = [panel(field, steps, beside, args.resolution) for steps in (left, taken)]
+    panels.append(panel(field, taken, beside, args.resolution, overlay=True))
+    write_png(out / "carried.png", contact_sheet(panels, columns=3))
 
     for name, cage in {"cabin": cabin, "on_top": on_top, "bucket": bucket, "arm": arm, "swung": swung}.items():
         cage.save(out / f"{name}.obj")

@@ -10,7 +10,17 @@ import warp as wp
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..field.skip import SKIP_LIMIT
 from ..lattice.cage_map import cell_sides, map_distance
-from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH, LatticeEdit, in_rest_cage
+from .edits import (
+    CELL_CARRIES,
+    CELL_FOLDED,
+    CELL_INSIDE,
+    CELL_OUTSIDE,
+    CELL_STAYS,
+    CELL_STEEP,
+    CUT_LENGTH,
+    LatticeEdit,
+    in_rest_cage,
+)
 from .march import lattice_lower, lattice_upper
 
 wp.set_module_options({"enable_backward": False})
@@ -175,9 +185,9 @@ def mark_edit_cells(
         distance = edit.deformed.distance[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
         nearest = wp.min(nearest, distance)
         farthest = wp.max(farthest, distance)
-    empty = bool(True)
+    empty = edit.removes == 1 or (int(edit.cells[i, j, k]) & CELL_CARRIES) != CELL_CARRIES
     if edit.removes == 0 and nearest <= edit.tolerance:
-        empty = cell_sides(edit.deformed, i, j, k) == 0
+        empty = empty and cell_sides(edit.deformed, i, j, k) == 0
         stays = (int(edit.cells[i, j, k]) & CELL_STAYS) != 0
         lower = wp.vec3(1.0e30, 1.0e30, 1.0e30)
         upper = -lower

@@ -10,7 +10,7 @@ Two kinds of edit share these functions: LatticeEdit looks the map and the signe
 ClosedFormEdit evaluates mean value or Green coordinates and winding numbers at the point itself; tables over lattice
 cells tell it where the answer is the same for a whole cell. A module compiles only the kind that its kernels take. All
 positions are relative to one origin that the caller keeps to.
-Needs: coordinates/green, coordinates/mean_value, lattice/cage_map, mesh/containment, mesh/walls.
+Needs: coordinates/green, coordinates/mean_value, deform/crumbs, lattice/cage_map, mesh/containment, mesh/walls.
 """
 
 from typing import Any
@@ -19,9 +19,10 @@ import warp as wp
 
 from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
-from ..lattice.cage_map import CageMap, cell_sides, map_distance, side_position
+from ..lattice.cage_map import CageMap, cell_sides, map_distance, map_position, side_position
 from ..mesh.containment import cage_distance, winding_number
 from ..mesh.walls import Walls, faded_position
+from .crumbs import CrumbCells, in_crumbs
 
 wp.set_module_options({"enable_backward": False})
 UNCHANGED = wp.constant(0)
@@ -35,6 +36,9 @@ CELL_OUTSIDE = wp.constant(2)
 CELL_STAYS = wp.constant(4)
 CELL_FOLDED = wp.constant(8)
 CELL_STEEP = wp.constant(16)
+
+#: Both at once: not all in the cage, and what is out of it may be a crumb that the edit carries along.
+CELL_CARRIES = wp.constant(3)
 
 #: A sample that is this many steps long in canonical space is cut into several.
 CUT_LENGTH = wp.constant(1.5)
@@ -59,6 +63,7 @@ class LatticeEdit:
     slack: float  # a mapped point counts as inside the rest cage up to this distance
     keeps_source: int  # 1: the rest cage is not cleared
     removes: int  # 1: nothing is drawn in the deformed cage
+    crumbs: CrumbCells  # they count as in the rest cage
     cells: wp.array3d(dtype=wp.uint8)  # lattice cell -> CELL_... flags of the cases that it settles as a whole
     skip: wp.array3d(dtype=wp.uint8)  # lattice cell -> Chebyshev distance to the nearest that may hold anything
 
@@ -85,6 +90,8 @@ class ClosedFormEdit:
     deformed_cells: CellTable
     rest_cells: CellTable  # its `skip` is not used
     walls: Walls  # the map fades to the identity towards them
+    crumbs: CrumbCells  # they count as in the rest cage
+    carried: CageMap  # the map on a lattice, where cells carry crumbs
     size: float  # longest side of the deformed cage
     is_green: int  # 1: Green, 0: mean value
     tolerance: float
@@ -169,19 +176,25 @@ def edit_point(edit: LatticeEdit, x: wp.vec3):
     if edit.removes == 1:
         return result
     cell = lattice_cell(edit, x)
-    inside = (cell.flags & CELL_INSIDE) != 0
-    if (cell.flags & (CELL_INSIDE | CELL_OUTSIDE)) == 0:
+    case = cell.flags & CELL_CARRIES
+    inside = case == CELL_INSIDE
+    if case == 0 or case == CELL_CARRIES:
         inside = cell_trilinear(edit.deformed.distance, cell) <= edit.tolerance
-    if inside:
-        result.mapped = 1
-        result.flags = cell.flags
+    if inside or case == CELL_CARRIES:
+        position = x
         sides = cell_sides(edit.deformed, cell.i, cell.j, cell.k)
         if sides == 0:
-            result.position = cell_trilinear(edit.deformed.positions, cell)
+            position = cell_trilinear(edit.deformed.positions, cell)
         else:
-            result.position = side_position(edit.deformed.sides, sides, cell.offset)
-        if (cell.flags & CELL_STAYS) == 0:
-            result.leaves = wp.where(in_rest_cage(edit, result.position, edit.slack), 0, 1)
+            position = side_position(edit.deformed.sides, sides, cell.offset)
+        stays = (cell.flags & CELL_STAYS) != 0
+        if not stays:
+            stays = in_crumbs(edit.crumbs, position) or (inside and in_rest_cage(edit, position, edit.slack))
+        if inside or stays:
+            result.mapped = 1
+            result.flags = cell.flags
+            result.position = position
+            result.leaves = wp.where(stays, 0, 1)
     return result
 
 
@@ -251,15 +264,23 @@ def edit_point(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
     if edit.removes == 1:
         return result
     flags = table_flags(edit.deformed_cells, x)
-    inside = (flags & CELL_INSIDE) != 0
-    if (flags & (CELL_INSIDE | CELL_OUTSIDE)) == 0:
+    case = flags & CELL_CARRIES
+    inside = case == CELL_INSIDE
+    if case == 0 or case == CELL_CARRIES:
         inside = in_cage(x, edit.deformed_vertices, edit.faces, edit.tolerance)
     if inside:
         result.mapped = 1
         result.flags = flags
         result.position = edit_position(edit, x)
         if (flags & CELL_STAYS) == 0:
-            result.leaves = wp.where(in_rest_cage(edit, result.position, edit.slack), 0, 1)
+            stays = in_rest_cage(edit, result.position, edit.slack) or in_crumbs(edit.crumbs, result.position)
+            result.leaves = wp.where(stays, 0, 1)
+    elif case == CELL_CARRIES:
+        position = map_position(edit.carried, x)
+        if in_crumbs(edit.crumbs, position):
+            result.mapped = 1
+            result.flags = CELL_CARRIES | CELL_STEEP  # a lattice's map, which is not asked whether it folds over
+            result.position = position
     return result
 
 
@@ -285,7 +306,7 @@ def traced_point(edits: Any, x: wp.vec3):
                 result.vacant = 1
                 result.outside = 1 - cleared
             position = place.position
-        elif edit.keeps_source == 0 and in_rest_cage(edit, position, 0.0):
+        elif edit.keeps_source == 0 and (in_rest_cage(edit, position, 0.0) or in_crumbs(edit.crumbs, position)):
             result.vacant = cleared  # what is cleared cannot be cleared again
             cleared = 1
         e -= 1

@@ -1,13 +1,14 @@
 """Edits on lattices as fast marches read them: flat arrays, nodes of four numbers, and one table of cells.
 
 The map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1.
-Needs: core/entries, lattice/cage_map.
+Needs: core/entries, deform/crumbs, lattice/cage_map.
 """
 
 import warp as wp
 
 from ..core.entries import trilinear_entry
 from ..lattice.cage_map import CageMap
+from .crumbs import CrumbCells
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,6 +33,7 @@ class FlatEdit:
     slack: float
     keeps_source: int
     removes: int
+    crumbs: CrumbCells  # only the march through several edits knows them
 
 
 @wp.kernel

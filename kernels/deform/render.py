@@ -3,8 +3,8 @@
 "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. A ray is cut where it
 enters and leaves the boxes of the edits: in between one edit, the last whose box holds the ray, knows what may be
 skipped, and later ones need not be asked for their maps.
-Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures, field/grid,
-field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+Needs: core/entries, deform/crumbs, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures,
+field/grid, field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
 """
 
 import warp as wp
@@ -17,7 +17,8 @@ from ..field.rows import RowTable, row_colour, row_density
 from ..field.samples import grid_span, safe_inverse, sample_index_after
 from ..lattice.cage_map import side_position
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
-from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
+from .crumbs import in_crumbs
+from .edits import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
 from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit, rest_distance
 from .map_nodes import node_blend, node_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
@@ -80,25 +81,30 @@ def flat_trace(edits: wp.array(dtype=FlatEdit), last: int, x: wp.vec3):
                 flags = byte_entry(edit.look, place.cell)
                 if flags >= LOOK_SKIP:
                     flags = int(0)  # not known
-                if (flags & CELL_OUTSIDE) == 0:
+                case = flags & CELL_CARRIES
+                if case != CELL_OUTSIDE:
                     node = node_blend(edit.nodes, place.cell, place.nodes[0], place.nodes[1], place.offset)
-                    mapped = (flags & CELL_INSIDE) != 0 or node[3] <= edit.tolerance
+                    source = wp.vec3(node[0], node[1], node[2])
+                    if edit.has_sides == 1:
+                        sides = edit.side_index[place.cell]
+                        if sides != 0:
+                            source = side_position(edit.sides, sides, place.offset)
+                    is_crumb = bool(False)
+                    if (flags & CELL_STAYS) == 0:
+                        is_crumb = in_crumbs(edit.crumbs, source)
+                    mapped = case == CELL_INSIDE or node[3] <= edit.tolerance or (case == CELL_CARRIES and is_crumb)
                     if mapped:
-                        position = wp.vec3(node[0], node[1], node[2])
-                        if edit.has_sides == 1:
-                            sides = edit.side_index[place.cell]
-                            if sides != 0:
-                                position = side_position(edit.sides, sides, place.offset)
+                        position = source
                         if result.path != 0:
                             flags = flags | CELL_STEEP  # each may be gentle, but not both together
                         result.path = result.path | (1 << e)
                         result.flags = result.flags | flags
-                        if (flags & CELL_STAYS) == 0:
+                        if (flags & CELL_STAYS) == 0 and not is_crumb:
                             if rest_distance(edit, position) > edit.slack:
                                 result.vacant = 1
                                 result.outside = 1 - result.cleared
         if not mapped and edit.keeps_source == 0:
-            if rest_distance(edit, position) <= 0.0:
+            if rest_distance(edit, position) <= 0.0 or in_crumbs(edit.crumbs, position):
                 result.vacant = result.cleared  # what is cleared cannot be cleared again
                 result.cleared = 1
         e -= 1

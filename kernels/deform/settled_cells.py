@@ -8,7 +8,7 @@ import warp as wp
 
 from ..lattice.cage_map import CageMap, cell_sides
 from .cells import jacobian_spread, largest_stretch, mat83, mean_jacobian
-from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, LatticeEdit
+from .edits import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, LatticeEdit
 
 wp.set_module_options({"enable_backward": False})
 
@@ -58,7 +58,9 @@ def settle_deformed_cells(first: int, edit: LatticeEdit, flags: wp.array3d(dtype
     j = (n // flags.shape[2]) % flags.shape[1]
     i = n // (flags.shape[2] * flags.shape[1])
     case = settled_case(edit.deformed, i, j, k, edit.tolerance)
-    if case == 0:
+    if edit.removes == 0 and (int(edit.cells[i, j, k]) & CELL_CARRIES) == CELL_CARRIES:
+        case = CELL_CARRIES | CELL_STEEP | CELL_FOLDED
+    elif case == 0:
         case = CELL_STEEP | CELL_FOLDED
     elif case == CELL_INSIDE and edit.removes == 0:
         case = case | (int(edit.cells[i, j, k]) & (CELL_STAYS | CELL_STEEP))

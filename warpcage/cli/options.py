@@ -234,8 +234,8 @@ def add_edits(parser: Arguments) -> None:
         "--crumbs",
         type=positive_float,
         metavar="SIZE",
-        help="clear pieces smaller than this, world units, that a cage cuts off its part, with the part (default: they "
-        "stay)",
+        help="take pieces smaller than this, world units, that a cage cuts off its part, along with the part (default: "
+        "they stay)",
     )
     parser.add_argument(
         "--edits",

@@ -59,11 +59,7 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | 
 def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None) -> VoxelField:
     """`bake`, while the pose stays."""
     edits, field, device = lattice_edits(deformer), deformer.field, deformer.device
-    cages = [cage for cage in deformer.deformed or [] if cage is not None]
-    reached = np.stack([field.bounds, *(cage.bounds for cage in cages)])
-    searched = np.stack([reached[:, 0].min(axis=0), reached[:, 1].max(axis=0)])
-    if bounds is not None:
-        searched = checked_bounds(bounds)
+    searched = deformer.reached_bounds if bounds is None else checked_bounds(bounds)
     side = float(field.voxel_size.min())
     if resolution is not None:
         longest = float((searched[1] - searched[0]).max())

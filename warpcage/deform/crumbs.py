@@ -2,36 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ..cage.cage import Cage
 from ..field.selection import visible_rows
 from ..field.voxel_field import VoxelField
-from .edits import CageEdit
-
-
-def without_crumbs(field: VoxelField, edits: Sequence[CageEdit]) -> VoxelField:
-    """A field without the crumbs that edits leave behind.
-
-    Args:
-        field: The field.
-        edits: The edits; those without `crumbs`, and those that keep their source, leave everything.
-
-    Returns:
-        A field that shares all but its links with the one given; that one itself where there are no crumbs.
-    """
-    taken = [edit for edit in edits if edit.crumbs > 0.0 and not edit.keep_source]
-    found = [crumbs(field, edit.cage, edit.crumbs) for edit in taken]
-    if not any(map(len, found)):
-        return field
-    grid = field.grid
-    links = np.array(grid.links.numpy())
-    links[tuple(np.concatenate(found).T)] = -1
-    return VoxelField(
-        field.bounds, links, grid.density, grid.sh, weights=field.weights, device=field.device, **field.view_options()
-    )
 
 
 def crumbs(field: VoxelField, cage: Cage, size: float) -> np.ndarray:

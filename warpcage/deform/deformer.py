@@ -24,7 +24,7 @@ from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
-from .crumbs import without_crumbs
+from .carried import CarriedCrumbs
 from .edits import CageEdit, PosedEdits, checked_edits
 from .falloff import FalloffBand
 from .lattice_edits import LatticeEdits
@@ -63,7 +63,7 @@ class Deformer:
         ValueError: For names that do not exist, harmonic coordinates without a lattice, or a cage that cannot be used.
 
     Attributes:
-        field: The VoxelField, on the device; without the crumbs that edits take along.
+        field: The VoxelField, on the device.
         edits: The CageEdits in their order.
         device: Warp device.
         coordinates: Kind of coordinates.
@@ -99,7 +99,7 @@ class Deformer:
             raise ValueError('store="weights" keeps weights on a lattice: give a resolution')
         self.edits = checked_edits(rest)
         self.device = field.device if device is None else resolve_device(device)
-        self.field = without_crumbs(field.to(self.device), self.edits)
+        self.field = field.to(self.device)
         self.coordinates, self.resolution, self.density, self.store = coordinates, resolution, density, store
         self.deformed: list[Cage | None] | None = None
         self.lock = owner_lock(self.device)
@@ -107,11 +107,23 @@ class Deformer:
         self._edits: PosedEdits
         with self.lock:
             self._bands = [FalloffBand(edit, self.field) if edit.falloff > 0.0 else None for edit in self.edits]
+            self._carried = [found_crumbs(edit, self.field, index) for index, edit in enumerate(self.edits)]
             origin, device = self.field.center, self.device
             if resolution is None:
-                self._edits = ClosedFormEdits(self.edits, coordinates, origin, device, self._bands)
+                self._edits = ClosedFormEdits(self.edits, coordinates, origin, device, self._bands, self._carried)
             else:
-                self._edits = LatticeEdits(self.edits, coordinates, resolution, origin, device, store, self._bands)
+                kept = store, self._bands, self._carried
+                self._edits = LatticeEdits(self.edits, coordinates, resolution, origin, device, *kept)
+
+    @property
+    def reached_bounds(self) -> np.ndarray:
+        """(2, 3) box of all that the field and the posed cages reach, crumbs that go with them too; world units."""
+        with self.lock:
+            self.posed_edits()
+            boxes = [cage.bounds for cage in self.deformed or [] if cage is not None]
+            boxes += [each.bounds for each in self._carried if each is not None and each.bounds is not None]
+            reached = np.stack([self.field.bounds, *boxes])
+        return np.stack([reached[:, 0].min(axis=0), reached[:, 1].max(axis=0)])
 
     def __reduce__(self):
         raise TypeError("a Deformer is held on a device and not copied between processes: make one in each of them")
@@ -367,6 +379,21 @@ class PosedDeformer:
         shared = self.deformer
         with shared.lock:
             return shared._render(lambda: shared._hold(self.deformed), camera, background, step, supersampling)
+
+
+def found_crumbs(edit: CageEdit, field: VoxelField, index: int) -> CarriedCrumbs | None:
+    """The crumbs that go with an edit.
+
+    Args:
+        edit: The edit.
+        field: The field, on the device.
+        index: Number of the edit, for messages.
+
+    Returns:
+        The crumbs, None where there are none.
+    """
+    carried = CarriedCrumbs(edit, field, index) if edit.crumbs > 0.0 else None
+    return carried if carried is not None and len(carried.voxels) else None
 
 
 def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None = None) -> Cage | None:

@@ -35,8 +35,8 @@ class CageEdit:
         held: The walls that a falloff holds: "cut", the faces of the cage that cut matter; "still", those whose
             vertices a pose leaves in place; or the numbers of the faces.
         crumbs: Pieces of matter outside the cage that its wall cuts off the part, and that are smaller than this
-            (diagonal of their box, world units), are cleared with the part instead of floating where they were. They
-            are not drawn with the part where it goes. 0 leaves all.
+            (diagonal of their box, world units), go with the part, by the map continued beyond the wall, instead of
+            floating where they were. 0 leaves all where it is.
 
     Raises:
         ValueError: For keeping and removing at once, a cage that cannot be used, a falloff that is no width or goes

@@ -15,7 +15,7 @@ from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..field.voxel_field import VoxelField
 from ..kernels.deform import falloff as kernels
-from ..kernels.deform.edits import CELL_FOLDED, CELL_INSIDE
+from ..kernels.deform.edits import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.walls import Walls
 from .edits import CageEdit
@@ -135,17 +135,16 @@ def faded_map(cage_map: Any, walls: Any, held: Any = None) -> Any:
     return faded
 
 
-def folded_cells(cells: wp.array) -> np.ndarray:
+def folded_cells(flags: np.ndarray) -> np.ndarray:
     """Which cells wholly inside a posed cage are turned over by its map.
 
     Args:
-        cells: (nx-1, ny-1, nz-1) uint8, CELL_... flags.
+        flags: (nx-1, ny-1, nz-1) uint8, CELL_... flags.
 
     Returns:
         bool of the same shape.
     """
-    flags = cells.numpy()
-    return (flags & (CELL_FOLDED | CELL_INSIDE)) == (CELL_FOLDED | CELL_INSIDE)
+    return (flags & (CELL_FOLDED | CELL_CARRIES)) == (CELL_FOLDED | CELL_INSIDE)
 
 
 def walls_share(points: np.ndarray, walls: Sequence[np.ndarray], width: float) -> np.ndarray:

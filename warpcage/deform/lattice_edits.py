@@ -16,8 +16,8 @@ from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.modules import load_modules
 from ..field.voxel_field import VoxelField
+from ..kernels.deform import carry, carry_cells, flat_edits, points, render, render_sides, render_single
 from ..kernels.deform import cells as cell_tables
-from ..kernels.deform import flat_edits, points, render, render_sides, render_single
 from ..kernels.deform.edits import LatticeEdit
 from ..kernels.field import skip as grid_skip
 from ..kernels.lattice import (
@@ -40,6 +40,7 @@ from ..lattice.capture import Buffer, BufferPool
 from ..lattice.lattice import CageLattice
 from ..lattice.position_map import PositionMap
 from ..mesh.containment import SURFACE_TOLERANCE
+from .carried import CarriedCrumbs
 from .edits import CageEdit, PosedEdits
 from .falloff import FalloffBand, faded_map, folded_cells
 
@@ -80,6 +81,7 @@ class LatticeEdits(PosedEdits):
         device: Warp device.
         store: "map" or "weights", as Deformer has it.
         bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
+        carried: The CarriedCrumbs of each edit, None for one without crumbs; () is none at all.
 
     Attributes:
         lattices: The EditLattices that hold the maps.
@@ -94,11 +96,13 @@ class LatticeEdits(PosedEdits):
         device: wp.Device,
         store: str = "map",
         bands: Sequence[FalloffBand | None] = (),
+        carried: Sequence[CarriedCrumbs | None] = (),
     ):
-        self._edits, self._device, self._is_single = edits, device, len(edits) == 1
+        # the march for one edit alone knows no crumbs
+        self._edits, self._device, self._is_single = edits, device, len(edits) == 1 and not any(carried)
         super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
         load_pose_modules(coordinates, [render_single, render_sides] if self._is_single else [render], device)
-        self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands)
+        self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
         pool = BufferPool(device)
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
@@ -159,7 +163,7 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
     if flat.has_sides:
         flat.side_index, flat.sides = side_index, edit.deformed.sides
     flat.tolerance, flat.slack = edit.tolerance, edit.slack
-    flat.keeps_source, flat.removes = edit.keeps_source, edit.removes
+    flat.keeps_source, flat.removes, flat.crumbs = edit.keeps_source, edit.removes, edit.crumbs
     launch(
         flat_edits.join_cell_tables, edit.cells.size, [edit.cells, skip, flat.node_counts], [flat.look], device=device
     )
@@ -181,6 +185,7 @@ class EditLattices:
         device: Warp device.
         store: "map" or "weights", as Deformer has it.
         bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
+        carried: The CarriedCrumbs of each edit, None for one without crumbs; () is none at all.
 
     Attributes:
         rests: A CageLattice of each rest cage.
@@ -198,11 +203,16 @@ class EditLattices:
         device: wp.Device,
         store: str = "map",
         bands: Sequence[FalloffBand | None] = (),
+        carried: Sequence[CarriedCrumbs | None] = (),
     ):
         self._edits, self._device, self._origin = edits, device, origin
         self._bands = list(bands) or [None] * len(edits)
+        self._carried = list(carried) or [None] * len(edits)
+        if any(self._carried):
+            load_modules([carry, carry_cells, fans], device)
         self._plain: list[Any] = [None] * len(edits)
         self._faded: list[Any] = [None] * len(edits)
+        self._walls: list[Any] = [None] * len(edits)
         self.rests = [CageLattice(edit.cage, resolution, origin=origin, device=device).measure() for edit in edits]
         options: dict[str, Any] = {
             "coordinates": coordinates,
@@ -228,9 +238,12 @@ class EditLattices:
             cages: The deformed cages in the order of the edits, None for an edit that removes.
         """
         self._faded = [self._posed_map(index, cage) for index, cage in enumerate(cages)]
+        maps = [self._extended_map(index, cage) for index, cage in enumerate(cages)]
         self._structs = [
-            posed_struct(edit, rest, cage_map, cage)
-            for edit, rest, cage_map, cage in zip(self._edits, self.rests, self._faded, cages, strict=True)
+            posed_struct(edit, rest, cage_map, cage, crumbs)
+            for edit, rest, cage_map, cage, crumbs in zip(
+                self._edits, self.rests, maps, cages, self._carried, strict=True
+            )
         ]
         shapes = [cell_shape(struct.deformed) for struct in self._structs]
         self._cells = [buffer.take(shape) for buffer, shape in zip(self._cell_buffers, shapes, strict=True)]
@@ -248,19 +261,34 @@ class EditLattices:
         data = self._plain[index] = position_map.pose(cage).data
         if band is None:
             return data
-        return faded_map(data, band.on_device(cage, self._origin, self._device), self._faded[index])
+        walls = self._walls[index] = band.on_device(cage, self._origin, self._device)
+        return faded_map(data, walls, self._faded[index])
+
+    def _extended_map(self, index: int, cage: Cage | None) -> Any:
+        """The same, on a lattice that reaches as far as the edit's crumbs where it has any."""
+        carried, faded = self._carried[index], self._faded[index]
+        if carried is None or cage is None:
+            return faded
+        return carried.extended(cage, self._plain[index], faded, self._walls[index])
 
     def _warn_of_folds(self, cages: Sequence[Cage | None]) -> None:
         """Warn where a band is too narrow for its pose: where it folds matter over, which the map alone does not."""
-        for index, (edit, struct, cells) in enumerate(zip(self._edits, self._structs, self._cells, strict=True)):
-            band = self._bands[index]
-            if band is None or not folded_cells(cells).any():
+        for index, (edit, cells) in enumerate(zip(self._edits, self._cells, strict=True)):
+            band, carried = self._bands[index], self._carried[index]
+            if band is None:
+                continue
+            flags = cells.numpy()
+            if carried is not None:
+                flags = carried.inner(flags, cell_shape(self._faded[index]))
+            faded = folded_cells(flags)
+            if not faded.any():
                 continue
             plain = posed_struct(edit, self.rests[index], self._plain[index], cages[index])
-            plain.skip, plain.cells = struct.skip, wp.empty_like(cells)
-            launch(cell_tables.mark_edit_cases, cells.size, [plain], [plain.cells], device=self._device)
-            folded = np.argwhere(folded_cells(cells) & ~folded_cells(plain.cells))
-            if band.has_matter(struct.deformed.positions.numpy()[tuple(folded.T)] + self._origin):
+            plain.cells = empty_array(faded.shape, wp.uint8, self._device)
+            plain.skip = plain.cells
+            launch(cell_tables.mark_edit_cases, faded.size, [plain], [plain.cells], device=self._device)
+            folded = np.argwhere(faded & ~folded_cells(plain.cells.numpy()))
+            if band.has_matter(self._faded[index].positions.numpy()[tuple(folded.T)] + self._origin):
                 warn_caller(
                     f"edit {index} turns matter inside out in its falloff band of {edit.falloff:.3g}: make the band "
                     "wider, or move the cage less"
@@ -270,6 +298,9 @@ class EditLattices:
         """Make the tables of the posed maps anew, of what holds for whole cells."""
         for struct in self._structs:
             launch(cell_tables.mark_edit_cases, struct.cells.size, [struct], [struct.cells], device=self._device)
+        for struct, carried in zip(self._structs, self._carried, strict=True):
+            if carried is not None and not struct.removes:
+                carried.mark(struct, struct.cells)
         # the structs stay, as they own what the array on the device points to
         self.array = struct_array(self._structs, LatticeEdit, self._device)
         self._marked_step = 0.0
@@ -307,7 +338,9 @@ class EditLattices:
         return list(zip(self._structs, self.skips, strict=True))
 
 
-def posed_struct(edit: CageEdit, rest: CageLattice, deformed: Any, cage: Cage | None) -> Any:
+def posed_struct(
+    edit: CageEdit, rest: CageLattice, deformed: Any, cage: Cage | None, carried: CarriedCrumbs | None = None
+) -> Any:
     """An edit for kernels, without its tables of cells.
 
     Args:
@@ -315,6 +348,7 @@ def posed_struct(edit: CageEdit, rest: CageLattice, deformed: Any, cage: Cage | 
         rest: Lattice of its rest cage.
         deformed: CageMap of its posed cage. None for an edit that removes.
         cage: The posed cage. None for an edit that removes.
+        carried: Crumbs that go with it, or None.
 
     Returns:
         A LatticeEdit of kernels/deform/edits.py.
@@ -325,6 +359,8 @@ def posed_struct(edit: CageEdit, rest: CageLattice, deformed: Any, cage: Cage | 
     struct.tolerance = SURFACE_TOLERANCE * (edit.cage if cage is None else cage).size
     struct.slack = LATTICE_SLACK * rest.spacing
     struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
+    if carried is not None:
+        struct.crumbs = carried.cells
     return struct
 
 

@@ -16,6 +16,7 @@ from ..kernels.deform import points_precise, render_precise, settled_cells
 from ..kernels.deform.edits import CellTable, ClosedFormEdit
 from ..mesh.containment import SURFACE_TOLERANCE
 from ..mesh.fans import prepared_fans
+from .carried import CarriedCrumbs
 from .edits import CageEdit, PosedEdits
 from .falloff import FalloffBand
 from .lattice_edits import EditLattices, cell_shape, load_pose_modules
@@ -41,6 +42,8 @@ class ClosedFormEdits(PosedEdits):
         origin: (3,) world point that positions on the device are relative to.
         device: Warp device.
         bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
+        carried: The CarriedCrumbs of each edit, None for one without crumbs; () is none at all. Crumbs follow the
+            lattice map beside the cage.
 
     Attributes:
         guide: The EditLattices that find those cells.
@@ -53,6 +56,7 @@ class ClosedFormEdits(PosedEdits):
         origin: np.ndarray,
         device: wp.Device,
         bands: Sequence[FalloffBand | None] = (),
+        carried: Sequence[CarriedCrumbs | None] = (),
     ):
         super().__init__(points_precise.map_points_precisely, render_precise.render_precisely)
         self._edits, self._origin, self._device = edits, origin, device
@@ -60,7 +64,7 @@ class ClosedFormEdits(PosedEdits):
         self._is_green = coordinates == "green"
         load_pose_modules(coordinates, [render_precise, settled_cells], device)
         self._bands = list(bands) or [None] * len(edits)
-        self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device, bands=bands)
+        self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device, bands=bands, carried=carried)
         self._rest_cells = [
             settled_rest_cells(rest, CLOSED_FORM_SLACK * edit.cage.size, device)
             for edit, rest in zip(edits, self.guide.rest_maps(), strict=True)
@@ -70,7 +74,7 @@ class ClosedFormEdits(PosedEdits):
     def pose(self, cages: Sequence[Cage | None]) -> None:
         self.guide.pose(cages)
         self._structs = [
-            self._struct(edit, cage, band, rest_cells, settled_deformed_cells(guide, skip, self._device))
+            self._struct(edit, cage, band, rest_cells, settled_deformed_cells(guide, skip, self._device), guide)
             for edit, cage, band, rest_cells, (guide, skip) in zip(
                 self._edits, cages, self._bands, self._rest_cells, self.guide.posed(), strict=True
             )
@@ -83,9 +87,15 @@ class ClosedFormEdits(PosedEdits):
         self.guide.mark_empty(grid, step + margin)
 
     def _struct(
-        self, edit: CageEdit, cage: Cage | None, band: FalloffBand | None, rest_cells: Any, deformed_cells: Any
+        self,
+        edit: CageEdit,
+        cage: Cage | None,
+        band: FalloffBand | None,
+        rest_cells: Any,
+        deformed_cells: Any,
+        guide: Any,
     ) -> Any:
-        """An edit for kernels, with the tables of its cells. cage: None for an edit that removes."""
+        """An edit for kernels, with the tables of its cells. guide: its LatticeEdit. cage: None for a removal."""
         rest, fans = edit.cage, edit.cage.topology.fans
         deformed = rest if cage is None else cage
         struct = ClosedFormEdit()
@@ -102,6 +112,7 @@ class ClosedFormEdits(PosedEdits):
         struct.tolerance = SURFACE_TOLERANCE * deformed.size
         struct.slack = CLOSED_FORM_SLACK * rest.size
         struct.deformed_cells, struct.rest_cells = deformed_cells, rest_cells
+        struct.crumbs, struct.carried = guide.crumbs, guide.deformed
         struct.is_green = int(self._is_green)
         struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
         return struct

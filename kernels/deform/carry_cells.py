@@ -1,0 +1,73 @@
+"""The lattice of an edit's map with room around it, and its cells that crumbs go through.
+
+The map on a lattice is that of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1.
+Needs: deform/cells, deform/edits, lattice/cage_map.
+"""
+
+import warp as wp
+
+from ..lattice.cage_map import CageMap, cell_sides
+from .cells import jacobian_spread, largest_stretch, mat83, mean_jacobian
+from .edits import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE, CELL_STEEP, CUT_LENGTH, LatticeEdit
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def pad_nodes(
+    first: int,
+    cage_map: CageMap,
+    before: wp.vec3i,
+    positions: wp.array3d(dtype=wp.vec3),
+    distance: wp.array3d(dtype=float),
+    side_index: wp.array(dtype=int),
+):
+    """A map's nodes in a larger lattice, `before` (3,) of whose nodes lie below the map's along each axis.
+
+    Nodes around them are far outside the cage. side_index: (nodes,), or (0,) for a map without sides.
+    """
+    n = first + wp.tid()
+    k = n % positions.shape[2]
+    j = (n // positions.shape[2]) % positions.shape[1]
+    i = n // (positions.shape[2] * positions.shape[1])
+    a = i - before[0]
+    b = j - before[1]
+    c = k - before[2]
+    shape = cage_map.distance.shape
+    position = wp.vec3(0.0, 0.0, 0.0)
+    nearest = 4.0 * cage_map.spacing
+    entry = int(0)
+    if a >= 0 and b >= 0 and c >= 0 and a < shape[0] and b < shape[1] and c < shape[2]:
+        position = cage_map.positions[a, b, c]
+        nearest = cage_map.distance[a, b, c]
+        if side_index.shape[0] > 0:
+            entry = cage_map.side_index[(a * shape[1] + b) * shape[2] + c]
+    positions[i, j, k] = position
+    distance[i, j, k] = nearest
+    if side_index.shape[0] > 0:
+        side_index[n] = entry
+
+
+@wp.kernel
+def mark_carrying_cells(
+    first: int, edit: LatticeEdit, carrying: wp.array(dtype=wp.vec3i), cells: wp.array3d(dtype=wp.uint8)
+):
+    """CELL_CARRIES at cells (n,), and what else holds there, but for those wholly in the cage or at a narrow gap of it.
+    No cell twice; `cells` holds what deform/cells.mark_edit_cases says."""
+    cell = carrying[first + wp.tid()]
+    i = cell[0]
+    j = cell[1]
+    k = cell[2]
+    if (int(cells[i, j, k]) & CELL_INSIDE) != 0 or cell_sides(edit.deformed, i, j, k) != 0:
+        return
+    corners = mat83()
+    for c in range(8):
+        corners[c] = edit.deformed.positions[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
+    flags = CELL_CARRIES
+    jacobian = mean_jacobian(corners) * edit.deformed.inverse_spacing
+    if wp.determinant(jacobian) <= 0.0:
+        flags = flags | CELL_FOLDED
+    spread = jacobian_spread(corners, edit.deformed.spacing * jacobian) * edit.deformed.inverse_spacing
+    if largest_stretch(jacobian) + spread > CUT_LENGTH:
+        flags = flags | CELL_STEEP
+    cells[i, j, k] = wp.uint8(flags)
