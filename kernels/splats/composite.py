@@ -1,0 +1,206 @@
+"""Draw the splats of each tile over each other, from front to back.
+
+C = sum_i T_i alpha_i c_i + T_end background, T_i = prod_{j<i} (1 - alpha_j) (Kerbl et al. 2023, Eq. 3), and in the same
+way the expected distance sum_i T_i alpha_i t_i / (1 - T_end). A pixel ends where its T falls below `stop`.
+
+Two kernels compute the same. On CUDA each warp has 8x4 pixels of a tile to itself: its lanes look at 32 splats of the
+tile's list at once, keep those whose ellipse touches these pixels, in order, and then all of them draw those, one after
+the other. On the CPU an item is a tile, and each splat is drawn over the pixels that its ellipse covers, eight at a time.
+Needs: core/entries, splats/project.
+"""
+
+import warp as wp
+
+from ..core.entries import vec4_entry
+from .project import LOG2_LEAST_ALPHA, MOST_ALPHA, band_columns
+from .tiles import TileGrid
+
+wp.set_module_options({"enable_backward": False, "block_dim": 256})
+
+#: A pixel has a depth where it is at least this opaque.
+DEPTH_MIN_ALPHA = wp.constant(1.0e-3)
+
+vec5 = wp.types.vector(length=5, dtype=wp.float32)
+
+
+@wp.func
+def touches(place: wp.vec4, shape: wp.vec4, left: float, right: float, top: float, bottom: float):
+    """1 where a splat's ellipse touches the pixels with centres from `left` to `right` and `top` to `bottom`, else 0."""
+    span = band_columns(place, shape, top - 0.002, bottom + 0.002)
+    touched = 0
+    if span[0] <= right + 0.002 and span[1] >= left - 0.002:
+        touched = 1
+    return touched
+
+
+@wp.func_native("""
+    wp::vec_t<5, wp::float32> seen;
+#if defined(__CUDA_ARCH__)
+    __shared__ float4 rows[8][32][3];
+    const int warp = (threadIdx.x >> 5) & 7, lane = threadIdx.x & 31;
+    const float4* rows_of = reinterpret_cast<const float4*>(view.data);
+    const int* member = reinterpret_cast<const int*>(members.data);
+    const float left = x - (float)(lane & 7), top = y - (float)(lane >> 3);
+    const float low = top - 0.002f, high = top + 3.002f, right = left + 7.002f;
+    float T = inside ? 1.0f : 0.0f, red = 0.0f, green = 0.0f, blue = 0.0f, depth = 0.0f;
+    for (int base = begin; base < end; base += 32)
+    {
+        if (__ballot_sync(0xffffffffu, T > stop) == 0u)
+            break;
+        bool touched = false;
+        float4 a, b;
+        const float4* row = rows_of;
+        if (base + lane < end)
+        {
+            row += 3u * (unsigned)member[base + lane];
+            a = row[0];
+            b = row[1];
+            const float reach = a.z + 7.994353437f;
+            const float root = sqrtf(fmaxf(reach, 0.0f)), lean = b.x / b.y;
+            const float from = fmaxf(b.y * (low - a.y), -root), to = fminf(b.y * (high - a.y), root);
+            const float extreme = lean * root * rsqrtf(1.0f + lean * lean);
+            const float p = fminf(fmaxf(-extreme, from), to), q = fminf(fmaxf(extreme, from), to);
+            const float greatest = sqrtf(fmaxf(reach - p * p, 0.0f)) - lean * p;
+            const float least = sqrtf(fmaxf(reach - q * q, 0.0f)) + lean * q;
+            touched = from <= to && a.w * (left - 0.002f - a.x) <= greatest && a.w * (a.x - right) <= least;
+        }
+        const unsigned which = __ballot_sync(0xffffffffu, touched);
+        if (touched)
+        {
+            float4* slot = rows[warp][__popc(which & ((1u << lane) - 1u))];
+            slot[0] = a;
+            slot[1] = b;
+            slot[2] = row[2];
+        }
+        __syncwarp();
+        const int count = __popc(which);
+        for (int k = 0; k < count; ++k)
+        {
+            const float4 a = rows[warp][k][0], b = rows[warp][k][1];
+            const float dx = x - a.x, dy = y - a.y;
+            const float w = a.w * dx + b.x * dy, s = b.y * dy;
+            const float power = a.z - w * w - s * s;
+            if (power >= -7.994353437f && T > stop)
+            {
+                const float4 c = rows[warp][k][2];
+                const float alpha = fminf(exp2f(power), 0.999f);
+                const float weight = alpha * T;
+                red += weight * b.z;
+                green += weight * b.w;
+                blue += weight * c.x;
+                depth += weight * (c.y + c.z * dx + c.w * dy);
+                T -= weight;
+            }
+        }
+        __syncwarp();
+    }
+    seen.c[0] = red;
+    seen.c[1] = green;
+    seen.c[2] = blue;
+    seen.c[3] = depth;
+    seen.c[4] = T;
+#endif
+    return seen;
+""")
+def drawn_pixel(
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    begin: int,
+    end: int,
+    x: float,
+    y: float,
+    inside: int,
+    stop: float,
+) -> vec5:
+    """Red, green, blue and depth, weighted, and what is left of the light, of a pixel with its centre at x, y. All lanes
+    of a warp, which has 8x4 pixels; blocks of up to 256 threads."""
+    ...
+
+
+@wp.kernel
+def composite_pixels(
+    first: int,
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    tiles: TileGrid,
+    background: wp.vec3,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    alpha: wp.array(dtype=wp.float32),
+    depth: wp.array(dtype=wp.float32),
+):
+    n = first + wp.tid()
+    area = tiles.side * tiles.side
+    tile = n // area
+    part = (n % area) // 32
+    lane = n % 32
+    across = tiles.side // 8
+    column = (tile % tiles.columns) * tiles.side + (part % across) * 8 + lane % 8
+    row = (tile // tiles.columns) * tiles.side + (part // across) * 4 + lane // 8
+    inside = 0
+    if column < tiles.width and row < tiles.height:
+        inside = 1
+    seen = drawn_pixel(
+        view, members, starts[tile], starts[tile + 1], float(column) + 0.5, float(row) + 0.5, inside, stop
+    )
+    if inside == 1:
+        at = row * tiles.width + column
+        left = seen[4]
+        opacity = 1.0 - left
+        rgb[at] = wp.vec3(seen[0], seen[1], seen[2]) + left * background
+        alpha[at] = opacity
+        depth[at] = wp.where(opacity > DEPTH_MIN_ALPHA, seen[3] / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
+
+
+@wp.kernel
+def composite_pixels_plain(
+    first: int,
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    tiles: TileGrid,
+    background: wp.vec3,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    alpha: wp.array(dtype=wp.float32),
+    depth: wp.array(dtype=wp.float32),
+):
+    n = first + wp.tid()
+    area = tiles.side * tiles.side
+    tile = n // area
+    part = (n % area) // 32
+    lane = n % 32
+    across = tiles.side // 8
+    column = (tile % tiles.columns) * tiles.side + (part % across) * 8 + lane % 8
+    row = (tile // tiles.columns) * tiles.side + (part // across) * 4 + lane // 8
+    if column >= tiles.width or row >= tiles.height:
+        return
+    x = float(column) + 0.5
+    y = float(row) + 0.5
+    left = float(1.0)
+    colour = wp.vec3()
+    reached = float(0.0)
+    e = starts[tile]
+    end = starts[tile + 1]
+    while e < end and left > stop:
+        m = 3 * members[e]
+        e += 1
+        place = vec4_entry(view, m)
+        shape = vec4_entry(view, m + 1)
+        dx = x - place[0]
+        dy = y - place[1]
+        w = place[3] * dx + shape[0] * dy
+        s = shape[1] * dy
+        power = place[2] - w * w - s * s
+        if power >= LOG2_LEAST_ALPHA:
+            rest = vec4_entry(view, m + 2)
+            weight = wp.min(wp.pow(2.0, power), MOST_ALPHA) * left
+            colour += weight * wp.vec3(shape[2], shape[3], rest[0])
+            reached += weight * (rest[1] + rest[2] * dx + rest[3] * dy)
+            left -= weight
+    at = row * tiles.width + column
+    opacity = 1.0 - left
+    rgb[at] = colour + left * background
+    alpha[at] = opacity
+    depth[at] = wp.where(opacity > DEPTH_MIN_ALPHA, reached / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)

@@ -1,0 +1,146 @@
+"""Which splats each tile of a picture shows, from front to back.
+
+Splats are sorted by depth, then each writes one entry for every tile that its ellipse touches: the ellipse, not a box
+around it. A stable sort of the entries by tile alone then leaves each tile's splats in the order of depth: two passes
+over the entries instead of the six that keys of tile and depth need.
+Needs: core/entries, splats/project.
+"""
+
+import warp as wp
+
+from ..core.entries import vec4_entry
+from .project import band_columns
+
+wp.set_module_options({"enable_backward": False, "block_dim": 128})
+
+#: Rows and columns of an ellipse are widened by this, pixels, so that rounding loses none of its pixels.
+MARGIN = wp.constant(2.0e-3)
+
+
+@wp.struct
+class TileGrid:
+    """The tiles of a picture, row by row."""
+
+    side: int  # pixels
+    columns: int
+    rows: int
+    width: int  # of the picture, pixels
+    height: int
+
+
+@wp.func
+def tile_rows(tiles: TileGrid, place: wp.vec4, shape: wp.vec4):
+    """First and last row of tiles that a splat touches; the first is greater where it touches no row of pixels."""
+    reach = wp.sqrt(wp.max(place[2] + 7.994353436858858, 0.0)) / shape[1] + MARGIN
+    # pixel i has its centre at i + 0.5
+    low = wp.clamp(wp.ceil(place[1] - reach - 0.5), 0.0, float(tiles.height))
+    high = wp.clamp(wp.floor(place[1] + reach - 0.5), -1.0, float(tiles.height - 1))
+    first = 1
+    last = 0
+    if low <= high:
+        first = int(low) // tiles.side
+        last = int(high) // tiles.side
+    return wp.vec2i(first, last)
+
+
+@wp.func
+def tile_columns(tiles: TileGrid, place: wp.vec4, shape: wp.vec4, row: int):
+    """First and last column of the tiles that a splat touches in a row of them; the first is greater for none."""
+    low = float(row * tiles.side) + 0.5
+    high = float(wp.min((row + 1) * tiles.side, tiles.height)) - 0.5
+    span = band_columns(place, shape, low - MARGIN, high + MARGIN)
+    begin = wp.clamp(wp.ceil(span[0] - MARGIN - 0.5), 0.0, float(tiles.width))
+    end = wp.clamp(wp.floor(span[1] + MARGIN - 0.5), -1.0, float(tiles.width - 1))
+    first = 1
+    last = 0
+    if begin <= end:
+        first = int(begin) // tiles.side
+        last = int(end) // tiles.side
+    return wp.vec2i(first, last)
+
+
+@wp.kernel
+def count_tiles(
+    first: int,
+    view: wp.array(dtype=wp.vec4),
+    depths: wp.array(dtype=wp.float32),
+    order: wp.array(dtype=wp.int32),
+    tiles: TileGrid,
+    counts: wp.array(dtype=wp.int64),
+):
+    """view: (3 n,) of project.py. depths: (n,) sorted, and order: (n,) the splats in that order. counts: (n,) tiles that
+    each touches, in that order."""
+    i = first + wp.tid()
+    count = int(0)
+    if wp.isfinite(depths[i]):
+        n = order[i]
+        place = vec4_entry(view, 3 * n)
+        shape = vec4_entry(view, 3 * n + 1)
+        rows = tile_rows(tiles, place, shape)
+        for row in range(rows[0], rows[1] + 1):
+            columns = tile_columns(tiles, place, shape, row)
+            count += wp.max(columns[1] + 1 - columns[0], 0)
+    counts[i] = wp.int64(count)
+
+
+@wp.kernel
+def write_entries(
+    first: int,
+    view: wp.array(dtype=wp.vec4),
+    order: wp.array(dtype=wp.int32),
+    ends: wp.array(dtype=wp.int64),
+    tiles: TileGrid,
+    room: int,
+    keys: wp.array(dtype=wp.int32),
+    members: wp.array(dtype=wp.int32),
+):
+    """ends: (n,) running sums of the counts. keys, members: tile and splat of each entry."""
+    i = first + wp.tid()
+    at = int(0)
+    if i > 0:
+        at = int(ends[i - 1])
+    end = wp.min(int(ends[i]), room)
+    if at >= end:
+        return
+    n = order[i]
+    place = vec4_entry(view, 3 * n)
+    shape = vec4_entry(view, 3 * n + 1)
+    rows = tile_rows(tiles, place, shape)
+    for row in range(rows[0], rows[1] + 1):
+        columns = tile_columns(tiles, place, shape, row)
+        for column in range(columns[0], columns[1] + 1):
+            if at < end:
+                keys[at] = row * tiles.columns + column
+                members[at] = n
+                at += 1
+    while at < end:  # the two kernels may be compiled to round otherwise
+        keys[at] = tiles.rows * tiles.columns
+        members[at] = n
+        at += 1
+
+
+@wp.kernel
+def find_tile_starts(first: int, keys: wp.array(dtype=wp.int32), count: int, starts: wp.array(dtype=wp.int32)):
+    """keys: (count, ...) sorted. starts: (tiles + 1,) the first entry of each tile and of those behind it."""
+    tile = first + wp.tid()
+    low = int(0)
+    high = count
+    while low < high:
+        middle = low + (high - low) // 2
+        if keys[middle] < tile:
+            low = middle + 1
+        else:
+            high = middle
+    starts[tile] = low
+
+
+@wp.kernel
+def pad_entries(
+    first: int,
+    ends: wp.array(dtype=wp.int64),
+    tiles: TileGrid,
+    keys: wp.array(dtype=wp.int32),
+):
+    e = first + wp.tid()
+    if wp.int64(e) >= ends[ends.shape[0] - 1]:
+        keys[e] = tiles.rows * tiles.columns
