@@ -40,9 +40,9 @@ from warpcage.view.camera import camera_array
 
 #: Kernels that only one kind of device launches.
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
-            "fitting.rmsprop.join_maximum", "mesh.shell.", "mesh.collapses."}  # fmt: skip
+            "fitting.rmsprop.join_maximum", "mesh.shell.", "mesh.collapses.", "splats.composite_tiles."}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows", "field.shades.",
-             "field.render_shaded."}  # fmt: skip
+             "field.render_shaded.", "splats.composite."}  # fmt: skip
 
 launched: set[str] = set()
 
@@ -61,7 +61,7 @@ def main() -> int:
         wp.set_mempool_enabled(args.device, False)
     watch_launches()
     with limit_threads(2):  # on one thread no gradients are joined
-        for part in (fields, fits, coordinates, frames, edits, references):
+        for part in (fields, fits, coordinates, frames, edits, references, splats):
             part(args.device)
             wp.synchronize_device(args.device)
             print(f"{part.__name__}: {len(launched)} kernels so far", flush=True)
@@ -214,6 +214,17 @@ def references(device) -> None:
         inverse = InverseMap(CAGE, POSE, kind, cuts=1, device=device)
         inverse(0.5 * POINTS)
         inverse.invert(0.5 * POINTS)
+
+
+def splats(device) -> None:
+    """Views of splats: with some of every size, and some out of sight."""
+    rng = np.random.default_rng(0)
+    values = (np.log(0.02) + rng.normal(size=(300, 3)), rng.normal(size=(300, 4)), rng.normal(size=300))
+    field = warpcage.SplatField(
+        rng.uniform(-1, 1, (300, 3)), *values, 0.2 * rng.normal(size=(300, 16, 3)), device=device
+    )
+    field.render(camera(37), supersampling=2, antialias=True)
+    field.render(warpcage.Camera.look_at((0.1, 0, 0.1), (0, 1, 0), width=40, height=23))
 
 
 if __name__ == "__main__":

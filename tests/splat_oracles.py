@@ -97,4 +97,8 @@ def reference_view(
     shape = (camera.height, camera.width)
     with np.errstate(divide="ignore", invalid="ignore"):
         far = np.where(opacity > 1e-3, depth / opacity, np.inf)
-    return (total + left[:, None] * np.asarray(background)).reshape(*shape, 3), opacity.reshape(shape), far.reshape(shape)
+    return (
+        (total + left[:, None] * np.asarray(background)).reshape(*shape, 3),
+        opacity.reshape(shape),
+        far.reshape(shape),
+    )

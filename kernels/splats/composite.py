@@ -3,17 +3,15 @@
 C = sum_i T_i alpha_i c_i + T_end background, T_i = prod_{j<i} (1 - alpha_j) (Kerbl et al. 2023, Eq. 3), and in the same
 way the expected distance sum_i T_i alpha_i t_i / (1 - T_end). A pixel ends where its T falls below `stop`.
 
-Two kernels compute the same. On CUDA each warp has 8x4 pixels of a tile to itself: its lanes look at 32 splats of the
-tile's list at once, keep those whose ellipse touches these pixels, in order, and then all of them draw those, one after
-the other. On the CPU an item is a tile, and each splat is drawn over the pixels that its ellipse covers, eight at a time.
-Needs: core/entries, splats/project.
+For CUDA; on the CPU it is splats/composite_tiles. A warp has 8x4 pixels of a tile to itself: its lanes look at 32
+splats of the tile's list at once and put those whose ellipse touches these pixels side by side, in order; then each
+lane draws them over its pixel, one after the other.
+Needs: splats/tiles.
 """
 
 import warp as wp
 
-from ..core.entries import vec4_entry
-from .project import LOG2_LEAST_ALPHA, MOST_ALPHA, band_columns
-from .tiles import TileGrid
+from .tiles import TILE_SIDE, TileGrid
 
 wp.set_module_options({"enable_backward": False, "block_dim": 256})
 
@@ -21,16 +19,6 @@ wp.set_module_options({"enable_backward": False, "block_dim": 256})
 DEPTH_MIN_ALPHA = wp.constant(1.0e-3)
 
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
-
-
-@wp.func
-def touches(place: wp.vec4, shape: wp.vec4, left: float, right: float, top: float, bottom: float):
-    """1 where a splat's ellipse touches the pixels with centres from `left` to `right` and `top` to `bottom`, else 0."""
-    span = band_columns(place, shape, top - 0.002, bottom + 0.002)
-    touched = 0
-    if span[0] <= right + 0.002 and span[1] >= left - 0.002:
-        touched = 1
-    return touched
 
 
 @wp.func_native("""
@@ -112,8 +100,9 @@ def drawn_pixel(
     inside: int,
     stop: float,
 ) -> vec5:
-    """Red, green, blue and depth, weighted, and what is left of the light, of a pixel with its centre at x, y. All lanes
-    of a warp, which has 8x4 pixels; blocks of up to 256 threads."""
+    """Red, green, blue and depth, weighted, and what is left of the light, of a pixel with its centre at x, y.
+
+    All lanes of a warp, which has 8x4 pixels, row by row; blocks of up to 256 threads."""
     ...
 
 
@@ -130,14 +119,16 @@ def composite_pixels(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
+    """One thread per pixel of the tiles, 32 of them 8x4 pixels. view: (3 n,) of splats/project. members: splats of all
+    tiles, tile by tile from front to back. starts: (tiles + 1,) where each begins. Outputs (h * w,), row by row; depth:
+    expected distance along the ray, world units, inf where almost nothing is seen."""
     n = first + wp.tid()
-    area = tiles.side * tiles.side
-    tile = n // area
-    part = (n % area) // 32
+    tile = n // (TILE_SIDE * TILE_SIDE)
+    block = (n // 32) % (TILE_SIDE * TILE_SIDE // 32)
     lane = n % 32
-    across = tiles.side // 8
-    column = (tile % tiles.columns) * tiles.side + (part % across) * 8 + lane % 8
-    row = (tile // tiles.columns) * tiles.side + (part // across) * 4 + lane // 8
+    across = TILE_SIDE // 8
+    column = (tile % tiles.columns) * TILE_SIDE + (block % across) * 8 + lane % 8
+    row = (tiles.first_row + tile // tiles.columns) * TILE_SIDE + (block // across) * 4 + lane // 8
     inside = 0
     if column < tiles.width and row < tiles.height:
         inside = 1
@@ -151,56 +142,3 @@ def composite_pixels(
         rgb[at] = wp.vec3(seen[0], seen[1], seen[2]) + left * background
         alpha[at] = opacity
         depth[at] = wp.where(opacity > DEPTH_MIN_ALPHA, seen[3] / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
-
-
-@wp.kernel
-def composite_pixels_plain(
-    first: int,
-    view: wp.array(dtype=wp.vec4),
-    members: wp.array(dtype=wp.int32),
-    starts: wp.array(dtype=wp.int32),
-    tiles: TileGrid,
-    background: wp.vec3,
-    stop: float,
-    rgb: wp.array(dtype=wp.vec3),
-    alpha: wp.array(dtype=wp.float32),
-    depth: wp.array(dtype=wp.float32),
-):
-    n = first + wp.tid()
-    area = tiles.side * tiles.side
-    tile = n // area
-    part = (n % area) // 32
-    lane = n % 32
-    across = tiles.side // 8
-    column = (tile % tiles.columns) * tiles.side + (part % across) * 8 + lane % 8
-    row = (tile // tiles.columns) * tiles.side + (part // across) * 4 + lane // 8
-    if column >= tiles.width or row >= tiles.height:
-        return
-    x = float(column) + 0.5
-    y = float(row) + 0.5
-    left = float(1.0)
-    colour = wp.vec3()
-    reached = float(0.0)
-    e = starts[tile]
-    end = starts[tile + 1]
-    while e < end and left > stop:
-        m = 3 * members[e]
-        e += 1
-        place = vec4_entry(view, m)
-        shape = vec4_entry(view, m + 1)
-        dx = x - place[0]
-        dy = y - place[1]
-        w = place[3] * dx + shape[0] * dy
-        s = shape[1] * dy
-        power = place[2] - w * w - s * s
-        if power >= LOG2_LEAST_ALPHA:
-            rest = vec4_entry(view, m + 2)
-            weight = wp.min(wp.pow(2.0, power), MOST_ALPHA) * left
-            colour += weight * wp.vec3(shape[2], shape[3], rest[0])
-            reached += weight * (rest[1] + rest[2] * dx + rest[3] * dy)
-            left -= weight
-    at = row * tiles.width + column
-    opacity = 1.0 - left
-    rgb[at] = colour + left * background
-    alpha[at] = opacity
-    depth[at] = wp.where(opacity > DEPTH_MIN_ALPHA, reached / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)

@@ -11,9 +11,6 @@ from .tiles import TileGrid
 
 wp.set_module_options({"enable_backward": False})
 
-#: Pixels along each side of a tile, which the function below has room for.
-TILE_SIDE = wp.constant(16)
-
 
 @wp.func_native("""
 #if !defined(__CUDA_ARCH__)
@@ -22,7 +19,7 @@ TILE_SIDE = wp.constant(16)
     const lanes steps = {0.5f, 1.5f, 2.5f, 3.5f, 4.5f, 5.5f, 6.5f, 7.5f};
     const float least = -7.994353437f;
     lanes left[16][2], red[16][2], green[16][2], blue[16][2], far[16][2];
-    const int x0 = (tile % tiles.columns) * 16, y0 = (tile / tiles.columns) * 16;
+    const int x0 = (tile % tiles.columns) * 16, y0 = (tiles.first_row + tile / tiles.columns) * 16;
     const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
     const int height = tiles.height - y0 < 16 ? tiles.height - y0 : 16;
     for (int y = 0; y < 16; ++y)
@@ -128,7 +125,7 @@ def draw_tile(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
-    """Draw a tile, on the CPU alone. Arrays without gaps."""
+    """Draw a tile of 16x16 pixels, on the CPU alone. Arrays without gaps. Alphas are those of splats/project."""
     ...
 
 
@@ -145,8 +142,8 @@ def composite_tiles(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
-    """One item per tile of TILE_SIDE pixels."""
+    """One item per tile. view: (3 n,) of splats/project. members: splats of all tiles, tile by tile from front to back.
+    starts: (tiles + 1,) where each begins. Outputs (h * w,), row by row; depth: expected distance along the ray, world
+    units, inf where almost nothing is seen."""
     tile = first + wp.tid()
-    draw_tile(
-        view, members, starts[tile], starts[tile + 1], tiles, tile, background, stop, rgb, alpha, depth
-    )
+    draw_tile(view, members, starts[tile], starts[tile + 1], tiles, tile, background, stop, rgb, alpha, depth)

@@ -19,19 +19,17 @@ A view of n splats is (3 n,) vec4: three for each,
 
     column, row (pixels), strength, l_0    l_1, l_2, red, green    blue, r (world units), k (world units a pixel)
 
-Needs: core/entries, splats/splats, view/rays.
+Needs: splats/splats, view/rays.
 """
 
 import warp as wp
 
-from ..core.entries import vec4_entry
 from ..view.rays import PinholeCamera
 from .splats import Splats, splat_colour, splat_covariance
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
-#: Alpha is at most this, and below the other nothing is drawn.
-MOST_ALPHA = wp.constant(0.999)
+#: Nothing is drawn of a splat below this.
 LEAST_ALPHA = wp.constant(1.0 / 255.0)
 LOG2_LEAST_ALPHA = wp.constant(-7.994353436858858)
 
@@ -68,7 +66,8 @@ def project_splats(
     depths: wp.array(dtype=wp.float32),
     order: wp.array(dtype=wp.int32),
 ):
-    """view: (3 n,), see above. depths: (n,) along the optical axis, inf for what is not seen. order: (n,) 0 to n - 1."""
+    """view: (3 n,), see above. depths: (n,) along the optical axis, inf for what is not seen. order: (n,) 0 to
+    n - 1."""
     n = first + wp.tid()
     order[n] = n
     depths[n] = wp.inf

@@ -9,9 +9,12 @@ Needs: core/entries, splats/project.
 import warp as wp
 
 from ..core.entries import vec4_entry
-from .project import band_columns
+from .project import LOG2_LEAST_ALPHA, band_columns
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
+
+#: Pixels along each side of a tile.
+TILE_SIDE = wp.constant(16)
 
 #: Rows and columns of an ellipse are widened by this, pixels, so that rounding loses none of its pixels.
 MARGIN = wp.constant(2.0e-3)
@@ -19,43 +22,43 @@ MARGIN = wp.constant(2.0e-3)
 
 @wp.struct
 class TileGrid:
-    """The tiles of a picture, row by row."""
+    """Rows of tiles of a picture."""
 
-    side: int  # pixels
     columns: int
     rows: int
+    first_row: int  # where they begin in the picture
     width: int  # of the picture, pixels
     height: int
 
 
 @wp.func
-def tile_rows(tiles: TileGrid, place: wp.vec4, shape: wp.vec4):
-    """First and last row of tiles that a splat touches; the first is greater where it touches no row of pixels."""
-    reach = wp.sqrt(wp.max(place[2] + 7.994353436858858, 0.0)) / shape[1] + MARGIN
+def touched_rows(tiles: TileGrid, place: wp.vec4, shape: wp.vec4):
+    """First and last row of tiles that a splat touches; the first is greater where it touches none."""
+    reach = wp.sqrt(wp.max(place[2] - LOG2_LEAST_ALPHA, 0.0)) / shape[1] + MARGIN
     # pixel i has its centre at i + 0.5
     low = wp.clamp(wp.ceil(place[1] - reach - 0.5), 0.0, float(tiles.height))
     high = wp.clamp(wp.floor(place[1] + reach - 0.5), -1.0, float(tiles.height - 1))
-    first = 1
-    last = 0
+    first = int(1)
+    last = int(0)
     if low <= high:
-        first = int(low) // tiles.side
-        last = int(high) // tiles.side
+        first = wp.max(int(low) // TILE_SIDE, tiles.first_row)
+        last = wp.min(int(high) // TILE_SIDE, tiles.first_row + tiles.rows - 1)
     return wp.vec2i(first, last)
 
 
 @wp.func
-def tile_columns(tiles: TileGrid, place: wp.vec4, shape: wp.vec4, row: int):
+def touched_columns(tiles: TileGrid, place: wp.vec4, shape: wp.vec4, row: int):
     """First and last column of the tiles that a splat touches in a row of them; the first is greater for none."""
-    low = float(row * tiles.side) + 0.5
-    high = float(wp.min((row + 1) * tiles.side, tiles.height)) - 0.5
+    low = float(row * TILE_SIDE) + 0.5
+    high = float(wp.min((row + 1) * TILE_SIDE, tiles.height)) - 0.5
     span = band_columns(place, shape, low - MARGIN, high + MARGIN)
     begin = wp.clamp(wp.ceil(span[0] - MARGIN - 0.5), 0.0, float(tiles.width))
     end = wp.clamp(wp.floor(span[1] + MARGIN - 0.5), -1.0, float(tiles.width - 1))
-    first = 1
-    last = 0
+    first = int(1)
+    last = int(0)
     if begin <= end:
-        first = int(begin) // tiles.side
-        last = int(end) // tiles.side
+        first = int(begin) // TILE_SIDE
+        last = int(end) // TILE_SIDE
     return wp.vec2i(first, last)
 
 
@@ -68,17 +71,17 @@ def count_tiles(
     tiles: TileGrid,
     counts: wp.array(dtype=wp.int64),
 ):
-    """view: (3 n,) of project.py. depths: (n,) sorted, and order: (n,) the splats in that order. counts: (n,) tiles that
-    each touches, in that order."""
+    """view: (3 n,) of splats/project. depths: (n,) sorted, inf for what is not seen. order: (n,) splats in that order.
+    counts: (n,) tiles that each touches, in that order."""
     i = first + wp.tid()
     count = int(0)
     if wp.isfinite(depths[i]):
         n = order[i]
         place = vec4_entry(view, 3 * n)
         shape = vec4_entry(view, 3 * n + 1)
-        rows = tile_rows(tiles, place, shape)
+        rows = touched_rows(tiles, place, shape)
         for row in range(rows[0], rows[1] + 1):
-            columns = tile_columns(tiles, place, shape, row)
+            columns = touched_columns(tiles, place, shape, row)
             count += wp.max(columns[1] + 1 - columns[0], 0)
     counts[i] = wp.int64(count)
 
@@ -90,7 +93,6 @@ def write_entries(
     order: wp.array(dtype=wp.int32),
     ends: wp.array(dtype=wp.int64),
     tiles: TileGrid,
-    room: int,
     keys: wp.array(dtype=wp.int32),
     members: wp.array(dtype=wp.int32),
 ):
@@ -99,21 +101,21 @@ def write_entries(
     at = int(0)
     if i > 0:
         at = int(ends[i - 1])
-    end = wp.min(int(ends[i]), room)
-    if at >= end:
+    end = int(ends[i])
+    if at == end:
         return
     n = order[i]
     place = vec4_entry(view, 3 * n)
     shape = vec4_entry(view, 3 * n + 1)
-    rows = tile_rows(tiles, place, shape)
+    rows = touched_rows(tiles, place, shape)
     for row in range(rows[0], rows[1] + 1):
-        columns = tile_columns(tiles, place, shape, row)
+        columns = touched_columns(tiles, place, shape, row)
         for column in range(columns[0], columns[1] + 1):
             if at < end:
-                keys[at] = row * tiles.columns + column
+                keys[at] = (row - tiles.first_row) * tiles.columns + column
                 members[at] = n
                 at += 1
-    while at < end:  # the two kernels may be compiled to round otherwise
+    while at < end:  # the two kernels may be compiled to round otherwise; these are behind all tiles
         keys[at] = tiles.rows * tiles.columns
         members[at] = n
         at += 1
@@ -121,7 +123,7 @@ def write_entries(
 
 @wp.kernel
 def find_tile_starts(first: int, keys: wp.array(dtype=wp.int32), count: int, starts: wp.array(dtype=wp.int32)):
-    """keys: (count, ...) sorted. starts: (tiles + 1,) the first entry of each tile and of those behind it."""
+    """keys: (count,) sorted. starts: (tiles + 1,) the first entry of each tile, and of those behind all tiles."""
     tile = first + wp.tid()
     low = int(0)
     high = count
@@ -132,15 +134,3 @@ def find_tile_starts(first: int, keys: wp.array(dtype=wp.int32), count: int, sta
         else:
             high = middle
     starts[tile] = low
-
-
-@wp.kernel
-def pad_entries(
-    first: int,
-    ends: wp.array(dtype=wp.int64),
-    tiles: TileGrid,
-    keys: wp.array(dtype=wp.int32),
-):
-    e = first + wp.tid()
-    if wp.int64(e) >= ends[ends.shape[0] - 1]:
-        keys[e] = tiles.rows * tiles.columns

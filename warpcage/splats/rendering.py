@@ -1,9 +1,9 @@
-"""Views of Gaussian splats: project, sort, and draw them over each other in tiles."""
+"""Views of Gaussian splats: project them, sort them by depth and tile, and draw them over each other."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -11,26 +11,48 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import WarpStruct
 from ..core.devices import launch, resolve_device
-from ..core.locks import device_turn, owner_lock
+from ..core.locks import owner_lock
 from ..field.rendering import picture_arrays
 from ..kernels.splats import composite, composite_tiles, project, tiles
 from ..lattice.capture import BufferPool
 from ..view.camera import Camera, camera_struct
-from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera
+from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera
 
 #: A pixel ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-4
 
-#: Variance that the image is blurred by, pixels squared: 3DGS, which scenes are fitted with.
+#: Variance by which pictures are blurred, pixels squared: what scenes of 3DGS are fitted with.
 IMAGE_BLUR = 0.3
 
-#: Pixels along each side of a tile.
-TILE_SIDE = composite_tiles.TILE_SIDE
+#: Splats nearer than this share of the median distance from the middle of a field are not drawn.
+NEAR_SHARE = 0.01
+
+#: Entries of splats in tiles that are sorted at once. Pictures that have more are drawn in bands.
+MOST_ENTRIES = 1 << 26
+
+#: Steps that a splat takes to be projected and a tile to be drawn, for launches on the CPU.
+PROJECT_WORK, DRAW_WORK = 100, 20_000
 
 
 class SplatRenderer:
+    """Draws splats on a device, in buffers that are kept and grow.
+
+    The host waits once for a frame of a CUDA device, for the number of tiles that splats touch.
+
+    Args:
+        device: Warp device. None is CUDA where there is one.
+
+    Attributes:
+        device: Warp device.
+        entry_count: Tiles that splats touched in the last frame, summed over the splats.
+
+    References: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023); tiles that
+        ellipses touch as in Hanson et al., "Speedy-Splat" (CVPR 2025).
+    """
+
     def __init__(self, device: wp.DeviceLike = None):
         self.device = resolve_device(device)
+        self.entry_count = 0
         self._lock = owner_lock(self.device)
         pool = BufferPool(self.device)
         self._view = pool.buffer(wp.vec4)
@@ -45,51 +67,115 @@ class SplatRenderer:
         splats: WarpStruct,
         camera: Camera,
         *,
-        colour: ArrayLike = (0.0, 0.0, 0.0),
+        colour: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
         origin: ArrayLike = (0.0, 0.0, 0.0),
-        near: float = 0.01,
+        near: float = 0.0,
         supersampling: int = 1,
         antialias: bool = False,
-        side: int = TILE_SIDE,
-        variant="warps",
     ) -> Frame:
-        fine = finer_camera(camera, supersampling)
-        n = splats.centres.shape[0]
-        device = self.device
-        arrays = picture_arrays(fine.width * fine.height, PART_NAMES, device)
+        """The view of a camera.
+
+        With several rays a pixel, the blur stays as wide as it is without: a field keeps its look, less its steps.
+
+        Args:
+            splats: A Splats of kernels/splats/splats.py on the device.
+            camera: The camera.
+            colour: (3,) colour behind the splats, in [0, 1].
+            origin: (3,) world point that the splats' centres are relative to.
+            near: Splats whose centre is less than this before the camera are left out, world units.
+            supersampling: Rays along each side of a pixel.
+            antialias: Weaken splats that the blur of the picture makes larger, so that it adds no matter
+                (Mip-Splatting). For fields that were fitted in that way.
+
+        Returns:
+            The frame, its arrays on the device.
+
+        Raises:
+            ValueError: For supersampling out of range, or more splats in a row of tiles than can be sorted.
+        """
+        side = checked_supersampling(supersampling)
+        fine = finer_camera(camera, side)
+        arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device)
         lens = project.Lens()
         lens.camera = camera_struct(fine, origin)
         lens.near = near
-        lens.blur = IMAGE_BLUR * supersampling**2
+        lens.blur = IMAGE_BLUR * side**2
         lens.antialias = int(antialias)
-        grid = tiles.TileGrid()
-        grid.side = side
-        grid.columns, grid.rows = -(-fine.width // side), -(-fine.height // side)
-        grid.width, grid.height = fine.width, fine.height
-        tile_count = grid.columns * grid.rows
+        count = splats.centres.shape[0]
         with self._lock:
-            view = self._view.take(3 * n)
-            depths, order = self._depths.take(2 * n), self._order.take(2 * n)
-            launch(project.project_splats, n, [splats, lens], [view, depths, order], device=device, work=100)
-            wp.utils.radix_sort_pairs(depths, order, n)
-            counts, ends = self._counts.take(n), self._ends.take(n)
-            launch(tiles.count_tiles, n, [view, depths, order, grid], [counts], device=device)
-            wp.utils.array_scan(counts, ends)
-            wp.copy(self._total, ends, src_offset=n - 1, count=1)
-            if device.is_cuda:
-                wp.synchronize_stream(device.stream)
-            total = int(self._total.numpy()[0])
-            keys, members = self._keys.take(2 * total), self._members.take(2 * total)
-            launch(tiles.write_entries, n, [view, order, ends, grid, total], [keys, members], device=device)
-            wp.utils.radix_sort_pairs(keys, members, total, 0, max(1, tile_count.bit_length()))
-            starts = self._starts.take(tile_count + 1)
-            launch(tiles.find_tile_starts, tile_count + 1, [keys, total], [starts], device=device)
-            outputs = [arrays[name] for name in PART_NAMES]
-            inputs = [view, members, starts, grid, wp.vec3(*map(float, colour)), STOP_TRANSMITTANCE]
-            if device.is_cpu:
-                launch(composite_tiles.composite_tiles, tile_count, inputs, outputs, device=device, work=20000)
-            else:
-                kernel = composite.composite_pixels if variant == "warps" else composite.composite_pixels_plain
-                launch(kernel, tile_count * side * side, inputs, outputs, device=device)
-        self.entries = total
-        return average_frame(Frame(fine.width, fine.height, **arrays), supersampling)
+            view = self._view.take(3 * count)
+            depths, order = self._depths.take(2 * count), self._order.take(2 * count)
+            outputs = [view, depths, order]
+            launch(project.project_splats, count, [splats, lens], outputs, device=self.device, work=PROJECT_WORK)
+            wp.utils.radix_sort_pairs(depths, order, count)
+            self.entry_count = 0
+            inputs = [wp.vec3(*map(float, colour)), STOP_TRANSMITTANCE]
+            self._draw(_tile_grid(fine), (count, view, depths, order), inputs, [arrays[name] for name in PART_NAMES])
+        return average_frame(Frame(fine.width, fine.height, **arrays), side)
+
+    def _draw(self, grid: Any, seen: tuple, inputs: list, outputs: list) -> None:
+        """Draw the rows of tiles of a grid, in halves where they have too many entries."""
+        count, view, depths, order = seen
+        total = self._count(grid, *seen)
+        if total > MOST_ENTRIES and grid.rows > 1:
+            half = grid.rows // 2
+            self._draw(_band(grid, 0, half), seen, inputs, outputs)
+            self._draw(_band(grid, half, grid.rows - half), seen, inputs, outputs)
+            return
+        if total > 1 << 30:
+            raise ValueError(f"{total} splats in a row of tiles are more than can be sorted: draw a smaller picture")
+        self.entry_count += total
+        device, tile_count = self.device, grid.columns * grid.rows
+        keys, members = self._keys.take(2 * total), self._members.take(2 * total)
+        ends = self._ends.take(count)
+        launch(tiles.write_entries, count if total else 0, [view, order, ends, grid], [keys, members], device=device)
+        wp.utils.radix_sort_pairs(keys, members, total, 0, tile_count.bit_length())
+        starts = self._starts.take(tile_count + 1)
+        launch(tiles.find_tile_starts, tile_count + 1, [keys, total], [starts], device=device)
+        if device.is_cpu:
+            kernel, items = composite_tiles.composite_tiles, tile_count
+        else:
+            kernel, items = composite.composite_pixels, tile_count * tiles.TILE_SIDE**2
+        launch(kernel, items, [view, members, starts, grid, *inputs], outputs, device=device, work=DRAW_WORK)
+
+    def _count(self, grid: Any, count: int, view: wp.array, depths: wp.array, order: wp.array) -> int:
+        """Find how many tiles of a grid the splats touch; the running sums are left in `_ends`."""
+        if count == 0:
+            return 0
+        counts, ends = self._counts.take(count), self._ends.take(count)
+        launch(tiles.count_tiles, count, [view, depths, order, grid], [counts], device=self.device)
+        wp.utils.array_scan(counts, ends)
+        wp.copy(self._total, ends, src_offset=count - 1, count=1)
+        if self.device.is_cuda:
+            wp.synchronize_stream(self.device.stream)
+        return int(self._total.numpy()[0])
+
+
+def near_distance(centres: np.ndarray) -> float:
+    """How near a camera draws the splats of a field: those nearer would fill the picture with one flat colour.
+
+    Args:
+        centres: (n, 3) world units.
+
+    Returns:
+        A share of the median distance from the middle of the splats, world units; 0 for fewer than two places.
+    """
+    if not len(centres):
+        return 0.0
+    places = np.asarray(centres, np.float64)
+    return NEAR_SHARE * float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
+
+
+def _tile_grid(camera: Camera) -> Any:
+    grid = tiles.TileGrid()
+    grid.columns, grid.rows = -(-camera.width // tiles.TILE_SIDE), -(-camera.height // tiles.TILE_SIDE)
+    grid.width, grid.height = camera.width, camera.height
+    return grid
+
+
+def _band(grid: Any, first_row: int, rows: int) -> Any:
+    """Some rows of tiles of a grid."""
+    band = tiles.TileGrid()
+    band.columns, band.width, band.height = grid.columns, grid.width, grid.height
+    band.first_row, band.rows = grid.first_row + first_row, rows
+    return band

@@ -11,14 +11,17 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import empty_array
-from ..core.checks import checked_vector
+from ..core.checks import checked_vector, require_type
 from ..core.devices import resolve_device
 from ..core.locks import in_turn
 from ..kernels.splats.splats import Splats
 from ..view.backgrounds import parse_background
+from ..view.camera import Camera
+from ..view.frame import Frame
 from .files.contents import SplatContents, checked_contents, opacities_of
 from .files.files import read_splats, write_splats
 from .files.ply import PlyLayout, chosen_layout
+from .rendering import SplatRenderer, near_distance
 
 #: Standard deviations to which a splat is taken to reach.
 REACH = 3.0
@@ -253,6 +256,53 @@ class SplatField:
             device=self.device,
             **self.view_options(),
         )
+
+    def render(
+        self,
+        camera: Camera,
+        *,
+        background: str | ArrayLike | None = None,
+        supersampling: int = 1,
+        antialias: bool = False,
+    ) -> Frame:
+        """The view of a camera.
+
+        The depth of a splat is that of the matter that a pixel sees, so that large slanted splats have slanted depths.
+
+        Args:
+            camera: The camera.
+            background: Colour behind the splats, a name or (3,) in [0, 1]. None is the field's own.
+            supersampling: Rays along each side of a pixel.
+            antialias: Weaken splats that the blur of the picture makes larger (Mip-Splatting), for fields that were
+                fitted in that way. Others get thinner where they are far away.
+
+        Returns:
+            The frame, its arrays on the field's device.
+
+        Raises:
+            ValueError: For a background that is not known, or supersampling out of range.
+        """
+        require_type(camera, Camera, "render needs")
+        colour = self.background if background is None else parse_background(background)
+        return self.renderer.render(
+            self.splats,
+            camera,
+            colour=colour,
+            origin=self.center,
+            near=self.near,
+            supersampling=supersampling,
+            antialias=antialias,
+        )
+
+    @functools.cached_property
+    def renderer(self) -> SplatRenderer:
+        """What draws the field, with buffers that its views share."""
+        return SplatRenderer(self.device)
+
+    @functools.cached_property
+    def near(self) -> float:
+        """How far before a camera a splat's centre must be to be drawn, world units."""
+        return near_distance(self.contents.centres)
 
     def view_options(self) -> dict[str, Any]:
         """What views of the field depend on besides its splats, by the constructor's names."""
