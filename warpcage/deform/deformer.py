@@ -22,6 +22,7 @@ from ..kernels.deform.march import MarchOptions
 from ..kernels.deform.pictures import Picture
 from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
+from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
 from .carried import CarriedCrumbs
@@ -32,7 +33,7 @@ from .precise_edits import ClosedFormEdits
 
 
 class Deformer:
-    """A radiance field as cages deform it.
+    """A radiance field as cages deform it: voxels, or splats (see `SplatDeformer`, which this makes of a SplatField).
 
     Before the first `pose` the cages are at rest: the deformed scene is the field itself. Any thread may use it;
     threads that share one and each want a pose of their own take `posed` (docs/threads.md).
@@ -47,7 +48,7 @@ class Deformer:
         frame = Deformer(field, cage).pose(cage.twist(60)).render(camera)
 
     Args:
-        field: The radiance field.
+        field: The radiance field, a VoxelField or a SplatField.
         rest: A Cage around what is to be deformed, as it is in the field; or a list of Cage or CageEdit, each of which
             acts on the scene that the ones before it left.
         coordinates: "harmonic", "mean_value" or "green".
@@ -58,6 +59,8 @@ class Deformer:
         device: Warp device. None is the field's.
         store: "map" keeps the positions that the weights lead to on the lattice. "weights" keeps the weights
             themselves, as the paper does: many times the memory for the same picture.
+        map: Splats only: "forward" moves them by the coordinates of the cage at rest, "backward" puts them where the
+            voxels' map finds them. None is the field's own way: voxels are always looked up backward.
 
     Raises:
         ValueError: For names that do not exist, harmonic coordinates without a lattice, or a cage that cannot be used.
@@ -75,9 +78,16 @@ class Deformer:
             reads `posed_edits()`.
     """
 
+    def __new__(cls, field: VoxelField | SplatField, *args: Any, **options: Any) -> Deformer:
+        if cls is Deformer and isinstance(field, SplatField):
+            from .splat_deformer import SplatDeformer  # which is one of these
+
+            return super().__new__(SplatDeformer)
+        return super().__new__(cls)
+
     def __init__(
         self,
-        field: VoxelField,
+        field: VoxelField | SplatField,
         rest: Cage | CageEdit | Sequence[Cage | CageEdit],
         *,
         coordinates: str = "harmonic",
@@ -85,8 +95,11 @@ class Deformer:
         density: str = "opacity",
         device: wp.DeviceLike = None,
         store: str = "map",
+        map: str | None = None,
     ):
         require_type(field, VoxelField, "a Deformer needs")
+        if map not in (None, "backward"):
+            raise ValueError(f'map={map!r} is for splats: voxels are looked up backward, "backward" or None')
         if coordinates not in COORDINATES:
             raise ValueError(f"coordinates {coordinates!r} are not known: {', '.join(COORDINATES)}")
         if density not in DENSITIES:

@@ -1,0 +1,140 @@
+"""How much of a splat lies in a cage, and splats that a posed cage covers.
+
+Eq. 5 of "Deforming Radiance Fields with Cages" (ECCV 2022) for matter: what is in the cage at rest goes with it, what is
+outside stays, and gives way where the posed cage comes to be. A splat at the wall does both by its shares: the Gaussian
+of covariance S at signed distance d (negative inside) from a flat wall of normal n has the share Phi(-d / sqrt(n^T S n))
+inside, Phi the normal distribution.
+
+vertices (v,), faces (f,), splats (n,), world units relative to one origin.
+Needs: mesh/containment, splats/pose.
+"""
+
+import warp as wp
+
+from ..mesh.containment import closest_point_on_triangle, winding_number
+from .pose import CarriedSplats
+
+wp.set_module_options({"enable_backward": False})
+
+#: Standard deviations beyond which nothing of a splat is counted.
+FAR = wp.constant(3.0)
+
+
+@wp.struct
+class NearestWall:
+    distance: float  # signed, negative inside
+    place: wp.vec3  # nearest point of the cage
+    normal: wp.vec3  # outward, of the wall as the splat sees it
+
+
+@wp.func
+def nearest_wall(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i)):
+    """The cage's surface nearest to a point. The normal is that from the surface to the point, or of a face where the
+    point is on it."""
+    wall = NearestWall()
+    nearest = float(1.0e30)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        place = closest_point_on_triangle(x, a, b, c)
+        squared = wp.length_sq(x - place)
+        if squared < nearest:
+            nearest = squared
+            wall.place = place
+            wall.normal = wp.normalize(wp.cross(b - a, c - a))
+    length = wp.sqrt(nearest)
+    inside = winding_number(x, vertices, faces) > 0.5
+    if length > 1.0e-6 * wp.max(wp.length(x), length):
+        wall.normal = (x - wall.place) / wp.where(inside, -length, length)
+    wall.distance = wp.where(inside, -length, length)
+    return wall
+
+
+@wp.func
+def share_inside(wall: NearestWall, covariance: wp.mat33):
+    """Share of a Gaussian behind a wall, 0 and 1 beyond FAR standard deviations."""
+    reach = wp.sqrt(wp.max(wp.dot(wall.normal, covariance * wall.normal), 0.0))
+    if wp.abs(wall.distance) >= FAR * reach:
+        return wp.where(wall.distance <= 0.0, 1.0, 0.0)
+    return 0.5 * wp.erfc(wall.distance / (1.4142135623730951 * reach))
+
+
+@wp.func
+def covariance_of(covariances: wp.array2d(dtype=float), n: int):
+    return wp.mat33(
+        covariances[n, 0],
+        covariances[n, 1],
+        covariances[n, 2],
+        covariances[n, 1],
+        covariances[n, 3],
+        covariances[n, 4],
+        covariances[n, 2],
+        covariances[n, 4],
+        covariances[n, 5],
+    )
+
+
+@wp.func
+def is_near_box(x: wp.vec3, covariance: wp.mat33, lower: wp.vec3, upper: wp.vec3):
+    """Whether a splat may reach a box."""
+    for axis in range(3):
+        reach = FAR * wp.sqrt(wp.max(covariance[axis, axis], 0.0))
+        if x[axis] + reach < lower[axis] or x[axis] - reach > upper[axis]:
+            return False
+    return True
+
+
+@wp.kernel
+def measure_shares(
+    first: int,
+    centres: wp.array(dtype=wp.vec3),
+    covariances: wp.array2d(dtype=float),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    lower: wp.vec3,
+    upper: wp.vec3,
+    depth: float,
+    shares: wp.array(dtype=float),
+    anchors: wp.array(dtype=wp.vec3),
+):
+    """shares (n,) of splats inside a cage at rest, 0 to 1, and anchors (n,): the centre, or where it lies outside or
+    nearer to a wall than `depth`, the place at that depth behind the wall. lower, upper: box of the cage."""
+    n = first + wp.tid()
+    x = centres[n]
+    covariance = covariance_of(covariances, n)
+    shares[n] = 0.0
+    anchors[n] = x
+    if not is_near_box(x, covariance, lower, upper):
+        return
+    wall = nearest_wall(x, vertices, faces)
+    shares[n] = share_inside(wall, covariance)
+    if wall.distance > -depth:
+        anchors[n] = wall.place - depth * wall.normal
+
+
+@wp.kernel
+def cover_staying(
+    first: int,
+    members: wp.array(dtype=int),
+    outside: wp.array(dtype=float),
+    rest_covariances: wp.array2d(dtype=float),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    lower: wp.vec3,
+    upper: wp.vec3,
+    carried: CarriedSplats,
+):
+    """Let splats members (m,) that stay give way to a posed cage: of each is left what lies outside of it, and outside
+    (m,), its share outside the cage at rest. lower, upper: box of the posed cage."""
+    m = first + wp.tid()
+    n = members[m]
+    left = outside[m]
+    x = carried.positions[n]
+    jacobian = carried.jacobians[n]
+    covariance = jacobian * covariance_of(rest_covariances, n) * wp.transpose(jacobian)
+    if is_near_box(x, covariance, lower, upper):
+        wall = nearest_wall(x, vertices, faces)
+        left = wp.min(left, 1.0 - share_inside(wall, covariance))
+    carried.shares[n] = carried.shares[n] * left

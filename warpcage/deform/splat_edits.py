@@ -1,0 +1,304 @@
+"""Edits of splats: bound to their cages once, carried along with each pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..cage.cage import Cage
+from ..core.arrays import empty_array
+from ..core.devices import launch
+from ..kernels.splats import fade, follow, inside, invert, pose, splits
+from ..kernels.splats.pose import CarriedSplats
+from ..kernels.splats.splats import Splats
+from ..lattice.position_map import PositionMap
+from ..mesh.containment import SURFACE_TOLERANCE
+from ..splats.binding import RESOLUTION, CageBinding
+from ..splats.splat_field import SplatField
+from ..splats.splitting import split_tree
+from .edits import CageEdit
+from .falloff import FalloffBand
+from .splat_instances import BOUND, CLEARED, FOLLOWED, LEFT, make_instances
+
+#: A splat of a cage is cut in pieces, which a pose may draw in its place, where twice its standard deviation is more
+#: than this share of the cage's size.
+LARGE = 0.02
+
+#: Pieces are drawn where the map takes one this far from the splat's own affine piece, as a share of the cage's size:
+#: half a pixel where the cage is a thousand pixels across.
+BEND_TOLERANCE = 5e-4
+
+#: How far behind the walls the map is taken for splats at them, and how near to its target the inverse must come, as
+#: shares of the cage's size.
+DEPTH, CLOSE = 1e-4, 1e-4
+
+
+class BoundEdit:
+    """One edit on the device: its members, and what binds them.
+
+    Args:
+        edit: The edit.
+        owner: The SplatEdits.
+        index: Number of the edit.
+    """
+
+    def __init__(self, edit: CageEdit, owner: SplatEdits, index: int):
+        device, origin = owner.device, owner.origin
+        self.edit, self.owner, self.index = edit, owner, index
+        actions = owner.instances.actions[index]
+        members = {kind: actions.of(kind) for kind in (BOUND, LEFT, FOLLOWED, CLEARED)}
+        self.members = {kind: wp.array(rows, dtype=wp.int32, device=device) for kind, rows in members.items()}
+        self.outside = wp.array(actions.outside[members[LEFT]], dtype=wp.float32, device=device)
+        self.ways = wp.array(actions.ways[members[FOLLOWED]], dtype=wp.uint8, device=device)
+        self.faces = wp.array(edit.cage.faces, dtype=wp.vec3i, device=device)
+        bound = members[BOUND]
+        nodes = owner.instances.nodes[bound]
+        anchors, centres = owner.anchors[index][nodes], owner.tree.centres[nodes]
+        if len(bound):
+            kind, resolution = owner.coordinates, owner.resolution
+            self.binding = CageBinding(anchors, edit.cage, kind, origin, device, resolution or RESOLUTION)
+        self.anchors = owner.local(anchors)
+        self.offsets = wp.array((centres - anchors).astype(np.float32), dtype=wp.vec3, device=device)
+        self.targets = owner.local(centres)
+        self.missed = wp.zeros(len(bound), dtype=wp.uint8, device=device)
+        self._bends(bound, nodes)
+
+    def _bends(self, bound: np.ndarray, nodes: np.ndarray) -> None:
+        """The members with pieces, for `measure_bends`."""
+        tree, device = self.owner.tree, self.owner.device
+        member_of = np.full(len(tree.rows), -1, np.int32)
+        member_of[nodes[::-1]] = bound[::-1]  # of several copies the first
+        cut = np.flatnonzero((tree.pieces[nodes] >= 0) & (member_of[nodes] == bound))
+        wholes = nodes[cut]
+        pieces = tree.pieces[wholes][:, None] + np.arange(3)
+        offsets = tree.centres[pieces] - tree.centres[wholes][:, None]
+        at_wall = self.owner.shares[self.index][wholes] < 1.0
+        self.bends = [
+            wp.array(bound[cut], dtype=wp.int32, device=device),
+            wp.array(np.ascontiguousarray(member_of[pieces]), dtype=wp.int32, device=device),
+            wp.array(np.ascontiguousarray(offsets.astype(np.float32)), dtype=wp.vec3, device=device),
+            wp.array(at_wall.astype(np.uint8), dtype=wp.uint8, device=device),
+            wp.array(wholes.astype(np.int32), dtype=wp.int32, device=device),
+        ]
+
+    def carry(self, cage: Cage | None, carried: Any, split: wp.array | None) -> None:
+        """Take the splats through a pose of this edit.
+
+        Args:
+            cage: The posed cage, None for an edit that removes.
+            carried: The CarriedSplats of the edits before.
+            split: (nodes,) uint8 that takes which splats are bent, or None where none can be.
+        """
+        owner, edit = self.owner, self.edit
+        if cage is None:
+            self._launch_in(edit.cage, follow.clear_inside, CLEARED, [], carried)
+            return
+        if np.array_equal(cage.vertices, edit.cage.vertices) and not edit.keep_source:
+            self._launch_in(cage, inside.cover_staying, LEFT, [self.outside], carried)
+            return
+        bound = self.members[BOUND]
+        if bound.size:
+            self.binding.carry(cage, bound, self.anchors, self.offsets, carried)
+            if owner.bands[self.index] is not None:
+                walls = owner.bands[self.index].on_device(cage, owner.origin, owner.device)
+                if walls.width > 0.0:
+                    inputs = [bound, owner.centres, walls, carried]
+                    launch(fade.fade_carried, bound.size, inputs, device=owner.device)
+            if owner.maps is not None:
+                self._invert(cage, carried)
+        if split is not None and self.bends[0].size:
+            inputs = [*self.bends, owner.centres, BEND_TOLERANCE * edit.cage.size, carried]
+            launch(splits.measure_bends, self.bends[0].size, inputs, [split], device=owner.device)
+        self._launch_in(cage, inside.cover_staying, LEFT, [self.outside], carried)
+        if self.members[FOLLOWED].size:
+            self._follow(cage, carried)
+
+    def _launch_in(self, inside_cage: Cage, kernel: Any, kind: int, extra: list[Any], carried: Any) -> None:
+        """Launch a kernel that asks where members are in a cage."""
+        owner, members = self.owner, self.members[kind]
+        if not members.size:
+            return
+        low, high = inside_cage.bounds - owner.origin
+        vertices = owner.local(inside_cage.vertices)
+        order = [vertices, self.faces, wp.vec3(*low), wp.vec3(*high)]
+        matter = [owner.covariances] if kind == LEFT else []  # others go as their centres do
+        inputs = [members, *extra, *matter, *order, carried]
+        launch(kernel, members.size, inputs, device=owner.device, work=len(inside_cage.faces))
+
+    def _follow(self, cage: Cage, carried: Any) -> None:
+        """Take along what earlier edits moved, through a lattice over the cage at rest."""
+        owner, edit = self.owner, self.edit
+        options = {"coordinates": owner.coordinates, "resolution": owner.resolution or RESOLUTION}
+        forward = PositionMap(cage, **options, origin=owner.origin, device=owner.device).pose(edit.cage)
+        extra = [self.ways, forward.data, SURFACE_TOLERANCE * edit.cage.size]
+        self._launch_in(cage, follow.follow_map, FOLLOWED, extra, carried)
+
+    def _invert(self, cage: Cage, carried: Any) -> None:
+        """Put the bound splats where the voxels' map finds them."""
+        owner, size = self.owner, self.edit.cage.size
+        backward = owner.maps[self.index].pose(cage).data  # pyright: ignore[reportOptionalSubscript]
+        bound = self.members[BOUND]
+        inputs = [bound, self.targets, backward, SURFACE_TOLERANCE * cage.size, CLOSE * size, carried]
+        launch(invert.invert_map, bound.size, inputs, [self.missed], device=owner.device, work=200)
+
+
+class SplatEdits:
+    """Edits of splats on a device.
+
+    Args:
+        field: The splats, on the device.
+        edits: The edits in their order.
+        coordinates: "harmonic", "mean_value" or "green".
+        resolution: Cells of lattices along the longest side of a cage. None is RESOLUTION.
+        law: LAW_RAYS or LAW_DENSITY of kernels/splats/pose.py.
+        backward: Whether splats go where the voxels' map finds them.
+        bands: The FalloffBand of each edit, None for one without a falloff.
+
+    Attributes:
+        tree: The SplitTree of the splats and their pieces.
+        instances: The Instances that are drawn.
+        maps: A PositionMap of each edit where `backward`, else None.
+        posed: The Splats of the last pose.
+    """
+
+    def __init__(
+        self,
+        field: SplatField,
+        edits: list[CageEdit],
+        coordinates: str,
+        resolution: int | None,
+        law: int,
+        backward: bool,
+        bands: Sequence[FalloffBand | None],
+    ):
+        self.field, self.device, self.origin = field, field.device, field.center
+        self.coordinates, self.resolution, self._law = coordinates, resolution, law
+        self.bands = list(bands)
+        self._edits = edits
+        self.maps: list[PositionMap | None] | None = None
+        if backward:
+            options = {"coordinates": coordinates, "resolution": resolution or RESOLUTION, "origin": self.origin}
+            self.maps = [
+                None if edit.remove else PositionMap(edit.cage, **options, device=self.device).warm() for edit in edits
+            ]
+        self._cut(edits)
+        instances = self.instances = make_instances(edits, self.shares)
+        count, device = len(instances.nodes), self.device
+        nodes = instances.nodes
+        six = self.tree.covariances[nodes][:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+        self.centres = self.local(self.tree.centres[nodes])
+        self.covariances = wp.array(six.astype(np.float32), dtype=wp.float32, device=device)
+        self._opacities = wp.array(self.tree.opacities[nodes].astype(np.float32), dtype=wp.float32, device=device)
+        self._shares = wp.array(instances.shares, dtype=wp.float32, device=device)
+        self._nodes = wp.array(nodes, dtype=wp.int32, device=device)
+        self._parents = wp.array(self.tree.parents.astype(np.int32), dtype=wp.int32, device=device)
+        has_pieces = bool((self.tree.pieces >= 0).any())
+        self._split = wp.zeros(len(self.tree.rows), dtype=wp.uint8, device=device) if has_pieces else None
+        self._hidden = wp.zeros(count if has_pieces else 0, dtype=wp.uint8, device=device)
+        self._carried = CarriedSplats()
+        self._carried.positions = empty_array(count, wp.vec3, device)
+        self._carried.jacobians = empty_array(count, wp.mat33, device)
+        self._carried.shares = empty_array(count, wp.float32, device)
+        self._bound = [BoundEdit(edit, self, index) for index, edit in enumerate(edits)]
+        self._posed = self._empty_splats(count)
+        self.posed: Any = None
+
+    def _cut(self, edits: list[CageEdit]) -> None:
+        """The tree of pieces, and which share of each node is in each cage, and where the map is taken for it."""
+        field = self.field
+        centres = field.contents.centres.astype(np.float64)
+        factors = field.rotations * field.scales[:, None, :]
+        shares, anchors = self._measure(edits, centres, field.covariances)
+        largest = np.full(len(centres), np.inf)
+        for edit, share in zip(edits, shares, strict=True):
+            if not edit.remove:
+                largest[share > 0.0] = np.minimum(largest[share > 0.0], 0.5 * LARGE * edit.cage.size)
+        self.tree = split_tree(centres, factors, field.opacities, largest)
+        count = len(centres)
+        if len(self.tree.rows) > count:
+            more, places = self._measure(edits, self.tree.centres[count:], self.tree.covariances[count:])
+            shares, anchors = np.concatenate([shares, more], axis=1), np.concatenate([anchors, places], axis=1)
+        self.shares, self.anchors = shares, anchors
+
+    def _measure(
+        self, edits: list[CageEdit], centres: np.ndarray, covariances: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(edits, n) shares inside the cages at rest, and (edits, n, 3) anchors, world units."""
+        device, count = self.device, len(centres)
+        six = covariances[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].astype(np.float32)
+        six = wp.array(six, dtype=wp.float32, device=device)
+        local = self.local(centres)
+        found = []
+        for edit in edits:
+            share, anchor = empty_array(count, wp.float32, device), empty_array(count, wp.vec3, device)
+            low, high = edit.cage.bounds - self.origin
+            faces = wp.array(edit.cage.faces, dtype=wp.vec3i, device=device)
+            inputs = [local, six, self.local(edit.cage.vertices), faces, wp.vec3(*low), wp.vec3(*high)]
+            inputs.append(DEPTH * edit.cage.size)
+            launch(inside.measure_shares, count, inputs, [share, anchor], device=device, work=len(edit.cage.faces))
+            moved = np.any(anchor.numpy() != local.numpy(), axis=1)
+            places = np.where(moved[:, None], anchor.numpy().astype(np.float64) + self.origin, centres)
+            found.append((share.numpy(), places))
+        shares, anchors = zip(*found, strict=True)
+        return np.stack(shares), np.stack(anchors)
+
+    def local(self, points: np.ndarray) -> wp.array:
+        """(n,) vec3 on the device, relative to the origin; points (n, 3) world units."""
+        return wp.array((points - self.origin).astype(np.float32), dtype=wp.vec3, device=self.device)
+
+    def _empty_splats(self, count: int) -> Any:
+        """The Splats that poses are written to."""
+        splats, rest, device = Splats(), self.field.splats, self.device
+        splats.centres, splats.turns = empty_array(count, wp.vec3, device), empty_array(count, wp.quat, device)
+        splats.covariances = empty_array((count, 6), wp.float32, device)
+        splats.opacities = empty_array(count, wp.float32, device)
+        splats.harmonics, splats.degree = rest.harmonics, rest.degree
+        rows = self.tree.rows[self.instances.nodes].astype(np.int32)
+        own = count == self.field.splat_count and np.array_equal(rows, np.arange(count))
+        splats.rows = empty_array(0, wp.int32, device) if own else wp.array(rows, dtype=wp.int32, device=device)
+        return splats
+
+    def is_at_rest(self, cages: Sequence[Cage | None]) -> bool:
+        """Whether a pose leaves everything as it is."""
+        return all(
+            cage is not None and np.array_equal(cage.vertices, edit.cage.vertices)
+            for edit, cage in zip(self._edits, cages, strict=True)
+        )
+
+    def pose(self, cages: Sequence[Cage | None]) -> None:
+        """Carry the splats to a pose; `posed` has them then.
+
+        Args:
+            cages: The posed cages in the order of the edits, None for an edit that removes.
+        """
+        if self.is_at_rest(cages):  # to the bit: nothing is in pieces or shares
+            self.posed = self.field.splats
+            return
+        count, device = self._nodes.size, self.device
+        inputs = [self.centres, self._shares, self._carried]
+        launch(pose.start_splats, count, inputs, device=device)
+        if self._split is not None:
+            self._split.zero_()
+        for bound, cage in zip(self._bound, cages, strict=True):
+            bound.carry(cage, self._carried, self._split)
+        if self._split is not None:
+            inputs = [self._nodes, self._parents, self._split]
+            launch(splits.hide_splats, count, inputs, [self._hidden], device=device)
+        out = self._posed
+        inputs = [self._law, self.covariances, self._opacities, self._hidden, self._carried]
+        outputs = [out.centres, out.covariances, out.opacities, out.turns]
+        launch(pose.finish_splats, count, inputs, outputs, device=device)
+        self.posed = out
+
+    @property
+    def carried(self) -> Any:
+        """The CarriedSplats of the last pose that was not at rest."""
+        return self._carried
+
+    @property
+    def missed_count(self) -> int:
+        """Splats that the inverse of the voxels' map did not find a place for in the last pose."""
+        return int(sum(int(bound.missed.numpy().sum()) for bound in self._bound))

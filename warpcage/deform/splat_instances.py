@@ -1,0 +1,100 @@
+"""Which splats a list of edits makes of a field of splats, and what each edit does to each of them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..kernels.splats.follow import GOES, GOES_OR_STAYS, STAYS
+from .edits import CageEdit
+
+#: What an edit does to a splat: nothing; it goes along with the cage, bound to it at rest; it stays, and gives way; it is
+#: followed to where earlier edits took it, in one of the three ways; it is cleared if it got there.
+NOTHING, BOUND, LEFT, FOLLOWED, CLEARED = range(5)
+
+
+@dataclasses.dataclass
+class EditActions:
+    """What one edit does to each splat.
+
+    Args:
+        kinds: (n,) uint8 NOTHING, BOUND, LEFT, FOLLOWED or CLEARED.
+        outside: (n,) float32, of LEFT splats the share that stays at most.
+        ways: (n,) uint8, of FOLLOWED splats the way of kernels/splats/follow.py.
+    """
+
+    kinds: np.ndarray
+    outside: np.ndarray
+    ways: np.ndarray
+
+    def of(self, kind: int) -> np.ndarray:
+        """(m,) int32 the splats with an action."""
+        return np.flatnonzero(self.kinds == kind).astype(np.int32)
+
+
+@dataclasses.dataclass
+class Instances:
+    """Splats as they are drawn: of one node of a SplitTree each, whole or in part, or a copy.
+
+    Args:
+        nodes: (n,) int32 node of each.
+        shares: (n,) float32 of the optical depth of the node.
+        actions: For each edit.
+    """
+
+    nodes: np.ndarray
+    shares: np.ndarray
+    actions: list[EditActions]
+
+
+def make_instances(edits: list[CageEdit], shares: np.ndarray) -> Instances:
+    """The splats that edits make of nodes.
+
+    A splat in the cage at rest goes with it. One at its wall does so by its share and stays by the rest. A copy stays
+    where an edit keeps its source. What an earlier edit moves is followed.
+
+    Args:
+        edits: The edits in their order.
+        shares: (edits, nodes) of each node inside the cage of each edit at rest, 0 to 1.
+
+    Returns:
+        The instances.
+    """
+    count = shares.shape[1]
+    nodes, held = np.arange(count, dtype=np.int32), np.ones(count, np.float32)
+    moved = np.zeros(count, dtype=bool)
+    actions: list[EditActions] = []
+    for edit, inside in zip(edits, shares, strict=True):
+        share = inside[nodes].astype(np.float32)
+        new = EditActions(*(np.zeros(len(nodes), kind) for kind in (np.uint8, np.float32, np.uint8)))
+        actions.append(new)
+        if edit.remove:
+            new.kinds[moved] = CLEARED
+            held[~moved] *= 1.0 - share[~moved]
+            nodes, held, moved = _rows(np.flatnonzero(held > 0.0), nodes, held, moved, actions)
+            continue
+        goes, stays = ~moved & (share > 0.0), ~moved & ((share < 1.0) | edit.keep_source)
+        new.kinds[goes], new.kinds[stays & ~goes], new.kinds[moved] = BOUND, LEFT, FOLLOWED
+        new.outside[:] = 1.0 if edit.keep_source else 1.0 - share
+        new.ways[:] = GOES if edit.keep_source else GOES_OR_STAYS
+        twice = np.flatnonzero((goes & stays) | (moved & edit.keep_source))
+        first, whole = len(nodes), held.copy()
+        held[goes] *= share[goes]
+        moved = moved | goes
+        nodes, held, moved = _rows(np.concatenate([np.arange(first), twice]), nodes, held, moved, actions)
+        held[first:] = whole[twice]  # how much of it stays each pose says
+        copies = np.arange(first, len(nodes))
+        followed = new.kinds[copies] == FOLLOWED
+        new.kinds[copies[~followed]], new.ways[copies[followed]] = LEFT, STAYS
+        moved[copies[~followed]] = False
+    return Instances(nodes, held, actions)
+
+
+def _rows(
+    rows: np.ndarray, nodes: np.ndarray, held: np.ndarray, moved: np.ndarray, actions: list[EditActions]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Some of the instances, or copies of them, with their history."""
+    for action in actions:
+        action.kinds, action.outside, action.ways = action.kinds[rows], action.outside[rows], action.ways[rows]
+    return nodes[rows], held[rows], moved[rows]

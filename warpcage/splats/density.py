@@ -1,0 +1,80 @@
+"""The matter of splats as densities on a grid: for cages, selections and walls."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..core.arrays import empty_array
+from ..core.checks import checked_bounds, checked_whole
+from ..core.devices import launch
+from ..core.memory import require_memory
+from ..kernels.splats.density import deposit_splats
+from .splat_field import LEAST_OPACITY, SplatField
+
+#: Nodes along the longest side of a grid where nobody asks for another number, and at most.
+RESOLUTION, MOST_RESOLUTION = 128, 1024
+
+
+class SplatDensity:
+    """Densities of splats at the nodes of a grid: what `Cage.from_field`, `select_nodes` and `extract_mesh` read.
+
+    Node (i, j, k) lies at bounds[0] + (i + 0.5) * voxel_size. A splat counts by its covariance and opacity, not by its
+    centre alone (kernels/splats/density.py).
+
+    Args:
+        field: The splats.
+        resolution: Nodes along the longest side of the box, 2 to 1024.
+        bounds: (2, 3) box to look at, world units. None is that of all splats.
+
+    Raises:
+        ValueError: For bounds or a resolution out of range, or too little memory.
+
+    Attributes:
+        field: As given.
+        bounds: (2, 3) float64, world units; a whole number of voxels.
+        voxel_size: (3,) float64, world units.
+        straightening: None: the coordinates are those of the file.
+    """
+
+    def __init__(self, field: SplatField, resolution: int = RESOLUTION, bounds: ArrayLike | None = None):
+        self.field, self.straightening = field, None
+        box = field.bounds if bounds is None else checked_bounds(bounds)
+        side = float((box[1] - box[0]).max()) / checked_whole(resolution, "resolution", 2, MOST_RESOLUTION)
+        shape = np.maximum(np.ceil((box[1] - box[0]) / side - 1e-6).astype(int), 2)
+        self.voxel_size = np.full(3, side)
+        middle = box.mean(axis=0)
+        self.bounds = np.stack([middle - 0.5 * side * shape, middle + 0.5 * side * shape])
+        nodes = int(np.prod(shape, dtype=np.int64))
+        require_memory(8 * nodes, field.device, f"{' x '.join(map(str, shape))} nodes need {{size}}: take fewer")
+        density = empty_array(tuple(int(n) for n in shape), wp.float32, field.device)
+        density.zero_()
+        lower = wp.vec3(*(self.bounds[0] + 0.5 * side - field.center))
+        inputs = [field.splats, lower, side, LEAST_OPACITY]
+        launch(deposit_splats, field.splat_count, inputs, [density], device=field.device, threads=1, work=1000)
+        self._density = density.numpy()
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) what is up in the world."""
+        return self.field.up
+
+    def node_densities(self) -> np.ndarray:
+        """(nx, ny, nz) float32 densities, per world unit."""
+        return self._density
+
+    def sample(self, points: ArrayLike, directions: ArrayLike | None = None) -> tuple[None, np.ndarray]:
+        """Densities at points, between the nodes; no colours.
+
+        Args:
+            points: (n, 3) world units.
+            directions: Not looked at.
+
+        Returns:
+            None and (n,) float64, per world unit.
+        """
+        from scipy.ndimage import map_coordinates
+
+        places = (np.asarray(points, np.float64) - self.bounds[0]) / self.voxel_size - 0.5
+        return None, map_coordinates(self._density, places.T, order=1, mode="nearest", output=np.float64)

@@ -1,0 +1,121 @@
+"""Splats in pieces: three Gaussians along an axis that look like the one that they are pieces of."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+#: Standard deviation of a piece along the axis that is cut, in those of the whole.
+PIECE = 0.65
+
+#: Least squares over the picture of a splat seen from the side, alphas composited: opacity of the whole; of the piece in
+#: the middle; of the two at the sides; their distance from it, in standard deviations of the whole; and how much
+#: narrower the pieces are across. Worst errors of alpha: 0.0015 at 0.1, 0.011 at 0.5, 0.046 at 0.99.
+_TABLE = np.array(
+    [
+        (0.0, 0.0, 0.0, 1.0493, 1.0),
+        (0.1, 0.0827, 0.0359, 1.0400, 0.9953),
+        (0.2, 0.1675, 0.0730, 1.0306, 0.9904),
+        (0.3, 0.2551, 0.1114, 1.0210, 0.9851),
+        (0.4, 0.3459, 0.1511, 1.0114, 0.9793),
+        (0.5, 0.4406, 0.1923, 1.0017, 0.9732),
+        (0.6, 0.5401, 0.2350, 0.9921, 0.9666),
+        (0.7, 0.6455, 0.2791, 0.9826, 0.9596),
+        (0.8, 0.7580, 0.3248, 0.9735, 0.9520),
+        (0.9, 0.8792, 0.3720, 0.9649, 0.9438),
+        (0.95, 0.9437, 0.3960, 0.9609, 0.9396),
+        (1.0, 1.0, 0.4215, 0.9570, 0.9352),
+    ]
+)
+
+#: Pieces of pieces are cut no more often than this.
+MOST_CUTS = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class SplitTree:
+    """Splats and their pieces. A node is a splat or a piece.
+
+    Args:
+        rows: (nodes,) the splat that each node is, or is a piece of.
+        parents: (nodes,) the node that each is a piece of, -1 for splats.
+        pieces: (nodes,) the first of the three pieces of each node, -1 for those that are not cut.
+        centres: (nodes, 3) world units.
+        factors: (nodes, 3, 3) axes times standard deviations, one per column.
+        opacities: (nodes,) 0 to 1.
+    """
+
+    rows: np.ndarray
+    parents: np.ndarray
+    pieces: np.ndarray
+    centres: np.ndarray
+    factors: np.ndarray
+    opacities: np.ndarray
+
+    @property
+    def covariances(self) -> np.ndarray:
+        """(nodes, 3, 3) world units squared."""
+        return self.factors @ self.factors.transpose(0, 2, 1)
+
+
+def pieces_of(
+    centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Three pieces of each splat along its longest axis, which together look like it.
+
+    Args:
+        centres: (n, 3).
+        factors: (n, 3, 3) axes times standard deviations, one per column.
+        opacities: (n,) 0 to 1.
+
+    Returns:
+        Centres (n, 3, 3), factors (n, 3, 3, 3) and opacities (n, 3) of the pieces: the middle one, and those at the
+        sides.
+    """
+    middle, side, distance, across = (np.interp(opacities, _TABLE[:, 0], column) for column in _TABLE[:, 1:].T)
+    longest = np.argmax((factors**2).sum(axis=1), axis=1)
+    rows = np.arange(len(centres))
+    axis = factors[rows, :, longest] * distance[:, None]
+    cut = factors * across[:, None, None]
+    cut[rows, :, longest] = PIECE * factors[rows, :, longest]
+    return (
+        np.stack([centres, centres - axis, centres + axis], axis=1),
+        np.repeat(cut[:, None], 3, axis=1),
+        np.stack([middle, side, side], axis=1),
+    )
+
+
+def split_tree(
+    centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray, largest: np.ndarray, cuts: int = MOST_CUTS
+) -> SplitTree:
+    """Splats, and pieces of those that are large.
+
+    Args:
+        centres: (n, 3) world units.
+        factors: (n, 3, 3) axes times standard deviations, one per column.
+        opacities: (n,) 0 to 1.
+        largest: (n,) the standard deviation above which a splat, and its pieces, are cut; infinite for never.
+        cuts: How often at most.
+
+    Returns:
+        The tree. Its first n nodes are the splats.
+    """
+    count = len(centres)
+    nodes = [(np.arange(count), np.full(count, -1), centres, factors, opacities)]
+    pieces = [np.full(count, -1)]
+    begin, total = 0, count
+    for _ in range(cuts):
+        rows, _, places, axes, alphas = nodes[-1]
+        cut = np.flatnonzero(np.sqrt((axes**2).sum(axis=1).max(axis=1, initial=0.0)) > largest[rows])
+        if not len(cut):
+            break
+        pieces[-1][cut] = total + 3 * np.arange(len(cut))
+        new_places, new_axes, new_alphas = pieces_of(places[cut], axes[cut], alphas[cut])
+        parents = np.repeat(begin + cut, 3)
+        flat = (new_places.reshape(-1, 3), new_axes.reshape(-1, 3, 3), new_alphas.reshape(-1))
+        nodes.append((np.repeat(rows[cut], 3), parents, *flat))
+        pieces.append(np.full(3 * len(cut), -1))
+        begin, total = total, total + 3 * len(cut)
+    rows, parents, places, axes, alphas = (np.concatenate(parts) for parts in zip(*nodes, strict=True))
+    return SplitTree(rows, parents, np.concatenate(pieces), places, axes, alphas)
