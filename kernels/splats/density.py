@@ -37,8 +37,8 @@ def smallest_eigenvalue(s: wp.mat33):
 def deposit_splats(
     first: int, splats: Splats, lower: wp.vec3, side: float, least: float, density: wp.array3d(dtype=float)
 ):
-    """Add splats of opacity `least` or more to density (nx, ny, nz); node (i, j, k) lies at lower + side (i, j, k). Items
-    write to the same nodes."""
+    """Add splats of opacity `least` or more to density (nx, ny, nz); node (i, j, k) lies at lower + side (i, j, k).
+    Items write to the same nodes."""
     n = first + wp.tid()
     opacity = wp.min(splats.opacities[n], OPAQUE)
     if opacity < least:

@@ -1,9 +1,9 @@
 """Splats that an earlier edit has moved, through the edits after it; forward maps on lattices.
 
-"Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 5, for matter: each edit acts on the scene that the ones before it
-left. Where a splat is then is known with each pose only, so that it is carried through the forward map of the edit, which
-is looked up on a lattice over the cage at rest; derivatives are central differences over half a cell to each side.
-Such a splat goes, stays and gives way as its centre does.
+"Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 5, for matter: each edit acts on the scene that the ones before
+it left. Where a splat is then is known with each pose only, so that it is carried through the forward map of the edit,
+which is looked up on a lattice over the cage at rest; derivatives are central differences over half a cell to each
+side. Such a splat goes, stays and gives way as its centre does.
 Needs: lattice/cage_map, mesh/containment, splats/pose.
 """
 
@@ -57,8 +57,8 @@ def follow_map(
     upper: wp.vec3,
     carried: CarriedSplats,
 ):
-    """Splats members (m,), ways (m,), through an edit. forward: from the cage at rest, where its distances are of, to the
-    posed one, of vertices (v,) and faces (f,) in the box lower to upper."""
+    """Splats members (m,), ways (m,), through an edit. forward: from the cage at rest, where its distances are of, to
+    the posed one, of vertices (v,) and faces (f,) in the box lower to upper."""
     m = first + wp.tid()
     n = members[m]
     way = int(ways[m])

@@ -1,9 +1,9 @@
 """How much of a splat lies in a cage, and splats that a posed cage covers.
 
-Eq. 5 of "Deforming Radiance Fields with Cages" (ECCV 2022) for matter: what is in the cage at rest goes with it, what is
-outside stays, and gives way where the posed cage comes to be. A splat at the wall does both by its shares: the Gaussian
-of covariance S at signed distance d (negative inside) from a flat wall of normal n has the share Phi(-d / sqrt(n^T S n))
-inside, Phi the normal distribution.
+Eq. 5 of "Deforming Radiance Fields with Cages" (ECCV 2022) for matter: what is in the cage at rest goes with it, what
+is outside stays, and gives way where the posed cage comes to be. A splat at the wall does both by its shares: the
+Gaussian of covariance S at signed distance d (negative inside) from a flat wall of normal n has the share Phi(-d /
+sqrt(n^T S n)) inside, Phi the normal distribution.
 
 vertices (v,), faces (f,), splats (n,), world units relative to one origin.
 Needs: mesh/containment, splats/pose.

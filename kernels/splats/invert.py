@@ -1,9 +1,9 @@
 """Splats put where the map of the voxels finds them: the backward map of a posed cage, inverted.
 
-Voxels look each point x of the posed scene up in the cage at rest, psi(x) = sum_j w'_j(x) v_j with the coordinates w' of
-the posed cage ("Deforming Radiance Fields with Cages", ECCV 2022, section 3.2). For a splat at c this is solved the other
-way, psi(x) = c, by Newton's method from where the forward map takes it, on the lattice of the posed cage, so that splats
-and voxels under one cage coincide. J is the inverse of psi's.
+Voxels look each point x of the posed scene up in the cage at rest, psi(x) = sum_j w'_j(x) v_j with the coordinates w'
+of the posed cage ("Deforming Radiance Fields with Cages", ECCV 2022, section 3.2). For a splat at c this is solved the
+other way, psi(x) = c, by Newton's method from where the forward map takes it, on the lattice of the posed cage, so that
+splats and voxels under one cage coincide. J is the inverse of psi's.
 Needs: lattice/cage_map, splats/follow, splats/pose.
 """
 

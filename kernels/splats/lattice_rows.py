@@ -27,10 +27,12 @@ def bind_lattice(
     n = first + wp.tid()
     x = points[n]
     value = map_position(cage_map, x)
-    half = 0.5 * scale
-    dx = half * (map_position(cage_map, x + wp.vec3(1.0, 0.0, 0.0)) - map_position(cage_map, x - wp.vec3(1.0, 0.0, 0.0)))
-    dy = half * (map_position(cage_map, x + wp.vec3(0.0, 1.0, 0.0)) - map_position(cage_map, x - wp.vec3(0.0, 1.0, 0.0)))
-    dz = half * (map_position(cage_map, x + wp.vec3(0.0, 0.0, 1.0)) - map_position(cage_map, x - wp.vec3(0.0, 0.0, 1.0)))
+    i = wp.vec3(1.0, 0.0, 0.0)
+    j = wp.vec3(0.0, 1.0, 0.0)
+    k = wp.vec3(0.0, 0.0, 1.0)
+    dx = 0.5 * scale * (map_position(cage_map, x + i) - map_position(cage_map, x - i))
+    dy = 0.5 * scale * (map_position(cage_map, x + j) - map_position(cage_map, x - j))
+    dz = 0.5 * scale * (map_position(cage_map, x + k) - map_position(cage_map, x - k))
     for c in range(3):
         if column + c < rows.shape[0]:
             rows[column + c, n] = wp.vec4(value[c], dx[c], dy[c], dz[c])

@@ -1,9 +1,9 @@
 """Mean value coordinates of points and their gradients, in float64: rows by which points are carried along with a cage.
 
-Floater, Kos and Reimers, "Mean value coordinates in 3D" (CAGD 2005), in the form of coordinates/mean_value. With a, b, c
-the corners of a face seen from the point x, C_a = b x c, beta_a the angle between b and c, n_a = C_a / |C_a|,
-m = sum_i beta_i n_i and D = det(a, b, c) = N . a, a face gives corner a the weight w_a = C_a . m / (2 D). Corners move
-by -dx where x moves by dx, so that
+Floater, Kos and Reimers, "Mean value coordinates in 3D" (CAGD 2005), in the form of coordinates/mean_value. With a, b,
+c the corners of a face seen from the point x, C_a = b x c, beta_a the angle between b and c, n_a = C_a / |C_a|, m =
+sum_i beta_i n_i and D = det(a, b, c) = N . a, a face gives corner a the weight w_a = C_a . m / (2 D). Corners move by
+-dx where x moves by dx, so that
 
     d C_a = dx x (b - c),    d beta_a = (n_a x (b / |b|^2 - c / |c|^2)) . dx,    d D = -N . dx,
     d (beta n) = n d beta + beta / |C| (d C - n (n . d C)),

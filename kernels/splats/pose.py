@@ -3,7 +3,8 @@
 Splats are matter and move forward: phi(x) = A x + t + sum_j w_j(x) r_j, with the coordinates w of the cage at rest, A
 and t what fits the pose best among the maps that they reproduce, and r_j what that leaves of the posed vertices (of
 Green coordinates also of the stretched normals). So affine poses (Green: similarities) hold to the last digits. Its
-Jacobian is J = A + sum_j r_j (grad w_j)^T; the covariance S becomes J S J^T, harmonics turn by the rotation nearest to J.
+Jacobian is J = A + sum_j r_j (grad w_j)^T; the covariance S becomes J S J^T, harmonics turn by the rotation nearest to
+J.
 
 Opacity law, by `law`. LAW_RAYS keeps the opacity: a ray through the posed splat is as opaque as the ray that the map
 takes it from is through the splat at rest, as both pass it at the same distance in its own units (3DGS takes a splat's
@@ -34,12 +35,7 @@ class CarriedSplats:
 
 
 @wp.kernel
-def start_splats(
-    first: int,
-    centres: wp.array(dtype=wp.vec3),
-    shares: wp.array(dtype=float),
-    carried: CarriedSplats,
-):
+def start_splats(first: int, centres: wp.array(dtype=wp.vec3), shares: wp.array(dtype=float), carried: CarriedSplats):
     """All splats at rest; shares (n,): of the optical depth that each has of its own."""
     n = first + wp.tid()
     carried.positions[n] = centres[n]

@@ -1,9 +1,9 @@
 """Which splats a pose bends so much that their pieces are drawn in their place.
 
 phi is affine over a splat up to half its second derivative times the extent squared. The pieces of a splat lie about a
-standard deviation from its centre; how far the map takes them from where the splat's own affine piece takes them is that
-remainder, measured. A splat whose pieces are off by more than a tolerance is hidden and its pieces are drawn, each of
-which may be split again. (GSDeformer takes seven points of each splat instead.)
+standard deviation from its centre; how far the map takes them from where the splat's own affine piece takes them is
+that remainder, measured. A splat whose pieces are off by more than a tolerance is hidden and its pieces are drawn, each
+of which may be split again. (GSDeformer takes seven points of each splat instead.)
 
 Nodes: the splats as they are, then pieces of pieces (nodes,). Splats (n,): what is drawn, each of one node.
 Needs: splats/pose.
@@ -29,9 +29,9 @@ def measure_bends(
     carried: CarriedSplats,
     split: wp.array(dtype=wp.uint8),
 ):
-    """split[nodes[m]] becomes 1 where splat whole[m] (m,) is bent by more than the tolerance, world units. pieces (m, 3):
-    the splats that are its pieces, -1 for one that does not go along; offsets (m, 3) to them at rest; at_wall (m,): 1
-    where it goes along in part, and is split once it moves; rest (n,): splats at rest."""
+    """split[nodes[m]] becomes 1 where splat whole[m] (m,) is bent by more than the tolerance, world units. pieces (m,
+    3): the splats that are its pieces, -1 for one that does not go along; offsets (m, 3) to them at rest; at_wall (m,):
+    1 where it goes along in part, and is split once it moves; rest (n,): splats at rest."""
     m = first + wp.tid()
     n = whole[m]
     bend = float(0.0)
@@ -55,8 +55,8 @@ def hide_splats(
     split: wp.array(dtype=wp.uint8),
     hidden: wp.array(dtype=wp.uint8),
 ):
-    """hidden (n,): 1 for splats that are split, and for pieces of splats that are not. nodes (n,); parents (nodes,): the
-    node that each is a piece of, or -1."""
+    """hidden (n,): 1 for splats that are split, and for pieces of splats that are not. nodes (n,); parents (nodes,):
+    the node that each is a piece of, or -1."""
     n = first + wp.tid()
     node = nodes[n]
     is_hidden = split[node]

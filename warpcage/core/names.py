@@ -13,6 +13,9 @@ DENSITIES = ("opacity", "paper")
 #: What a map on a lattice keeps, as `store=` takes them.
 STORES = ("map", "weights")
 
+#: How splats follow a cage, as `map=` takes them.
+SPLAT_MAPS = ("forward", "backward")
+
 #: Qualities of a fit, as `quality=` takes them; `fitting.options` says what each sets.
 QUALITIES = ("fast", "standard", "high")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import overload
+
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
@@ -13,8 +15,10 @@ from ..core.memory import require_memory
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.deform.bake import bake_nodes, mark_filled_nodes
+from ..splats.splat_field import SplatField
 from .deformer import Deformer
 from .lattice_edits import LatticeEdits
+from .splat_deformer import SplatDeformer
 
 #: Cells of the lattice that stands in for a Deformer without one.
 STAND_IN_RESOLUTION = 128
@@ -26,8 +30,10 @@ NODE_BYTES, VOXEL_BYTES = 16, 160
 MIN_RESOLUTION, MAX_RESOLUTION = 2, 2048
 
 
-def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | None = None) -> VoxelField:
-    """Resample the deformed scene into a VoxelField, which renders faster and is saved in any format.
+def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | None = None) -> VoxelField | SplatField:
+    """The deformed scene as a field that needs no cage: voxels resampled, which render faster; splats as they are.
+
+    Of splats see `SplatDeformer.baked`; the rest is about voxels, which are saved in any format.
 
     The new field's bounds are the box of what is found; backgrounds, `up` and supersampling are the source's, and it
     has no training rays' weights. Harmonics are turned by the rotation of the map's Jacobian (polar decomposition),
@@ -41,8 +47,8 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | 
 
     Args:
         deformer: The posed Deformer.
-        resolution: Voxels along the longest side of `bounds`. None takes voxels whose side is the smallest side of the
-            field's voxels.
+        resolution: Voxels along the longest side of `bounds`. None, as splats need it, takes voxels whose side is the
+            smallest side of the field's voxels.
         bounds: (2, 3) box to look in, world units. None is all that the field and the deformed cages reach.
 
     Returns:
@@ -52,6 +58,10 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | 
         ValueError: For bounds or a resolution out of range, where nothing is found, or for too little memory.
     """
     require_type(deformer, Deformer, "bake needs")
+    if isinstance(deformer, SplatDeformer):
+        if resolution is not None or bounds is not None:
+            raise ValueError("splats are baked one by one: leave resolution and bounds out")
+        return deformer.baked()
     with deformer.lock:
         return _baked(deformer, resolution, bounds)
 

@@ -98,6 +98,7 @@ class Deformer:
         map: str | None = None,
     ):
         require_type(field, VoxelField, "a Deformer needs")
+        assert isinstance(field, VoxelField)
         if map not in (None, "backward"):
             raise ValueError(f'map={map!r} is for splats: voxels are looked up backward, "backward" or None')
         if coordinates not in COORDINATES:

@@ -25,7 +25,10 @@ from .splat_instances import BOUND, CLEARED, FOLLOWED, LEFT, make_instances
 
 #: A splat of a cage is cut in pieces, which a pose may draw in its place, where twice its standard deviation is more
 #: than this share of the cage's size.
-LARGE = 0.02
+LARGE = 0.04
+
+#: Pieces that are kept beside so many splats: as many again, and some.
+PIECES_A_SPLAT, FREE_PIECES = 1, 20_000
 
 #: Pieces are drawn where the map takes one this far from the splat's own affine piece, as a share of the cage's size:
 #: half a pixel where the cage is a thousand pixels across.
@@ -102,13 +105,13 @@ class BoundEdit:
         bound = self.members[BOUND]
         if bound.size:
             self.binding.carry(cage, bound, self.anchors, self.offsets, carried)
-            if owner.bands[self.index] is not None:
-                walls = owner.bands[self.index].on_device(cage, owner.origin, owner.device)
+            if (band := owner.bands[self.index]) is not None:
+                walls = band.on_device(cage, owner.origin, owner.device)
                 if walls.width > 0.0:
                     inputs = [bound, owner.centres, walls, carried]
                     launch(fade.fade_carried, bound.size, inputs, device=owner.device)
-            if owner.maps is not None:
-                self._invert(cage, carried)
+            if (position_map := owner.maps[self.index]) is not None:
+                self._invert(position_map, cage, carried)
         if split is not None and self.bends[0].size:
             inputs = [*self.bends, owner.centres, BEND_TOLERANCE * edit.cage.size, carried]
             launch(splits.measure_bends, self.bends[0].size, inputs, [split], device=owner.device)
@@ -136,10 +139,10 @@ class BoundEdit:
         extra = [self.ways, forward.data, SURFACE_TOLERANCE * edit.cage.size]
         self._launch_in(cage, follow.follow_map, FOLLOWED, extra, carried)
 
-    def _invert(self, cage: Cage, carried: Any) -> None:
+    def _invert(self, position_map: PositionMap, cage: Cage, carried: Any) -> None:
         """Put the bound splats where the voxels' map finds them."""
         owner, size = self.owner, self.edit.cage.size
-        backward = owner.maps[self.index].pose(cage).data  # pyright: ignore[reportOptionalSubscript]
+        backward = position_map.pose(cage).data
         bound = self.members[BOUND]
         inputs = [bound, self.targets, backward, SURFACE_TOLERANCE * cage.size, CLOSE * size, carried]
         launch(invert.invert_map, bound.size, inputs, [self.missed], device=owner.device, work=200)
@@ -160,7 +163,7 @@ class SplatEdits:
     Attributes:
         tree: The SplitTree of the splats and their pieces.
         instances: The Instances that are drawn.
-        maps: A PositionMap of each edit where `backward`, else None.
+        maps: A PositionMap of each edit where `backward`; None for one that removes, and where not.
         posed: The Splats of the last pose.
     """
 
@@ -178,7 +181,7 @@ class SplatEdits:
         self.coordinates, self.resolution, self._law = coordinates, resolution, law
         self.bands = list(bands)
         self._edits = edits
-        self.maps: list[PositionMap | None] | None = None
+        self.maps: list[PositionMap | None] = [None] * len(edits)
         if backward:
             options = {"coordinates": coordinates, "resolution": resolution or RESOLUTION, "origin": self.origin}
             self.maps = [
@@ -216,8 +219,9 @@ class SplatEdits:
         for edit, share in zip(edits, shares, strict=True):
             if not edit.remove:
                 largest[share > 0.0] = np.minimum(largest[share > 0.0], 0.5 * LARGE * edit.cage.size)
-        self.tree = split_tree(centres, factors, field.opacities, largest)
         count = len(centres)
+        most = count * (1 + PIECES_A_SPLAT) + FREE_PIECES
+        self.tree = split_tree(centres, factors, field.opacities, largest, most=most)
         if len(self.tree.rows) > count:
             more, places = self._measure(edits, self.tree.centres[count:], self.tree.covariances[count:])
             shares, anchors = np.concatenate([shares, more], axis=1), np.concatenate([anchors, places], axis=1)

@@ -9,8 +9,8 @@ import numpy as np
 from ..kernels.splats.follow import GOES, GOES_OR_STAYS, STAYS
 from .edits import CageEdit
 
-#: What an edit does to a splat: nothing; it goes along with the cage, bound to it at rest; it stays, and gives way; it is
-#: followed to where earlier edits took it, in one of the three ways; it is cleared if it got there.
+#: What an edit does to a splat: nothing; it goes along with the cage, bound to it at rest; it stays, and gives way; it
+#: is followed to where earlier edits took it, in one of the three ways; it is cleared if it got there.
 NOTHING, BOUND, LEFT, FOLLOWED, CLEARED = range(5)
 
 

@@ -1,10 +1,9 @@
 """Niantic's .spz files: splats of 20 bytes and a byte for each further harmonic, packed by gzip.
 
 Versions 2 (rotations of three bytes) and 3 (of four) are read, version 3 is written. After 16 bytes of header come the
-positions (24 bits, fixed point), opacities, colours, logarithms of scales, rotations and harmonics of all splats. Such a
-file has x to the right, y up and z backward where PLY files of splats have y down and z forward: so that one object is
-in one place whichever file it comes from, y and z change their signs on the way in and out.
-"""
+positions (24 bits, fixed point), opacities, colours, logarithms of scales, rotations and harmonics of all splats. Such
+a file has x to the right, y up and z backward where PLY files of splats have y down and z forward: so that one object
+is in one place whichever file it comes from, y and z change their signs on the way in and out."""
 
 from __future__ import annotations
 

@@ -1,0 +1,257 @@
+"""Splats under posed cages: weighted sums, Jacobians, covariances, turns and opacities against float64."""
+
+import numpy as np
+import pytest
+import warp as wp
+from field_oracles import random_field
+from oracles import green_weights, mean_value_weights
+from scipy.spatial.transform import Rotation
+from splat_scenes import covariances_of, drawn, one_splat, splats_in_box
+
+import warpcage
+from warpcage import Cage, CageEdit, Deformer
+from warpcage.coordinates.deform import stretched_normals
+from warpcage.core.devices import launch
+from warpcage.kernels.splats import pose
+from warpcage.splats.binding import CageBinding, fit_similarity
+
+KINDS = ("harmonic", "mean_value", "green")
+BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
+TURN = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+AFFINE = np.array([[1.2, 0.3, 0.0], [-0.1, 0.8, 0.2], [0.05, 0.0, 1.4]])
+
+
+def weights_of(kind, points, cage):
+    """(n, j) rows in float64: of vertices, Green's then of faces in sizes of the cage."""
+    if kind == "mean_value":
+        return mean_value_weights(points, cage.vertices, cage.faces).astype(np.float64)
+    vertex, face = green_weights(points, cage.vertices, cage.faces)
+    return np.concatenate([vertex, face / cage.size], axis=1)
+
+
+def forward_map(kind, points, rest, posed):
+    """Where a posed cage takes points, from float64 weights."""
+    rows = weights_of(kind, points, rest)
+    moved = rows[:, : len(rest.vertices)] @ posed.vertices
+    if kind == "green":
+        moved = moved + rows[:, len(rest.vertices) :] @ (rest.size * stretched_normals(rest, posed))
+    return moved
+
+
+@pytest.mark.parametrize("kind", ["mean_value", "green"])
+def test_rows_against_float64(kind, device):
+    """Weights, and gradients against central differences of the float64 weights; also next to the walls."""
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-0.9, 0.9, (40, 3))
+    points[:8, 0] = 1.0 - 10.0 ** rng.uniform(-4, -1, 8)
+    rows = CageBinding(points, BOX, kind, np.zeros(3), wp.get_device(device)).rows.numpy()
+    np.testing.assert_allclose(rows[..., 0].T, weights_of(kind, points, BOX), atol=2e-7)
+    h = 1e-6
+    for axis in range(3):
+        step = h * np.eye(3)[axis]
+        slope = (weights_of(kind, points + step, BOX) - weights_of(kind, points - step, BOX)) / (2 * h)
+        scale = 1.0 + np.abs(slope).max()
+        np.testing.assert_allclose(rows[..., 1 + axis].T, BOX.size * slope, atol=2e-5 * scale)
+
+
+def test_rows_of_harmonic_coordinates(device):
+    points = np.random.default_rng(2).uniform(-0.8, 0.8, (30, 3))
+    rows = CageBinding(points, BOX, "harmonic", np.zeros(3), wp.get_device(device), 32).rows.numpy()
+    np.testing.assert_allclose(rows[..., 0].T, warpcage.harmonic_coordinates(points, BOX, 32, device), atol=2e-5)
+    # linear precision of weights and gradients
+    np.testing.assert_allclose(rows[..., 0].T @ BOX.vertices, points, atol=1e-5)
+    slopes = np.einsum("jna,jk->nka", rows[..., 1:].astype(np.float64), BOX.vertices) / BOX.size
+    np.testing.assert_allclose(slopes, np.broadcast_to(np.eye(3), slopes.shape), atol=2e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("way", ["forward", "backward"])
+def test_affine_poses_are_exact(kind, way, device):
+    """Rigid poses and (Green: similarities) affine ones: centres and covariances, and turns that are their rotation."""
+    field = splats_in_box(device)
+    deformer = Deformer(field, BOX, coordinates=kind, resolution=24, map=way)
+    for matrix in (TURN, 1.3 * TURN if kind == "green" else AFFINE):
+        posed = deformer.pose(BOX.with_vertices(BOX.vertices @ matrix.T + [0.2, -0.1, 3.0])).posed_splats()
+        rows, centres, covariances, opacities = drawn(deformer)
+        np.testing.assert_array_equal(rows, np.arange(field.splat_count))
+        expected = field.contents.centres.astype(np.float64) @ matrix.T + [0.2, -0.1, 3.0]
+        np.testing.assert_allclose(centres, expected, atol=2e-6)
+        expected = matrix @ field.covariances @ matrix.T
+        scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
+        assert (np.abs(covariances - expected) / scale).max() < (1e-6 if way == "forward" else 2e-4)
+        np.testing.assert_array_equal(opacities, field.splats.opacities.numpy())
+        u, _, vt = np.linalg.svd(matrix)
+        turns = Rotation.from_quat(posed.turns.numpy()).as_matrix()
+        np.testing.assert_allclose(turns, np.broadcast_to(u @ vt, turns.shape), atol=2e-6 if way == "forward" else 2e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rest_is_rest_to_the_bit(kind, device):
+    field = splats_in_box(device, scales=(-5.0, -1.5))  # large ones, over the walls too
+    deformer = Deformer(field, BOX, coordinates=kind, resolution=16)
+    assert deformer.posed_splats() is field.splats
+    deformer.pose(BOX.twist(30))
+    assert deformer.posed_splats() is not field.splats
+    assert deformer.pose(Cage(BOX.vertices, BOX.faces)).posed_splats() is field.splats
+    assert deformer.baked() is field
+
+
+@pytest.mark.parametrize("kind", ["mean_value", "green"])
+def test_a_twist_against_float64(kind, device):
+    """Centres, and covariances by a Jacobian of differences, turns by SciPy's polar decomposition."""
+    from scipy.linalg import polar
+
+    field = splats_in_box(device, count=60, scales=(-6.0, -5.0))
+    twisted = BOX.twist(70).with_vertices(1.2 * BOX.twist(70).vertices)
+    deformer = Deformer(field, BOX, coordinates=kind).pose(twisted)
+    points = field.contents.centres.astype(np.float64)
+    rows, centres, covariances, _ = drawn(deformer)
+    np.testing.assert_array_equal(rows, np.arange(60))
+    np.testing.assert_allclose(centres, forward_map(kind, points, BOX, twisted), atol=3e-6)
+    h = 1e-5
+    columns = [
+        (forward_map(kind, points + h * e, BOX, twisted) - forward_map(kind, points - h * e, BOX, twisted)) / (2 * h)
+        for e in np.eye(3)
+    ]
+    jacobians = np.stack(columns, axis=-1)
+    expected = jacobians @ field.covariances @ jacobians.transpose(0, 2, 1)
+    scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
+    assert (np.abs(covariances - expected) / scale).max() < 1e-4
+    turns = Rotation.from_quat(deformer.posed_splats().turns.numpy()).as_matrix()
+    np.testing.assert_allclose(turns, [polar(j)[0] for j in jacobians], atol=1e-4)
+
+
+def test_harmonic_splats_go_where_points_go(device):
+    field = splats_in_box(device)
+    twisted = BOX.twist(60)
+    deformer = Deformer(field, BOX, resolution=32).pose(twisted)
+    weights = warpcage.harmonic_coordinates(field.contents.centres, BOX, 32, device)
+    np.testing.assert_allclose(drawn(deformer)[1], weights @ twisted.vertices, atol=1e-4)
+
+
+def test_rotations_of_any_jacobian(device):
+    """Ordinary, turned over, flat, tiny and zero: a rotation, and the nearest where there is one."""
+    rng = np.random.default_rng(3)
+    ordinary = rng.normal(size=(200, 3, 3)) * 10.0 ** rng.uniform(-6, 6, (200, 1, 1))
+    flat = rng.normal(size=(20, 3, 3)) * [1.0, 1.0, 0.0]
+    line = rng.normal(size=(20, 3, 1)) * rng.normal(size=(20, 1, 3))
+    matrices = np.concatenate([ordinary, flat, line, np.zeros((1, 3, 3)), -np.eye(3)[None]]).astype(np.float32)
+    count = len(matrices)
+    carried = pose.CarriedSplats()
+    carried.positions = wp.zeros(count, dtype=wp.vec3, device=device)
+    carried.jacobians = wp.array(matrices, dtype=wp.mat33, device=device)
+    carried.shares = wp.ones(count, dtype=float, device=device)
+    rest = [wp.zeros((count, 6), dtype=float, device=device), wp.zeros(count, dtype=float, device=device)]
+    turns = wp.empty(count, dtype=wp.quat, device=device)
+    outputs = [wp.empty(count, dtype=wp.vec3, device=device), wp.empty((count, 6), dtype=float, device=device)]
+    outputs += [wp.empty(count, dtype=float, device=device), turns]
+    nothing = wp.empty(0, dtype=wp.uint8, device=device)
+    launch(pose.finish_splats, count, [pose.LAW_RAYS, *rest, nothing, carried], outputs, device=device)
+    quaternions = turns.numpy()
+    np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=1e-5)
+    found = Rotation.from_quat(quaternions).as_matrix()
+    u, s, vt = np.linalg.svd(matrices.astype(np.float64))
+    sign = np.linalg.det(u) * np.linalg.det(vt)
+    nearest = (u * np.stack([np.ones(count), np.ones(count), sign], axis=1)[:, None]) @ vt
+    # how near a rotation is: tr(R^T J), which the nearest has largest
+    reached, best = (np.einsum("nij,nij->n", each, matrices.astype(np.float64)) for each in (found, nearest))
+    assert ((best - reached) <= 2e-5 * s.sum(axis=1) + 1e-30).all()
+    told = (s[:, 1] + sign * s[:, 2] > 0.05 * s[:, 0]) & (np.arange(count) < 220)
+    np.testing.assert_allclose(found[told], nearest[told], atol=2e-3)
+
+
+def alpha_of_ray(centre, covariance, opacity, origin, direction):
+    """Opacity of a splat to a ray, the largest along it: 3DGS' in the limit of a far camera."""
+    inverse = np.linalg.inv(covariance)
+    off = origin - centre
+    t = -(off @ inverse @ direction) / (direction @ inverse @ direction)
+    nearest = off + t * direction
+    return opacity * np.exp(-0.5 * nearest @ inverse @ nearest)
+
+
+@pytest.mark.parametrize("matrix", [np.diag([3.0, 1.0, 1.0]), 2.0 * np.eye(3), AFFINE])
+def test_the_law_of_opacity(matrix, device):
+    """density="opacity": a ray that goes along with the stretch meets the same opacity, whatever its direction.
+    density="paper": the optical depth grows with the root mean square of the stretch."""
+    field = one_splat(device, (0.1, 0.0, -0.1), (0.02, 0.01, 0.005), 0.6, quaternion=(1, 0.4, 0.2, 0))
+    posed = BOX.with_vertices(BOX.vertices @ matrix.T)
+    _, [centre], [covariance], [opacity] = drawn(Deformer(field, BOX, coordinates="mean_value").pose(posed))
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        origin, direction = field.contents.centres[0] + 0.01 * rng.normal(size=3), rng.normal(size=3)
+        at_rest = alpha_of_ray(field.contents.centres[0], field.covariances[0], 0.6, origin, direction)
+        gone_along = alpha_of_ray(centre, covariance, opacity, matrix @ origin, matrix @ direction)
+        assert gone_along == pytest.approx(at_rest, abs=2e-5)
+    paper = Deformer(field, BOX, coordinates="mean_value", density="paper").pose(posed)
+    stretch = np.sqrt(np.trace(matrix.T @ matrix) / 3.0)
+    assert drawn(paper)[3][0] == pytest.approx(1.0 - 0.4**stretch, rel=1e-5)
+
+
+def test_far_origins_keep_their_digits(device):
+    near, shift = splats_in_box(device, count=30), np.array([3000.0, -2000.0, 500.0])
+    held = near.contents
+    centres = held.centres.astype(np.float64) + shift
+    values = (held.log_scales, held.quaternions, held.logits, held.harmonics)
+    far = warpcage.SplatField(centres, *values, device=device)
+    cage = BOX.translate(shift)
+    for kind in KINDS:
+        one = drawn(Deformer(near, BOX, coordinates=kind, resolution=16).pose(BOX.twist(40)))
+        moved = cage.with_vertices(BOX.twist(40).vertices + shift)
+        two = drawn(Deformer(far, cage, coordinates=kind, resolution=16).pose(moved))
+        np.testing.assert_allclose(two[1] - shift, one[1], atol=2e-5)
+
+
+def test_fit_similarity():
+    rng = np.random.default_rng(5)
+    points = rng.normal(size=(20, 3))
+    matrix, offset = fit_similarity(points, points @ (1.7 * TURN).T + [1, 2, 3])
+    np.testing.assert_allclose(matrix, 1.7 * TURN, atol=1e-12)
+    np.testing.assert_allclose(offset, [1, 2, 3], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_backward_splats_lie_where_voxels_are(kind, device):
+    """Voxels under the same cage look the splats' places up where the splats were at rest."""
+    field = splats_in_box(device, count=80, half=0.85)
+    twisted = BOX.bend(50)
+    deformer = Deformer(field, BOX, coordinates=kind, resolution=32, map="backward").pose(twisted)
+    rows, centres, covariances, _ = drawn(deformer)
+    found = deformer._edits.missed_count
+    assert found <= 4
+    looking = Deformer(random_field(device)[0], BOX, coordinates=kind, resolution=32).pose(twisted)
+    back, _, region = looking.to_canonical(centres, np.ones_like(centres))
+    error = np.linalg.norm(back - field.contents.centres[rows], axis=1)
+    assert (region == 2).sum() >= len(rows) - found
+    assert np.sort(error)[: len(rows) - found].max() < 2e-4
+    # the forward map is another one
+    forward = drawn(Deformer(field, BOX, coordinates=kind, resolution=32).pose(twisted))[1]
+    assert np.abs(forward - centres).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        ({"coordinates": "cubic"}, "coordinates"),
+        ({"density": "thick"}, "density"),
+        ({"map": "sideways"}, "map must be one of forward, backward"),
+        ({"store": "weights"}, "keep their weights"),
+        ({"resolution": 4}, "resolution"),
+    ],
+)
+def test_options_that_do_not_fit(options, said):
+    with pytest.raises(ValueError, match=said):
+        Deformer(splats_in_box("cpu", count=3), BOX, **options)
+
+
+def test_calls_that_do_not_fit():
+    field = splats_in_box("cpu", count=3)
+    with pytest.raises(ValueError, match="crumbs are for voxels"):
+        Deformer(field, CageEdit(BOX, crumbs=0.1), coordinates="mean_value")
+    deformer = Deformer(field, BOX, coordinates="mean_value")
+    with pytest.raises(ValueError, match="splats move forward"):
+        deformer.to_canonical(np.zeros((1, 3)), np.ones((1, 3)))
+    with pytest.raises(ValueError, match="vertices, the cage 26"):
+        deformer.pose(Cage.box((-1, -1, -1), (1, 1, 1)))
+    with pytest.raises(ValueError, match="leave resolution and bounds out"):
+        warpcage.bake(deformer, resolution=8)
+    assert isinstance(deformer, Deformer) and covariances_of(field.splats).shape == (3, 3, 3)
