@@ -36,6 +36,7 @@ from warpcage.mesh.fans import prepared_fans
 from warpcage.reference.carried_mesh import CarriedMesh
 from warpcage.reference.fit_scenes import synthetic_scene
 from warpcage.reference.inverse_map import InverseMap
+from warpcage.splats.density import SplatDensity
 from warpcage.view.camera import camera_array
 
 #: Kernels that only one kind of device launches.
@@ -61,7 +62,7 @@ def main() -> int:
         wp.set_mempool_enabled(args.device, False)
     watch_launches()
     with limit_threads(2):  # on one thread no gradients are joined
-        for part in (fields, fits, coordinates, frames, edits, references, splats):
+        for part in (fields, fits, coordinates, frames, edits, references, splats, posed_splats):
             part(args.device)
             wp.synchronize_device(args.device)
             print(f"{part.__name__}: {len(launched)} kernels so far", flush=True)
@@ -225,6 +226,24 @@ def splats(device) -> None:
     )
     field.render(camera(37), supersampling=2, antialias=True)
     field.render(warpcage.Camera.look_at((0.1, 0, 0.1), (0, 1, 0), width=40, height=23))
+
+
+def posed_splats(device) -> None:
+    """Splats of every size under each kind of coordinates: bent, at walls, copied, followed, removed, faded."""
+    rng = np.random.default_rng(1)
+    values = rng.uniform(-5, -1.5, (96, 3)), rng.normal(size=(96, 4)), rng.normal(size=96), rng.normal(size=(96, 4, 3))
+    field = warpcage.SplatField(rng.uniform(-1.5, 1.5, (96, 3)), *values, device=device)
+    for kind in ("harmonic", "mean_value", "green"):
+        options = {"coordinates": kind, "resolution": 12, "device": device}
+        for map in ("forward", "backward"):
+            warpcage.Deformer(field, CAGE, map=map, **options).pose(POSE).baked()
+    lid = warpcage.Cage.box((-1.2, -1.2, 2.0), (1.2, 1.2, 5.0))
+    cages = [warpcage.CageEdit(CAGE, keep_source=True), lid, warpcage.CageEdit(lid.translate((0, 4, 0)), remove=True)]
+    chain = warpcage.Deformer(field, cages, **options)
+    chain.pose([CAGE.translate((0, 0, 3)), lid.translate((0, 4, 0)), None]).posed_splats()
+    held = warpcage.CageEdit(slotted(0.5), falloff=0.4, held="still")
+    warpcage.Deformer(field, held, **options).pose(slotted(0.03)).posed_splats()
+    SplatDensity(field, 16)
 
 
 if __name__ == "__main__":

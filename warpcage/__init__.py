@@ -34,6 +34,7 @@ _HOMES = {
     "PoseFile": "cage.pose_file",
     "PositionMap": "lattice.position_map",
     "Scene": "scene.scene",
+    "SplatDeformer": "deform.splat_deformer",
     "SplatField": "splats.splat_field",
     "VoxelField": "field.voxel_field",
     "bake": "deform.bake",

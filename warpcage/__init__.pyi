@@ -11,6 +11,7 @@ from .deform.bake import bake as bake
 from .deform.deformer import Deformer as Deformer
 from .deform.edits import CageEdit as CageEdit
 from .deform.fill import fill_unseen as fill_unseen
+from .deform.splat_deformer import SplatDeformer as SplatDeformer
 from .editor.edit import edit as edit
 from .field.selection import NodeSelection as NodeSelection
 from .field.selection import select_nodes as select_nodes
@@ -48,6 +49,7 @@ __all__ = [
     "PoseFile",
     "PositionMap",
     "Scene",
+    "SplatDeformer",
     "SplatField",
     "VoxelField",
     "bake",

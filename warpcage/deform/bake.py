@@ -30,6 +30,10 @@ NODE_BYTES, VOXEL_BYTES = 16, 160
 MIN_RESOLUTION, MAX_RESOLUTION = 2, 2048
 
 
+@overload
+def bake(deformer: SplatDeformer) -> SplatField: ...
+@overload
+def bake(deformer: Deformer, resolution: int | None = ..., bounds: ArrayLike | None = ...) -> VoxelField: ...
 def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | None = None) -> VoxelField | SplatField:
     """The deformed scene as a field that needs no cage: voxels resampled, which render faster; splats as they are.
 

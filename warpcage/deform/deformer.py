@@ -82,7 +82,7 @@ class Deformer:
         if cls is Deformer and isinstance(field, SplatField):
             from .splat_deformer import SplatDeformer  # which is one of these
 
-            return super().__new__(SplatDeformer)
+            return object.__new__(SplatDeformer)
         return super().__new__(cls)
 
     def __init__(
