@@ -99,3 +99,31 @@ def cast_carried_rays(
         colour = colour / hits
     rgba[item] = wp.vec4(colour[0], colour[1], colour[2], hits / count)
     depth[item] = wp.where(hits == count, distance / count, wp.inf)
+
+
+@wp.kernel
+def shade_surface_points(
+    first: int,
+    rest: wp.uint64,
+    face_colours: wp.array(dtype=wp.vec3),
+    texture: SolidTexture,
+    lighting: MeshLighting,
+    faces: wp.array(dtype=wp.int32),
+    corners: wp.array(dtype=wp.vec2),
+    directions: wp.array2d(dtype=wp.vec3),
+    colours: wp.array2d(dtype=wp.vec3),
+):
+    """Colour of points of the mesh at rest from several sides: one item per point.
+
+    faces, corners (n,): face of a point, and its weights of the first two corners. directions (n, m): unit vectors from
+    the eye to the point. colours (n, m)."""
+    n = first + wp.tid()
+    face = faces[n]
+    place = wp.mesh_eval_position(rest, face, corners[n][0], corners[n][1])
+    base = texture_factor(texture, place) * face_colours[face]
+    normal = wp.mesh_eval_face_normal(rest, face)
+    for m in range(directions.shape[1]):
+        side = normal
+        if wp.dot(normal, directions[n, m]) > 0.0:
+            side = -normal
+        colours[n, m] = shaded_colour(rest, lighting, base, place, side, directions[n, m])

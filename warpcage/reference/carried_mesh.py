@@ -9,9 +9,17 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.devices import launch, resolve_device
-from ..kernels.reference.carried_raycast import SolidTexture, cast_carried_rays
+from ..kernels.reference.carried_raycast import SolidTexture, cast_carried_rays, shade_surface_points
 from ..view.camera import Camera, camera_struct
-from .raycast import checked_mesh, common_size, device_mesh, mesh_lighting, require_samples
+from .raycast import (
+    HIGHLIGHT,
+    SHININESS,
+    checked_mesh,
+    common_size,
+    device_mesh,
+    mesh_lighting,
+    require_samples,
+)
 
 
 class CarriedMesh:
@@ -25,6 +33,8 @@ class CarriedMesh:
         faces: (f, 3) int, indices of vertices.
         colours: (f, 3) float in [0, 1], one per face.
         texture: Amplitude of the noise over the colours (0 leaves them plain), and its frequency per world unit.
+        highlight: Strength of the specular term.
+        shininess: Exponent of the specular term.
         device: Warp device. None is CUDA where there is one, else the CPU.
 
     Attributes:
@@ -43,6 +53,8 @@ class CarriedMesh:
         colours: ArrayLike,
         *,
         texture: tuple[float, float] = (0.35, 9.0),
+        highlight: float = HIGHLIGHT,
+        shininess: float = SHININESS,
         device: wp.DeviceLike = None,
     ):
         self.vertices, self.faces, colours = checked_mesh(vertices, faces, colours)
@@ -50,7 +62,7 @@ class CarriedMesh:
         self._colours = wp.array(colours, dtype=wp.vec3, device=self.device)
         self._texture = SolidTexture()
         self._texture.amplitude, self._texture.frequency = map(float, texture)
-        self._lighting = mesh_lighting(float(np.ptp(self.vertices, axis=0).max()))
+        self._lighting = mesh_lighting(float(np.ptp(self.vertices, axis=0).max()), highlight, shininess)
         self._rest = device_mesh(self.vertices, self.faces, self.vertices.mean(axis=0), self.device)
 
     def render(
@@ -102,3 +114,29 @@ class CarriedMesh:
             colours[view] = rgba.numpy().reshape(height, width, 4)
             distances[view] = depth.numpy().reshape(height, width)
         return colours, distances
+
+    def shade(self, faces: ArrayLike, corners: ArrayLike, directions: ArrayLike) -> np.ndarray:
+        """Colours of points of the mesh at rest, each seen from several sides, whether or not something is between.
+
+        Args:
+            faces: (n,) int, the face that each point lies on.
+            corners: (n, 2) float, its weights of the first two corners of the face.
+            directions: (n, m, 3) unit vectors from the eye to the point.
+
+        Returns:
+            (n, m, 3) float32.
+        """
+        towards = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device=self.device)
+        colours = wp.empty(towards.shape, dtype=wp.vec3, device=self.device)
+        inputs = [
+            self._rest.id,
+            self._colours,
+            self._texture,
+            self._lighting,
+            wp.array(np.asarray(faces), dtype=wp.int32, device=self.device),
+            wp.array(np.asarray(corners), dtype=wp.vec2, device=self.device),
+            towards,
+        ]
+        work = 100 * towards.shape[1]
+        launch(shade_surface_points, len(faces), inputs, [colours], device=self.device, work=work)
+        return colours.numpy()
