@@ -92,3 +92,22 @@ def test_refuses_what_does_not_fit():
         mesh.render([view()], posed=vertices[:-1])
     with pytest.raises(ValueError, match="not known"):
         subdivided_model("teapot", 0.1)
+
+
+def test_points_are_shaded_as_they_are_seen(device):
+    """What a ray sees of its point, at rest, with texture, shadow and highlight."""
+    import trimesh
+
+    mesh = CarriedMesh(*chair_model(), highlight=0.8, shininess=6.0, device=device)
+    rgba, depth = mesh.render([view()], samples=1)
+    origins, directions = (np.asarray(part).reshape(40, 40, 3) for part in view().rays())
+    seen = np.isfinite(depth[0])
+    points, towards = (origins + depth[0][..., None] * directions)[seen], directions[seen]
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    _, distance, faces = trimesh.proximity.closest_point(shape, points)
+    corners = trimesh.triangles.points_to_barycentric(shape.triangles[faces], points)[:, :2]
+    colours = mesh.shade(faces, corners, np.stack([towards, -towards], axis=1))
+    assert seen.sum() > 100 and distance.max() < 1e-4
+    wrong = np.abs(colours[:, 0] - rgba[0][..., :3][seen]).max(axis=1) > 5e-3
+    assert wrong.mean() < 0.03  # beside the rim of a shadow, or where faces touch
+    assert np.abs(colours[:, 1] - colours[:, 0]).max() > 0.1  # from behind the highlight is elsewhere
