@@ -11,15 +11,7 @@ from numpy.typing import ArrayLike
 from ..core.devices import launch, resolve_device
 from ..kernels.reference.carried_raycast import SolidTexture, cast_carried_rays, shade_surface_points
 from ..view.camera import Camera, camera_struct
-from .raycast import (
-    HIGHLIGHT,
-    SHININESS,
-    checked_mesh,
-    common_size,
-    device_mesh,
-    mesh_lighting,
-    require_samples,
-)
+from .raycast import HIGHLIGHT, SHININESS, checked_mesh, common_size, device_mesh, mesh_lighting, require_samples
 
 
 class CarriedMesh:
