@@ -16,7 +16,7 @@ from ..core.files import require_file
 from ..editor.demo import demo_files
 from ..editor.edit import edit, require_libraries
 from ..editor.session_file import free_session_path, session_path
-from ..field.voxel_field import VoxelField
+from ..splats.load import load_field
 from . import inputs
 from .standing import read_rest
 
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError(
             f"{str(kept)!r} holds a session of this field: leave --cage out to go on with it, or give --new"
         )
-    field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=device)
+    field = load_field(args.field, scene_scale=args.scene_scale, device=device)
     cages = [read_rest(path, args.cage_up, field, part=True)[0] for path in args.cage or ()]
     if args.demo and (args.new or not kept.exists()):
         cages = [Cage.load(demo_cage)]

@@ -15,6 +15,8 @@ from ..cage.cage import Cage
 from ..core.checks import checked_whole, require_type
 from ..core.files import PathLike
 from ..field.voxel_field import VoxelField
+from ..splats.load import AnyField, load_field
+from ..splats.splat_field import SplatField
 from .document import Document
 from .session import Session, new_document
 from .session_file import file_stamp, read_session, session_path
@@ -136,7 +138,7 @@ def require_libraries() -> None:
 
 
 def edit(
-    field: VoxelField | PathLike,
+    field: AnyField | PathLike,
     cage: Cage | Sequence[Cage] | None = None,
     *,
     session: PathLike | None = None,
@@ -149,7 +151,8 @@ def edit(
     """Open the editor: a page in which a person poses cages and sees the deformed scene follow.
 
     Args:
-        field: The field, or its file; then the session is kept beside it, as `NAME.session.json`.
+        field: The field, of voxels or of splats, or its file; then the session is kept beside it, as
+            `NAME.session.json`.
         cage: The cage at rest, or several, one per edit. None goes on with the session that is there, or begins
             without a cage.
         session: The session's file. None is the one beside the field's file; a field from memory is not kept.
@@ -179,10 +182,12 @@ def edit(
     checked_whole(port, "the port", 0, 65535)
     if not isinstance(host, str) or isinstance(allowed_hosts, str):
         raise ValueError("host must be an address, and allowed_hosts a list of names")
-    if not isinstance(field, VoxelField | str | os.PathLike):
-        raise ValueError(f"the editor needs a VoxelField or its file, got {type(field).__name__}")
-    path = None if isinstance(field, VoxelField) else pathlib.Path(field)
-    loaded = field if isinstance(field, VoxelField) else VoxelField.load(field, scene_scale=scene_scale)
+    if isinstance(field, VoxelField | SplatField):
+        path, loaded = None, field
+    elif isinstance(field, str | os.PathLike):
+        path, loaded = pathlib.Path(field), load_field(field, scene_scale=scene_scale)
+    else:
+        raise ValueError(f"the editor needs a VoxelField, a SplatField or the file of one, got {type(field).__name__}")
     cages = [] if cage is None else [cage] if isinstance(cage, Cage) else list(cage)
     kept = session_path(path) if session is None and path is not None else session
     kept = None if kept is None else pathlib.Path(kept)

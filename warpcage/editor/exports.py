@@ -16,7 +16,9 @@ from ..cage.cage import Cage
 from ..core.checks import checked_whole
 from ..core.files import PathLike
 from ..deform.bake import bake
-from ..field.voxel_field import VoxelField
+from ..splats.files.files import splat_ending
+from ..splats.load import AnyField, field_size
+from ..splats.splat_field import SplatField
 from ..view.film import FILM_ENDINGS, checked_rate, require_clear_film, write_film
 from ..view.opacity import rgba_picture
 from ..view.overlay import draw_cage
@@ -64,7 +66,7 @@ def _silent(share: float | None, text: str) -> None:
 
 
 def export_film(
-    document: Document, field: VoxelField, path: PathLike, film: Film | None = None, report: Report = _silent
+    document: Document, field: AnyField, path: PathLike, film: Film | None = None, report: Report = _silent
 ) -> int:
     """Write the film of a document, whole or not at all.
 
@@ -102,7 +104,7 @@ def export_film(
     return len(times)
 
 
-def film_pictures(document: Document, field: VoxelField, film: Film, report: Report = _silent) -> Iterator[np.ndarray]:
+def film_pictures(document: Document, field: AnyField, film: Film, report: Report = _silent) -> Iterator[np.ndarray]:
     """The pictures of a film, each rendered when it is asked for.
 
     Args:
@@ -225,13 +227,13 @@ def export_poses(document: Document, number: int, path: PathLike) -> None:
     pose_file(document, number).save(path)
 
 
-def export_baked(document: Document, field: VoxelField, path: PathLike, report: Report = _silent) -> VoxelField:
+def export_baked(document: Document, field: AnyField, path: PathLike, report: Report = _silent) -> AnyField:
     """Write the deformed scene as a field of its own, whole or not at all. Without visible edits it is the field.
 
     Args:
         document: The document; its poses of now count.
         field: The radiance field.
-        path: The file; it must end in .npz.
+        path: The file; it must end in .npz, for splats in .ply or another ending of theirs.
         report: Told between the steps. What it raises ends the work.
 
     Returns:
@@ -240,14 +242,16 @@ def export_baked(document: Document, field: VoxelField, path: PathLike, report: 
     Raises:
         ValueError: For another ending, a pose that cannot be used, or too little memory.
     """
-    if pathlib.Path(path).suffix.lower() != ".npz":
+    if isinstance(field, SplatField):
+        splat_ending(path)
+    elif pathlib.Path(path).suffix.lower() != ".npz":
         raise ValueError(f"field {str(path)!r} must end in .npz")
     report(None, "poses the cages")
     scene = PosedScene(field)
     scene.prepare(dataclasses.replace(document, settings=dataclasses.replace(document.settings, mode="pose")))
     report(0.1, "resamples the deformed scene")
     baked = field if scene.deformer is None else bake(scene.deformer)
-    report(0.8, f"writes {baked.voxel_count} voxels")
+    report(0.8, f"writes {field_size(baked)}")
     baked.save(path)
     return baked
 

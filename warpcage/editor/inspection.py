@@ -18,6 +18,8 @@ from ..mesh.containment import inside_mesh
 from ..mesh.faces import column_cross, column_dot, face_edges
 from ..mesh.intersections import intersecting_faces
 from ..mesh.usable import first_problem
+from ..splats.density import SplatDensity
+from ..splats.load import AnyField
 from .document import Document, Edit
 
 #: About how many samples of the map are taken in a posed cage, and of the visible nodes for the share inside: fewer
@@ -58,9 +60,10 @@ class Inspector:
         field: The radiance field.
     """
 
-    def __init__(self, field: VoxelField):
-        self._mask = visible_mask(field)
-        self._lower, self._side = np.array(field.bounds[0]), np.array(field.voxel_size)
+    def __init__(self, field: AnyField):
+        matter = field if isinstance(field, VoxelField) else SplatDensity(field)
+        self._mask = visible_mask(matter)
+        self._lower, self._side = np.array(matter.bounds[0]), np.array(matter.voxel_size)
         nodes = np.argwhere(self._mask)
         chosen = np.random.default_rng(0).permutation(len(nodes))[:NODE_SAMPLES]
         self._nodes = self._lower + (nodes[chosen] + 0.5) * self._side
@@ -129,10 +132,10 @@ class Inspector:
         return np.logical_and(there, self._mask[tuple(np.moveaxis(cells, -1, 0))])
 
 
-_inspectors: weakref.WeakKeyDictionary[VoxelField, Inspector] = weakref.WeakKeyDictionary()
+_inspectors: weakref.WeakKeyDictionary[AnyField, Inspector] = weakref.WeakKeyDictionary()
 
 
-def inspector(field: VoxelField) -> Inspector:
+def inspector(field: AnyField) -> Inspector:
     """The inspector of a field, made once; it knows which of the field's voxels can be seen.
 
     Args:
@@ -146,7 +149,7 @@ def inspector(field: VoxelField) -> Inspector:
     return _inspectors[field]
 
 
-def inspect(document: Document, number: int, field: VoxelField) -> dict[str, Any]:
+def inspect(document: Document, number: int, field: AnyField) -> dict[str, Any]:
     """Check an edit, as pages show it.
 
     The map is sampled by mean value coordinates at a few hundred places; `Cage.check` looks closer.

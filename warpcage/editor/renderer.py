@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from ..field.voxel_field import VoxelField
+from ..splats.load import AnyField
 from ..view.frame import Frame
 from ..view.frame_parts import mask_shares
 from .document import Document
@@ -78,7 +79,7 @@ class Renderer:
         frames: Frames that were delivered.
     """
 
-    def __init__(self, field: VoxelField, deliver: Callable[[dict[str, Any], bytes], None]):
+    def __init__(self, field: AnyField, deliver: Callable[[dict[str, Any], bytes], None]):
         self._scene = PosedScene(field)
         self._field, self._deliver = field, deliver
         self.pace = Pace(not field.device.is_cpu)
@@ -213,7 +214,8 @@ class Renderer:
         near, far = self._depth_range(document)
         columns, depths = depth_size(effort.width, effort.height, DEPTHS_SHARP if effort.sharp else DEPTHS_MOVING)
         rows = effort.height
-        if effort.sharp and self._field.device.is_cpu:
+        # a band of splats takes about as long as all of the picture
+        if effort.sharp and self._field.device.is_cpu and isinstance(self._field, VoxelField):
             seconds = self.pace.sharp_seconds(effort, document.settings.coordinates)
             rows = max(8, math.ceil(effort.height / max(1.0, seconds / BAND_SECONDS)))
         bands, shares = [], []
@@ -234,7 +236,8 @@ class Renderer:
         }
 
     def _frame(self, document: Document, seen: Any, effort: Effort) -> Frame:
-        step = None if effort.step == 1.0 else effort.step * self._field.step
+        field = self._field
+        step = effort.step * field.step if effort.step != 1.0 and isinstance(field, VoxelField) else None
         return self._scene.render(seen, document.settings.background, step, effort.supersampling)
 
     def _depth_range(self, document: Document) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ..deform.deformer import Deformer
 from ..deform.edits import CageEdit
 from ..field.voxel_field import VoxelField
 from ..mesh.usable import require_usable
+from ..splats.load import AnyField
 from ..view.camera import Camera
 from ..view.frame import Frame
 from .document import Document, Edit, View
@@ -57,7 +59,7 @@ class PosedScene:
         deformer: The Deformer of the last `prepare`, None where the field is shown as it is.
     """
 
-    def __init__(self, field: VoxelField):
+    def __init__(self, field: AnyField):
         self.field = field
         self.deformer: Deformer | None = None
         self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of
@@ -117,7 +119,7 @@ class PosedScene:
         Args:
             camera: The camera.
             background: Colour behind the scene: a name or three numbers in [0, 1]. None is the field's own.
-            step: March step, world units. None is the field's.
+            step: March step, world units. None is the field's. Splats have none.
             supersampling: Rays along each side of a pixel. None is the field's.
 
         Returns:
@@ -126,8 +128,10 @@ class PosedScene:
         Raises:
             ValueError: As `Deformer.render`.
         """
-        renderer = self.field if self.deformer is None else self.deformer
-        return renderer.render(camera, background=background, step=step, supersampling=supersampling)
+        options: dict[str, Any] = {"background": background, "supersampling": supersampling}
+        if isinstance(self.field, VoxelField):
+            options["step"] = step
+        return (self.field if self.deformer is None else self.deformer).render(camera, **options)
 
 
 def _cage_edits(edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:

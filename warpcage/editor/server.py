@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from aiohttp import WSMsgType, web
 
+from ..field.voxel_field import VoxelField
 from .access import Access
 from .checked import (
     MAX_SECONDS,
@@ -388,13 +389,14 @@ class Server:
         session = self.session
         if name == "session":
             field = session.field
+            count = {"voxels": field.voxel_count} if isinstance(field, VoxelField) else {"splats": field.splat_count}
             return {
                 "name": session.path.name if session.path is not None else "not kept",
                 "field": {
                     "name": session.field_path.name if session.field_path else "field",
                     "bounds": field.bounds.tolist(),
                 }
-                | {"up": [float(x) for x in field.up], "voxels": int(field.voxel_count)},
+                | {"up": [float(x) for x in field.up], **count},
                 "device": str(field.device),
                 "saved": session.saved,
                 "save_error": session.save_error,

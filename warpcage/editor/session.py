@@ -14,7 +14,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..core.files import PathLike
-from ..field.voxel_field import VoxelField
+from ..splats.load import AnyField
 from ..view.camera import framing_orbit
 from . import commands, timeline
 from .checked import error_line, frozen_vertices
@@ -60,7 +60,7 @@ class Session:
 
     def __init__(
         self,
-        field: VoxelField,
+        field: AnyField,
         document: Document,
         path: PathLike | None = None,
         field_path: PathLike | None = None,
@@ -340,7 +340,7 @@ class Gesture:
     rest: bool = False
 
 
-def new_document(field: VoxelField, cages: Iterable[Cage] = (), resolution: int = 64) -> Document:
+def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 64) -> Document:
     """The document of a new session.
 
     Args:

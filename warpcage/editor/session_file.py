@@ -10,7 +10,7 @@ from typing import Any
 from ..core.checks import listed
 from ..core.files import PathLike, atomic_path, require_file
 from ..core.json_files import DAMAGED, damage, read_json
-from ..field.voxel_field import VoxelField
+from ..splats.load import AnyField
 from .document import Document
 
 FORMAT, VERSION = "warpcage session", 1
@@ -46,7 +46,7 @@ def file_stamp(path: pathlib.Path) -> Stamp | None:
     return status.st_mtime_ns, status.st_size, status.st_ino
 
 
-def write_session(path: PathLike, document: Document, field: VoxelField, field_name: str | None) -> None:
+def write_session(path: PathLike, document: Document, field: AnyField, field_name: str | None) -> None:
     """Write a session's file, whole or not at all.
 
     Args:
@@ -68,7 +68,7 @@ def write_session(path: PathLike, document: Document, field: VoxelField, field_n
         temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_session(path: PathLike, field: VoxelField | None = None) -> Document:
+def read_session(path: PathLike, field: AnyField | None = None) -> Document:
     """Read a session's file.
 
     Args:

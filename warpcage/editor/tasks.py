@@ -18,6 +18,8 @@ from ..cage.cage import Cage
 from ..cage.upright import Standing, load_standing
 from ..core.files import atomic_path
 from ..mesh.files.files import ENDINGS
+from ..splats.files.files import SPLAT_ENDINGS
+from ..splats.load import field_size
 from . import commands, exports, timeline
 from .checked import checked_between, checked_choice, checked_flag, checked_id, checked_whole
 from .commands import Step
@@ -38,7 +40,7 @@ EXPORTS = {
     "png": ("",),
     "cage": exports.CAGE_ENDINGS,
     "poses": (".json",),
-    "bake": (".npz",),
+    "bake": (".npz", *SPLAT_ENDINGS),
 }
 
 #: Those of them that are films, or pictures of one.
@@ -306,7 +308,7 @@ class Tasks:
                 text = f"{path.name}: {count} frames of {film.width}x{film.height}"
             elif what == "bake":
                 baked = exports.export_baked(document, self.session.field, path, progress)
-                text = f"{path.name}: a field of {baked.voxel_count} voxels"
+                text = f"{path.name}: a field of {field_size(baked)}"
             elif what == "cage":
                 exports.export_cage(document, number, path, rest=rest)
                 text = f"{path.name}: a cage of {len(document.edit(number).rest)} vertices"

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ..core.arrays import empty_array
 from ..core.devices import launch, resolve_device
 from ..kernels.reference.carried_raycast import SolidTexture, cast_carried_rays, shade_surface_points
 from ..view.camera import Camera, camera_struct
@@ -119,16 +120,17 @@ class CarriedMesh:
             (n, m, 3) float32.
         """
         towards = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device=self.device)
-        colours = wp.empty(towards.shape, dtype=wp.vec3, device=self.device)
+        numbers = np.asarray(faces, np.int32)
+        colours = empty_array(towards.shape, wp.vec3, self.device)
         inputs = [
             self._rest.id,
             self._colours,
             self._texture,
             self._lighting,
-            wp.array(np.asarray(faces), dtype=wp.int32, device=self.device),
+            wp.array(numbers, dtype=wp.int32, device=self.device),
             wp.array(np.asarray(corners), dtype=wp.vec2, device=self.device),
             towards,
         ]
         work = 100 * towards.shape[1]
-        launch(shade_surface_points, len(faces), inputs, [colours], device=self.device, work=work)
+        launch(shade_surface_points, len(numbers), inputs, [colours], device=self.device, work=work)
         return colours.numpy()

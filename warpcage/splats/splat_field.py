@@ -262,7 +262,7 @@ class SplatField:
         camera: Camera,
         *,
         background: str | ArrayLike | None = None,
-        supersampling: int = 1,
+        supersampling: int | None = None,
         antialias: bool = False,
     ) -> Frame:
         """The view of a camera.
@@ -272,7 +272,7 @@ class SplatField:
         Args:
             camera: The camera.
             background: Colour behind the splats, a name or (3,) in [0, 1]. None is the field's own.
-            supersampling: Rays along each side of a pixel.
+            supersampling: Rays along each side of a pixel. None is one.
             antialias: Weaken splats that the blur of the picture makes larger (Mip-Splatting), for fields that were
                 fitted in that way. Others get thinner where they are far away.
 
@@ -290,7 +290,7 @@ class SplatField:
             colour=colour,
             origin=self.center,
             near=self.near,
-            supersampling=supersampling,
+            supersampling=1 if supersampling is None else supersampling,
             antialias=antialias,
         )
 

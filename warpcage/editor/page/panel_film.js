@@ -137,7 +137,8 @@ const HELP = {
   png: "A new folder for the pictures, in the session's folder.",
 };
 
-async function exportAs([what, label, , file, fields]) {
+async function exportAs([what, label, , usual, fields]) {
+  const file = what === "bake" && store.sections.session?.field.splats ? "bent.ply" : usual;
   const given = await askFor({
     title: `Export: ${label}`,
     fields: [{ name: "file", label: what === "png" ? "Folder" : "File", type: "text", value: file, help: HELP[what] ?? HELP.file }, ...fields()],

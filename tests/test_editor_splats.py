@@ -1,0 +1,93 @@
+"""The editor with Gaussian splats: pictures of poses, checks, and what is exported."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("aiohttp")
+pytest.importorskip("simplejpeg")
+
+from editor_pages import BOX, nothing_logged, with_pages  # noqa: E402, F401
+
+import warpcage  # noqa: E402
+from warpcage import Deformer, SplatField  # noqa: E402
+from warpcage.editor.exports import export_baked  # noqa: E402
+from warpcage.editor.inspection import inspect  # noqa: E402
+from warpcage.editor.scene import PosedScene, camera  # noqa: E402
+from warpcage.editor.session import Session, new_document  # noqa: E402
+from warpcage.splats.load import field_size, is_splat_file, load_field  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def splats():
+    """A ball of 400 splats, red above and blue below, which lies in BOX."""
+    rng = np.random.default_rng(0)
+    places = rng.normal(size=(400, 3))
+    places *= 0.5 / np.linalg.norm(places, axis=1, keepdims=True)
+    colours = np.where(places[:, 2:] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])[:, None]
+    turns = np.tile([1.0, 0, 0, 0], (400, 1))
+    return SplatField(places, np.full((400, 3), np.log(0.03)), turns, np.full(400, 3.0), colours, up=(0, 0, 1))
+
+
+def posed_document(field, cage):
+    document = new_document(field, [BOX], 16)
+    edit = dataclasses.replace(document.edits[0], posed=cage.vertices)
+    return dataclasses.replace(document, edits=(edit,))
+
+
+def test_a_pose_is_that_of_the_deformer(splats):
+    posed = BOX.with_vertices(BOX.vertices + (0.0, 0.0, 0.4))
+    document, scene = posed_document(splats, posed), PosedScene(splats)
+    view = camera(document.view, 60, 40)
+    scene.prepare(new_document(splats, [], 16))
+    assert (scene.render(view, step=3.0).rgb == splats.render(view).rgb).all()
+    scene.prepare(document)
+    expected = Deformer(splats, BOX, coordinates=document.settings.coordinates, resolution=16).pose(posed)
+    frame = scene.render(view, "white", None, 2)
+    assert np.allclose(frame.rgb, expected.render(view, background="white", supersampling=2).rgb, atol=1e-6)
+    assert np.abs(frame.rgb - splats.render(view, background="white", supersampling=2).rgb).max() > 0.2
+
+
+def test_pages_see_splats_move(splats, tmp_path):
+    session = Session(splats, new_document(splats, [BOX], 16), None)
+
+    async def test(server, page):
+        await page.until(lambda: page.frames)
+        assert page.sections["session"]["field"]["splats"] == 400
+        await page.ask(do="pose.set", edit=1, vertices=(BOX.vertices + (0, 0, 0.3)).tolist())
+        await page.until(lambda: page.frames[-1]["sharp"] and len(page.frames) > 1)
+        assert all(frame["error"] is None for frame in page.frames)
+
+    with_pages(test, tmp_path, session=session)
+
+
+def test_cages_of_splats_are_checked(splats):
+    held = inspect(new_document(splats, [BOX], 16), 1, splats)
+    assert held["inside_share"] == 1.0 and held["leaking_faces"] == []
+    half = BOX.with_vertices(BOX.vertices * (1, 1, 0.5) + (0, 0, 0.35))
+    cut = inspect(new_document(splats, [half], 16), 1, splats)
+    assert 0.2 < cut["inside_share"] < 0.8 and cut["leaking_faces"]
+
+
+def test_baked_splats_are_splats(splats, tmp_path):
+    posed = BOX.rotate(90, axis="z")
+    told = []
+    baked = export_baked(posed_document(splats, posed), splats, tmp_path / "bent.ply", lambda _, text: told.append(text))
+    again = load_field(tmp_path / "bent.ply")
+    assert field_size(baked) == "400 splats" and "400 splats" in told[-1] and len(again) == 400
+    expected = splats.contents.centres @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    assert np.abs(again.contents.centres - expected).max() < 1e-3
+    with pytest.raises(ValueError, match=r"\.ply"):
+        export_baked(posed_document(splats, posed), splats, tmp_path / "bent.npz")
+
+
+def test_files_of_either_kind_are_read(splats, tmp_path):
+    splats.save(tmp_path / "ball.ply")
+    assert is_splat_file(tmp_path / "BALL.PLY") and not is_splat_file(tmp_path / "ball.npz")
+    with pytest.raises(ValueError, match="splats"):
+        load_field(tmp_path / "ball.ply", scene_scale=2.0)
+    with warpcage.edit(tmp_path / "ball.ply", BOX) as editor:
+        assert len(editor.posed) == 1 and (tmp_path / "ball.session.json").name in str(editor.session_path or "")
+    with pytest.raises(ValueError, match="SplatField"):
+        warpcage.edit(3)

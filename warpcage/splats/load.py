@@ -1,0 +1,62 @@
+"""Fields of either kind from their files: voxels or splats."""
+
+from __future__ import annotations
+
+import pathlib
+from typing import TypeAlias
+
+import warp as wp
+
+from ..core.files import PathLike
+from ..field.voxel_field import VoxelField
+from .files.files import SPLAT_ENDINGS
+from .splat_field import SplatField
+
+#: What a Deformer poses.
+AnyField: TypeAlias = VoxelField | SplatField
+
+
+def is_splat_file(path: PathLike) -> bool:
+    """Whether a file is one of splats, by its ending.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Whether it ends as those do.
+    """
+    return pathlib.Path(path).name.lower().endswith(SPLAT_ENDINGS)
+
+
+def load_field(path: PathLike, *, scene_scale: float = 1.0, device: wp.DeviceLike = None) -> AnyField:
+    """Read a field of voxels or of splats, which the ending tells.
+
+    Args:
+        path: The file.
+        scene_scale: Factor on the lengths of a voxel field; see `VoxelField.load`. Splats have none.
+        device: Warp device. None is CUDA where there is one.
+
+    Returns:
+        The field.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For a file that cannot be read, or a scale with splats.
+    """
+    if not is_splat_file(path):
+        return VoxelField.load(path, scene_scale=scene_scale, device=device)
+    if scene_scale != 1.0:
+        raise ValueError(f"{path} holds splats, which keep their scale: leave the scene scale out")
+    return SplatField.load(path, device=device)
+
+
+def field_size(field: AnyField) -> str:
+    """How large a field is, in words.
+
+    Args:
+        field: The field.
+
+    Returns:
+        Such as "12000 voxels".
+    """
+    return f"{len(field)} splats" if isinstance(field, SplatField) else f"{field.voxel_count} voxels"
