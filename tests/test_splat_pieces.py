@@ -145,3 +145,28 @@ def test_what_does_not_move_is_baked_to_the_bit(device):
     same = [place[tuple(centre)] for centre in field.contents.centres[outside]]
     for name in ("log_scales", "quaternions", "logits", "harmonics"):
         np.testing.assert_array_equal(getattr(baked.contents, name)[same], getattr(field.contents, name)[outside])
+
+
+def test_a_cage_around_splats_holds_their_matter(device):
+    """Large faint and small opaque splats: the cage goes around what is seen of them, not around their centres."""
+    values = ([[0, 0, 0], [2.0, 0, 0]], np.log([[0.3, 0.02, 0.3], [0.05, 0.05, 0.05]]), np.tile([1.0, 0, 0, 0], (2, 1)))
+    field = warpcage.SplatField(*values, [2.0, 4.0], np.zeros((2, 1, 3)), device=device)
+    assert (field.bounds[0] < [-0.89, -0.14, -0.89]).all() and (field.bounds[1] > [2.14, 0.14, 0.89]).all()
+    density = field.node_densities()
+    shape = np.round((field.bounds[1] - field.bounds[0]) / field.voxel_size)
+    np.testing.assert_array_equal(density.shape, shape)
+    # across the thin side of the first the optical depth is that of its opacity
+    column = np.round((np.zeros(3) - field.bounds[0]) / field.voxel_size - 0.5).astype(int)
+    depth = density[column[0], :, column[2]].sum() * field.voxel_size[1]
+    assert depth == pytest.approx(-np.log(1.0 - field.opacities[0]), rel=0.05)
+    cage = Cage.from_field(field, 60)
+    two_deviations = [[0.55, 0, 0], [0, 0, -0.55], [2.08, 0, 0], [0, 0.03, 0], [2, 0, 0.08]]
+    assert cage.contains(two_deviations).all()
+    assert cage.check(field=field).usable
+    part = warpcage.select_nodes(field, box=[(1.5, -1, -1), (3, 1, 1)])
+    assert Cage.from_field(part, 40).bounds[0][0] > 1.5
+    faint = warpcage.SplatField(*values, [-9.0, 4.0], np.zeros((2, 1, 3)), device=device)
+    assert faint.bounds[0][0] > 1.5
+    nothing = warpcage.SplatField(*values, [-9.0, -9.0], np.zeros((2, 1, 3)), device=device)
+    with pytest.raises(ValueError, match="nothing to put a cage around"):
+        Cage.from_field(nothing, 40)

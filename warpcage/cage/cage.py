@@ -19,6 +19,7 @@ from ..mesh.containment import inside_mesh
 from ..mesh.files.files import write_mesh
 from ..mesh.match import matched_vertices
 from ..mesh.usable import require_usable
+from ..splats.splat_field import SplatField
 from .check import check_cage
 from .generate.generate import cage_around_field, cage_around_mesh
 from .generate.simplify import simplified
@@ -102,7 +103,7 @@ class Cage(PosableMesh):
 
     def check(
         self,
-        field: VoxelField | NodeSelection | None = None,
+        field: VoxelField | NodeSelection | SplatField | None = None,
         mesh: TriangleMesh | None = None,
         pose: Cage | None = None,
     ) -> CageReport:
@@ -146,7 +147,7 @@ class Cage(PosableMesh):
         path: PathLike,
         *,
         up: str | None = None,
-        reference: Cage | VoxelField | NodeSelection | TriangleMesh | None = None,
+        reference: Cage | VoxelField | NodeSelection | SplatField | TriangleMesh | None = None,
     ) -> Cage:
         """Read an OBJ, PLY, OFF or glTF file. All vertices keep their order, used or not; polygons are cut.
 
@@ -293,7 +294,7 @@ class Cage(PosableMesh):
     @classmethod
     def from_field(
         cls,
-        field: VoxelField | NodeSelection,
+        field: VoxelField | NodeSelection | SplatField,
         vertex_count: int = 100,
         *,
         margin: float | None = None,
@@ -305,7 +306,8 @@ class Cage(PosableMesh):
         """A cage around what a field shows; otherwise as `from_mesh`.
 
         Args:
-            field: A VoxelField, or what `select_nodes` took of it, to cage one object of a larger scene.
+            field: A VoxelField or a SplatField, or what `select_nodes` took of it, to cage one object of a larger
+                scene.
             vertex_count: Number of vertices, 8 to 2000; the cage has it within 10 %.
             margin: Least distance between cage and visible voxels, in voxels. None is 1, so that the cage holds all
                 that trilinear interpolation spreads around them.
@@ -354,7 +356,7 @@ class Cage(PosableMesh):
         self,
         vertex_count: int,
         *,
-        field: VoxelField | NodeSelection | None = None,
+        field: VoxelField | NodeSelection | SplatField | None = None,
         mesh: TriangleMesh | None = None,
         margin: float = 0.0,
     ) -> Cage:

@@ -12,13 +12,14 @@ from ..mesh.containment import inside_mesh
 from ..mesh.intersections import intersecting_faces
 from ..mesh.match import matched_vertices
 from ..mesh.usable import coincident_vertices, degenerate_faces, first_problem, inward_parts
+from ..splats.splat_field import SplatField
 from .report import COST_RESOLUTION, CageReport, PoseReport
 from .upright import other_standing
 
 
 def check_cage(
     cage: ClosedMesh,
-    field: VoxelField | NodeSelection | None = None,
+    field: VoxelField | NodeSelection | SplatField | None = None,
     mesh: TriangleMesh | None = None,
     pose: ClosedMesh | None = None,
 ) -> CageReport:

@@ -18,7 +18,6 @@ from ..deform.deformer import Deformer
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.session_file import read_session
 from ..editor.timeline import frame_times
-from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
 from ..view.camera_path import camera_at, path_cameras
 from ..view.film import FILM_ENDINGS, checked_rate, write_film
@@ -69,6 +68,8 @@ def run(args: argparse.Namespace) -> None:
     if args.show == "masks":
         inputs.require_deformation(args, "--show masks")
     field = inputs.read_field(args)
+    if args.show == "masks":
+        inputs.require_voxels(field, "--show masks")
     args.timed, args.film_rate = not given & {"motion", "interpolation"}, args.fps if "fps" in given else None
     inputs.require_fillable(args, field)
     deformation = read_deformation(args, field, args.interpolation)
@@ -112,7 +113,7 @@ def _run_session(args: argparse.Namespace) -> None:
     if args.background is not None and not transparent:
         raise ValueError("--session cannot be combined with --background: the session decides that")
     film = Film(width, height, args.overlay, transparent)
-    field = inputs.read_field(args)
+    field = inputs.require_voxels(inputs.read_field(args), "--session")
     document = read_session(args.session, field)
 
     from tqdm import tqdm
@@ -145,7 +146,7 @@ class _Shot:
 
     def __init__(
         self,
-        field: VoxelField,
+        field: inputs.AnyField,
         deformer: Deformer | None,
         deformation: Deformation | None,
         cameras: list[Camera],

@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import argparse
 
+from ..core.files import require_file
 from ..deform.bake import bake
+from ..deform.splat_deformer import SplatDeformer
+from ..splats.files.files import is_splat_file
 from . import inputs, options
 from .deformation import read_deformation
 
 
 def run(args: argparse.Namespace) -> None:
-    output = options.check_output(args.output, (".npz",), "field file")
+    require_file(args.field, "field file")
+    of_splats = is_splat_file(args.field)
+    output = options.check_output(args.output, options.SPLAT_ENDINGS if of_splats else (".npz",), "field file")
+    if of_splats and (args.voxels is not None or args.format is not None):
+        raise ValueError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
     inputs.require_deformation(args, "bake")
     field = inputs.read_field(args)
     deformation = read_deformation(args, field)
     assert deformation is not None
     deformer = inputs.make_deformer(field, deformation, args).pose(deformation.posed)
+    if isinstance(deformer, SplatDeformer):
+        splats = deformer.baked()
+        splats.save(output)
+        print(f"wrote {output}: {splats.splat_count} splats, {output.stat().st_size / 1e6:.1f} MB")
+        return
     baked = bake(deformer, resolution=args.voxels)
-    baked.save(output, format=args.format)
+    baked.save(output, format=args.format or "warpcage")
     size = "x".join(map(str, baked.resolution))
     print(f"wrote {output}: {baked.voxel_count} voxels in a grid of {size}, {output.stat().st_size / 1e6:.1f} MB")

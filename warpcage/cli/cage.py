@@ -30,12 +30,12 @@ def run(args: argparse.Namespace) -> None:
     _check_combination(args)
     inputs.require_field_scale(args)
     inputs.quiet_warp()
-    is_field = pathlib.Path(args.field).suffix.lower() == ".npz"
+    is_field = inputs.is_field(args.field)
     thing: Any = inputs.read_field(args) if is_field else read_mesh(args.field)
     if args.snap is not None:
         if not is_field:
             raise ValueError(f"--snap needs a field (.npz), got {args.field!r}")
-        _snap(thing, args, output)
+        _snap(inputs.require_voxels(thing, "--snap"), args, output)
         return
     if any(value is not None for value in _selection(args).values()):
         thing = _selected(thing, is_field, args)

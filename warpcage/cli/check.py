@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import pathlib
 
 from ..cage.cage import Cage
 from ..cage.upright import load_standing
@@ -53,6 +52,6 @@ def _enclosed(args: argparse.Namespace) -> dict:
     """The object of --object, as Cage.check takes it."""
     if args.field is None:
         return {}
-    if pathlib.Path(args.field).suffix.lower() == ".npz":
+    if inputs.is_field(args.field):
         return {"field": inputs.read_field(args)}
     return {"mesh": read_mesh(args.field)}

@@ -17,6 +17,7 @@ from ..deform.edits import MAX_EDITS, CageEdit
 from ..editor.session_file import FORMAT as SESSION_FORMAT
 from ..editor.session_file import read_session
 from ..field.voxel_field import VoxelField
+from ..splats.splat_field import SplatField
 from .axes import with_up
 from .edit_words import EditWords, parse_edit, read_edits_file, read_edits_json
 from .keyframes import Keyframes, is_preset, only_pose
@@ -112,7 +113,7 @@ class Deformation:
 
 
 def read_deformation(
-    args: argparse.Namespace, field: VoxelField, interpolation: str | None = None
+    args: argparse.Namespace, field: VoxelField | SplatField, interpolation: str | None = None
 ) -> Deformation | None:
     """The deformation that a command's options name.
 
@@ -152,7 +153,10 @@ def read_deformation(
 
 
 def numbered_edits(
-    words: Sequence[EditWords], args: argparse.Namespace, interpolation: str | None, field: VoxelField | None = None
+    words: Sequence[EditWords],
+    args: argparse.Namespace,
+    interpolation: str | None,
+    field: VoxelField | SplatField | None = None,
 ) -> Deformation:
     """The deformation of several edits; messages say which of them is wrong.
 
@@ -203,7 +207,7 @@ def _read_edit(
     texts: list[str],
     args: argparse.Namespace,
     interpolation: str | None,
-    field: VoxelField | None,
+    field: VoxelField | SplatField | None,
     part: bool = False,
 ) -> PosedEdit:
     """An edit with the cages that its words name. texts: words of --posed; part: whether it is one of several."""

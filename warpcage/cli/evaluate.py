@@ -15,7 +15,7 @@ def run(args: argparse.Namespace) -> None:
     report = None if args.json is None else options.check_output(args.json, (".json",), "report")
     worst = None if args.worst is None else options.check_output(args.worst, (".png",), "picture")
     options.require_folder(args.scene)
-    field = inputs.read_field(args)
+    field = inputs.require_voxels(inputs.read_field(args), "evaluate")
 
     background = field.background if args.background is None else args.background
     scene = inputs.read_scene(args, background)

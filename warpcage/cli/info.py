@@ -17,6 +17,8 @@ from ..core.threads import cpu_threads
 from ..field.background import LayeredBackground
 from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
+from ..splats.files.files import is_splat_file
+from ..splats.splat_field import SplatField
 from ..view.camera_file import CameraFile
 from ..view.pictures import contact_sheet, shrink, write_png
 from . import inputs, options
@@ -41,14 +43,16 @@ def run(args: argparse.Namespace) -> None:
         raise FileNotFoundError(f"file {args.field!r} is not there")
     elif path.suffix.lower() == ".npz":
         rows = _field(path, args)
+    elif is_splat_file(path):
+        rows = _splats(path)
     elif path.suffix.lower() in options.CAGE_ENDINGS:
         rows = _cage(path)
     elif path.suffix.lower() == ".json":
         rows = _json(path)
     else:
         raise ValueError(
-            f"{args.field!r} is not a field (.npz), cage ({' '.join(options.CAGE_ENDINGS)}), poses, "
-            "edits or cameras (.json) or scene folder"
+            f"{args.field!r} is not a field (.npz), splats (.ply, .splat, .spz), cage "
+            f"({' '.join(options.CAGE_ENDINGS)}), poses, edits or cameras (.json) or scene folder"
         )
     width = max(len(name) for name, _ in rows)
     for name, value in rows:
@@ -75,7 +79,7 @@ def _device_line(device: wp.Device) -> str:
 
 
 def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
-    field = inputs.read_field(args)
+    field = inputs.require_voxels(inputs.read_field(args), "info")
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
     density = field.grid.density.numpy()
     weights = None if field.weights is None else field.weights.numpy()
@@ -91,6 +95,24 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
         ("up", field.up.round(3).tolist()),
         ("straightened", _turn(field.straightening)),
         ("layers behind", _layers(field.background_model)),
+        ("file", _file_size(path)),
+    ]
+
+
+def _splats(path: pathlib.Path) -> Rows:
+    inputs.quiet_warp()
+    field = SplatField.load(path)
+    layout = field.contents.layout
+    return [
+        ("kind", "splats"),
+        ("splats", field.splat_count),
+        ("harmonics", f"degree {field.degree}"),
+        ("bounds", _box(*field.bounds)),
+        ("most of it in", _box(*field.shown_bounds)),
+        ("scales", _range(field.scales, "world units")),
+        ("opacities", _range(field.opacities, "of 1")),
+        ("layout", "packed" if layout is None else f"{len(layout.table.dtype.names or ())} properties a splat"),
+        ("up", field.up.round(3).tolist()),
         ("file", _file_size(path)),
     ]
 

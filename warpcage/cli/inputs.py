@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from typing import TypeAlias
 
 import numpy as np
 import warp as wp
@@ -18,10 +19,15 @@ from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
 from ..scene.load import load_scene
 from ..scene.scene import Scene
+from ..splats.files.files import is_splat_file
+from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import Frame
 from . import options, verbosity
 from .deformation import Deformation, is_deformed
+
+#: What commands show: voxels or splats.
+AnyField: TypeAlias = VoxelField | SplatField
 
 
 def quiet_warp() -> None:
@@ -36,13 +42,18 @@ def chosen_device(args: argparse.Namespace) -> wp.Device:
     return resolve_device(args.device)
 
 
-def read_field(args: argparse.Namespace) -> VoxelField:
-    """The field file of a command on the chosen device. Where --up is not given it becomes the field's own.
+def read_field(args: argparse.Namespace) -> AnyField:
+    """The field file of a command, voxels or splats, on the chosen device. Where --up is not given it becomes the
+    field's own.
 
     Cameras of scenes are moved by its straightening.
     """
     require_file(args.field, "field file")  # before Warp starts, which takes a while
-    field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
+    if is_splat_file(args.field):
+        require_field_scale(args)
+        field: AnyField = SplatField.load(args.field, device=chosen_device(args))
+    else:
+        field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
     if getattr(args, "up", field) is None:  # a command with a view
         args.up = tuple(field.up)
     args.straightening = field.straightening
@@ -62,6 +73,18 @@ def read_scene(args: argparse.Namespace, background: str | ArrayLike, orient: st
     )
 
 
+def is_field(path: str) -> bool:
+    """Whether a file is a field: voxels (.npz) or splats."""
+    return path.lower().endswith(".npz") or is_splat_file(path)
+
+
+def require_voxels(field: AnyField, what: str) -> VoxelField:
+    """A field of voxels. Raises ValueError for splats; what: what is asked for, as the message begins."""
+    if isinstance(field, SplatField):
+        raise ValueError(f"{what} is for fields of voxels (.npz), this one is of splats")
+    return field
+
+
 def require_field_scale(args: argparse.Namespace) -> None:
     """Raises ValueError for --scene-scale where no field takes it."""
     if getattr(args, "scene_scale", 1.0) != 1.0 and not str(args.field).lower().endswith(".npz"):
@@ -75,7 +98,7 @@ def require_deformation(args: argparse.Namespace, what: str) -> None:
         raise ValueError(f"{what} needs a deformation: --cage and --posed{alone}, --edit or --edits")
 
 
-def visible_points(field: VoxelField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
+def visible_points(field: AnyField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
     """Points around what a picture shows.
 
     Args:
@@ -89,15 +112,14 @@ def visible_points(field: VoxelField, deformation: Deformation | None, frame: st
     """
     if deformation is not None and frame == "posed":
         return deformation.vertices
-    low, high = field.bounds
+    low, high = field.shown_bounds if isinstance(field, SplatField) else field.bounds
     return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
 
 
-def make_deformer(field: VoxelField, deformation: Deformation, args: argparse.Namespace) -> Deformer:
+def make_deformer(field: AnyField, deformation: Deformation, args: argparse.Namespace) -> Deformer:
     """The Deformer of the deformation options, not posed yet."""
-    return Deformer(
-        field, deformation.edits, coordinates=args.coordinates, resolution=lattice_cells(args), density=args.density
-    )
+    options = {"coordinates": args.coordinates, "resolution": lattice_cells(args), "density": args.density}
+    return Deformer(field, deformation.edits, **options, map=args.map)
 
 
 #: Fewest and most cells along the longest side of a cage where nobody asks for a number of them, and pixels for each:
@@ -117,9 +139,7 @@ def set_lattice(args: argparse.Namespace, camera: Camera) -> None:
         args.resolution = min(max(cells, FEWEST_CELLS), MOST_CELLS)
 
 
-def posed_renderer(
-    field: VoxelField, deformation: Deformation | None, args: argparse.Namespace
-) -> VoxelField | Deformer:
+def posed_renderer(field: AnyField, deformation: Deformation | None, args: argparse.Namespace) -> AnyField | Deformer:
     """What renders the scene: the field itself, or a posed Deformer where something is deformed."""
     if deformation is None or deformation.is_still:
         return field
@@ -142,15 +162,16 @@ def is_transparent(args: argparse.Namespace) -> bool:
     return args.transparent or args.background == options.TRANSPARENT
 
 
-def render_view(renderer: VoxelField | Deformer, camera: Camera, args: argparse.Namespace) -> Frame:
+def render_view(renderer: AnyField | Deformer, camera: Camera, args: argparse.Namespace) -> Frame:
     """The view of a camera before the chosen background; what no picture showed is filled where --fill asks for it."""
     frame = renderer.render(camera, **background_option(args))
     if not args.fill or frame.reveal is None:
         return frame
-    return fill_unseen(frame, renderer.field if isinstance(renderer, Deformer) else renderer, camera)
+    field = renderer.field if isinstance(renderer, Deformer) else renderer
+    return fill_unseen(frame, require_voxels(field, "--fill"), camera)
 
 
-def require_fillable(args: argparse.Namespace, field: VoxelField) -> None:
+def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
     """Raises ValueError where --fill has nothing to fill."""
     if not args.fill:
         return
@@ -161,7 +182,7 @@ def require_fillable(args: argparse.Namespace, field: VoxelField) -> None:
         raise ValueError("--fill: behind this field there is one colour, so that nothing is missing where it shows")
 
 
-def drawn_cages(renderer: VoxelField | Deformer, deformation: Deformation | None) -> list[Cage]:
+def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) -> list[Cage]:
     """The cages that an overlay shows: as the Deformer has them, whose held walls stay at rest."""
     if deformation is None:
         return []

@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> None:
     ending = output.suffix.lower()
     if args.colors and ending not in WITH_COLORS:
         raise ValueError(f"--colors: {ending} has no colours, {' '.join(WITH_COLORS)} have")
-    field = inputs.read_field(args)
+    field = inputs.require_voxels(inputs.read_field(args), "mesh")
     colored = ending == ".glb" if args.colors is None else args.colors
 
     mesh = field.extract_mesh(threshold=args.threshold, components=args.components, colors=colored)

@@ -9,10 +9,13 @@ import argparse
 import fractions
 import pathlib
 
-from ..core.names import BACKGROUNDS, COORDINATES, DENSITIES
+from ..core.names import BACKGROUNDS, COORDINATES, DENSITIES, SPLAT_MAPS
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
 MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
+
+#: Files of splats: 3DGS' and SuperSplat's .ply, those of web viewers, and Niantic's.
+SPLAT_ENDINGS = (".ply", ".compressed.ply", ".splat", ".spz")
 
 #: What a film may show of its frames.
 PICTURE_KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
@@ -45,7 +48,7 @@ def package_version() -> str:
 
 def add_field(parser: Arguments) -> None:
     """The field that a command reads."""
-    parser.add_argument("field", help="field file (.npz)")
+    parser.add_argument("field", help=f"field file: voxels (.npz) or splats ({' '.join(SPLAT_ENDINGS)})")
 
 
 def add_scene(parser: Arguments, split: str) -> None:
@@ -199,6 +202,12 @@ def add_deformation(
         default="opacity",
         help="opacity: parts keep their opacity when they are scaled; paper: they keep their density, as in the paper "
         "(default: %(default)s)",
+    )
+    group.add_argument(
+        "--map",
+        choices=SPLAT_MAPS,
+        help="splats only. forward: they move by the coordinates of the cage at rest; backward: they go where voxels "
+        "under the same cage would be (default: forward)",
     )
 
 

@@ -35,6 +35,8 @@ def run(args: argparse.Namespace) -> None:
     if args.masks is not None:
         inputs.require_deformation(args, "--masks")
     field = inputs.read_field(args)
+    if args.masks is not None:
+        inputs.require_voxels(field, "--masks")
     inputs.require_fillable(args, field)
     deformation = read_deformation(args, field)
 

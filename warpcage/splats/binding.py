@@ -64,7 +64,7 @@ class CageBinding:
             f"{count} splats bound to a cage of {len(cage.vertices)} vertices need {{size}}: take a cage of fewer, or "
             "fewer splats",
         )
-        self.rows = empty_array((height, count), wp.vec4, device)
+        self.rows = _columns(height, count, wp.vec4, device)
         if coordinates == "harmonic":
             self._bind_lattice(points, resolution or RESOLUTION)
             return
@@ -72,7 +72,7 @@ class CageBinding:
         local = wp.array((points - centre) / cage.size, dtype=wp.vec3d, device=device)
         vertices = wp.array((cage.vertices - centre) / cage.size, dtype=wp.vec3d, device=device)
         faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
-        scratch = empty_array((len(cage.vertices), max(chunk, 1)), wp.vec4d, device)
+        scratch = _columns(len(cage.vertices), max(chunk, 1), wp.vec4d, device)
         kernel = green_rows.bind_green if coordinates == "green" else mean_value_rows.bind_mean_value
         for begin in range(0, count, CHUNK):
             inputs = [begin, local, vertices, faces, scratch]
@@ -139,6 +139,14 @@ class CageBinding:
             *(wp.mat33(*slope.ravel()), wp.vec3(*shift), 1.0 / self._cage.size, carried),
         ]
         launch(pose.carry_bound, members.size, inputs, device=self._device, work=len(residuals))
+
+
+def _columns(height: int, count: int, dtype: Any, device: wp.Device) -> wp.array:
+    """An array (height, count) whose columns lie together on the CPU, where a thread walks down one after another, and
+    whose rows do on CUDA, where the threads of a warp walk side by side."""
+    if device.is_cpu:
+        return empty_array((count, height), dtype, device).transpose([1, 0])
+    return empty_array((height, count), dtype, device)
 
 
 def fit_similarity(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

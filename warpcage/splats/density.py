@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
@@ -11,7 +13,10 @@ from ..core.checks import checked_bounds, checked_whole
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..kernels.splats.density import deposit_splats
-from .splat_field import LEAST_OPACITY, SplatField
+from .files.contents import LEAST_OPACITY
+
+if TYPE_CHECKING:
+    from .splat_field import SplatField
 
 #: Nodes along the longest side of a grid where nobody asks for another number, and at most.
 RESOLUTION, MOST_RESOLUTION = 128, 1024
@@ -41,11 +46,9 @@ class SplatDensity:
     def __init__(self, field: SplatField, resolution: int = RESOLUTION, bounds: ArrayLike | None = None):
         self.field, self.straightening = field, None
         box = field.bounds if bounds is None else checked_bounds(bounds)
-        side = float((box[1] - box[0]).max()) / checked_whole(resolution, "resolution", 2, MOST_RESOLUTION)
-        shape = np.maximum(np.ceil((box[1] - box[0]) / side - 1e-6).astype(int), 2)
-        self.voxel_size = np.full(3, side)
-        middle = box.mean(axis=0)
-        self.bounds = np.stack([middle - 0.5 * side * shape, middle + 0.5 * side * shape])
+        self.bounds, self.voxel_size = whole_voxels(box, checked_whole(resolution, "resolution", 2, MOST_RESOLUTION))
+        side = float(self.voxel_size[0])
+        shape = np.round((self.bounds[1] - self.bounds[0]) / side).astype(int)
         nodes = int(np.prod(shape, dtype=np.int64))
         require_memory(8 * nodes, field.device, f"{' x '.join(map(str, shape))} nodes need {{size}}: take fewer")
         density = empty_array(tuple(int(n) for n in shape), wp.float32, field.device)
@@ -78,3 +81,19 @@ class SplatDensity:
 
         places = (np.asarray(points, np.float64) - self.bounds[0]) / self.voxel_size - 0.5
         return None, map_coordinates(self._density, places.T, order=1, mode="nearest", output=np.float64)
+
+
+def whole_voxels(box: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray]:
+    """A box made larger to whole cubes.
+
+    Args:
+        box: (2, 3) lower and upper corner, world units.
+        resolution: Cubes along its longest side.
+
+    Returns:
+        (2, 3) the box about the same middle, at least two cubes along each axis; and (3,) the side of a cube.
+    """
+    side = float((box[1] - box[0]).max()) / resolution
+    shape = np.maximum(np.ceil((box[1] - box[0]) / side - 1e-6), 2.0)
+    middle = box.mean(axis=0)
+    return np.stack([middle - 0.5 * side * shape, middle + 0.5 * side * shape]), np.full(3, side)

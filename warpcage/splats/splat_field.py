@@ -18,16 +18,14 @@ from ..kernels.splats.splats import Splats
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera
 from ..view.frame import Frame
-from .files.contents import SplatContents, checked_contents, opacities_of
+from .density import RESOLUTION, SplatDensity, whole_voxels
+from .files.contents import LEAST_OPACITY, SplatContents, checked_contents, opacities_of
 from .files.files import read_splats, write_splats
 from .files.ply import PlyLayout, chosen_layout
 from .rendering import SplatRenderer, near_distance
 
 #: Standard deviations to which a splat is taken to reach.
 REACH = 3.0
-
-#: A splat less opaque than this is not seen in pictures of bytes.
-LEAST_OPACITY = 1.0 / 255.0
 
 
 class SplatField:
@@ -54,11 +52,15 @@ class SplatField:
         ValueError: For shapes that do not fit together, or values that are not finite.
 
     Attributes:
+        straightening: None, as for a VoxelField whose coordinates are those of its files.
+        background_model: None: there is one colour behind splats.
         contents: The values as files have them. They are not to be written to.
         background: (3,) float32 colour behind the splats.
         up: (3,) float64 unit vector.
         device: Warp device.
     """
+
+    straightening = background_model = None
 
     def __init__(
         self,
@@ -88,6 +90,7 @@ class SplatField:
             raise ValueError(f"up must be a direction, got {direction.tolist()}")
         self.up = direction / np.linalg.norm(direction)
         self._splats: Any = None
+        self._density: SplatDensity | None = None
 
     @classmethod
     def load(cls, path: str | os.PathLike, *, device: wp.DeviceLike = None) -> SplatField:
@@ -169,24 +172,56 @@ class SplatField:
         factors = self.rotations * self.scales[:, None, :]
         return factors @ factors.transpose(0, 2, 1)
 
-    @functools.cached_property
+    @property
     def bounds(self) -> np.ndarray:
-        """(2, 3) float64 box of all splats that can be seen, to three standard deviations, world units."""
+        """(2, 3) float64 box of all splats that can be seen, to three standard deviations; world units.
+
+        It is a whole number of voxels of `voxel_size` along each axis."""
+        return self._bounds
+
+    @functools.cached_property
+    def _bounds(self) -> np.ndarray:
         seen = self.opacities >= LEAST_OPACITY
         if not seen.any():
             seen[:] = True
         if not len(seen):
-            return np.array([np.full(3, -0.5), np.full(3, 0.5)])
+            return whole_voxels(np.array([np.full(3, -0.5), np.full(3, 0.5)]), RESOLUTION)[0]
         reach = REACH * np.sqrt(np.einsum("nii->ni", self.covariances)[seen])
         centres = self.contents.centres[seen].astype(np.float64)
         low, high = (centres - reach).min(axis=0), (centres + reach).max(axis=0)
-        thin = 1e-6 * max(float((high - low).max()), 1e-9)
-        return np.array([np.minimum(low, high - thin), high])
+        size = max(float((high - low).max()), 1e-9 * float(np.abs(centres).max()), 1e-9)
+        box = np.array([np.minimum(low, high - 1e-6 * size), np.maximum(high, low + 1e-6 * size)])
+        return whole_voxels(box, RESOLUTION)[0]
+
+    @functools.cached_property
+    def shown_bounds(self) -> np.ndarray:
+        """(2, 3) float64 box of most of what can be seen, for cameras to look at; world units.
+
+        It leaves out the outermost hundredth of the centres on each side."""
+        seen = self.opacities >= LEAST_OPACITY
+        if not seen.any():
+            return self.bounds
+        low, high = np.quantile(self.contents.centres[seen].astype(np.float64), [0.01, 0.99], axis=0)
+        reach = 2.0 * float(np.median(self.scales[seen].max(axis=1)))
+        return np.array([np.maximum(low - reach, self.bounds[0]), np.minimum(high + reach, self.bounds[1])])
 
     @property
     def center(self) -> np.ndarray:
         """(3,) float64 middle of the bounds: the origin that kernels' positions are relative to."""
         return self.bounds.mean(axis=0)
+
+    @property
+    def voxel_size(self) -> np.ndarray:
+        """(3,) world units: of the grid that `node_densities` looks at the splats on, 128 along the longest side."""
+        return np.full(3, float((self.bounds[1] - self.bounds[0]).max()) / RESOLUTION)
+
+    def node_densities(self) -> np.ndarray:
+        """(nx, ny, nz) float32 densities of the splats' matter in the middle of each voxel, per world unit.
+
+        Cages, selections and surfaces are made of them (kernels/splats/density.py)."""
+        if self._density is None:
+            self._density = SplatDensity(self)
+        return self._density.node_densities()
 
     @property
     def splats(self) -> Any:

@@ -7,17 +7,20 @@ import argparse
 from .. import options
 
 NAME = "bake"
-HELP = "resample a deformed field into a new field that needs no cage and renders faster"
+HELP = "make a new field of a deformed one, that needs no cage: voxels are resampled, splats moved"
 EXAMPLE = """\
   warpcage bake lego.npz --cage cage.obj --posed posed.obj -o bent.npz
   warpcage bake lego.npz --cage cage.obj --posed twist:60 -o twisted.npz --format svox2 --voxels 512
   warpcage bake lego.npz --edits lego.edits.json -o parts.npz
+  warpcage bake scene.ply --cage cage.obj --posed bend:40:x:z -o bent.ply
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument("-o", "--output", required=True, metavar="FIELD", help="field to write (.npz)")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FIELD", help="field to write (.npz, of splats as they come)"
+    )
     parser.add_argument(
         "--voxels",
         type=options.positive_int,
@@ -27,8 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--format",
         choices=("warpcage", "svox2"),
-        default="warpcage",
-        help="file format; svox2 is a Plenoxels checkpoint (default: %(default)s)",
+        help="file format; svox2 is a Plenoxels checkpoint (default: warpcage)",
     )
     options.add_deformation(parser, usual_resolution="128")
     options.add_scene_scale(parser)

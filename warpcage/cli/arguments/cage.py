@@ -19,7 +19,9 @@ EXAMPLE = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("field", metavar="object", help=f"field (.npz) or mesh ({' '.join(options.MESH_ENDINGS)})")
+    parser.add_argument(
+        "field", metavar="object", help=f"field (.npz), splats or mesh ({' '.join(options.MESH_ENDINGS)})"
+    )
     parser.add_argument(
         "-o", "--output", required=True, metavar="CAGE", help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})"
     )

@@ -18,7 +18,9 @@ EXAMPLE = """\
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cage", help=f"cage to examine ({' '.join(options.CAGE_ENDINGS)})")
-    parser.add_argument("--object", dest="field", metavar="OBJECT", help="field (.npz) or mesh that should be inside")
+    parser.add_argument(
+        "--object", dest="field", metavar="OBJECT", help="field (.npz), splats or mesh that should be inside"
+    )
     parser.add_argument(
         "--posed",
         metavar="POSED",

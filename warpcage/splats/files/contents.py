@@ -14,6 +14,9 @@ Y0 = 0.28209479177387814
 #: Harmonics of degree 0 to 3, by the numbers of a colour channel.
 DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
 
+#: A splat less opaque than this is not seen in pictures of bytes.
+LEAST_OPACITY = 1.0 / 255.0
+
 #: Logarithms of scales beyond which float32 cannot hold a covariance.
 MOST_LOG_SCALE = 40.0
 
