@@ -71,11 +71,8 @@ def test_cages_of_splats_are_checked(splats):
 
 
 def test_baked_splats_are_splats(splats, tmp_path):
-    posed = BOX.rotate(90, axis="z")
-    told = []
-    baked = export_baked(
-        posed_document(splats, posed), splats, tmp_path / "bent.ply", lambda _, text: told.append(text)
-    )
+    document, told = posed_document(splats, BOX.rotate(90, axis="z")), []
+    baked = export_baked(document, splats, tmp_path / "bent.ply", lambda _, text: told.append(text))
     again = load_field(tmp_path / "bent.ply")
     assert field_size(baked) == "400 splats" and "400 splats" in told[-1] and len(again) == 400
     expected = splats.contents.centres @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
