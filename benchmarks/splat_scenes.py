@@ -23,8 +23,11 @@ OPACITY, DEPTH = 0.99, 0.8
 RIDGE = 1e-3
 
 
-def splats_on_mesh(mesh: CarriedMesh, count: int, *, directions: int = 48, seed: int = 0, device=None):
-    """A SplatField of about `count` discs on a mesh at rest, and as many below them."""
+def splats_on_mesh(
+    mesh: CarriedMesh, count: int, *, aspect: float = 1.0, directions: int = 48, seed: int = 0, device=None
+):
+    """A SplatField of about `count` discs on a mesh at rest, and as many below them, `aspect` times longer one way and
+    narrower the other."""
     shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     layers = []
     for layer in range(2):  # the second one closes what is left between the discs of the first
@@ -33,7 +36,7 @@ def splats_on_mesh(mesh: CarriedMesh, count: int, *, directions: int = 48, seed:
         normals = shape.face_normals[faces]
         harmonics = fitted_harmonics(mesh, faces, corners, normals, directions, seed)
         spacing = np.sqrt(shape.area / len(points))
-        scales = np.log(spacing * SPREAD * np.array([1.0, 1.0, THICKNESS]))
+        scales = np.log(spacing * SPREAD * np.array([aspect, 1.0 / aspect, THICKNESS]))
         places = points - layer * DEPTH * spacing * normals
         layers.append((places, np.broadcast_to(scales, places.shape), turned_up(normals), harmonics))
     places, scales, turns, harmonics = (np.concatenate(parts) for parts in zip(*layers, strict=True))
