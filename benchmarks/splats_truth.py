@@ -101,6 +101,23 @@ def main() -> None:
         print(f"{name}: {time.perf_counter() - begin:.1f} s", flush=True)
         if args.json:
             write_results(args.json, device, size=args.size, test_views=args.test_views, scenes=scenes, rows=rows)
+    print(table(scenes, rows))
+
+
+def table(scenes, rows) -> str:
+    """The rows in Markdown: PSNR of the deformer, and how far below it each shortcut is, dB."""
+    shortcuts = ["no turn", "no split", "full opacity", "GSDeformer"]
+    ceilings = {scene["scene"]: scene["psnr"] for scene in scenes}
+    lines = ["| scene | at rest | pose | kind | deformer | " + " | ".join(shortcuts) + " |", "| --- " * 9 + "|"]
+    for row in rows:
+        if row["what"] != "deformer":
+            continue
+        place = ("scene", "pose", "kind")
+        beside = {other["what"]: other["psnr"] for other in rows if all(other[key] == row[key] for key in place)}
+        cells = [f"{beside[name] - row['psnr']:+.2f}" if name in beside else "–" for name in shortcuts]
+        names = [row["scene"], f"{ceilings[row['scene']]:.2f}", row["pose"], row["kind"].replace("_", " ")]
+        lines.append("| " + " | ".join([*names, f"{row['psnr']:.2f}", *cells]) + " |")
+    return "\n".join(lines)
 
 
 def parse_arguments():

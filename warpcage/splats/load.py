@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-import pathlib
 from typing import TypeAlias
 
 import warp as wp
 
 from ..core.files import PathLike
 from ..field.voxel_field import VoxelField
-from .files.files import SPLAT_ENDINGS
+from .files.files import is_splat_file
 from .splat_field import SplatField
 
 #: What a Deformer poses.
 AnyField: TypeAlias = VoxelField | SplatField
-
-
-def is_splat_file(path: PathLike) -> bool:
-    """Whether a file is one of splats, by its ending.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Whether it ends as those do.
-    """
-    return pathlib.Path(path).name.lower().endswith(SPLAT_ENDINGS)
 
 
 def load_field(path: PathLike, *, scene_scale: float = 1.0, device: wp.DeviceLike = None) -> AnyField:
