@@ -29,6 +29,9 @@ FIT_BACKGROUNDS = ("auto", "layers", "random", "constant")
 #: How the way from a key of a film to the next one goes.
 EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")
 
+#: What something in a scene stands on: what is level, what is upright, or either.
+PLANES = ("ground", "wall", "any")
+
 #: What a film does at its end.
 LOOPS = ("once", "loop", "ping-pong")
 

@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_bounds, checked_positive, checked_vector, checked_whole
+from ..core.checks import checked_bounds, checked_positive, checked_vector, checked_whole, require_type, shown
+from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.containment import inside_mesh
 from ..view.camera import Camera
+from .planes import Plane
+from .seen import in_depths, in_masks
 from .surface import DensityField, node_grid
 
 if TYPE_CHECKING:
@@ -107,6 +111,13 @@ def visible_mask(field: DensityField, threshold: float | None = None) -> np.ndar
     return densities >= -np.log1p(-VISIBLE_OPACITY) / np.prod(voxel_size) ** (1.0 / 3.0)
 
 
+def root_field(field: DensityField) -> DensityField:
+    """The field that a selection, or a selection of a selection, was taken of; a field itself."""
+    while isinstance(field, NodeSelection):
+        field = field.field
+    return field
+
+
 def visible_rows(field: VoxelField) -> np.ndarray:
     """The voxels of a VoxelField that can be seen, as `visible_mask` tells them, row by row.
 
@@ -130,11 +141,14 @@ class NodeSelection:
         field: The field, a VoxelField or the like.
         mask: (nx, ny, nz) bool, the chosen nodes.
         notes: A line for each thing that was left out.
+        floor: Plane that the chosen nodes lie above, where they were cut off what they stand on; a cage around them
+            stays above it too. None where they were not.
     """
 
     field: DensityField
     mask: np.ndarray
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    floor: Plane | None = None
 
     @property
     def bounds(self) -> np.ndarray:
@@ -151,6 +165,9 @@ class NodeSelection:
         """(n, 3) float64 world positions of the chosen nodes."""
         return _centres(self.field, np.argwhere(self.mask))
 
+    def __repr__(self) -> str:
+        return f"NodeSelection({np.count_nonzero(self.mask)} of {self.mask.size} nodes)"
+
     def node_densities(self) -> np.ndarray:
         """(nx, ny, nz) densities, zero outside the selection."""
         return np.where(self.mask, self.field.node_densities(), np.float32(0.0))
@@ -166,8 +183,11 @@ def select_nodes(
     *,
     threshold: float | None = None,
     box: ArrayLike | None = None,
+    sphere: ArrayLike | None = None,
+    cage: ClosedMesh | None = None,
     cameras: Iterable[Camera] | None = None,
     masks: Iterable[ArrayLike] | None = None,
+    depth: ArrayLike | None = None,
     seed: ArrayLike | None = None,
     reach: float | None = None,
     parts: int | None = None,
@@ -182,9 +202,13 @@ def select_nodes(
         threshold: Density from which a node counts as visible, per world unit. None goes by recorded weights or by
             opacity, as `warpcage.field.selection.visible_mask` does.
         box: (2, 3) corners of a box around the object, world units. None is no box.
-        cameras: Cameras of the masks.
+        sphere: (4,) centre and radius of a sphere around the object, world units. None is no sphere.
+        cage: A usable Cage around the object. None is no cage.
+        cameras: Cameras of the masks, or of the views of `depth`.
         masks: One (h, w) mask per camera, of its size, the object where it is above half its largest value. Kept are
             nodes inside the mask in every picture that they fall into, and in at least one.
+        depth: (2,) least and largest distance from the cameras, world units: kept is what their views, rendered from
+            the field, show in this range more often than out of it, and what that encloses. None is any.
         seed: (3,) a point in or on the object, world units: kept is what connects to the node nearest to it.
         reach: Largest distance from the seed, world units. None is no limit.
         parts: Number of connected parts to keep, the largest. None keeps all.
@@ -201,10 +225,20 @@ def select_nodes(
     _require_some(mask, "the field shows nothing")
     if box is not None:
         mask = _kept(mask, _in_box(field, mask, box), notes, "outside the box")
-    if (cameras is None) != (masks is None):
-        raise ValueError("cameras and masks go together, one mask per camera")
+    if sphere is not None:
+        mask = _kept(mask, _in_sphere(field, mask, sphere), notes, "outside the sphere")
+    if cage is not None:
+        mask = _kept(mask, _in_mesh(field, mask, cage), notes, "outside the cage")
+    cameras = None if cameras is None else list(cameras)
+    if (cameras is None) != (masks is None and depth is None):
+        raise ValueError("cameras and masks go together, one mask per camera; so do cameras and depth")
     if cameras is not None and masks is not None:
-        mask = _kept(mask, _in_masks(field, mask, list(cameras), list(masks)), notes, "outside the masks")
+        cells = np.argwhere(mask)
+        inside = in_masks(_centres(field, cells), cameras, list(masks))
+        mask = _kept(mask, _scattered(mask, cells, inside), notes, "outside the masks")
+    if cameras is not None and depth is not None:
+        where = "not shown by the views at these distances"
+        mask = _kept(mask, _in_views(field, mask, cameras, depth), notes, where)
     if seed is not None:
         mask = _kept(mask, _grown(field, mask, seed, reach), notes, "not connected to the seed point")
     elif reach is not None:
@@ -258,27 +292,30 @@ def _in_box(field: DensityField, mask: np.ndarray, box: ArrayLike) -> np.ndarray
     return _scattered(mask, cells, ((points >= low) & (points <= high)).all(axis=1))
 
 
-def _in_masks(field: DensityField, mask: np.ndarray, cameras: list[Camera], masks: list[ArrayLike]) -> np.ndarray:
-    if len(cameras) != len(masks) or not cameras:
-        raise ValueError(f"one mask per camera is needed, got {len(masks)} masks and {len(cameras)} cameras")
+def _in_sphere(field: DensityField, mask: np.ndarray, sphere: ArrayLike) -> np.ndarray:
+    values = np.asarray(sphere, np.float64) if np.shape(sphere) == (4,) else np.full(4, np.nan)
+    if not (np.isfinite(values).all() and values[3] > 0.0):
+        raise ValueError(f"sphere must be a centre and a positive radius, four numbers, got {shown(sphere)}")
     cells = np.argwhere(mask)
-    points = _centres(field, cells)
-    inside, seen = np.ones(len(points), dtype=bool), np.zeros(len(points), dtype=bool)
-    for number, (camera, given) in enumerate(zip(cameras, masks, strict=True)):
-        picture = np.asarray(given)
-        if picture.shape != (camera.height, camera.width):
-            raise ValueError(
-                f"mask {number} must be ({camera.height}, {camera.width}) as its camera, got {picture.shape}"
-            )
-        pixels, depth = camera.project(points)
-        ahead = np.flatnonzero(depth > 0.0)
-        column, row = np.floor(pixels[ahead]).astype(np.int64).T
-        falls = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-        ahead = ahead[falls]
-        seen[ahead] = True
-        top = picture.max()
-        inside[ahead] &= picture[row[falls], column[falls]] > 0.5 * top if top > 0 else False
-    return _scattered(mask, cells, inside & seen)
+    return _scattered(mask, cells, np.linalg.norm(_centres(field, cells) - values[:3], axis=1) <= values[3])
+
+
+def _in_mesh(field: DensityField, mask: np.ndarray, cage: ClosedMesh) -> np.ndarray:
+    require_type(cage, ClosedMesh, "to select what is inside takes")
+    cells = np.argwhere(mask)
+    return _scattered(mask, cells, inside_mesh(_centres(field, cells), cage, device=getattr(field, "device", "cpu")))
+
+
+def _in_views(field: DensityField, mask: np.ndarray, cameras: list[Camera], depth: ArrayLike) -> np.ndarray:
+    """What the views show in a range of distances, and what that encloses."""
+    from scipy.ndimage import binary_fill_holes
+
+    whole = root_field(field)
+    if not hasattr(whole, "render"):
+        raise ValueError("depth needs a field that can be rendered")
+    cells = np.argwhere(mask)
+    kept = _scattered(mask, cells, in_depths(_centres(field, cells), cast("VoxelField", whole), cameras, depth))
+    return mask & np.asarray(binary_fill_holes(kept))
 
 
 def _grown(field: DensityField, mask: np.ndarray, seed: ArrayLike, reach: float | None) -> np.ndarray:

@@ -10,7 +10,11 @@ import sys
 
 import numpy as np
 
+from ...field.planes import Plane
 from ...field.selection import visible_nodes
+from ...mesh.closed_mesh import ClosedMesh
+from ...mesh.intersections import intersecting_faces
+from ...mesh.usable import first_problem
 from .offset import shell_cage
 from .points import _checked_margin, _spacing, checked_count, surface_points
 from .voxel import voxel_cage
@@ -85,7 +89,8 @@ def cage_around_field(
     """Vertices (v, 3) and faces (f, 3) of a cage of `vertex_count` vertices (within 10 %) around what a field shows.
 
     field: VoxelField, or anything with .node_densities(), .bounds, .voxel_size and, if known, .node_weights():
-    a `warpcage.NodeSelection` to cage one object of a larger scene.
+    a `warpcage.NodeSelection` to cage one object of a larger scene. Where it has a `floor`, a warpcage.field Plane above
+    which its nodes lie, the cage ends there, and leaves what the object stands on outside.
     margin: least distance between the cage and the visible voxels (boxes of a voxel's size around their nodes), in
     voxels; None takes 1, so that the cage holds all that trilinear interpolation spreads around them. threshold: see
     `visible_nodes`. The rest is as in `cage_around_mesh`.
@@ -101,13 +106,15 @@ def cage_around_field(
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
     spacing = max(_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
-    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, progress)
+    floor = getattr(field, "floor", None)
+    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, progress, floor)
 
 
 def _cage_around_points(
-    points, spacing, slack, margin, vertex_count, method, symmetry, progress
+    points, spacing, slack, margin, vertex_count, method, symmetry, progress, floor: Plane | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The tightest cage of the methods asked for; slack: how far the object may lie off its points."""
+    """The tightest cage of the methods asked for; slack: how far the object may lie off its points; floor: where it
+    ends."""
     makers = {"shell": shell_cage, "voxel": voxel_cage}
     if method not in ("auto", *makers):
         raise ValueError(f"method must be 'auto', 'shell' or 'voxel', got {method!r}")
@@ -133,6 +140,12 @@ def _cage_around_points(
             _tell(progress, f"{name}: none ({error})")
             continue
         cage = cage.with_vertices(middle + size * cage.vertices)
+        if floor is not None:
+            cage = cage.with_vertices(ended_at(floor, cage.vertices))
+            trouble = first_problem(cage) or _folds(cage)
+            if trouble:
+                reasons.append(f"{name}: cut at the plane below the object {trouble}")
+                continue
         _tell(progress, f"{name}: {len(cage.vertices)} vertices, volume {cage.volume:.4g}")
         found.append(cage)
     if not found:
@@ -142,6 +155,16 @@ def _cage_around_points(
         )
     best = min(found, key=lambda cage: cage.volume)
     return best.vertices, best.faces
+
+
+def ended_at(floor: Plane, vertices: np.ndarray) -> np.ndarray:
+    """Vertices (v, 3), those below a plane moved straight up to it."""
+    return vertices + np.maximum(-floor.heights(vertices), 0.0)[:, None] * floor.normal
+
+
+def _folds(cage: ClosedMesh) -> str:
+    """What to say of a cage whose faces pass through each other, empty where none do."""
+    return "passes through itself" if len(intersecting_faces(cage.vertices, cage.faces)) else ""
 
 
 def _tell(progress, line: str) -> None:

@@ -1,0 +1,273 @@
+"""Choose an object that stands on something: by a click, or by a region, without what it stands on."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core.checks import checked_number, checked_vector
+from ..core.names import PLANES, require_name
+from ..mesh.closed_mesh import ClosedMesh
+from ..view.camera import Camera
+from .picking import pick_point
+from .planes import Plane, find_planes, support_plane
+from .selection import SEED_VOXELS, NodeSelection, _centres, root_field, select_nodes
+from .surface import DensityField, node_grid, surface_density
+
+if TYPE_CHECKING:
+    from .voxel_field import VoxelField
+
+#: What can be seen of an object reaches so many voxels beyond what is dense enough to be its surface.
+FRINGE_VOXELS = 2
+
+#: What messages call each kind of plane.
+PLANE_WORDS = {"ground": "ground plane", "wall": "wall", "any": "plane"}
+
+
+def select_object(
+    field: DensityField,
+    *,
+    point: ArrayLike | None = None,
+    pixel: ArrayLike | None = None,
+    camera: Camera | None = None,
+    box: ArrayLike | None = None,
+    sphere: ArrayLike | None = None,
+    cage: ClosedMesh | None = None,
+    cameras: Iterable[Camera] | None = None,
+    masks: Iterable[ArrayLike] | None = None,
+    depth: ArrayLike | None = None,
+    plane: str | Plane | None = "ground",
+    plane_at: ArrayLike | None = None,
+    up: ArrayLike | None = None,
+    clearance: float | None = None,
+    parts: int | None = None,
+    floaters: float = 0.0,
+) -> NodeSelection:
+    """An object of a scene without what it stands on: no masks are needed.
+
+    A click, a region or both choose it. The plane that it stands on is found in the whole field (`find_planes`): of
+    those below it the nearest that goes on around its foot. What lies up to `clearance` above the plane stays with it.
+    A click keeps what is connected to it by faces of voxels that are dense enough for the surface
+    (`warpcage.field.surface.surface_density`), so that haze connects nothing; what else can be seen within two voxels
+    of that belongs to it.
+
+    Example::
+
+        cup = select_object(field, point=(0.2, 0.1, 0.4))
+        cage = Cage.from_field(cup, 80)
+
+    Args:
+        field: A VoxelField, a NodeSelection or the like.
+        point: (3,) or (k, 3) places on the object, world units. None is no click.
+        pixel: (2,) or (k, 2) column and row of pixels of `camera` that show the object. None is no click.
+        camera: The camera of `pixel`.
+        box: (2, 3) corners of a box around the object, world units; see `select_nodes` for it and the next five.
+        sphere: (4,) centre and radius of a sphere around it, world units.
+        cage: A Cage around it.
+        cameras: Cameras of `masks` and `depth`.
+        masks: One (h, w) mask per camera.
+        depth: (2,) least and largest distance from the cameras, world units.
+        plane: What it stands on: "ground" is level, "wall" upright, "any" either, as far as `up` says; or a Plane; or
+            None, where it stands on nothing.
+        plane_at: (3,) a point on the plane, world units, where several could be it. None takes the one that fits.
+        up: (3,) what is up in the world. None is the field's own.
+        clearance: Distance above the plane from which on matter is the object's, world units. None is 2.5 standard
+            deviations of the heights of the plane's points and one voxel.
+        parts: Number of connected parts to keep, the largest. None keeps all.
+        floaters: Connected parts with fewer than this share of the largest part's nodes are dropped. 0 keeps all.
+
+    Returns:
+        The selection. Its `floor` is where it was cut.
+
+    Raises:
+        ValueError: In one line: a click on nothing or on the plane, no such plane, nothing left, or values that make no
+            sense.
+    """
+    region = _region(field, box, sphere, cage, cameras, masks, depth)
+    clicks = _clicks(field, point, pixel, camera)
+    if clearance is not None:
+        clearance = checked_number(clearance, "clearance")
+        if clearance < 0.0:
+            raise ValueError(f"clearance must not be negative, got {clearance}")
+        if plane is None:
+            raise ValueError("clearance is the distance from a plane: choose one")
+    if plane is None and plane_at is not None:
+        raise ValueError("plane_at is a point on the plane: choose 'ground', 'wall' or 'any'")
+    matter = _Matter(region)
+    notes = list(region.notes)
+    floor = None
+    if plane is not None:
+        base = plane if isinstance(plane, Plane) else _support(field, matter, clicks, plane, plane_at, up)
+        above = base.clearance(field.voxel_size) if clearance is None else clearance
+        for click in () if clicks is None else clicks:
+            if base.heights(click) <= above:
+                raise ValueError(_on_plane(click, base, above, plane))
+        floor = Plane(base.normal, base.offset + above)
+        voxels = above / float(np.max(field.voxel_size))
+        notes.append(
+            f"cut {above:.4g} ({voxels:.1f} voxels) above the {_plane_word(plane)} through "
+            f"{(base.normal * base.offset).round(4).tolist()}, normal {base.normal.round(3).tolist()}"
+            + (f", {100 * base.share:.0f} % of the surface" if len(base.points) else "")
+        )
+    mask = matter.above(floor)
+    if clicks is not None:
+        mask = matter.connected(mask, clicks)
+    if not mask.any():
+        where = "" if floor is None else " above the plane"
+        raise ValueError(f"nothing is selected: no matter that is dense enough for a surface is left{where}")
+    mask = matter.with_fringe(mask, floor)
+    chosen = NodeSelection(region.field, mask, tuple(notes), floor)
+    if parts is None and floaters == 0.0:
+        return chosen
+    kept = select_nodes(chosen, parts=parts, floaters=floaters)
+    return dataclasses.replace(chosen, mask=kept.mask, notes=(*notes, *kept.notes))
+
+
+class _Matter:
+    """What can be seen of a region, and which of it is dense enough to be a surface.
+
+    Args:
+        region: The visible nodes of the region.
+    """
+
+    def __init__(self, region: NodeSelection):
+        self.region, self.visible = region, region.mask
+        densities, self._voxel = node_grid(root_field(region))
+        self._solid = self.visible & (densities >= surface_density(densities, self._voxel))
+        self._cells = np.argwhere(self._solid)
+        self._places = _centres(region, self._cells)
+
+    def above(self, floor: Plane | None) -> np.ndarray:
+        """(nx, ny, nz) bool, what is dense above a plane."""
+        if floor is None:
+            return self._solid
+        mask = np.zeros_like(self._solid)
+        mask[tuple(self._cells[floor.heights(self._places) > 0.0].T)] = True
+        return mask
+
+    def connected(self, mask: np.ndarray, clicks: np.ndarray) -> np.ndarray:
+        """The parts of a mask that clicks (k, 3) are on or next to."""
+        import skimage.measure
+
+        cells = np.argwhere(mask)
+        places = _centres(self.region, cells)
+        labels = np.asarray(skimage.measure.label(mask, connectivity=1))
+        chosen = set()
+        for click in clicks:
+            distance = np.linalg.norm(places - click, axis=1)
+            nearest = int(np.argmin(distance)) if len(cells) else -1
+            if nearest < 0 or distance[nearest] > SEED_VOXELS * float(self._voxel.max()):
+                raise ValueError(
+                    f"the click at {click.round(4).tolist()} is on nothing: no matter that is dense enough for a "
+                    f"surface lies within {SEED_VOXELS} voxels of it"
+                )
+            chosen.add(int(labels[tuple(cells[nearest])]))
+        return np.isin(labels, sorted(chosen))
+
+    def with_fringe(self, mask: np.ndarray, floor: Plane | None) -> np.ndarray:
+        """A mask with what else is visible within a few voxels of it, above the plane, and nearer to no other part."""
+        from scipy.ndimage import binary_dilation
+
+        cells = np.argwhere(mask)
+        low = np.maximum(cells.min(axis=0) - FRINGE_VOXELS, 0)
+        block = tuple(slice(a, b + FRINGE_VOXELS + 1) for a, b in zip(low, cells.max(axis=0), strict=True))
+        free = self.visible[block] & ~self._solid[block]
+        if floor is not None:
+            fringe = np.argwhere(free)
+            under = floor.heights(_centres(self.region, fringe + low)) <= 0.0
+            free[tuple(fringe[under].T)] = False
+        own, other = mask[block], self._solid[block] & ~mask[block]
+        for _ in range(FRINGE_VOXELS):
+            grown = binary_dilation(own, np.ones((3, 3, 3), bool)) & free & ~other
+            other = other | (binary_dilation(other, np.ones((3, 3, 3), bool)) & free & ~own)
+            own = own | (grown & ~other)
+        result = mask.copy()
+        result[block] |= own
+        return result
+
+
+def _region(field, box, sphere, cage, cameras, masks, depth) -> NodeSelection:
+    """The visible nodes of a field in a region."""
+    given = {"box": box, "sphere": sphere, "cage": cage, "cameras": cameras, "masks": masks, "depth": depth}
+    return select_nodes(field, **{name: value for name, value in given.items() if value is not None})
+
+
+def _clicks(field: DensityField, point, pixel, camera) -> np.ndarray | None:
+    """(k, 3) places of clicks, None where there are none."""
+    if (pixel is None) != (camera is None):
+        raise ValueError("pixel and camera go together: a click in the picture of a camera")
+    clicks = []
+    if point is not None:
+        rows = [point] if np.ndim(point) < 2 else list(np.asarray(point))
+        clicks += [checked_vector(row, "point") for row in rows]
+    if pixel is not None and camera is not None:
+        whole = root_field(field)
+        if not hasattr(whole, "sample"):
+            raise ValueError("a click at a pixel needs a field that can be sampled")
+        rows = [pixel] if np.ndim(pixel) < 2 else list(np.asarray(pixel))
+        clicks += [pick_point(cast("VoxelField", whole), camera, row) for row in rows]
+    if (point is not None or pixel is not None) and not clicks:
+        raise ValueError("there is no click: give a point or a pixel")
+    return np.stack(clicks) if clicks else None
+
+
+def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
+    """The plane of a kind that the clicked matter, or all in the region, stands on."""
+    require_name(kind, PLANES, "plane")
+    word, voxel = PLANE_WORDS[kind], field.voxel_size
+    whole = root_field(field)
+    planes = find_planes(whole, kind, up=up)
+    if not planes:
+        raise ValueError(f"no {word} is found in the field: {_other_planes(kind)}")
+    if plane_at is not None:
+        place = checked_vector(plane_at, "plane_at")
+        far = [abs(float(plane.heights(place))) for plane in planes]
+        nearest = int(np.argmin(far))
+        room = max(planes[nearest].clearance(voxel), SEED_VOXELS * float(np.max(voxel)))
+        if far[nearest] > room:
+            raise ValueError(
+                f"no {word} passes near {place.tolist()}: the nearest of {len(planes)} is {far[nearest]:.4g} away"
+            )
+        return planes[nearest]
+
+    def grown(plane: Plane) -> np.ndarray:
+        mask = matter.above(Plane(plane.normal, plane.offset + plane.clearance(voxel)))
+        if clicks is not None and mask.any():
+            mask = matter.connected(mask, clicks)
+        return _centres(matter.region, np.argwhere(mask))
+
+    places = _centres(matter.region, np.argwhere(matter.above(None))) if clicks is None else clicks
+    if not len(places):
+        raise ValueError("nothing is selected: no matter in the region is dense enough for a surface")
+    found = support_plane(planes, places, voxel, grown)
+    if found is not None:
+        return found
+    if clicks is None:
+        raise ValueError(f"what is selected stands on no {word}: {_other_planes(kind)}")
+    for plane in planes:
+        if abs(float(np.median(plane.heights(clicks)))) <= plane.clearance(voxel):
+            raise ValueError(_on_plane(clicks[0], plane, plane.clearance(voxel), kind))
+    raise ValueError(
+        f"the click at {clicks[0].round(4).tolist()} is above no {word} of the field's {len(planes)}: "
+        f"{_other_planes(kind)}"
+    )
+
+
+def _plane_word(plane: str | Plane) -> str:
+    return PLANE_WORDS[plane] if isinstance(plane, str) else "plane"
+
+
+def _on_plane(click: np.ndarray, plane: Plane, clearance: float, kind: str | Plane) -> str:
+    return (
+        f"the click at {click.round(4).tolist()} is on the {_plane_word(kind)}, not on an object: it lies "
+        f"{float(plane.heights(click)):.4g} above it, and what stands on it begins at {clearance:.4g}"
+    )
+
+
+def _other_planes(kind: str) -> str:
+    others = [name for name in PLANES if name != kind]
+    return f"choose another kind ({' or '.join(others)}), or none for an object that stands on nothing"

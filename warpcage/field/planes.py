@@ -1,0 +1,324 @@
+"""Planes that things stand on: floors, table tops and walls, found in a field's surface."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core.checks import checked_number, checked_positive, checked_vector, checked_whole
+from ..core.names import PLANES, require_name
+from .surface import DensityField, node_grid, surface_density
+
+#: Points that a plane is guessed from and tried on at most; all of them take part in its final fit.
+_TRIED_POINTS = 20_000
+
+#: Guesses for each plane, and how many of the best are fitted to their points before one is taken.
+_GUESSES, _FITTED_GUESSES = 400, 8
+
+#: Rounds of fitting a plane to the points near it; the slab of the first is this many times as thick as the last.
+_FIT_ROUNDS, _FIRST_SLAB = 6, 3.0
+
+#: Points of a plane have normals within so many degrees of its own.
+NORMAL_DEGREES = 30.0
+
+#: A level plane is within so many degrees of what is up for the cameras, which a hand rarely holds straight; an upright
+#: one within so many of a right angle to it.
+TILT_DEGREES = 25.0
+
+#: Half the thickness of the slab of a plane's points, in voxels.
+SLAB_VOXELS = 1.5
+
+#: A plane holds at least this share of the surface, and so many points.
+LEAST_SHARE, LEAST_POINTS = 0.03, 30
+
+#: Where a cut goes above a plane: standard deviations of the heights of its points, and voxels on top, over which what
+#: can be seen of a surface fades.
+_CUT_DEVIATIONS, _CUT_VOXELS = 2.5, 1.0
+
+#: Voxels over which opacity is smoothed for normals, and the least slope of it that tells one.
+_SMOOTHING, _LEAST_SLOPE = 1.0, 0.02
+
+#: Directions around what stands on a plane, and the share of them in which the plane must go on.
+_SECTORS, _SURROUNDED = 16, 0.6
+
+#: Share of what stands on a plane, from below, whose outline is looked at.
+_FOOT_SHARE = 0.25
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plane:
+    """A plane in a field, with a side that is above it.
+
+    Args:
+        normal: (3,) unit vector, out of the matter.
+        offset: Signed distance of the plane from the origin along the normal, world units.
+        spread: Standard deviation of the heights of its points, world units. 0 for a plane that was given.
+        share: Its share of the surface that it was found in. 1 for a plane that was given.
+        points: (n, 3) float64, its points on the surface, world units.
+    """
+
+    normal: np.ndarray
+    offset: float
+    spread: float = 0.0
+    share: float = 1.0
+    points: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)), repr=False)
+
+    def __post_init__(self) -> None:
+        normal = checked_vector(self.normal, "the normal of a plane")
+        length = float(np.linalg.norm(normal))
+        if not length > 0.0:
+            raise ValueError("the normal of a plane must not be zero")
+        object.__setattr__(self, "normal", normal / length)
+        object.__setattr__(self, "offset", checked_number(self.offset, "the offset of a plane"))
+
+    def heights(self, points: ArrayLike) -> np.ndarray:
+        """Signed distances from the plane.
+
+        Args:
+            points: (..., 3) float, world units.
+
+        Returns:
+            (...) float64, world units, above 0 on the side that the normal points to.
+        """
+        return np.asarray(points, np.float64) @ self.normal - self.offset
+
+    def clearance(self, voxel_size: ArrayLike) -> float:
+        """How far above the plane its own matter ends.
+
+        Args:
+            voxel_size: (3,) world units.
+
+        Returns:
+            2.5 standard deviations of its points' heights and one voxel, world units.
+        """
+        return _CUT_DEVIATIONS * self.spread + _CUT_VOXELS * float(np.max(voxel_size))
+
+
+def find_planes(
+    field: DensityField, kind: str = "ground", *, up: ArrayLike | None = None, count: int = 6, seed: int = 0
+) -> list[Plane]:
+    """Planes in the surface of a field, such as the floor and the tables of a room.
+
+    RANSAC (Fischler and Bolles 1981) over points of the surface and their normals, the best guesses fitted to their
+    points (Chum, Matas and Kittler 2003); the points of a plane that was found are left out for the next. Where largest
+    rendering weights were recorded a point counts by its own, so that fog behind what was seen counts little.
+
+    Args:
+        field: A VoxelField, a NodeSelection or the like.
+        kind: "ground": level within 25 degrees of `up`, its matter below; "wall": upright within 25 degrees; "any".
+        up: (3,) what is up in the world. None is the field's own, or +z where it has none.
+        count: How many planes at most.
+        seed: Seed of the guesses.
+
+    Returns:
+        The planes, largest first; none where no plane holds 3 % of the surface.
+
+    Raises:
+        ValueError: For an empty field, another kind, or a direction that is zero.
+    """
+    require_name(kind, PLANES, "plane")
+    count = checked_whole(count, "count", 1)
+    upward = checked_vector(getattr(field, "up", (0.0, 0.0, 1.0)) if up is None else up, "up")
+    if not np.linalg.norm(upward) > 0.0:
+        raise ValueError("up must be a direction, not zero")
+    upward = upward / np.linalg.norm(upward)
+    points, normals, weights = surface_points(field)
+    limit = np.sin(np.radians(TILT_DEGREES))
+    allowed: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        "ground": lambda n: n @ upward >= np.cos(np.radians(TILT_DEGREES)),
+        "wall": lambda n: np.abs(n @ upward) <= limit,
+        "any": lambda n: np.ones(n.shape[:-1], bool),
+    }
+    slab = SLAB_VOXELS * float(np.max(field.voxel_size))
+    return fit_planes(points, normals, slab, weights=weights, allowed=allowed[kind], count=count, seed=seed)
+
+
+def fit_planes(
+    points: np.ndarray,
+    normals: np.ndarray,
+    slab: float,
+    *,
+    weights: np.ndarray | None = None,
+    allowed: Callable[[np.ndarray], np.ndarray] | None = None,
+    count: int = 6,
+    seed: int = 0,
+) -> list[Plane]:
+    """Planes through oriented points, largest first; see `find_planes`.
+
+    Args:
+        points: (n, 3) float64, world units.
+        normals: (n, 3) float64 unit vectors.
+        slab: Half the thickness of the slab of a plane's points, world units.
+        weights: (n,) how much each point counts. None counts all alike.
+        allowed: Which normals (k, 3) a plane may have, (k,) bool. None is any.
+        count: How many planes at most.
+        seed: Seed of the guesses.
+
+    Returns:
+        The planes.
+    """
+    slab = checked_positive(slab, "slab")
+    weights = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
+    random = np.random.default_rng(seed)
+    left, total, planes = np.ones(len(points), bool), weights.sum(), []
+    while len(planes) < count:
+        found = _best_plane(points, normals, weights, left, slab, allowed, random)
+        if found is None:
+            break
+        normal, offset = found
+        near = _near(points, normals, normal, offset, slab)
+        share = weights[near].sum() / total
+        if near.sum() < LEAST_POINTS or share < LEAST_SHARE:
+            break
+        spread = float(np.std(points[near] @ normal))
+        planes.append(Plane(normal, offset, spread, float(share), points[near]))
+        left &= ~_near(points, normals, normal, offset, 2.0 * slab, 1.5 * NORMAL_DEGREES)
+    return sorted(planes, key=lambda plane: -plane.share)
+
+
+def surface_points(field: DensityField) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of a field's surface: visible nodes that are dense enough for it and have a neighbour that is not.
+
+    Args:
+        field: A VoxelField, a NodeSelection or the like.
+
+    Returns:
+        Positions (n, 3) float64, world units; unit normals (n, 3) out of the matter, against the slope of the smoothed
+        opacity; and weights (n,): the largest rendering weights, or 1 where none were recorded.
+
+    Raises:
+        ValueError: For an empty field.
+    """
+    from scipy.ndimage import binary_erosion, gaussian_filter
+
+    densities, voxel_size = node_grid(field)
+    level = surface_density(densities, voxel_size)
+    seen = getattr(field, "node_weights", lambda: None)()
+    solid = densities >= level
+    # one half at the surface, whatever the field's density there
+    opacity = gaussian_filter(1.0 - np.exp2(-densities / np.float32(level)), _SMOOTHING)
+    cells = np.argwhere(solid & ~binary_erosion(solid, np.ones((3, 3, 3), bool), border_value=1))
+    slope = np.empty((len(cells), 3))
+    for axis in range(3):
+        ahead, behind = cells.copy(), cells.copy()
+        ahead[:, axis] = np.minimum(ahead[:, axis] + 1, densities.shape[axis] - 1)
+        behind[:, axis] = np.maximum(behind[:, axis] - 1, 0)
+        step = ahead[:, axis] - behind[:, axis]
+        slope[:, axis] = (opacity[tuple(ahead.T)] - opacity[tuple(behind.T)]) / np.maximum(step, 1)
+    told = np.linalg.norm(slope, axis=1) >= _LEAST_SLOPE
+    cells, slope = cells[told], slope[told] / voxel_size
+    normals = -slope / np.linalg.norm(slope, axis=1, keepdims=True)
+    points = np.asarray(field.bounds, np.float64)[0] + (cells + 0.5) * voxel_size
+    weights = np.ones(len(cells)) if seen is None else np.asarray(seen, np.float64)[tuple(cells.T)]
+    return points, normals, weights
+
+
+def surrounds(plane: Plane, points: np.ndarray) -> bool:
+    """Whether a plane goes on around what stands on it: a table does so around a cup, a seat not around its back.
+
+    Args:
+        plane: The plane, with its points.
+        points: (n, 3) float64, what stands on it, world units.
+
+    Returns:
+        Whether, in 60 % of the directions around the foot of the points (their lowest quarter), points of the plane lie
+        farther out than it.
+    """
+    heights = plane.heights(points)
+    foot = points[heights <= heights.min() + _FOOT_SHARE * np.ptp(heights)]
+    middle = foot.mean(axis=0)
+    sideways = np.linalg.svd(plane.normal[None])[2][1:]
+    reach = []
+    for each in (foot, plane.points):
+        x, y = sideways @ (each - middle).T
+        sector = ((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
+        farthest = np.zeros(_SECTORS)
+        np.maximum.at(farthest, sector, np.hypot(x, y))
+        reach.append(farthest)
+    return float(np.mean(reach[1] > reach[0])) >= _SURROUNDED
+
+
+def _near(points, normals, normal, offset, slab, degrees: float = NORMAL_DEGREES) -> np.ndarray:
+    """Which oriented points belong to a plane, (n,) bool."""
+    return (np.abs(points @ normal - offset) <= slab) & (normals @ normal >= np.cos(np.radians(degrees)))
+
+
+def _best_plane(
+    points: np.ndarray,
+    normals: np.ndarray,
+    weights: np.ndarray,
+    left: np.ndarray,
+    slab: float,
+    allowed: Callable[[np.ndarray], np.ndarray] | None,
+    random: np.random.Generator,
+) -> tuple[np.ndarray, float] | None:
+    """Normal and offset of the plane with the most weight among the points that are left; None where there is none."""
+    rows = np.flatnonzero(left)
+    if len(rows) < LEAST_POINTS:
+        return None
+    tried = random.permutation(rows)[:_TRIED_POINTS]
+    guesses = tried if allowed is None else tried[allowed(normals[tried])]
+    guesses = guesses[:_GUESSES]
+    p, n, w = points[tried], normals[tried], weights[tried]
+
+    def score(normal: np.ndarray, offset: float, width: float) -> float:
+        return float(w[_near(p, n, normal, offset, width)].sum())
+
+    # normals of single points are off by degrees: a thick slab does not mind
+    first = _FIRST_SLAB * slab
+    scored = sorted(((-score(normals[i], float(normals[i] @ points[i]), first), i) for i in guesses))
+    best: tuple[float, np.ndarray, float] | None = None
+    for _, i in scored[:_FITTED_GUESSES]:
+        fitted = _fitted(p, n, w, normals[i], float(normals[i] @ points[i]), slab)
+        if fitted is None or (allowed is not None and not allowed(fitted[0][None])[0]):
+            continue
+        value = score(*fitted, slab)
+        if best is None or value > best[0]:
+            best = value, *fitted
+    if best is None:
+        return None
+    q, m, u = points[rows], normals[rows], weights[rows]
+    return _fitted(q, m, u, best[1], best[2], slab, first=1.0) or (best[1], best[2])
+
+
+def _fitted(p, n, w, normal, offset, slab, *, first: float = _FIRST_SLAB) -> tuple[np.ndarray, float] | None:
+    """A plane fitted to the points near it by weighted least squares, in slabs that become thinner."""
+    for width in np.geomspace(first * slab, slab, _FIT_ROUNDS):
+        near = _near(p, n, normal, offset, width)
+        if near.sum() < 3 or not w[near].sum() > 0.0:
+            return None
+        share = w[near] / w[near].sum()
+        middle = share @ p[near]
+        aside = p[near] - middle
+        fitted = np.linalg.eigh((aside * share[:, None]).T @ aside)[1][:, 0]
+        normal = fitted if fitted @ normal > 0.0 else -fitted
+        offset = float(normal @ middle)
+    return normal, offset
+
+
+def support_plane(planes: Sequence[Plane], points: np.ndarray, voxel_size: ArrayLike, grown) -> Plane | None:
+    """The plane that something stands on.
+
+    Args:
+        planes: Planes that may be it.
+        points: (n, 3) float64 places of the thing, world units.
+        voxel_size: (3,) world units.
+        grown: Takes a plane and returns (m, 3) what is left of the thing above it, world units.
+
+    Returns:
+        Of the planes that the middle of the points is clear of, the nearest that goes on around what stands on it; the
+        largest where none does; None where the points are above none.
+    """
+    below = []
+    for plane in planes:
+        height = float(np.median(plane.heights(points)))
+        if height > plane.clearance(voxel_size):
+            below.append((height, plane))
+    for _, plane in sorted(below, key=lambda each: each[0]):
+        left = grown(plane)
+        if len(left) and surrounds(plane, left):
+            return plane
+    return max((plane for _, plane in below), key=lambda plane: plane.share, default=None)
