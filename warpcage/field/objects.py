@@ -14,7 +14,7 @@ from ..core.names import PLANES, require_name
 from ..mesh.closed_mesh import ClosedMesh
 from ..view.camera import Camera
 from .picking import pick_point
-from .planes import Plane, find_planes, support_plane
+from .planes import Plane, find_planes, plane_below, plane_through
 from .selection import SEED_VOXELS, NodeSelection, _centres, root_field, select_nodes
 from .surface import DensityField, node_grid, surface_density
 
@@ -141,6 +141,15 @@ class _Matter:
         self._cells = np.argwhere(self._solid)
         self._places = _centres(region, self._cells)
 
+    def places(self, mask: np.ndarray) -> np.ndarray:
+        """(n, 3) world positions of the nodes of a mask."""
+        return _centres(self.region, np.argwhere(mask))
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """Which points (n, 3), positions of nodes, are visible and in the region, (n,) bool."""
+        cells = np.floor((points - np.asarray(self.region.bounds)[0]) / self._voxel).astype(int)
+        return self.visible[tuple(np.clip(cells, 0, np.array(self.visible.shape) - 1).T)]
+
     def above(self, floor: Plane | None) -> np.ndarray:
         """(nx, ny, nz) bool, what is dense above a plane."""
         if floor is None:
@@ -234,20 +243,22 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
             )
         return planes[nearest]
 
+    if clicks is None:
+        places = matter.places(matter.above(None))
+        if not len(places):
+            raise ValueError("nothing is selected: no matter in the region is dense enough for a surface")
+        found = plane_through(planes, places, voxel, matter.holds)
+        if found is None:
+            raise ValueError(f"what is selected stands on no {word}: {_other_planes(kind)}")
+        return found
+
     def grown(plane: Plane) -> np.ndarray:
         mask = matter.above(Plane(plane.normal, plane.offset + plane.clearance(voxel)))
-        if clicks is not None and mask.any():
-            mask = matter.connected(mask, clicks)
-        return _centres(matter.region, np.argwhere(mask))
+        return matter.places(matter.connected(mask, clicks))
 
-    places = _centres(matter.region, np.argwhere(matter.above(None))) if clicks is None else clicks
-    if not len(places):
-        raise ValueError("nothing is selected: no matter in the region is dense enough for a surface")
-    found = support_plane(planes, places, voxel, grown)
+    found = plane_below(planes, clicks, voxel, grown)
     if found is not None:
         return found
-    if clicks is None:
-        raise ValueError(f"what is selected stands on no {word}: {_other_planes(kind)}")
     for plane in planes:
         if abs(float(np.median(plane.heights(clicks)))) <= plane.clearance(voxel):
             raise ValueError(_on_plane(clicks[0], plane, plane.clearance(voxel), kind))

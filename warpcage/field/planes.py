@@ -21,8 +21,8 @@ _GUESSES, _FITTED_GUESSES = 400, 8
 #: Rounds of fitting a plane to the points near it; the slab of the first is this many times as thick as the last.
 _FIT_ROUNDS, _FIRST_SLAB = 6, 3.0
 
-#: Points of a plane have normals within so many degrees of its own.
-NORMAL_DEGREES = 30.0
+#: Points of a plane have normals within so many degrees of its own, and their mean within so many.
+NORMAL_DEGREES, MEAN_DEGREES = 30.0, 10.0
 
 #: A level plane is within so many degrees of what is up for the cameras, which a hand rarely holds straight; an upright
 #: one within so many of a right angle to it.
@@ -31,8 +31,9 @@ TILT_DEGREES = 25.0
 #: Half the thickness of the slab of a plane's points, in voxels.
 SLAB_VOXELS = 1.5
 
-#: A plane holds at least this share of the surface, and so many points.
-LEAST_SHARE, LEAST_POINTS = 0.03, 30
+#: A plane holds at least this share of the surface, and so many points, of which this share hangs together: tops of
+#: things that happen to lie in one plane do not.
+LEAST_SHARE, LEAST_POINTS, LEAST_PATCH = 0.03, 30, 0.5
 
 #: Where a cut goes above a plane: standard deviations of the heights of its points, and voxels on top, over which what
 #: can be seen of a surface fades.
@@ -44,8 +45,18 @@ _SMOOTHING, _LEAST_SLOPE = 1.0, 0.02
 #: Directions around what stands on a plane, and the share of them in which the plane must go on.
 _SECTORS, _SURROUNDED = 16, 0.6
 
+#: Area of a plane, at least, over that of the shadow of what stands on it.
+_LEAST_AREA = 2.0
+
 #: Share of what stands on a plane, from below, whose outline is looked at.
 _FOOT_SHARE = 0.25
+
+#: Share of the matter in a region that is above the plane that it stands on, and of the plane's points that the region
+#: may hold: a table that is in it whole belongs to what was chosen.
+_LEAST_ABOVE, _MOST_INSIDE = 0.1, 0.9
+
+#: Takes a plane and returns places (m, 3) of what is above it.
+Grown = Callable[["Plane"], np.ndarray]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -164,19 +175,35 @@ def fit_planes(
     weights = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
     random = np.random.default_rng(seed)
     left, total, planes = np.ones(len(points), bool), weights.sum(), []
-    while len(planes) < count:
+    tries = 2 * count
+    while len(planes) < count and tries:
         found = _best_plane(points, normals, weights, left, slab, allowed, random)
         if found is None:
             break
         normal, offset = found
-        near = _near(points, normals, normal, offset, slab)
+        near = np.flatnonzero(_near(points, normals, normal, offset, slab))
         share = weights[near].sum() / total
-        if near.sum() < LEAST_POINTS or share < LEAST_SHARE:
+        if len(near) < LEAST_POINTS or share < LEAST_SHARE:
             break
-        spread = float(np.std(points[near] @ normal))
-        planes.append(Plane(normal, offset, spread, float(share), points[near]))
+        lean = normals[near].T @ weights[near]
+        level = lean @ normal >= np.cos(np.radians(MEAN_DEGREES)) * np.linalg.norm(lean)
+        if level and _largest_patch(points[near], weights[near], slab) >= LEAST_PATCH * share * total:
+            spread = float(np.std(points[near] @ normal))
+            planes.append(Plane(normal, offset, spread, float(share), points[near]))
         left &= ~_near(points, normals, normal, offset, 2.0 * slab, 1.5 * NORMAL_DEGREES)
+        tries -= 1
     return sorted(planes, key=lambda plane: -plane.share)
+
+
+def _largest_patch(points: np.ndarray, weights: np.ndarray, slab: float) -> float:
+    """The weight of the largest part of points that hangs together, in cells as wide as their slab is thick."""
+    import skimage.measure
+
+    cells = np.floor((points - points.min(axis=0)) / (2.0 * slab)).astype(int)
+    grid = np.zeros(cells.max(axis=0) + 1, bool)
+    grid[tuple(cells.T)] = True
+    labels = np.asarray(skimage.measure.label(grid, connectivity=3))
+    return float(np.bincount(labels[tuple(cells.T)], weights).max())
 
 
 def surface_points(field: DensityField) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -216,21 +243,24 @@ def surface_points(field: DensityField) -> tuple[np.ndarray, np.ndarray, np.ndar
     return points, normals, weights
 
 
-def surrounds(plane: Plane, points: np.ndarray) -> bool:
+def surrounds(plane: Plane, points: np.ndarray, spacing: float) -> bool:
     """Whether a plane goes on around what stands on it: a table does so around a cup, a seat not around its back.
 
     Args:
         plane: The plane, with its points.
         points: (n, 3) float64, what stands on it, world units.
+        spacing: Distance of neighbouring points, world units.
 
     Returns:
-        Whether, in 60 % of the directions around the foot of the points (their lowest quarter), points of the plane lie
-        farther out than it.
+        Whether the plane has twice the area of the shadow of the points on it, as the top of a foot has not; and, in
+        60 % of the directions around the foot of the points (their lowest quarter), points that lie farther out.
     """
+    if not _is_wide(plane, points, spacing):
+        return False
+    sideways = np.linalg.svd(plane.normal[None])[2][1:]
     heights = plane.heights(points)
     foot = points[heights <= heights.min() + _FOOT_SHARE * np.ptp(heights)]
     middle = foot.mean(axis=0)
-    sideways = np.linalg.svd(plane.normal[None])[2][1:]
     reach = []
     for each in (foot, plane.points):
         x, y = sideways @ (each - middle).T
@@ -239,6 +269,13 @@ def surrounds(plane: Plane, points: np.ndarray) -> bool:
         np.maximum.at(farthest, sector, np.hypot(x, y))
         reach.append(farthest)
     return float(np.mean(reach[1] > reach[0])) >= _SURROUNDED
+
+
+def _is_wide(plane: Plane, points: np.ndarray, spacing: float) -> bool:
+    """Whether a plane has twice the area of the shadow of points (n, 3) on it; spacing: of neighbouring points."""
+    sideways = np.linalg.svd(plane.normal[None])[2][1:]
+    areas = [len(np.unique(np.floor(each @ sideways.T / (1.5 * spacing)), axis=0)) for each in (plane.points, points)]
+    return areas[0] >= _LEAST_AREA * areas[1]
 
 
 def _near(points, normals, normal, offset, slab, degrees: float = NORMAL_DEGREES) -> np.ndarray:
@@ -299,26 +336,51 @@ def _fitted(p, n, w, normal, offset, slab, *, first: float = _FIRST_SLAB) -> tup
     return normal, offset
 
 
-def support_plane(planes: Sequence[Plane], points: np.ndarray, voxel_size: ArrayLike, grown) -> Plane | None:
-    """The plane that something stands on.
+def plane_below(planes: Sequence[Plane], clicks: np.ndarray, voxel_size: ArrayLike, grown: Grown) -> Plane | None:
+    """The plane that something which was clicked stands on.
 
     Args:
         planes: Planes that may be it.
-        points: (n, 3) float64 places of the thing, world units.
+        clicks: (n, 3) float64 places of the thing, world units.
         voxel_size: (3,) world units.
-        grown: Takes a plane and returns (m, 3) what is left of the thing above it, world units.
+        grown: Takes a plane and returns what of the thing is above it, (m, 3) world units.
 
     Returns:
-        Of the planes that the middle of the points is clear of, the nearest that goes on around what stands on it; the
-        largest where none does; None where the points are above none.
+        Of the planes that the clicks are clear of, the nearest that goes on around what stands on it; the largest where
+        none does; None where the clicks are above none.
     """
-    below = []
-    for plane in planes:
-        height = float(np.median(plane.heights(points)))
-        if height > plane.clearance(voxel_size):
-            below.append((height, plane))
+    heights = [(float(np.median(plane.heights(clicks))), plane) for plane in planes]
+    below = [(height, plane) for height, plane in heights if height > plane.clearance(voxel_size)]
     for _, plane in sorted(below, key=lambda each: each[0]):
         left = grown(plane)
-        if len(left) and surrounds(plane, left):
+        if len(left) and surrounds(plane, left, float(np.max(voxel_size))):
             return plane
     return max((plane for _, plane in below), key=lambda plane: plane.share, default=None)
+
+
+def plane_through(
+    planes: Sequence[Plane], places: np.ndarray, voxel_size: ArrayLike, is_inside: Callable[[np.ndarray], np.ndarray]
+) -> Plane | None:
+    """The plane that what is in a region stands on.
+
+    Args:
+        planes: Planes that may be it.
+        places: (n, 3) float64, the matter in the region, world units.
+        voxel_size: (3,) world units.
+        is_inside: Which of the points (m, 3) of a plane are in the region, (m,) bool.
+
+    Returns:
+        Of the planes with a tenth of the matter above them, the highest that is twice as wide as what is above it and
+        goes on outside the region, as a table does that is larger than a box around a cup; the largest where none does; None where there are none.
+    """
+    held = []
+    for plane in planes:
+        heights = plane.heights(places)
+        above = heights > plane.clearance(voxel_size)
+        if np.mean(above) >= _LEAST_ABOVE:
+            held.append((float(np.median(heights)), plane, places[above]))
+    for _, plane, standing in sorted(held, key=lambda each: each[0]):
+        wide = _is_wide(plane, standing, float(np.max(voxel_size)))
+        if wide and np.mean(is_inside(plane.points)) <= _MOST_INSIDE:
+            return plane
+    return max((plane for _, plane, _ in held), key=lambda plane: plane.share, default=None)

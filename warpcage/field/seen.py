@@ -51,10 +51,10 @@ def in_masks(points: np.ndarray, cameras: list[Camera], masks: list[ArrayLike]) 
 
 
 def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], depth: ArrayLike) -> np.ndarray:
-    """Which points the views show at distances in a range.
+    """Which points of a field's matter the views show at distances in a range, and what is hidden behind those.
 
-    A view shows a point that lies within two voxels of the distance that it renders there, where it is half opaque: in
-    front of that there is nothing, behind it the view cannot tell.
+    A view shows a point that lies within two voxels of the distance that it renders there, where it is half opaque. In
+    front of that it looks through haze, behind it there is what it cannot see: that goes with the nearest shown point.
 
     Args:
         points: (n, 3) float64, world units.
@@ -63,7 +63,8 @@ def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], dept
         depth: (2,) least and largest distance from the camera along the ray, world units.
 
     Returns:
-        (n,) bool, points that are shown by a view, and by more views in the range than out of it.
+        (n,) bool: points that are shown by more views in the range than out of it, and points that none shows, that
+        more views have behind something than look through, and that are nearest to such a point.
 
     Raises:
         ValueError: For no cameras, or a range that is none.
@@ -74,7 +75,7 @@ def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], dept
         raise ValueError(f"depth must be two distances from the cameras, the nearer one first, got {depth!r}")
     if not cameras:
         raise ValueError("depth needs the cameras of the views")
-    within, without = np.zeros(len(points), int), np.zeros(len(points), int)
+    within, without, hidden, through = (np.zeros(len(points), int) for _ in range(4))
     room = DEPTH_VOXELS * float(np.max(field.voxel_size))
     for camera in cameras:
         shrink = min(1.0, DEPTH_PIXELS / max(camera.width, camera.height))
@@ -82,11 +83,21 @@ def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], dept
         frame = field.render(small, background="black", supersampling=1)
         ahead, row, column = _fallen(points, small)
         distance = np.linalg.norm(points[ahead] - small.centre, axis=1)
-        shown = (frame.alpha[row, column] >= 0.5) & (np.abs(frame.depth[row, column] - distance) <= room)
-        fits = (distance >= near) & (distance <= far)
+        opaque = frame.alpha[row, column] >= 0.5
+        behind = distance - np.where(opaque, frame.depth[row, column], np.inf)
+        shown, fits = np.abs(behind) <= room, (distance >= near) & (distance <= far)
         within[ahead[shown & fits]] += 1
         without[ahead[shown & ~fits]] += 1
-    return within > without
+        hidden[ahead[behind > room]] += 1
+        through[ahead[behind < -room]] += 1
+    kept, seen = within > without, within + without > 0
+    rest = np.flatnonzero(~seen & (hidden > through))
+    if len(rest) and kept.any():
+        from scipy.spatial import cKDTree
+
+        shown = np.flatnonzero(seen)
+        kept[rest] = kept[shown[cKDTree(points[shown]).query(points[rest])[1]]]
+    return kept
 
 
 def _fallen(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -208,7 +208,7 @@ def select_nodes(
         masks: One (h, w) mask per camera, of its size, the object where it is above half its largest value. Kept are
             nodes inside the mask in every picture that they fall into, and in at least one.
         depth: (2,) least and largest distance from the cameras, world units: kept is what their views, rendered from
-            the field, show in this range more often than out of it, and what that encloses. None is any.
+            the field, show in this range more often than out of it, and what is hidden behind it. None is any.
         seed: (3,) a point in or on the object, world units: kept is what connects to the node nearest to it.
         reach: Largest distance from the seed, world units. None is no limit.
         parts: Number of connected parts to keep, the largest. None keeps all.
@@ -307,15 +307,11 @@ def _in_mesh(field: DensityField, mask: np.ndarray, cage: ClosedMesh) -> np.ndar
 
 
 def _in_views(field: DensityField, mask: np.ndarray, cameras: list[Camera], depth: ArrayLike) -> np.ndarray:
-    """What the views show in a range of distances, and what that encloses."""
-    from scipy.ndimage import binary_fill_holes
-
     whole = root_field(field)
     if not hasattr(whole, "render"):
         raise ValueError("depth needs a field that can be rendered")
     cells = np.argwhere(mask)
-    kept = _scattered(mask, cells, in_depths(_centres(field, cells), cast("VoxelField", whole), cameras, depth))
-    return mask & np.asarray(binary_fill_holes(kept))
+    return _scattered(mask, cells, in_depths(_centres(field, cells), cast("VoxelField", whole), cameras, depth))
 
 
 def _grown(field: DensityField, mask: np.ndarray, seed: ArrayLike, reach: float | None) -> np.ndarray:
