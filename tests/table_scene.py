@@ -13,7 +13,13 @@ TABLE_TOP, FLOOR_TOP = -0.2, -0.8
 
 #: Density of matter, per world unit, and the colours of what there is.
 DENSITY = 60.0
-COLOURS = {FLOOR: (0.4, 0.4, 0.5), TABLE: (0.6, 0.4, 0.2), LAMP: (0.8, 0.1, 0.1), BALL: (0.1, 0.2, 0.8), CRUMB: (0, 0, 0)}
+COLOURS = {
+    FLOOR: (0.4, 0.4, 0.5),
+    TABLE: (0.6, 0.4, 0.2),
+    LAMP: (0.8, 0.1, 0.1),
+    BALL: (0.1, 0.2, 0.8),
+    CRUMB: (0, 0, 0),
+}
 
 
 def tilt(degrees):

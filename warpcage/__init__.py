@@ -51,6 +51,7 @@ _HOMES = {
     "mean_value_coordinates": "coordinates.weights",
     "psnr": "fitting.evaluation",
     "select_nodes": "field.selection",
+    "select_object": "field.objects",
     "turntable": "view.camera",
 }
 

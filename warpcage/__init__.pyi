@@ -13,6 +13,7 @@ from .deform.edits import CageEdit as CageEdit
 from .deform.fill import fill_unseen as fill_unseen
 from .deform.splat_deformer import SplatDeformer as SplatDeformer
 from .editor.edit import edit as edit
+from .field.objects import select_object as select_object
 from .field.selection import NodeSelection as NodeSelection
 from .field.selection import select_nodes as select_nodes
 from .field.voxel_field import VoxelField as VoxelField
@@ -66,5 +67,6 @@ __all__ = [
     "mean_value_coordinates",
     "psnr",
     "select_nodes",
+    "select_object",
     "turntable",
 ]

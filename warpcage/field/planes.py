@@ -306,7 +306,7 @@ def _best_plane(
 
     # normals of single points are off by degrees: a thick slab does not mind
     first = _FIRST_SLAB * slab
-    scored = sorted(((-score(normals[i], float(normals[i] @ points[i]), first), i) for i in guesses))
+    scored = sorted((-score(normals[i], float(normals[i] @ points[i]), first), i) for i in guesses)
     best: tuple[float, np.ndarray, float] | None = None
     for _, i in scored[:_FITTED_GUESSES]:
         fitted = _fitted(p, n, w, normals[i], float(normals[i] @ points[i]), slab)
@@ -371,7 +371,8 @@ def plane_through(
 
     Returns:
         Of the planes with a tenth of the matter above them, the highest that is twice as wide as what is above it and
-        goes on outside the region, as a table does that is larger than a box around a cup; the largest where none does; None where there are none.
+        goes on outside the region, as a table does that is larger than a box around a cup; the largest where none does;
+        None where there are none.
     """
     held = []
     for plane in planes:

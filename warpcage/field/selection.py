@@ -1,28 +1,29 @@
 """Choose the object inside a larger field: by box, 2-D masks, seed point or connected part; leave floaters out.
 
 A NodeSelection stands in for its field wherever densities are read: `Cage.from_field(selection)`,
-`cage.check(field=selection)`, `extract_mesh(selection)`.
+`cage.check(field=selection)`, `extract_mesh(selection)`. `warpcage.field.objects` chooses what stands on something.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, checked_positive, checked_vector, checked_whole, require_type, shown
+from ..core.files import PathLike
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.containment import inside_mesh
 from ..view.camera import Camera
+from .cutting import cut_out, tinted_view
+from .files.selections import SelectionContents, load_selection, occupancy_digest, same_box, save_selection
 from .planes import Plane
 from .seen import in_depths, in_masks
 from .surface import DensityField, node_grid
-
-if TYPE_CHECKING:
-    from .voxel_field import VoxelField
+from .voxel_field import VoxelField
 
 #: A node whose opacity across one voxel, or whose largest weight in any image, reaches this can be seen.
 VISIBLE_OPACITY = 0.01
@@ -111,6 +112,13 @@ def visible_mask(field: DensityField, threshold: float | None = None) -> np.ndar
     return densities >= -np.log1p(-VISIBLE_OPACITY) / np.prod(voxel_size) ** (1.0 / 3.0)
 
 
+def _occupancy(field: DensityField) -> str:
+    """What tells the field of a selection from others: which voxels hold values."""
+    whole = root_field(field)
+    grid = getattr(whole, "grid", None)
+    return occupancy_digest(whole.node_densities() > 0.0 if grid is None else grid.links.numpy() >= 0)
+
+
 def root_field(field: DensityField) -> DensityField:
     """The field that a selection, or a selection of a selection, was taken of; a field itself."""
     while isinstance(field, NodeSelection):
@@ -167,6 +175,79 @@ class NodeSelection:
 
     def __repr__(self) -> str:
         return f"NodeSelection({np.count_nonzero(self.mask)} of {self.mask.size} nodes)"
+
+    def cut_out(self) -> VoxelField:
+        """The chosen voxels as a field of their own, before the colour of the field that they are of.
+
+        Returns:
+            A field of the same box and resolution.
+
+        Raises:
+            ValueError: If the selection is not of a VoxelField.
+        """
+        return cut_out(self._voxels("to be cut out"), self.mask)
+
+    def preview(self, camera: Camera, *, color: ArrayLike = (0.1, 0.9, 0.2), strength: float = 0.55) -> np.ndarray:
+        """A view of the field in which what is chosen is tinted, as far as it is seen.
+
+        Args:
+            camera: The camera.
+            color: (3,) the tint, in [0, 1].
+            strength: How much of the tint there is where nothing else is seen, 0 to 1.
+
+        Returns:
+            (h, w, 3) float32 in [0, 1].
+
+        Raises:
+            ValueError: If the selection is not of a VoxelField.
+        """
+        return tinted_view(self._voxels("for a preview"), self.mask, camera, color=color, strength=strength)
+
+    def save(self, path: PathLike) -> None:
+        """Write a selection file, whole or not at all. It is for this field, and for no other.
+
+        Args:
+            path: The file: .npz holds packed bits, .json the lengths of runs.
+
+        Raises:
+            ValueError: For another ending.
+        """
+        floor = None if self.floor is None else (self.floor.normal, self.floor.offset)
+        bounds, occupied = np.asarray(self.bounds, np.float64), _occupancy(self.field)
+        save_selection(SelectionContents(bounds, occupied, self.mask, self.notes, floor), path)
+
+    @classmethod
+    def load(cls, path: PathLike, field: DensityField) -> NodeSelection:
+        """Read a selection file.
+
+        Args:
+            path: The file.
+            field: The field that it was made in, as it was or from its compact file.
+
+        Returns:
+            The selection.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: What is wrong with the file; for the selection of another field; for an empty one.
+        """
+        held = load_selection(path)
+        size, own = "x".join(map(str, held.mask.shape)), "x".join(map(str, node_grid(field)[0].shape))
+        other = f"{path}: the selection is of another field"
+        if size != own:
+            raise ValueError(f"{other}, of {size} voxels: this one has {own}")
+        bounds, voxel_size = np.asarray(field.bounds, np.float64), np.asarray(field.voxel_size)
+        if not same_box(held.bounds, bounds, voxel_size):
+            raise ValueError(f"{other}, from {held.bounds[0].tolist()} to {held.bounds[1].tolist()}")
+        if held.occupied != _occupancy(field):
+            raise ValueError(f"{other} in the same box: choose the object anew in this one")
+        _require_some(held.mask, f"{path} holds no voxels")
+        return cls(field, held.mask, held.notes, None if held.floor is None else Plane(*held.floor))
+
+    def _voxels(self, what: str) -> VoxelField:
+        whole = root_field(self)
+        require_type(whole, VoxelField, f"a selection {what} must be of")
+        return cast(VoxelField, whole)
 
     def node_densities(self) -> np.ndarray:
         """(nx, ny, nz) densities, zero outside the selection."""
@@ -311,7 +392,7 @@ def _in_views(field: DensityField, mask: np.ndarray, cameras: list[Camera], dept
     if not hasattr(whole, "render"):
         raise ValueError("depth needs a field that can be rendered")
     cells = np.argwhere(mask)
-    return _scattered(mask, cells, in_depths(_centres(field, cells), cast("VoxelField", whole), cameras, depth))
+    return _scattered(mask, cells, in_depths(_centres(field, cells), cast(VoxelField, whole), cameras, depth))
 
 
 def _grown(field: DensityField, mask: np.ndarray, seed: ArrayLike, reach: float | None) -> np.ndarray:

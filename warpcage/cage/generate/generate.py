@@ -89,8 +89,8 @@ def cage_around_field(
     """Vertices (v, 3) and faces (f, 3) of a cage of `vertex_count` vertices (within 10 %) around what a field shows.
 
     field: VoxelField, or anything with .node_densities(), .bounds, .voxel_size and, if known, .node_weights():
-    a `warpcage.NodeSelection` to cage one object of a larger scene. Where it has a `floor`, a warpcage.field Plane above
-    which its nodes lie, the cage ends there, and leaves what the object stands on outside.
+    a `warpcage.NodeSelection` to cage one object of a larger scene. Where it has a `floor`, a plane above which its
+    nodes lie, the cage ends there, and leaves what the object stands on outside.
     margin: least distance between the cage and the visible voxels (boxes of a voxel's size around their nodes), in
     voxels; None takes 1, so that the cage holds all that trilinear interpolation spreads around them. threshold: see
     `visible_nodes`. The rest is as in `cage_around_mesh`.

@@ -1,0 +1,70 @@
+"""Some voxels of a field by themselves: as a field of their own, or tinted in a view."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..view.camera import Camera
+from .sparse import harmonics_on_host
+from .voxel_field import VoxelField
+
+#: The harmonic of degree 0, the same in all directions.
+SH_MEAN = 0.28209479177387814
+
+#: The tint of what is chosen: its colour and how much of it.
+TINT, TINT_SHARE = (0.1, 0.9, 0.2), 0.55
+
+
+def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
+    """The chosen voxels of a field as a field of their own, before the field's colour.
+
+    Args:
+        field: The field.
+        mask: (nx, ny, nz) bool, the chosen voxels.
+
+    Returns:
+        A field of the same box and resolution. Density falls to zero over the voxel around what was chosen.
+    """
+    from scipy.ndimage import binary_dilation
+
+    links = field.grid.links.numpy()
+    kept = np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool))) & (links >= 0)
+    rows, inside = links[kept], mask[kept]
+    density = field.grid.density.numpy()[rows]
+    density = np.where(inside, density, np.minimum(density, 0.0)).astype(np.float32)
+    new = np.full(links.shape, -1, np.int32)
+    new[kept] = np.arange(len(rows), dtype=np.int32)
+    weights = None if field.weights is None else np.where(inside, field.weights.numpy()[rows], np.float32(0.0))
+    options = {**field.view_options(), "background_model": None}
+    sh = harmonics_on_host(field.grid.sh)[rows]
+    return VoxelField(field.bounds, new, density, sh, weights=weights, device=field.device, **options)
+
+
+def tinted_view(
+    field: VoxelField, mask: np.ndarray, camera: Camera, *, color: ArrayLike = TINT, strength: float = TINT_SHARE
+) -> np.ndarray:
+    """A view of a field in which the chosen voxels are tinted, as far as they are seen.
+
+    Args:
+        field: The field.
+        mask: (nx, ny, nz) bool, the chosen voxels.
+        camera: The camera.
+        color: (3,) the tint, in [0, 1].
+        strength: How much of the tint there is where nothing else is seen, 0 to 1.
+
+    Returns:
+        (h, w, 3) float32 in [0, 1].
+    """
+    links = field.grid.links.numpy()
+    shown = np.full((field.voxel_count, 9, 3), 0.0, np.float32)
+    shown[:, 0] = -0.5 / SH_MEAN
+    shown[links[mask & (links >= 0)], 0] = 0.5 / SH_MEAN
+    # the same matter, white where it is chosen: what a pixel shows of it is the chosen share of its light
+    white = VoxelField(
+        field.bounds, links, field.grid.density, shown, background="black", up=field.up, device=field.device
+    )
+    supersampling = field.supersampling
+    share = strength * white.render(camera, supersampling=supersampling).rgb[..., :1].clip(0.0, 1.0)
+    picture = np.clip(field.render(camera).rgb, 0.0, 1.0)
+    return (picture * (1.0 - share) + share * np.asarray(color, np.float32)).astype(np.float32)
