@@ -7,9 +7,10 @@ import argparse
 from ..core.files import require_file
 from ..deform.bake import bake
 from ..deform.splat_deformer import SplatDeformer
+from ..field.selection import NodeSelection
 from ..splats.files.files import is_splat_file
 from . import inputs, options
-from .deformation import read_deformation
+from .deformation import is_deformed, read_deformation
 
 
 def run(args: argparse.Namespace) -> None:
@@ -18,17 +19,24 @@ def run(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, options.SPLAT_ENDINGS if of_splats else (".npz",), "field file")
     if of_splats and (args.voxels is not None or args.format is not None):
         raise ValueError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
-    inputs.require_deformation(args, "bake")
+    if args.selection is None:
+        inputs.require_deformation(args, "bake")
+    elif args.voxels is not None and not is_deformed(args):
+        raise ValueError("--voxels is for a deformed scene: what is only cut out keeps its voxels")
     field = inputs.read_field(args)
     deformation = read_deformation(args, field)
-    assert deformation is not None
-    deformer = inputs.make_deformer(field, deformation, args).pose(deformation.posed)
-    if isinstance(deformer, SplatDeformer):
-        splats = deformer.baked()
-        splats.save(output)
-        print(f"wrote {output}: {splats.splat_count} splats, {output.stat().st_size / 1e6:.1f} MB")
-        return
-    baked = bake(deformer, resolution=args.voxels)
+    if args.selection is not None:
+        field = NodeSelection.load(args.selection, inputs.require_voxels(field, "--selection")).cut_out()
+    if deformation is None:
+        baked = inputs.require_voxels(field, "--selection")
+    else:
+        deformer = inputs.make_deformer(field, deformation, args).pose(deformation.posed)
+        if isinstance(deformer, SplatDeformer):
+            splats = deformer.baked()
+            splats.save(output)
+            print(f"wrote {output}: {splats.splat_count} splats, {output.stat().st_size / 1e6:.1f} MB")
+            return
+        baked = bake(deformer, resolution=args.voxels)
     baked.save(output, format=args.format or "warpcage")
     size = "x".join(map(str, baked.resolution))
     print(f"wrote {output}: {baked.voxel_count} voxels in a grid of {size}, {output.stat().st_size / 1e6:.1f} MB")

@@ -14,7 +14,6 @@ from ..core.files import require_file
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
 from ..mesh.files.gltf import require_gltf_room
-from ..scene.load import load_scene
 from . import inputs, options
 from .mesh import TO_Y_UP
 
@@ -93,8 +92,15 @@ def _check_combination(args: argparse.Namespace) -> None:
 
 
 def _selection(args: argparse.Namespace) -> dict:
-    """What select_nodes takes, None where an option is not given."""
-    return {"box": args.in_box, "masks": args.masks, "seed": args.seed, "parts": args.parts, "floaters": args.floaters}
+    """What select_nodes takes, and a selection file; None where an option is not given."""
+    return {
+        "selection": args.selection,
+        "box": args.in_box,
+        "masks": args.masks,
+        "seed": args.seed,
+        "parts": args.parts,
+        "floaters": args.floaters,
+    }
 
 
 def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelection:
@@ -102,14 +108,17 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
     chosen = {name: value for name, value in _selection(args).items() if value is not None}
     if not is_field:
         raise ValueError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields, not for meshes")
+    selected = field
+    if "selection" in chosen:
+        selected = NodeSelection.load(chosen.pop("selection"), field)
+        if not chosen:
+            return selected
     if "box" in chosen:
         chosen["box"] = [args.in_box[:3], args.in_box[3:]]
     if "masks" in chosen:
-        scene = load_scene(args.masks, orient=field.straightening)
-        if scene.alphas is None:
-            raise ValueError(f"the pictures of scene {args.masks!r} have no opacity to take as masks")
+        scene = inputs.masked_scene(args.masks, field)
         chosen |= {"masks": scene.alphas, "cameras": scene.cameras}
-    selection = select_nodes(field, **chosen)
+    selection = select_nodes(selected, **chosen)
     for note in selection.notes:
         print(note)
     return selection

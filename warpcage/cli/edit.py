@@ -16,6 +16,7 @@ from ..core.files import require_file
 from ..editor.demo import demo_files
 from ..editor.edit import edit, require_libraries
 from ..editor.session_file import free_session_path, session_path
+from ..field.selection import NodeSelection
 from ..splats.load import load_field
 from . import inputs
 from .standing import read_rest
@@ -32,17 +33,21 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError(str(error)) from None
     device = inputs.chosen_device(args)
     if args.demo:
-        if args.cage:
-            raise ValueError("--demo brings its own cage: leave --cage out")
+        if args.cage or args.selection:
+            raise ValueError("--demo brings its own cage: leave --cage and --selection out")
         args.field, demo_cage = map(str, demo_files(device))
     require_file(args.field, "field file")
     kept = pathlib.Path(args.session) if args.session else session_path(args.field)
-    if kept.exists() and args.cage and not args.new:
+    if kept.exists() and (args.cage or args.selection) and not args.new:
+        option = "--cage" if args.cage else "--selection"
         raise ValueError(
-            f"{str(kept)!r} holds a session of this field: leave --cage out to go on with it, or give --new"
+            f"{str(kept)!r} holds a session of this field: leave {option} out to go on with it, or give --new"
         )
     field = load_field(args.field, scene_scale=args.scene_scale, device=device)
     cages = [read_rest(path, args.cage_up, field, part=True)[0] for path in args.cage or ()]
+    if args.selection:
+        voxels = inputs.require_voxels(field, "--selection")
+        cages.append(Cage.from_field(NodeSelection.load(args.selection, voxels)))
     if args.demo and (args.new or not kept.exists()):
         cages = [Cage.load(demo_cage)]
     options = {

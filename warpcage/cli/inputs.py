@@ -85,6 +85,14 @@ def require_voxels(field: AnyField, what: str) -> VoxelField:
     return field
 
 
+def masked_scene(path: str, field: VoxelField) -> Scene:
+    """The training pictures of a scene in the world of a field, as masks of its object."""
+    scene = load_scene(path, orient=field.straightening)
+    if scene.alphas is None:
+        raise ValueError(f"the pictures of scene {path!r} have no opacity to take as masks")
+    return scene
+
+
 def require_field_scale(args: argparse.Namespace) -> None:
     """Raises ValueError for --scene-scale where no field takes it."""
     if getattr(args, "scene_scale", 1.0) != 1.0 and not str(args.field).lower().endswith(".npz"):

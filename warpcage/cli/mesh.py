@@ -7,6 +7,7 @@ import argparse
 import numpy as np
 
 from ..core.files import atomic_path
+from ..field.selection import NodeSelection
 from ..mesh.files.gltf import write_glb
 from . import inputs, options
 
@@ -25,7 +26,8 @@ def run(args: argparse.Namespace) -> None:
     field = inputs.require_voxels(inputs.read_field(args), "mesh")
     colored = ending == ".glb" if args.colors is None else args.colors
 
-    mesh = field.extract_mesh(threshold=args.threshold, components=args.components, colors=colored)
+    selection = None if args.selection is None else NodeSelection.load(args.selection, field)
+    mesh = field.extract_mesh(threshold=args.threshold, components=args.components, colors=colored, selection=selection)
     if args.as_captured and field.straightening is not None:
         mesh.apply_transform(np.linalg.inv(field.straightening))
     with atomic_path(output) as temporary:

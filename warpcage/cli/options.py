@@ -13,6 +13,7 @@ from ..core.names import BACKGROUNDS, COORDINATES, DENSITIES, SPLAT_MAPS
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
 MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
+SELECTION_ENDINGS = (".npz", ".json")
 
 #: Files of splats: 3DGS' and SuperSplat's .ply, those of web viewers, and Niantic's.
 SPLAT_ENDINGS = (".ply", ".compressed.ply", ".splat", ".spz")
@@ -211,6 +212,33 @@ def add_deformation(
     )
 
 
+def add_selection(parser: Arguments, what: str = "only what is chosen") -> None:
+    """A selection of the field; what: what becomes of it."""
+    parser.add_argument("--selection", metavar="FILE", help=f"{what} by warpcage select (.npz, .json)")
+
+
+def add_in_box(parser: Arguments) -> None:
+    """A box around an object."""
+    parser.add_argument(
+        "--in-box",
+        type=finite_float,
+        nargs=6,
+        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+        help="what lies between two opposite corners, world units",
+    )
+
+
+def add_parts(parser: Arguments) -> None:
+    """Which connected parts of an object are kept."""
+    parser.add_argument("--parts", type=positive_int, metavar="N", help="the N largest connected parts")
+    parser.add_argument(
+        "--floaters",
+        type=positive_float,
+        metavar="SHARE",
+        help="leave out connected parts with fewer voxels than this share of the largest, e.g. 0.01",
+    )
+
+
 def add_fill(parser: Arguments) -> None:
     """What to do with what no picture showed."""
     parser.add_argument(
@@ -315,6 +343,17 @@ def positive_int(text: str) -> int:
         value = 0
     if value < 1:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1, got {text!r}")
+    return value
+
+
+def whole_number(text: str) -> int:
+    """A whole number of at least 0."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {text!r}")
     return value
 
 

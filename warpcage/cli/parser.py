@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import Any, NoReturn
 
-from .arguments import animate, bake, cage, check, edit, edits, evaluate, fit, info, kernels, mesh, pose, render
+from .arguments import animate, bake, cage, check, edit, edits, evaluate, fit, info, kernels, mesh, pose, render, select
 from .options import package_version
 
 #: The commands in the order of their help.
-COMMANDS = (fit, mesh, cage, check, edit, pose, edits, render, animate, bake, evaluate, info, kernels)
+COMMANDS = (fit, select, mesh, cage, check, edit, pose, edits, render, animate, bake, evaluate, info, kernels)
 EXAMPLE = """\
 example, from pictures to a bent object:
   warpcage fit data/lego --downscale 2 -o lego.npz

@@ -98,6 +98,8 @@ def select_object(
     if plane is None and plane_at is not None:
         raise ValueError("plane_at is a point on the plane: choose 'ground', 'wall' or 'any'")
     matter = _Matter(region)
+    if clicks is not None:
+        matter.connected(matter.above(None), clicks)
     notes = list(region.notes)
     floor = None
     if plane is not None:

@@ -336,7 +336,7 @@ def select_nodes(
         most = sizes[order[len(large) :]].max(initial=0)
         where = f"in {len(order) - len(large)} floaters of up to {most} voxels"
         mask = _kept(mask, np.isin(labels, large), notes, where)
-    return NodeSelection(field, mask, tuple(notes))
+    return NodeSelection(field, mask, tuple(notes), getattr(field, "floor", None))
 
 
 def _kept(mask: np.ndarray, keep: np.ndarray, notes: list[str], where: str) -> np.ndarray:

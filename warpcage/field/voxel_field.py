@@ -25,7 +25,7 @@ from .files.files import load_field, save_field
 from .marching import MarchTables
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
 from .sparse import harmonics_on_device, harmonics_on_host, measure_skip, values_on_device
-from .surface import extract_mesh
+from .surface import DensityField, extract_mesh
 from .surface_colors import surface_colors
 
 if TYPE_CHECKING:
@@ -343,7 +343,12 @@ class VoxelField:
         return np.zeros(3, np.float32), self.background_model
 
     def extract_mesh(
-        self, *, threshold: float | None = None, components: str = "largest", colors: bool = False
+        self,
+        *,
+        threshold: float | None = None,
+        components: str = "largest",
+        colors: bool = False,
+        selection: DensityField | None = None,
     ) -> trimesh.Trimesh:
         """The surface where the density crosses a threshold, closed and looking outward.
 
@@ -352,6 +357,7 @@ class VoxelField:
             components: "largest" keeps the part of the largest volume, which drops floaters and cavities, "all" keeps
                 everything.
             colors: Give its vertices the colours of the surface, as they are seen from straight ahead (sRGB).
+            selection: A NodeSelection of this field, whose surface is taken. None is all of it.
 
         Returns:
             The mesh, world units.
@@ -359,7 +365,7 @@ class VoxelField:
         Raises:
             ValueError: For an empty field, a threshold that no density crosses, or another name of components.
         """
-        mesh = extract_mesh(self, threshold=threshold, components=components)
+        mesh = extract_mesh(self if selection is None else selection, threshold=threshold, components=components)
         if colors:
             from trimesh.visual import ColorVisuals
 

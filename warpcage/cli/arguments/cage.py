@@ -11,6 +11,7 @@ HELP = "put a cage around a field or a mesh"
 EXAMPLE = """\
   warpcage cage lego.npz -o cage.obj --vertices 100
   warpcage cage room.npz -o chair.glb --seed 0.2 0 -0.5 --floaters 0.01
+  warpcage cage room.npz -o cup.obj --selection cup.npz      (see warpcage select)
   warpcage cage dtu.npz -o object.obj --masks data/dtu_scan24 --method voxel
   warpcage cage lego.obj -o box.obj --box --segments 2 2 3
   warpcage cage house.npz -o wing.obj --snap box.obj --reach 0.1
@@ -78,13 +79,8 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "part of a larger field (if several are given, each selects from what the ones before leave)"
     )
-    group.add_argument(
-        "--in-box",
-        type=options.finite_float,
-        nargs=6,
-        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        help="what lies between two opposite corners, world units",
-    )
+    options.add_selection(group)
+    options.add_in_box(group)
     group.add_argument("--masks", metavar="SCENE", help="what is opaque in every training picture of a scene")
     group.add_argument(
         "--seed",
@@ -93,10 +89,4 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
         metavar=("X", "Y", "Z"),
         help="what is connected to this point, world units",
     )
-    group.add_argument("--parts", type=options.positive_int, metavar="N", help="the N largest connected parts")
-    group.add_argument(
-        "--floaters",
-        type=options.positive_float,
-        metavar="SHARE",
-        help="leave out connected parts with fewer voxels than this share of the largest, e.g. 0.01",
-    )
+    options.add_parts(group)

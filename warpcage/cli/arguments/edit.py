@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: the session's, or none; the page can make one)",
     )
     options.add_cage_up(parser, found=True)
+    options.add_selection(parser, "also an edit with a cage around what is chosen")
     parser.add_argument("--session", metavar="FILE", help="the session's file (default: beside the field)")
     parser.add_argument(
         "--new", action="store_true", help="begin anew; a session that is there is kept under another name"

@@ -47,5 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="in the coordinates of the scene's files, for a field that was straightened (warpcage fit --straighten)",
     )
+    options.add_selection(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)
