@@ -12,6 +12,9 @@ from .voxel_field import VoxelField
 #: The harmonic of degree 0, the same in all directions.
 SH_MEAN = 0.28209479177387814
 
+#: Optical depth of a voxel that counts as empty.
+RIM_DEPTH = 0.01
+
 #: The tint of what is chosen: its colour and how much of it.
 TINT, TINT_SHARE = (0.1, 0.9, 0.2), 0.55
 
@@ -56,10 +59,16 @@ def tinted_view(
     Returns:
         (h, w, 3) float32 in [0, 1].
     """
+    from scipy.ndimage import binary_dilation
+
     links = field.grid.links.numpy()
-    shown = np.full((field.voxel_count, 9, 3), 0.0, np.float32)
-    shown[:, 0] = -0.5 / SH_MEAN
-    shown[links[mask & (links >= 0)], 0] = 0.5 / SH_MEAN
+    rows = np.zeros(field.voxel_count, bool)
+    # a surface lies between voxels that are chosen and empty ones, which are the chosen matter's rim
+    rim = links[np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool))) & (links >= 0)]
+    rows[rim] = field.grid.density.numpy()[rim] * field.voxel_size.max() < RIM_DEPTH
+    rows[links[mask & (links >= 0)]] = True
+    shown = np.zeros((field.voxel_count, 9, 3), np.float32)
+    shown[:, 0] = np.where(rows, 0.5, -0.5)[:, None] / SH_MEAN
     # the same matter, white where it is chosen: what a pixel shows of it is the chosen share of its light
     white = VoxelField(
         field.bounds, links, field.grid.density, shown, background="black", up=field.up, device=field.device

@@ -196,10 +196,10 @@ def fit_planes(
 
 
 def _largest_patch(points: np.ndarray, weights: np.ndarray, slab: float) -> float:
-    """The weight of the largest part of points that hangs together, in cells as wide as their slab is thick."""
+    """The weight of the largest part of points that hangs together, in cells half as wide again as their slab."""
     import skimage.measure
 
-    cells = np.floor((points - points.min(axis=0)) / (2.0 * slab)).astype(int)
+    cells = np.floor((points - points.min(axis=0)) / (3.0 * slab)).astype(int)
     grid = np.zeros(cells.max(axis=0) + 1, bool)
     grid[tuple(cells.T)] = True
     labels = np.asarray(skimage.measure.label(grid, connectivity=3))
@@ -349,7 +349,7 @@ def plane_below(planes: Sequence[Plane], clicks: np.ndarray, voxel_size: ArrayLi
         Of the planes that the clicks are clear of, the nearest that goes on around what stands on it; the largest where
         none does; None where the clicks are above none.
     """
-    heights = [(float(np.median(plane.heights(clicks))), plane) for plane in planes]
+    heights = [(float(np.min(plane.heights(clicks))), plane) for plane in planes]
     below = [(height, plane) for height, plane in heights if height > plane.clearance(voxel_size)]
     for _, plane in sorted(below, key=lambda each: each[0]):
         left = grown(plane)

@@ -12,9 +12,7 @@ import numpy as np
 
 from ...field.planes import Plane
 from ...field.selection import visible_nodes
-from ...mesh.closed_mesh import ClosedMesh
-from ...mesh.intersections import intersecting_faces
-from ...mesh.usable import first_problem
+from .floor import ended_at
 from .offset import shell_cage
 from .points import _checked_margin, _spacing, checked_count, surface_points
 from .voxel import voxel_cage
@@ -141,10 +139,11 @@ def _cage_around_points(
             continue
         cage = cage.with_vertices(middle + size * cage.vertices)
         if floor is not None:
-            cage = cage.with_vertices(ended_at(floor, cage.vertices))
-            trouble = first_problem(cage) or _folds(cage)
-            if trouble:
-                reasons.append(f"{name}: cut at the plane below the object {trouble}")
+            try:
+                cage = cage.with_vertices(ended_at(floor, cage, middle + size * points, size * spacing))
+            except ValueError as error:
+                reasons.append(f"{name}: {error}")
+                _tell(progress, f"{name}: none ({error})")
                 continue
         _tell(progress, f"{name}: {len(cage.vertices)} vertices, volume {cage.volume:.4g}")
         found.append(cage)
@@ -155,16 +154,6 @@ def _cage_around_points(
         )
     best = min(found, key=lambda cage: cage.volume)
     return best.vertices, best.faces
-
-
-def ended_at(floor: Plane, vertices: np.ndarray) -> np.ndarray:
-    """Vertices (v, 3), those below a plane moved straight up to it."""
-    return vertices + np.maximum(-floor.heights(vertices), 0.0)[:, None] * floor.normal
-
-
-def _folds(cage: ClosedMesh) -> str:
-    """What to say of a cage whose faces pass through each other, empty where none do."""
-    return "passes through itself" if len(intersecting_faces(cage.vertices, cage.faces)) else ""
 
 
 def _tell(progress, line: str) -> None:
