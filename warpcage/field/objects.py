@@ -192,9 +192,10 @@ class _Matter:
             under = floor.heights(_centres(self.region, fringe + low)) <= 0.0
             free[tuple(fringe[under].T)] = False
         own, other = mask[block], self._solid[block] & ~mask[block]
+        cube = np.ones((3, 3, 3), bool)
         for _ in range(FRINGE_VOXELS):
-            grown = binary_dilation(own, np.ones((3, 3, 3), bool)) & free & ~other
-            other = other | (binary_dilation(other, np.ones((3, 3, 3), bool)) & free & ~own)
+            grown = np.asarray(binary_dilation(own, cube), bool) & free & ~other
+            other = other | (np.asarray(binary_dilation(other, cube), bool) & free & ~own)
             own = own | (grown & ~other)
         result = mask.copy()
         result[block] |= own

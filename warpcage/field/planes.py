@@ -227,7 +227,7 @@ def surface_points(field: DensityField) -> tuple[np.ndarray, np.ndarray, np.ndar
     solid = densities >= level
     # one half at the surface, whatever the field's density there
     opacity = gaussian_filter(1.0 - np.exp2(-densities / np.float32(level)), _SMOOTHING)
-    cells = np.argwhere(solid & ~binary_erosion(solid, np.ones((3, 3, 3), bool), border_value=1))
+    cells = np.argwhere(solid & ~np.asarray(binary_erosion(solid, np.ones((3, 3, 3), bool), border_value=1), bool))
     slope = np.empty((len(cells), 3))
     for axis in range(3):
         ahead, behind = cells.copy(), cells.copy()

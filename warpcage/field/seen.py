@@ -93,10 +93,10 @@ def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], dept
     kept, seen = within > without, within + without > 0
     rest = np.flatnonzero(~seen & (hidden > through))
     if len(rest) and kept.any():
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         shown = np.flatnonzero(seen)
-        kept[rest] = kept[shown[cKDTree(points[shown]).query(points[rest])[1]]]
+        kept[rest] = kept[shown[KDTree(points[shown]).query(points[rest])[1]]]
     return kept
 
 
