@@ -10,8 +10,12 @@ import sys
 import numpy as np
 import pytest
 from background_scenes import write_room
+from scene_writers import Pictures, write_transforms
 
 from warpcage.cage.cage import Cage
+from warpcage.reference.raycast import render_mesh_views
+from warpcage.reference.solids import box, cylinder, joined
+from warpcage.view.camera import Camera
 from warpcage.view.pictures import read_image
 
 EXAMPLES = pathlib.Path(__file__).resolve().parent.parent / "examples"
@@ -39,7 +43,8 @@ def run_here(monkeypatch, name, *words, cwd):
 def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("*.py")}
     assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
-                     "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py", "edit_parts.py"}  # fmt: skip
+                     "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py", "edit_fox.py",
+                     "edit_parts.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
@@ -134,6 +139,38 @@ def test_edit_dtu_on_a_room(tmp_path, device, monkeypatch):
     again = ["--out", "again", "--field", out / "field.npz", "--cage", out / "generated.obj"]
     run_here(monkeypatch, "edit_dtu.py", *again, *words, cwd=tmp_path)
     assert read_image(tmp_path / "again" / "edits.png").shape == (3 * 40 + 8, 3 * 40 + 8, 3)
+
+
+def test_edit_fox_on_a_head_on_a_wall(tmp_path, device, monkeypatch):
+    """A block on a pole out of a wall; up is +z, and the wall looks along +x."""
+    vertices, faces, colours = joined(
+        [
+            box((-0.9, -0.9, -0.8), (-0.7, 0.9, 0.8), (0.6, 0.5, 0.3)),
+            box((-0.7, 0.5, -0.6), (-0.6, 0.7, -0.3), (0.2, 0.3, 0.8)),
+            cylinder((-0.7, 0, 0), (0, 0, 0), 0.14, (0.9, 0.8, 0.2), segments=16),
+            box((-0.1, -0.2, -0.2), (0.3, 0.2, 0.25), (0.8, 0.1, 0.5)),
+        ]
+    )
+    random = np.random.default_rng(0)
+    eyes = [np.array([1.0, *random.uniform(-0.8, 0.8, 2)]) for _ in range(28)]
+    cameras = [Camera.look_at(3 * eye / np.linalg.norm(eye), (-0.3, 0, 0), width=44, height=44) for eye in eyes]
+    rgba = render_mesh_views(vertices, faces, colours, cameras, samples=2, device=device)
+    (tmp_path / "head").mkdir()
+    write_transforms(tmp_path / "head", Pictures(np.round(255 * rgba).astype(np.uint8), cameras))
+    pixel = cameras[1].project(np.array([[0.3, 0.0, 0.05]]))[0][0] / 44
+    words = ["--data", "head", "--device", device, "--quality", "fast", "--epochs", 6, "--resolution", 48]
+    words += ["--downscale", 1, "--vertices", 40, "--lattice", 24, "--views", 0, 1, 2, "--no-video"]
+    monkeypatch.chdir(tmp_path)
+    run("edit_fox.py", *words, "--click", "view_01", *pixel, "--out", "out", cwd=tmp_path)
+    out = tmp_path / "out"
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["psnr"] > 20.0 and summary["still"] < 0.02 and summary["enclosed"] == 1.0
+    assert "above the wall" in summary["notes"][-1]
+    rest, posed = Cage.load(out / "cage.obj"), Cage.load(out / "posed.obj")
+    assert -0.7 < rest.bounds[0, 0] < -0.35 and rest.contains([[0.1, 0, 0]]).all()
+    assert not rest.contains([[-0.65, 0.6, -0.45], [-0.75, 0, 0], [-0.68, 0.4, 0.4]]).any()  # neither block nor wall
+    assert posed.bounds[1, 0] > rest.bounds[1, 0] + 0.1
+    assert read_image(out / "edit.png").shape == (3 * 44 + 8, 3 * 44 + 8, 3)
 
 
 def test_render_lego_on_the_brick_scene(tmp_path, device, monkeypatch):

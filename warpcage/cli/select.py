@@ -41,6 +41,7 @@ def run(args: argparse.Namespace) -> None:
         camera=camera if args.pixel else None,
         plane=None if args.plane == "none" else args.plane,
         plane_at=args.plane_at,
+        up=args.up,
         clearance=args.clearance,
         parts=args.parts,
         floaters=args.floaters or 0.0,
