@@ -110,7 +110,7 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
         raise ValueError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields, not for meshes")
     selected = field
     if "selection" in chosen:
-        selected = NodeSelection.load(chosen.pop("selection"), field)
+        selected = NodeSelection.load(chosen.pop("selection"), inputs.require_voxels(field, "--selection"))
         if not chosen:
             return selected
     if "box" in chosen:

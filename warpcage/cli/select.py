@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError("--masks and --depth cannot be combined: give one of them")
     if args.plane == "none" and (args.plane_at is not None or args.clearance is not None):
         raise ValueError("--plane none leaves nothing out: --plane-at and --clearance belong to a plane")
-    field = inputs.read_field(args)
+    field = inputs.require_voxels(inputs.read_field(args), "select")
     low, high = field.bounds
     corners = np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
     camera = view.chosen_camera(args, corners) if args.pixel or preview or args.save_camera else None
