@@ -13,13 +13,16 @@ import pathlib
 
 from page import source, table
 
+from warpcage.fitting.options import checked_options
+
 INTRODUCTION = """# Measured: fits of several scenes
 
 Every number on this page was written by `benchmarks/fit_scenes.py` to a JSON file in [results/](results/), with the
 machine and the versions in it; the page is made from them by `python benchmarks/fits_page.py`. Fits have a quality and
-nothing else. Seconds run from pictures in host memory to the finished field, kernels compiled before. PSNR is the mean
-over views that the fit has not seen; beside it stand its own views, the mean error of opacity where pictures have
-alpha, and the worst views. What was tried, with outcomes, is in [the notes](../benchmarks/NOTES-fit.md).
+nothing else: options that a command gives, but the table does not name, are those of the quality today. Seconds run
+from pictures in host memory to the finished field, kernels compiled before. PSNR is the mean over views that the fit
+has not seen; beside it stand its own views, the mean error of opacity where pictures have alpha, and the worst views.
+What was tried, with outcomes, is in [the notes](../benchmarks/NOTES-fit.md).
 """
 
 
@@ -36,11 +39,14 @@ def run_row(run: dict) -> list[str]:
     opacity = "–" if run["alpha_error"] is None else f"{run['alpha_error']:.4f}"
     worst = ", ".join(f"{view} {psnr:.1f}" for psnr, view in run["worst"])
     resolution = "x".join(map(str, run["resolution"]))
-    given = [f"{name}={value}" for name, value in run["options"].items() if name != "quality"]
+    quality = run["options"].get("quality", "standard")
+    usual = checked_options({"quality": quality})
+    changed = {name: value for name, value in run["options"].items() if name != "quality"}
+    given = [f"{name}={value}" for name, value in changed.items() if value != getattr(usual, name)]
     return [
         run["scene"],
         str(run["views"]),
-        " ".join([run["options"].get("quality", "standard"), *given]),
+        " ".join([quality, *given]),
         f"**{run['psnr']:.2f}**",
         f"{run['seconds']:.1f}",
         f"{run['psnr_training']:.2f}",
