@@ -1,5 +1,7 @@
 """Views of Gaussian splats: against the equations in float64 at every pixel, and what must hold for any splats."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import warp as wp
@@ -232,6 +234,17 @@ def test_the_same_view_twice_and_in_bands(device, monkeypatch):
     frames.append(renderer.render(splats, view))
     for frame in frames:
         assert (frame.rgb == first.rgb).all() and (frame.depth == first.depth).all()
+
+
+def test_threads_share_a_renderer(device):
+    """Its buffers are used by one at a time."""
+    renderer = SplatRenderer(device)
+    splats = [on_device(random_parts(count, 0.1, seed=count), device) for count in (200, 1500)]
+    views = [camera(40, 30), camera(90, 80)]
+    alone = [renderer.render(*each).rgb for each in zip(splats, views, strict=True)]
+    with ThreadPoolExecutor(4) as pool:
+        frames = list(pool.map(lambda i: renderer.render(splats[i % 2], views[i % 2]).rgb, range(24)))
+    assert all((frame == alone[i % 2]).all() for i, frame in enumerate(frames))
 
 
 def test_the_order_of_splats_does_not_matter(device):

@@ -95,7 +95,6 @@ class SplatRenderer:
         """
         side = checked_supersampling(supersampling)
         fine = finer_camera(camera, side)
-        arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device)
         lens = project.Lens()
         lens.camera = camera_struct(fine, origin)
         lens.near = near
@@ -103,6 +102,7 @@ class SplatRenderer:
         lens.antialias = int(antialias)
         count = splats.centres.shape[0]
         with self._lock:
+            arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device)
             view = self._view.take(3 * count)
             depths, order = self._depths.take(2 * count), self._order.take(2 * count)
             outputs = [view, depths, order]
@@ -111,7 +111,7 @@ class SplatRenderer:
             self.entry_count = 0
             inputs = [wp.vec3(*map(float, colour)), STOP_TRANSMITTANCE]
             self._draw(_tile_grid(fine), (count, view, depths, order), inputs, [arrays[name] for name in PART_NAMES])
-        return average_frame(Frame(fine.width, fine.height, **arrays), side)
+            return average_frame(Frame(fine.width, fine.height, **arrays), side)
 
     def _draw(self, grid: Any, seen: tuple, inputs: list, outputs: list) -> None:
         """Draw the rows of tiles of a grid, in halves where they have too many entries."""
