@@ -13,12 +13,10 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.check import sample_pose
 from ..field.selection import visible_mask
-from ..field.voxel_field import VoxelField
 from ..mesh.containment import inside_mesh
 from ..mesh.faces import column_cross, column_dot, face_edges
 from ..mesh.intersections import intersecting_faces
 from ..mesh.usable import first_problem
-from ..splats.density import SplatDensity
 from ..splats.load import AnyField
 from .document import Document, Edit
 
@@ -61,9 +59,8 @@ class Inspector:
     """
 
     def __init__(self, field: AnyField):
-        matter = field if isinstance(field, VoxelField) else SplatDensity(field)
-        self._mask = visible_mask(matter)
-        self._lower, self._side = np.array(matter.bounds[0]), np.array(matter.voxel_size)
+        self._mask = visible_mask(field)
+        self._lower, self._side = np.array(field.bounds[0]), np.array(field.voxel_size)
         nodes = np.argwhere(self._mask)
         chosen = np.random.default_rng(0).permutation(len(nodes))[:NODE_SAMPLES]
         self._nodes = self._lower + (nodes[chosen] + 0.5) * self._side

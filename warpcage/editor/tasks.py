@@ -201,8 +201,7 @@ class Tasks:
 
         def work(progress: Progress) -> Outcome:
             progress(None, "looks for the surface and draws a cage around it")
-            field: Any = self.session.field
-            cage = Cage.from_field(field, count, margin=margin, method=method, symmetry=symmetry)
+            cage = Cage.from_field(self.session.field, count, margin=margin, method=method, symmetry=symmetry)
             progress(0.95, "puts it into the scene")
             self._hand_over(lambda document: self._with_cage(document, number, cage, "generate cage"))
             return Outcome(f"a cage of {len(cage.vertices)} vertices")
