@@ -14,6 +14,7 @@ import warp as wp
 import warpcage
 
 argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
 
 
 @wp.func

@@ -15,6 +15,7 @@ import pathlib
 import time
 
 import numpy as np
+import warp as wp
 
 import warpcage
 from warpcage.core.files import atomic_path
@@ -30,6 +31,7 @@ STONE = (0.62, 0.66, 0.70)
 
 def main(argv=None) -> dict:
     args = parse_arguments(argv)
+    wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
     out = pathlib.Path(args.out)
     panels, reports = [], {}
     for name, (thing, mesh) in scenes(args).items():

@@ -9,11 +9,13 @@ samples through `to_canonical`, evaluate the field there, and leave out what is 
 import argparse
 
 import numpy as np
+import warp as wp
 
 import warpcage
 from warpcage.view.camera import Camera
 
 argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
 
 
 def make_field():

@@ -10,10 +10,12 @@ import argparse
 
 import numpy as np
 import trimesh
+import warp as wp
 
 from warpcage import Cage, deform_points, mean_value_coordinates
 
 argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
 
 # A model to deform: a ring, and a cage of about forty vertices around it.
 mesh = trimesh.creation.torus(major_radius=1.0, minor_radius=0.3, major_sections=96, minor_sections=32)

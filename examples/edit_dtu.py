@@ -20,6 +20,7 @@ import pathlib
 import time
 
 import numpy as np
+import warp as wp
 
 import warpcage
 from warpcage.core.devices import resolve_device
@@ -36,6 +37,7 @@ HOUSE = ([-1.1, -1.05, -0.75], [1.0, 0.55, 0.66])
 
 def main(argv=None) -> dict:
     args = parse_arguments(argv)
+    wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
     out, device = pathlib.Path(args.out), resolve_device(args.device)
     options = {"downscale": args.downscale, "masks": False if args.whole else "split"}
     train = warpcage.load_scene(args.data, **options)

@@ -18,6 +18,7 @@ import json
 import pathlib
 
 import numpy as np
+import warp as wp
 
 import warpcage
 from warpcage.cage.snap import snap_to_gaps
@@ -36,6 +37,7 @@ ARM = ([0.36, -0.6, -0.45], [1.09, 0.09, 0.93])
 
 def main(argv=None) -> dict:
     args = parse_arguments(argv)
+    wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
     out, device = pathlib.Path(args.out), resolve_device(args.device)
     field = warpcage.VoxelField.load(args.field or demo_files(device)[0], device=device)
     camera = warpcage.Camera.look_at((2.1, -2.8, 1.5), (0, 0, 0.15), width=args.size, height=args.size, fov_degrees=38)

@@ -36,6 +36,7 @@ from warpcage.view.pictures import colour_disparity, contact_sheet, disparity_ra
 
 
 def main(argv=None) -> dict:
+    wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
     args = parse_arguments(argv)
     out = pathlib.Path(args.out)
     device = resolve_device(args.device)

@@ -299,7 +299,7 @@ def test_animate_takes_a_folder_up_where_it_was_left(files, tmp_path, capsys):
     kept = (folder / "frame_0002.png").stat().st_mtime_ns
     capsys.readouterr()
     succeed(files, *words)
-    assert "1 frames, 2 were there" in capsys.readouterr().out
+    assert "1 frame, 2 were there" in capsys.readouterr().out
     assert (folder / "frame_0001.png").read_bytes() == content
     assert (folder / "frame_0002.png").stat().st_mtime_ns == kept
 

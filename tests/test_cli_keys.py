@@ -242,3 +242,33 @@ def test_a_film_of_cameras_alone_shows_the_scene_at_rest(files, tmp_path):
     succeed(files, "render", "@ball.npz", "--camera", "@scene:test:1", "-o", tmp_path / "two.png")
     assert len(frames) == 3
     assert np.abs(frames[2] - read_image(tmp_path / "two.png")).mean() < 0.004
+
+
+def test_two_keys_at_one_time_are_refused_or_told(files, tmp_path, capsys):
+    """`pose` refuses them; a file that holds them is played, with a line about the jump."""
+    poses = tmp_path / "poses.json"
+    words = ["pose", "@cage.obj", "-o", poses, "--key"]
+    succeed(files, *words, "a", "--at", 0)
+    assert "wrote" in (said := capsys.readouterr().out) and "1 key over 0 s" in said
+    succeed(files, *words, "b", "--at", 0.5, "--translate", 0, 0, 0.3)
+    assert run(files, *words, "c", "--at", 0.5, "--bend", 20) == 2
+    assert "key 'b' of the file is at 0.5 s too: give another time" in capsys.readouterr().err
+    succeed(files, *words, "b", "--at", 0.5, "--translate", 0, 0, 0.4)  # itself again
+    file = PoseFile.load(poses)
+    file["c"], file.times["c"] = file.rest.bend(20), 0.5
+    file.save(poses)
+    capsys.readouterr()
+    succeed(files, "animate", "@ball.npz", *FILM, "--posed", poses, "--fps", 4, "-o", tmp_path / "film")
+    said = capsys.readouterr()
+    line = f"{poses}: keyframes 'b' and 'c' are both at 0.5 s: the film jumps there"
+    assert said.err.count(line) == 1 and "3 frames" in said.out
+
+
+def test_an_unknown_easing_is_named_with_its_file(files, tmp_path, capsys):
+    poses = tmp_path / "poses.json"
+    file = PoseFile(Cage.load(files / "cage.obj"))
+    file["a"], file.times["a"], file.easings["a"] = file.rest.bend(20), 0.0, "bouncy"
+    file.save(poses)
+    assert run(files, "animate", "@ball.npz", *FILM, "--posed", poses, "-o", tmp_path / "film") == 2
+    assert f"{poses}: keyframe 'a' has the easing 'bouncy', known are smooth, linear" in capsys.readouterr().err
+    assert not (tmp_path / "film").exists()

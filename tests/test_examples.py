@@ -29,6 +29,7 @@ def run(name, *words, cwd):
     command = [sys.executable, str(EXAMPLES / name), *map(str, words)]
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr[-2000:]
+    assert not re.search("^(Module |Warp [0-9])", done.stdout + done.stderr, re.MULTILINE)  # as quiet as the commands
     return done.stdout
 
 

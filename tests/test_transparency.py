@@ -104,7 +104,7 @@ def test_a_folder_of_exr_files_goes_on_where_it_was_left(files, tmp_path, capsys
     (folder / "frame_0001.exr").write_bytes(whole[1][:-50])
     capsys.readouterr()
     succeed(files, *words)
-    assert "1 frames, 2 were there already" in capsys.readouterr().out
+    assert "1 frame, 2 were there already" in capsys.readouterr().out
     again = [read_exr(path) for path in sorted(folder.glob("*.exr"))]
     assert len(again) == 3 and all(set(one) == {"RGBA", "Z"} for one in again)
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "views", "--cameras", "given", "--scene", "@scene:test",

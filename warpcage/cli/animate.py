@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..core.files import require_file
+from ..core.words import counted
 from ..deform.deformer import Deformer
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.session_file import read_session
@@ -91,11 +92,11 @@ def run(args: argparse.Namespace) -> None:
     else:
         settings = _settings(args, cameras, deformation)
         kept = write_folder(output, frames, cameras, shot.rendered, settings, overwrite=bool(args.overwrite))
-        print(f"wrote {output}: {args.frames - kept} frames, {kept} were there already")
+        print(f"wrote {output}: {counted(args.frames - kept, 'frame')}, {kept} were there already")
         shot.warn()
         return
     size = outputs.size_text(cameras[0].width, cameras[0].height, output)
-    print(f"wrote {output}: {args.frames} frames of {size}, {output.stat().st_size / 1e6:.2f} MB")
+    print(f"wrote {output}: {counted(args.frames, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
     shot.warn()
 
 
@@ -124,7 +125,7 @@ def _run_session(args: argparse.Namespace) -> None:
             bar.update(round((share or 0.0) * bar.total) - bar.n)
 
         count = export_film(document, field, output, film, report)
-    print(f"wrote {output}: {count} frames of {outputs.size_text(width, height, output)}")
+    print(f"wrote {output}: {counted(count, 'frame')} of {outputs.size_text(width, height, output)}")
 
 
 def _given_besides(args: argparse.Namespace) -> list[str]:

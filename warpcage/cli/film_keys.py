@@ -12,7 +12,7 @@ from fractions import Fraction
 from ..cage.cage import Cage
 from ..cage.motion import are_numbered, gltf_poses, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
-from ..view.keys import frame_rate, frame_times
+from ..view.keys import EASINGS, frame_rate, frame_times
 from .options import CAGE_ENDINGS
 from .standing import ending
 
@@ -95,7 +95,31 @@ def _timed(file: PoseFile, path: str) -> PoseFile | None:
         raise ValueError(
             f"{path}: keyframe {file.timed[0]!r} is at {file.times[file.timed[0]]:g} s: a film begins at 0"
         )
+    for name, easing in file.easings.items():
+        if easing not in EASINGS:
+            raise ValueError(
+                f"{path}: keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}"
+            )
+    note_jumps(file, path)
     return file
+
+
+def note_jumps(file: PoseFile, path: str) -> None:
+    """Say in a line where two keyframes of a film have one time.
+
+    Args:
+        file: The keys.
+        path: What to call it.
+    """
+    names = file.timed
+    jumps = [(a, b) for a, b in zip(names, names[1:], strict=False) if file.times[a] == file.times[b]]
+    if jumps:
+        (one, two), more = jumps[0], len(jumps) - 1
+        print(
+            f"warpcage: {path}: keyframes {one!r} and {two!r} are both at {file.times[one]:g} s: the film jumps there"
+            + (f", and at {more} other times" if more else ""),
+            file=sys.stderr,
+        )
 
 
 def set_frames(args: argparse.Namespace, film: PoseFile | None, given: set[str]) -> list[float] | None:

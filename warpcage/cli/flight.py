@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from ..core.words import counted
 from ..view.camera import Camera
 from ..view.camera_path import path_cameras
 from ..view.film import FILM_ENDINGS, write_film
@@ -52,7 +53,7 @@ def run(args: argparse.Namespace) -> None:
     view.save_cameras(args, cameras)
     _write(output, pictures(), args.format or "png")
     size = outputs.size_text(cameras[0].width, cameras[0].height, output)
-    print(f"wrote {output}: {len(cameras)} pictures of {size}")
+    print(f"wrote {output}: {counted(len(cameras), 'picture')} of {size}")
 
 
 def chosen_cameras(args: argparse.Namespace) -> list[Camera]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import pathlib
 
+from ..core.words import counted
 from . import inputs, options, outputs, view
 from .deformation import read_deformation
 
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace) -> None:
         picture = outputs.colours(frame, camera, drawn, transparent)
         outputs.write_picture(folder / f"pose_{number:0{digits}d}.{kind}", picture, frame, camera)
     view.save_cameras(args, [camera])
-    print(f"wrote {folder}: {count} pictures of {camera.width}x{camera.height}")
+    print(f"wrote {folder}: {counted(count, 'picture')} of {camera.width}x{camera.height}")
 
 
 def _checked_folder(text: str) -> pathlib.Path:

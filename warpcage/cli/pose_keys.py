@@ -7,10 +7,11 @@ import pathlib
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
+from ..core.words import counted
 from ..view.camera_path import CameraKey
 from . import inputs, pose, view
 from .axes import with_up
-from .film_keys import pose_file, read_film
+from .film_keys import note_jumps, pose_file, read_film
 from .keyframes import is_preset, read_pose, read_poses
 from .standing import posed_up
 
@@ -61,6 +62,12 @@ def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
         begin = file.rest if args.posed is None else read_pose(file.rest, _posed(args), posed_up(args))
         file[name] = pose.stepped(begin, args)
     if args.at is not None:
+        same = [other for other in timed if file.times[other] == args.at]
+        if same:
+            raise ValueError(
+                f"key {same[0]!r} of the file is at {args.at:g} s too: give another time (for a jump give the key "
+                "before it --easing hold)"
+            )
         file.times[name] = args.at
     if args.easing is not None:
         file.easings[name] = args.easing
@@ -106,6 +113,7 @@ def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
         if name in film.easings:
             file.easings[name] = film.easings[name]
     file.fps, file.loop = film.fps or file.fps, film.loop or file.loop
+    note_jumps(file, args.posed)
 
 
 def _shapes(rest: Cage, text: str, up: str | None) -> PoseFile:
@@ -133,11 +141,11 @@ def _remove(file: PoseFile, args: argparse.Namespace, output: pathlib.Path) -> N
 def _described(file: PoseFile) -> str:
     """The keys and the film in a line."""
     if not file.times and not file.cameras:
-        return f"{len(file)} keys without times: {', '.join(file.names)}"
+        return f"{counted(len(file), 'key')} without times: {', '.join(file.names)}"
     names = [f"{name} at {file.times[name]:g} s" for name in file.timed]
     shown = names if len(names) <= 8 else [*names[:3], "...", names[-1]]
     end = f", {file.loop}" if file.loop else ""
     rate = f", {file.fps:g} frames a second" if file.fps else ""
     cameras = [f"{key.name or 'camera'} at {key.time:g} s" for key in file.cameras]
     shown += [f"cameras {', '.join(cameras[:8])}"] if cameras else []
-    return f"{len(file) + len(cameras)} keys over {file.length:g} s{rate}{end}: {', '.join(shown)}"
+    return f"{counted(len(file) + len(cameras), 'key')} over {file.length:g} s{rate}{end}: {', '.join(shown)}"

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 from ..cage.cage import Cage
 from ..cage.upright import Standing, load_standing
 from ..core.files import atomic_path
+from ..core.words import counted
 from ..mesh.files.files import ENDINGS
 from ..splats.files.files import SPLAT_ENDINGS
 from ..splats.load import field_size
@@ -305,7 +306,7 @@ class Tasks:
             self.free_path(path.name, EXPORTS[what])  # it may have waited for others
             if film is not None:
                 count = exports.export_film(document, self.session.field, path, film, progress)
-                text = f"{path.name}: {count} frames of {film.width}x{film.height}"
+                text = f"{path.name}: {counted(count, 'frame')} of {film.width}x{film.height}"
             elif what == "bake":
                 baked = exports.export_baked(document, self.session.field, path, progress)
                 text = f"{path.name}: a field of {field_size(baked)}"

@@ -209,7 +209,11 @@ def load_poses(document: Document, number: int, path: str) -> Document:
         ValueError: As `with_pose_file`, and for a file that cannot be read or is of another cage.
     """
     edit = document.edit(number)
-    return with_pose_file(document, number, PoseFile.load(path, Cage(edit.rest, edit.faces)))
+    file = PoseFile.load(path, Cage(edit.rest, edit.faces))
+    try:
+        return with_pose_file(document, number, file)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 def _without_pose(key: Key, number: int) -> Key:
