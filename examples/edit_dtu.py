@@ -7,8 +7,9 @@ The pictures are split at the masks: the object is fitted by voxels, its surroun
 takes whole pictures instead, so that the fit itself divides them between voxels and layers.) Two edits follow: a box
 made by hand around one wing of the house, stretched upwards, and a cage generated around the object, twisted and
 tapered. Writes to the folder of --out: edits.png (top row: the scene at rest, then one row per edit; from left to right
-the picture, the cage over it, the object's disparity), views.png (held-out pictures over renders), field.npz, the cages
-and summary.json.
+the picture, the cage over it, the object's disparity), falloff.png (the wing and its box; stretched; the same with a
+falloff, so that it does not tear off), fill.png (the house removed, and moved aside: as fitted; with what no picture
+showed filled; the masks), views.png (held-out pictures over renders), field.npz, the cages and summary.json.
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ import numpy as np
 import warp as wp
 
 import warpcage
+from warpcage.cage.walls import cut_faces
 from warpcage.core.devices import resolve_device
 from warpcage.core.files import atomic_path
+from warpcage.view.frame_parts import mask_picture
 from warpcage.view.overlay import draw_cage
 from warpcage.view.pictures import colour_disparity, contact_sheet, disparity_range, write_png
 
@@ -86,6 +89,8 @@ def main(argv=None) -> dict:
     camera = camera.resized(args.width, round(args.width * camera.height / camera.width))
     camera = dataclasses.replace(camera, fx=0.85 * camera.fx, fy=0.85 * camera.fy)  # so that the edits fit in
     figures["unmoved"] = show(out, field, edits, camera)
+    show_falloff(out, field, *edits["box"], camera, args.falloff)
+    figures["filled"] = show_fill(out, field, turned(warpcage.Cage.box(*HOUSE, segments=2), axes), axes, camera)
     for name, (rest, moved) in edits.items():
         rest.save(out / f"{name}.obj")
         moved.save(out / f"{name}_posed.obj")
@@ -116,6 +121,7 @@ def parse_arguments(argv):
     parser.add_argument("--field", metavar="FILE", help="edit this field instead of fitting one")
     parser.add_argument("--cage", metavar="FILE", help="use this cage around the object instead of generating one")
     parser.add_argument("--width", type=int, default=480, help="of each picture in edits.png (default: %(default)s)")
+    parser.add_argument("--falloff", type=float, default=0.3, help="width of the band (default: %(default)s)")
     parser.add_argument("--view", type=int, default=4, help="held-out view to show (default: %(default)s)")
     return parser.parse_args(argv)
 
@@ -168,6 +174,28 @@ def show(out, field, edits, camera) -> float:
         panels += [picture, drawn, colour_disparity(frame.disparity, alpha=frame.alpha, scale=scale)]
     write_png(out / "edits.png", contact_sheet(panels, columns=3))
     return unmoved
+
+
+def show_falloff(out, field, rest, moved, camera, width: float) -> None:
+    """Write falloff.png: a part that its cage tears off, and the same faded to rest at the walls that cut it."""
+    held = "cut" if len(cut_faces(rest, field)) else "still"
+    edits = [warpcage.CageEdit(rest), warpcage.CageEdit(rest, falloff=width, held=held)]
+    panels = [draw_cage(np.clip(field.render(camera).rgb, 0, 1), camera, rest)]
+    panels += [np.clip(warpcage.Deformer(field, edit).pose(moved).render(camera).rgb, 0, 1) for edit in edits]
+    write_png(out / "falloff.png", contact_sheet(panels, columns=3))
+
+
+def show_fill(out, field, house, axes, camera) -> float:
+    """Write fill.png. Returns the share of the picture that is made up where the house is taken away."""
+    aside = house.translate(-0.7 * axes[0])
+    panels, shares = [], []
+    for edit, pose in ((warpcage.CageEdit(house, remove=True), None), (warpcage.CageEdit(house), aside)):
+        frame = warpcage.Deformer(field, edit).pose([pose]).render(camera)
+        filled = warpcage.fill_unseen(frame, field, camera)
+        panels += [np.clip(frame.rgb, 0, 1), np.clip(filled.rgb, 0, 1), mask_picture(filled)]
+        shares.append(float((filled.filled > 0.5).mean()))
+    write_png(out / "fill.png", contact_sheet(panels, columns=3))
+    return shares[0]
 
 
 if __name__ == "__main__":

@@ -135,6 +135,8 @@ def test_edit_dtu_on_a_room(tmp_path, device, monkeypatch):
     summary = json.loads((out / "summary.json").read_text())
     assert summary["masked_psnr"] > 14.0 and summary["psnr"] > 17.0 and summary["unmoved"] < 1e-5
     assert read_image(out / "edits.png").shape == (3 * 40 + 8, 3 * 40 + 8, 3)
+    assert read_image(out / "falloff.png").shape == (40, 3 * 40 + 8, 3)
+    assert read_image(out / "fill.png").shape == (2 * 40 + 4, 3 * 40 + 8, 3) and summary["filled"] > 0.02
     assert Cage.load(out / "generated.obj").check().usable and Cage.load(out / "box_posed.obj").check().usable
     # once more with that field and cage
     again = ["--out", "again", "--field", out / "field.npz", "--cage", out / "generated.obj"]
