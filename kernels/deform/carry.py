@@ -26,9 +26,6 @@ wp.set_module_options({"enable_backward": False})
 #: Most steps of the search for a place that the map leads to a given point.
 MOST_STEPS = wp.constant(12)
 
-#: The search ends where the map leads this near to the point, as a share of the rest cage's size.
-NEAR_ENOUGH = wp.constant(1.0e-5)
-
 
 @wp.struct
 class WallMap:
@@ -91,36 +88,50 @@ def continued_position(walls: WallMap, x: wp.vec3):
     return faded_position(walls.walls, x, mapped + wall_offset(walls, x))
 
 
+@wp.func
+def forward_position(walls: WallMap, y: wp.vec3):
+    """F(y), nearly the inverse of psi: the mean value map from the rest cage to the posed one."""
+    return cage_position(y, walls.rest, walls.faces, walls.rest_fans, walls.posed, walls.rest_size)
+
+
+@wp.kernel
+def map_forwards(first: int, walls: WallMap, points: wp.array(dtype=wp.vec3), places: wp.array(dtype=wp.vec3)):
+    """F at points (n,)."""
+    n = first + wp.tid()
+    places[n] = forward_position(walls, points[n])
+
+
 @wp.kernel
 def find_places(
     first: int,
     walls: WallMap,
     points: wp.array(dtype=wp.vec3),
-    places: wp.array(dtype=wp.vec3),
+    enough: float,
+    offsets: wp.array(dtype=wp.vec3),
     errors: wp.array(dtype=float),
 ):
-    """Places (n,) beside the posed cage that psi leads to points (n,) beside the rest cage, and how far from them it
-    leads, world units.
+    """How far from F(y) the place x is that psi leads to a point y, for points (n,) beside the rest cage; and how far
+    from y psi leads at last. World units; the search ends where that is less than `enough`.
 
-    With F the mean value map from the rest cage to the posed one, which is nearly the inverse of psi:
-    x <- x + F(y) - F(psi(x)); the best of all x is kept.
+    x <- x + F(y) - F(psi(x)), from x = F(y) on; the best of all x is kept.
     """
     n = first + wp.tid()
     y = points[n]
-    goal = cage_position(y, walls.rest, walls.faces, walls.rest_fans, walls.posed, walls.rest_size)
+    goal = forward_position(walls, y)
     x = goal
     best = goal
     error = float(1.0e30)
     step = int(0)
-    while step < MOST_STEPS and error > NEAR_ENOUGH * walls.rest_size:
+    while step < MOST_STEPS and error > enough:
         reached = continued_position(walls, x)
         off = wp.length(reached - y)
         if off < error:
             error = off
             best = x
-        x += goal - cage_position(reached, walls.rest, walls.faces, walls.rest_fans, walls.posed, walls.rest_size)
+        if error > enough:
+            x += goal - forward_position(walls, reached)
         step += 1
-    places[n] = best
+    offsets[n] = best - goal
     errors[n] = error
 
 
@@ -131,14 +142,23 @@ def carry_nodes(
     lower: wp.vec3,
     spacing: float,
     distance: wp.array3d(dtype=float),
-    nodes: wp.array(dtype=wp.vec3i),
+    marks: wp.array3d(dtype=wp.uint8),
     positions: wp.array3d(dtype=wp.vec3),
 ):
-    """psi at nodes (n,) of a lattice whose node (0, 0, 0) is at `lower`; those in the rings of the map (lattice/nodes)
-    keep what they have. No node twice."""
-    node = nodes[first + wp.tid()]
-    i = node[0]
-    j = node[1]
-    k = node[2]
-    if distance[i, j, k] / spacing >= CELL_DIAGONAL:
+    """psi at the nodes of a lattice at corners of marked cells; those in the rings of the map (lattice/nodes) keep what
+    they have. Node (0, 0, 0) is at `lower`. One item per node."""
+    n = first + wp.tid()
+    k = n % distance.shape[2]
+    j = (n // distance.shape[2]) % distance.shape[1]
+    i = n // (distance.shape[2] * distance.shape[1])
+    if distance[i, j, k] / spacing < CELL_DIAGONAL:
+        return
+    found = bool(False)
+    for c in range(8):
+        a = i - (c >> 2)
+        b = j - ((c >> 1) & 1)
+        d = k - (c & 1)
+        if a >= 0 and b >= 0 and d >= 0 and a < marks.shape[0] and b < marks.shape[1] and d < marks.shape[2]:
+            found = found or marks[a, b, d] != wp.uint8(0)
+    if found:
         positions[i, j, k] = continued_position(walls, lower + spacing * wp.vec3(float(i), float(j), float(k)))

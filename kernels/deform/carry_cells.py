@@ -49,15 +49,37 @@ def pad_nodes(
 
 
 @wp.kernel
-def mark_carrying_cells(
-    first: int, edit: LatticeEdit, carrying: wp.array(dtype=wp.vec3i), cells: wp.array3d(dtype=wp.uint8)
+def mark_boxes(
+    first: int,
+    low: wp.array(dtype=wp.vec3i),
+    high: wp.array(dtype=wp.vec3i),
+    depth: int,
+    marks: wp.array3d(dtype=wp.uint8),
 ):
-    """CELL_CARRIES at cells (n,), and what else holds there, but for those wholly in the cage or at a narrow gap of it.
-    No cell twice; `cells` holds what deform/cells.mark_edit_cases says."""
-    cell = carrying[first + wp.tid()]
-    i = cell[0]
-    j = cell[1]
-    k = cell[2]
+    """1 at the cells of boxes (n,), from the first cell to the last; boxes may overlap, so that the CPU takes one
+    thread. `depth` items per box, each for one layer of at most so many."""
+    item = first + wp.tid()
+    n = item / depth
+    i = low[n][0] + item % depth
+    if i > high[n][0]:
+        return
+    for j in range(low[n][1], high[n][1] + 1):
+        for k in range(low[n][2], high[n][2] + 1):
+            marks[i, j, k] = wp.uint8(1)
+
+
+@wp.kernel
+def mark_carrying_cells(
+    first: int, edit: LatticeEdit, marks: wp.array3d(dtype=wp.uint8), cells: wp.array3d(dtype=wp.uint8)
+):
+    """CELL_CARRIES at marked cells, and what else holds there, but for those wholly in the cage or at a narrow gap of
+    it. `cells` holds what deform/cells.mark_edit_cases says. One item per cell."""
+    n = first + wp.tid()
+    k = n % cells.shape[2]
+    j = (n // cells.shape[2]) % cells.shape[1]
+    i = n // (cells.shape[2] * cells.shape[1])
+    if marks[i, j, k] == wp.uint8(0):
+        return
     if (int(cells[i, j, k]) & CELL_INSIDE) != 0 or cell_sides(edit.deformed, i, j, k) != 0:
         return
     corners = mat83()

@@ -23,17 +23,17 @@ from ..mesh.fans import prepared_fans
 from .crumbs import crumbs
 from .edits import CageEdit
 
-#: Steps between the voxels next to one and to the voxel itself.
-AROUND = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+#: Steps from a voxel to the corners of what it has a part in.
+CORNERS = np.stack(np.meshgrid(*[[-1, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 #: How much larger than the box of its corners the image of a voxel is taken to be, as a share, and in cells.
 IMAGE_SHARE, IMAGE_CELLS = 0.1, 0.05
 
-#: A place is found where the map leads from it this near to the voxel, in voxels.
-FOUND = 0.5
+#: A place is found where the map leads from it this near to the voxel, and well found, in voxels.
+FOUND, WELL_FOUND = 0.5, 0.02
 
 #: Bytes of a node of the larger lattice with its cell.
-NODE_BYTES = 24
+NODE_BYTES = 25
 
 
 class CarriedCrumbs:
@@ -65,10 +65,11 @@ class CarriedCrumbs:
         self.cells.lower = wp.vec3(*(field.bounds[0] + (first + 0.5) * field.voxel_size - self._origin))
         self.cells.inverse_voxel_size = wp.vec3(*(1.0 / field.voxel_size))
         self.cells.marks = wp.array(marks, dtype=wp.uint8, device=self._device)
-        corners, rows = np.unique((self.voxels[:, None] + AROUND).reshape(-1, 3), axis=0, return_inverse=True)
-        self._rows = rows.reshape(len(self.voxels), len(AROUND))  # of the 27 voxels around each
-        points = field.bounds[0] + (corners + 0.5) * field.voxel_size - self._origin
-        self._points = wp.array(points.astype(np.float32), dtype=wp.vec3, device=self._device)
+        corners, rows = np.unique((self.voxels[:, None] + CORNERS).reshape(-1, 3), axis=0, return_inverse=True)
+        self._rows = rows.reshape(len(self.voxels), len(CORNERS))  # of the corners of each voxel
+        self._points, self._corners = (
+            self._local(field.bounds[0] + (nodes + 0.5) * field.voxel_size) for nodes in (self.voxels, corners)
+        )
         fans = edit.cage.topology.fans
         self._walls = carry.WallMap()
         self._walls.rest = self._local(edit.cage.vertices)
@@ -78,7 +79,8 @@ class CarriedCrumbs:
         pool = BufferPool(self._device)
         self._positions, self._distance = pool.buffer(wp.vec3), pool.buffer(wp.float32)
         self._sides, self._pool = pool.buffer(wp.int32), pool
-        self._carrying: wp.array | None = None
+        self._mark_buffer = pool.buffer(wp.uint8)
+        self._marks: wp.array | None = None
 
     def _local(self, vertices: ArrayLike) -> wp.array:
         """(v,) vec3 on the device, relative to the origin."""
@@ -101,11 +103,10 @@ class CarriedCrumbs:
         data.posed_size = cage.size
         data.posed_fans = prepared_fans(data.posed, data.faces, cage.size)
         data.plain, data.walls = plain, Walls() if walls is None else walls
-        cells = self._reached_cells(cage_map)
-        shape = np.array(cage_map.distance.shape)
-        low, high = np.zeros(3, int), shape - 1
-        if len(cells):
-            low, high = np.minimum(low, cells.min(axis=0)), np.maximum(high, cells.max(axis=0) + 1)
+        first, last = self._reached_boxes(cage_map)
+        low, high = np.zeros(3, int), np.array(cage_map.distance.shape) - 1
+        if len(first):
+            low, high = np.minimum(low, first.min(axis=0)), np.maximum(high, last.max(axis=0) + 1)
         self.before = -low
         padded = tuple(int(n) for n in high - low + 1)
         require_memory(
@@ -116,9 +117,14 @@ class CarriedCrumbs:
             held=self._pool.bytes,
         )
         result = self._padded(cage_map, padded)
-        self._carrying = wp.array((cells + self.before).astype(np.int32), dtype=wp.vec3i, device=self._device)
-        nodes = np.unique((cells[:, None] + self.before + (AROUND[AROUND.min(axis=1) >= 0])).reshape(-1, 3), axis=0)
-        self._launch_nodes(result, nodes)
+        marks = self._marks = self._mark_buffer.take(tuple(side - 1 for side in padded))
+        marks.zero_()
+        if len(first):
+            depth = int((last - first)[:, 0].max()) + 1
+            boxes = [self._triples(cells + self.before) for cells in (first, last)]
+            launch(carry_cells.mark_boxes, depth * len(first), [*boxes, depth], [marks], device=self._device, threads=1)
+            inputs = [data, result.lower, result.spacing, result.distance, marks]
+            launch(carry.carry_nodes, result.distance.size, inputs, [result.positions], device=self._device)
         lower = self._origin + np.array(result.lower)
         self.bounds = np.stack([lower, lower + result.spacing * (np.array(padded) - 1)])
         return result
@@ -130,9 +136,8 @@ class CarriedCrumbs:
             edit: The LatticeEdit of the pose.
             cells: (nx-1, ny-1, nz-1) uint8, CELL_... flags, those of `mark_edit_cases`.
         """
-        if self._carrying is not None:
-            inputs = [edit, self._carrying]
-            launch(carry_cells.mark_carrying_cells, self._carrying.size, inputs, [cells], device=self._device)
+        if self._marks is not None:
+            launch(carry_cells.mark_carrying_cells, cells.size, [edit, self._marks], [cells], device=self._device)
 
     def inner(self, cells: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """The part of a table over the cells of the larger lattice that lies over the map's own.
@@ -146,28 +151,31 @@ class CarriedCrumbs:
         """
         return cells[tuple(slice(b, b + n) for b, n in zip(self.before, shape, strict=True))]
 
-    def _reached_cells(self, cage_map: Any) -> np.ndarray:
-        """(m, 3) cells of the map's lattice, or beside it, that the crumbs reach in the pose."""
-        count = self._points.size
-        places, errors = (empty_array(count, kind, self._device) for kind in (wp.vec3, wp.float32))
-        work = 2 * carry.MOST_STEPS * self._walls.faces.size
-        launch(carry.find_places, count, [self._walls, self._points], [places, errors], device=self._device, work=work)
-        images = (places.numpy().astype(np.float64) - np.array(cage_map.lower)) / cage_map.spacing
-        found = (errors.numpy() < FOUND * self._voxel) & np.isfinite(images).all(axis=1)
-        own = found[self._rows[:, len(AROUND) // 2]]
-        if not own.all():
+    def _reached_boxes(self, cage_map: Any) -> tuple[np.ndarray, np.ndarray]:
+        """First and last cell (m, 3) of the map's lattice, or beside it, that each voxel reaches in the pose."""
+        count, faces = self._points.size, self._walls.faces.size
+        offsets, errors = (empty_array(count, kind, self._device) for kind in (wp.vec3, wp.float32))
+        places = empty_array(self._corners.size, wp.vec3, self._device)
+        inputs, work = [self._walls, self._points, WELL_FOUND * self._voxel], 4 * carry.MOST_STEPS * faces
+        launch(carry.find_places, count, inputs, [offsets, errors], device=self._device, work=work)
+        inputs = [self._walls, self._corners]
+        launch(carry.map_forwards, places.size, inputs, [places], device=self._device, work=2 * faces)
+        images = places.numpy()[self._rows].astype(np.float64) + offsets.numpy()[:, None]
+        images = (images - np.array(cage_map.lower)) / cage_map.spacing
+        found = (errors.numpy() < FOUND * self._voxel) & np.isfinite(images).all(axis=(1, 2))
+        if not found.all():
             warn_caller(
-                f"the pose of edit {self._index} has no place for {np.count_nonzero(~own)} of {len(own)} voxels of "
+                f"the pose of edit {self._index} has no place for {np.count_nonzero(~found)} of {count} voxels of "
                 "crumbs beside the cage, where its map folds over: they are left out; move the cage less, or give "
                 "crumbs a smaller size"
             )
-        boxes = np.where(found[self._rows][..., None], images[self._rows], np.nan)[own]
-        if not len(boxes):
-            return np.zeros((0, 3), int)
-        low, high = np.nanmin(boxes, axis=1), np.nanmax(boxes, axis=1)
+        low, high = images[found].min(axis=1), images[found].max(axis=1)
         spare = IMAGE_SHARE * (high - low) + IMAGE_CELLS
-        low, high = np.floor(low - spare).astype(int), np.floor(high + spare).astype(int)
-        return cells_of_boxes(low, high)
+        return np.floor(low - spare).astype(int), np.floor(high + spare).astype(int)
+
+    def _triples(self, values: np.ndarray) -> wp.array:
+        """(n,) vec3i on the device."""
+        return wp.array(values.astype(np.int32), dtype=wp.vec3i, device=self._device)
 
     def _padded(self, cage_map: Any, shape: tuple[int, ...]) -> Any:
         """The map in a larger lattice."""
@@ -184,29 +192,3 @@ class CarriedCrumbs:
         if has_sides:
             result.side_index, result.sides = sides, cage_map.sides
         return result
-
-    def _launch_nodes(self, extended: Any, nodes: np.ndarray) -> None:
-        """Continue the map to nodes (n, 3)."""
-        places = wp.array(nodes.astype(np.int32), dtype=wp.vec3i, device=self._device)
-        inputs = [self._walls, extended.lower, extended.spacing, extended.distance, places]
-        work = self._walls.faces.size
-        launch(carry.carry_nodes, len(nodes), inputs, [extended.positions], device=self._device, work=work)
-
-
-def cells_of_boxes(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The cells that boxes of cells hold, each once.
-
-    Args:
-        low: (n, 3) int, the first cell of each box.
-        high: (n, 3) int, the last one.
-
-    Returns:
-        (m, 3) int.
-    """
-    sides = high - low + 1
-    counts = sides.prod(axis=1)
-    box = np.repeat(np.arange(len(low)), counts)
-    place = np.arange(len(box)) - np.repeat(np.cumsum(counts) - counts, counts)
-    ny, nz = sides[box, 1], sides[box, 2]
-    steps = np.stack([place // (ny * nz), place // nz % ny, place % nz], axis=1)
-    return np.unique(low[box] + steps, axis=0)
