@@ -19,6 +19,7 @@ import pathlib
 import time
 
 import numpy as np
+import warp as wp
 
 import warpcage
 from warpcage.core.devices import resolve_device
@@ -43,6 +44,7 @@ STILL = 0.02
 
 def main(argv=None) -> dict:
     args = parse_arguments(argv)
+    wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
     out, device = pathlib.Path(args.out), resolve_device(args.device)
     train = warpcage.load_scene(args.data, downscale=args.downscale, orient="up")
     test = warpcage.load_scene(args.data, split="test", downscale=args.downscale, orient=train.straightening)

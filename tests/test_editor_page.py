@@ -327,3 +327,29 @@ def test_the_keyboard_alone_poses_keys_and_exports(window: Window, editor: Any, 
     assert window.job(1)["state"] == "done", window.section("jobs")
     assert iio.imread(tmp_path / "mine.gif").shape[1:3] == (30, 40)
     assert window.get("document.activeElement.id") == "export-gif"  # where the person was
+
+
+def test_walls_crumbs_and_filling_are_set_on_the_page(window: Window, editor: Any) -> None:
+    looks_cheap(window)
+    assert window.get('document.querySelector("#edit-held").closest(".field").hidden')  # nothing is held yet
+    window.fill("#edit-falloff", "0.25\n")
+    until(lambda: editor.document.edits[0].falloff == 0.25, "the width of the band is kept")
+    until(lambda: window.get('!document.querySelector("#edit-held").closest(".field").hidden'), "walls are offered")
+    window.choose("#edit-held", "still")
+    until(lambda: editor.document.edits[0].held == "still", "the walls are kept")
+    window.fill("#edit-crumbs", "0.4\n")
+    until(lambda: editor.document.edits[0].crumbs == 0.4, "the size of crumbs is kept")
+    window.press("Ctrl+Z")
+    until(lambda: window.get("document.querySelector('#edit-crumbs').valueAsNumber") == 0, "undo shows in the field")
+    window.choose("#edit-kind", "remove")
+    until(lambda: window.get('document.querySelector("#edit-falloff").closest(".field").hidden'), "nothing to fade")
+    assert editor.document.edits[0].cage_edit.falloff == 0.0
+    window.unfold("view")
+    assert window.get('document.querySelector("#fill").closest("label").hidden')  # this field has no layers
+    window.get("warpcage.store.sections.session.field.layers = true")
+    window.choose("#coordinates", "harmonic")  # any change shows the panel anew
+    until(lambda: window.get('!document.querySelector("#fill").closest("label").hidden'), "filling is offered")
+    window.click("#fill")
+    until(lambda: editor.document.settings.fill, "filling is kept")
+    window.click("#show-masks")
+    until(lambda: window.get('!document.querySelector(".swatch.filled").closest("li").hidden'), "the legend says so")

@@ -8,10 +8,13 @@ import threading
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import shiny_field
+from deformed_scenes import make_field, plain, shiny_field
+from test_crumbs import INSIDE, NUB, PART, boxes
+from test_fill import BOX, ball
 
 import warpcage
 from warpcage.editor import renderer as renderer_module
+from warpcage.editor.document import View
 from warpcage.editor.effort import COARSE_CELLS, LEAST_SIDE, Pace
 from warpcage.editor.picture import FRAME, band_camera, depth_size, frame_pixels, joined_pixels, packed_frame
 from warpcage.editor.renderer import Renderer, Request, same_pose
@@ -274,3 +277,65 @@ def test_depths_of_a_sharp_picture_are_as_many_in_bands_as_in_one(document, seco
     depths = np.frombuffer(message[-2 * rows * columns :], "<u2").reshape(rows, columns)
     whole = frame_pixels(field.render(camera(scene.view, 150, 110)), "rgb", 1.0, 9.0, columns, rows)
     assert np.mean((depths > 0) == (whole.depths > 0)) > 0.98  # bands round their rows by themselves
+
+
+def sharp(field, document, **settings):
+    """Header and decoded picture of a sharp picture."""
+    shown = Shown()
+    renderer = Renderer(field, shown)
+    try:
+        changed = dataclasses.replace(document, settings=dataclasses.replace(document.settings, **settings))
+        renderer.request(Request(changed, 48, 48, False, {}))
+        header = shown.wait(lambda header: header["error"] or header["sharp"])
+    finally:
+        renderer.close()
+    assert not header["error"], header["error"]
+    message = shown.messages[shown.headers.index(header)]
+    _, words, jpeg, _ = struct.unpack_from("<4I", message)
+    begin = 16 + words + (-words) % 8
+    return header, simplejpeg.decode_jpeg(message[begin : begin + jpeg]) / 255.0
+
+
+def test_falloffs_and_crumbs_of_the_document_are_in_the_picture(device):
+    field = make_field(boxes(INSIDE, NUB), plain([0.8, 0.3, 0.1]), device=device)
+    scene = new_document(field, [PART], 16)
+    lifted = dataclasses.replace(scene.edits[0], posed=PART.translate([-0.5, 0, -0.3]).vertices)
+    pictures = []
+    for changes in ({}, {"crumbs": 0.35}, {"falloff": 0.2, "held": "still"}, {"falloff": 0.2, "held": "cut"}):
+        edit = dataclasses.replace(lifted, **changes)
+        _, picture = sharp(field, scene.with_edit(edit))
+        deformer = warpcage.Deformer(field, edit.cage_edit, resolution=16).pose(edit.posed_cage)
+        assert warpcage.psnr(picture, deformer.render(camera(scene.view, 48, 48)).rgb) > 33.0
+        pictures.append(picture)
+    assert np.abs(pictures[1] - pictures[0]).max() > 0.2  # the crumb went along
+    assert np.abs(pictures[3] - pictures[0]).max() > 0.2  # the wall that cuts it is held
+    whole = dataclasses.replace(lifted, falloff=0.2, rest=(whole := PART.scale(2.4)).vertices, posed=whole.vertices)
+    shown = Shown()
+    renderer = Renderer(field, shown)
+    try:
+        renderer.request(Request(scene.with_edit(whole), 48, 48, False, {}))
+        error = shown.wait(lambda header: header["error"])["error"]
+    finally:
+        renderer.close()
+    assert "fades to rest, but no wall of its cage cuts matter" in error and repr(whole.name) in error
+
+
+def test_background_is_filled_in_pictures_that_rest(device):
+    field = ball(device)
+    scene = new_document(field, [BOX], 16)
+    scene = scene.with_edit(dataclasses.replace(scene.edits[0], kind="remove"))
+    scene = dataclasses.replace(scene, view=View((0.0, -4.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+    plain_header, plain_picture = sharp(field, scene)
+    header, picture = sharp(field, scene, fill=True)
+    looking = camera(scene.view, 48, 48)
+    frame = warpcage.Deformer(field, scene.edits[0].cage_edit, resolution=16).render(looking)
+    filled = warpcage.fill_unseen(frame, field, looking)
+    assert filled.filled.max() > 0.9
+    assert warpcage.psnr(picture, np.clip(filled.rgb, 0, 1)) > 33.0
+    assert np.abs(np.clip(filled.rgb, 0, 1) - plain_picture).max() > 0.1
+    assert "filled" not in plain_header["masks"] and header["masks"]["filled"] > 0.01
+    _, masks = sharp(field, scene, fill=True, show="masks")
+    violet = np.abs(masks - [0.6, 0.25, 0.85]).sum(axis=-1) < 0.5
+    assert violet.sum() > 20
+    header, _ = sharp(field, scene, fill=True, background="white")  # nothing is missing there
+    assert "filled" not in header["masks"]

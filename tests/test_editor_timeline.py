@@ -11,6 +11,7 @@ from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.editor.checked import frozen_vertices
 from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, new_edit
+from warpcage.editor.scene import camera
 from warpcage.editor.timeline import (
     document_at,
     frame_rate,
@@ -21,6 +22,8 @@ from warpcage.editor.timeline import (
     state_at,
     with_pose_file,
 )
+from warpcage.view.camera import Camera
+from warpcage.view.camera_path import CameraKey
 
 CAGE = Cage.box([-1, -1, -1], [1, 1, 1])
 VIEW = View((3.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
@@ -273,3 +276,42 @@ def test_pose_files_hold_the_cameras_too(tmp_path):
         ahead = np.subtract(view.target, view.eye) / np.linalg.norm(np.subtract(view.target, view.eye))
         np.testing.assert_allclose(looking.rotation[:, 2], ahead, atol=1e-9)
     assert looking.height / looking.fy == pytest.approx(2 * np.tan(np.radians(30.0)))
+
+
+def test_cameras_of_pose_files_become_keys_of_the_film(tmp_path):
+    """What `pose --camera` writes beside poses is loaded too, and looks at the same."""
+    file = PoseFile(CAGE, {"a": POSES[0], "b": POSES[1]})
+    file.times = {"a": 0.0, "b": 1.0}
+    places = [(3.0, -1.0, 1.0), (0.0, 4.0, 2.0)]
+    looking = [Camera.look_at(eye, (0, 0, 0.2), width=640, height=480, fov_degrees=50) for eye in places]
+    rolled = dataclasses.replace(looking[1], camera_to_world=looking[1].camera_to_world @ rolled_by(30))
+    file.cameras = [CameraKey(looking[0], 0.0, "front"), CameraKey(rolled, 2.0, "side", "linear")]
+    file.save(tmp_path / "poses.json")
+    before = film((0.5, "smooth", None, VIEW), length=1.0)
+    loaded = load_poses(before, 1, str(tmp_path / "poses.json"))
+    assert [(key.time, key.name, key.poses is None, key.view is None) for key in loaded.timeline.keys] == [
+        (0.0, "a", False, False),
+        (1.0, "b", False, True),
+        (2.0, "side", True, False),
+    ]  # the view that the film had is gone
+    assert loaded.timeline.length == 2.0 and loaded.timeline.keys[2].easing == "linear"
+    for key, wanted in ((loaded.timeline.keys[0], looking[0]), (loaded.timeline.keys[2], rolled)):
+        seen = camera(key.view, 640, 480)
+        np.testing.assert_allclose(seen.camera_to_world, wanted.camera_to_world, atol=1e-9)
+        assert seen.fy == pytest.approx(wanted.fy)
+    assert loaded.timeline.keys[0].view.up == before.view.up  # it stands upright by what is up
+    alone = PoseFile(CAGE)
+    alone.cameras = file.cameras
+    kept = with_pose_file(loaded, 1, alone)
+    assert [key.poses is None for key in kept.timeline.keys] == [False, False, True]
+    (tmp_path / "bad.json").write_text((tmp_path / "poses.json").read_text().replace('"time": 2.0', '"time": 1e9'))
+    with pytest.raises(ValueError, match="bad.json: camera 'side' is at 1e[+]09 s"):
+        load_poses(before, 1, str(tmp_path / "bad.json"))
+
+
+def rolled_by(degrees):
+    """A turn about the line of sight."""
+    a = np.radians(degrees)
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
+    return turn

@@ -40,6 +40,7 @@ from .document import (
     Selection,
     checked_selection,
     checked_settings,
+    checked_walls,
     new_edit,
 )
 
@@ -178,8 +179,8 @@ def delete_edit(document: Document, message: Message) -> Step:
 
 
 def change_edit(document: Document, message: Message) -> Step:
-    """Rename an edit, show or hide it, or make it another kind."""
-    edit, changes = document.edit(message["id"]), {}
+    """Rename an edit, show or hide it, make it another kind, or say what becomes of its walls and crumbs."""
+    edit, changes = document.edit(message["id"]), checked_walls(message)
     if "name" in message:
         changes["name"] = checked_name(message["name"])
     if "kind" in message:
@@ -187,7 +188,7 @@ def change_edit(document: Document, message: Message) -> Step:
     if "visible" in message:
         changes["visible"] = checked_flag(message["visible"], "visible")
     if not changes:
-        raise ValueError("nothing to change: give a name, a kind or visible")
+        raise ValueError("nothing to change: give a name, a kind, visible, falloff, held or crumbs")
     label = f"{', '.join(changes)} of {edit.name}"
     return label, document.with_edit(dataclasses.replace(edit, **changes))
 
@@ -379,7 +380,8 @@ def run_command(document: Document, message: Message) -> Step:
 def _with_cage(document: Document, edit: Edit, cage: Cage, posed: Callable[[np.ndarray], np.ndarray]) -> Document:
     """The document with another cage for an edit; posed: carries vertices of a pose over."""
     fresh = new_edit(edit.id, cage, edit.name, edit.kind, posed(edit.posed))
-    document = document.with_edit(dataclasses.replace(fresh, visible=edit.visible))
+    kept = {"visible": edit.visible, "falloff": edit.falloff, "held": edit.held, "crumbs": edit.crumbs}
+    document = document.with_edit(dataclasses.replace(fresh, **kept))
     document = _with_key_poses(document, edit.id, lambda pose: frozen_vertices(posed(pose), len(cage.vertices)))
     if document.selection.edit == edit.id:
         document = dataclasses.replace(document, selection=dataclasses.replace(document.selection, vertices=()))

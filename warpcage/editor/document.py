@@ -10,7 +10,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..core.names import COORDINATES, DENSITIES
-from ..deform.edits import MAX_EDITS, CageEdit
+from ..deform.edits import HELD, MAX_EDITS, CageEdit
 from ..mesh.closed_mesh import ClosedMesh
 from ..view.backgrounds import parse_background
 from ..view.frame import MAX_SUPERSAMPLING
@@ -40,6 +40,9 @@ SHOWN = ("rgb", "disparity", "alpha", "masks")
 MODES = ("pose", "rest")
 PICKS = ("vertex", "edge", "face")
 
+#: Largest width of a falloff and size of crumbs, world units.
+LARGEST_LENGTH = 1e9
+
 
 @dataclasses.dataclass(frozen=True)
 class Edit:
@@ -53,6 +56,9 @@ class Edit:
         faces: (f, 3) int32.
         rest: (v, 3) float64, the cage around the captured object, world units.
         posed: (v, 3) float64.
+        falloff: Width of the band inside held walls in which the edit fades to rest, world units; see `CageEdit`.
+        held: The walls that are held: "cut" or "still".
+        crumbs: Size of the crumbs that go with the part, world units.
     """
 
     id: int
@@ -62,6 +68,9 @@ class Edit:
     faces: np.ndarray
     rest: np.ndarray
     posed: np.ndarray
+    falloff: float = 0.0
+    held: str = "cut"
+    crumbs: float = 0.0
 
     @property
     def rest_cage(self) -> Cage:
@@ -76,7 +85,19 @@ class Edit:
     @property
     def cage_edit(self) -> CageEdit:
         """The edit as a Deformer takes it. Raises ValueError where the rest cage cannot be used."""
-        return CageEdit(self.rest_cage, keep_source=self.kind == "copy", remove=self.kind == "remove")
+        return self.edit_of(self.rest_cage)
+
+    def edit_of(self, rest: Cage) -> CageEdit:
+        """The same with a rest cage that is there already. What is removed has no falloff."""
+        removes = self.kind == "remove"
+        return CageEdit(
+            rest,
+            keep_source=self.kind == "copy",
+            remove=removes,
+            falloff=0.0 if removes else self.falloff,
+            held=self.held,
+            crumbs=self.crumbs,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,6 +129,7 @@ class Settings:
         supersampling: Rays along each side of a pixel, in pictures that rest.
         show: "rgb", "disparity", "alpha" or "masks".
         mode: "pose": the posed cage and the deformed scene. "rest": the cage at rest and the scene as captured.
+        fill: Whether background that no picture showed is filled, in pictures that rest; see `fill_unseen`.
     """
 
     coordinates: str = "harmonic"
@@ -117,6 +139,7 @@ class Settings:
     supersampling: int = 1
     show: str = "rgb"
     mode: str = "pose"
+    fill: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -278,6 +301,9 @@ def edit_json(edit: Edit) -> dict[str, Any]:
         "faces": edit.faces.tolist(),
         "rest": edit.rest.tolist(),
         "posed": edit.posed.tolist(),
+        "falloff": edit.falloff,
+        "held": edit.held,
+        "crumbs": edit.crumbs,
     }
 
 
@@ -306,6 +332,26 @@ def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed
     faces.setflags(write=False)
     moved = rest if posed is None else frozen_vertices(posed, len(rest))
     return Edit(number, checked_name(name), checked_choice(kind, KINDS, "kind"), True, faces, rest, moved)
+
+
+def checked_walls(content: Mapping[str, Any]) -> dict[str, Any]:
+    """What a message or a session says of the walls and crumbs of an edit.
+
+    Args:
+        content: Dictionary that may have falloff, held and crumbs; others are ignored.
+
+    Returns:
+        Those of them that it has.
+
+    Raises:
+        ValueError: For widths and sizes below 0 or beyond LARGEST_LENGTH, and other words than HELD.
+    """
+    lengths = {
+        name: checked_between(content[name], 0.0, LARGEST_LENGTH, name)
+        for name in ("falloff", "crumbs")
+        if name in content
+    }
+    return lengths | ({"held": checked_choice(content["held"], HELD, "held")} if "held" in content else {})
 
 
 def checked_view(content: Any) -> View:
@@ -354,6 +400,8 @@ def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings
     for name, value in changes.items():
         if name == "background":
             good[name] = _background(value)
+        elif name == "fill":
+            good[name] = checked_flag(value, name)
         elif name == "resolution":
             good[name] = checked_whole(value, *RESOLUTIONS, name)
         elif name == "supersampling":
@@ -442,7 +490,7 @@ def _edit(content: Mapping[str, Any]) -> Edit:
     cage = Cage(frozen_vertices(vertices), np.asarray(checked_items(content["faces"], 4 * MAX_VERTICES, "faces")))
     number = checked_id(content["id"], "id")
     edit = new_edit(number, cage, content["name"], content["kind"], content["posed"])
-    return dataclasses.replace(edit, visible=checked_flag(content["visible"], "visible"))
+    return dataclasses.replace(edit, visible=checked_flag(content["visible"], "visible"), **checked_walls(content))
 
 
 def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:

@@ -294,7 +294,8 @@ def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
     looking = camera(document.view, film.width, film.height)
     scene.prepare(document)
     background = "black" if film.transparent else settings.background
-    frame = scene.render(looking, background, supersampling=settings.supersampling)
+    fill = settings.fill and background is None
+    frame = scene.render(looking, background, supersampling=settings.supersampling, fill=fill)
     cages = (
         [edit.posed_cage for edit in document.edits if edit.visible and edit.kind != "remove"] if film.overlay else []
     )

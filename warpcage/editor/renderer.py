@@ -214,8 +214,9 @@ class Renderer:
         near, far = self._depth_range(document)
         columns, depths = depth_size(effort.width, effort.height, DEPTHS_SHARP if effort.sharp else DEPTHS_MOVING)
         rows = effort.height
-        # a band of splats takes about as long as all of the picture
-        if effort.sharp and self._field.device.is_cpu and isinstance(self._field, VoxelField):
+        # a band of splats takes about as long as all of the picture, and filling needs the whole picture
+        banded = isinstance(self._field, VoxelField) and not self._fills(document)
+        if effort.sharp and self._field.device.is_cpu and banded:
             seconds = self.pace.sharp_seconds(effort, document.settings.coordinates)
             rows = max(8, math.ceil(effort.height / max(1.0, seconds / BAND_SECONDS)))
         bands, shares = [], []
@@ -238,7 +239,13 @@ class Renderer:
     def _frame(self, document: Document, seen: Any, effort: Effort) -> Frame:
         field = self._field
         step = effort.step * field.step if effort.step != 1.0 and isinstance(field, VoxelField) else None
-        return self._scene.render(seen, document.settings.background, step, effort.supersampling)
+        fill = effort.sharp and self._fills(document)
+        return self._scene.render(seen, document.settings.background, step, effort.supersampling, fill)
+
+    def _fills(self, document: Document) -> bool:
+        """Whether background is filled in sharp pictures of a document."""
+        settings = document.settings
+        return settings.fill and settings.background is None and self._field.background_model is not None
 
     def _depth_range(self, document: Document) -> tuple[float, float]:
         """Distances between which matter is expected, world units."""
@@ -280,7 +287,9 @@ def same_pose(one: Document, two: Document) -> bool:
         all(getattr(one.settings, name) == getattr(two.settings, name) for name in options)
         and len(one.edits) == len(two.edits)
         and all(
-            a.posed is b.posed and a.rest is b.rest and a.kind == b.kind and a.visible == b.visible
+            a.posed is b.posed
+            and a.rest is b.rest
+            and (a.kind, a.visible, a.falloff, a.held, a.crumbs) == (b.kind, b.visible, b.falloff, b.held, b.crumbs)
             for a, b in zip(one.edits, two.edits, strict=True)
         )
     )

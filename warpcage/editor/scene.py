@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from ..cage.cage import Cage
+from ..cage.walls import cut_faces
 from ..deform.deformer import Deformer
 from ..deform.edits import CageEdit
+from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
 from ..mesh.usable import require_usable
 from ..splats.load import AnyField
@@ -48,8 +51,8 @@ def camera(view: View, width: int, height: int) -> Camera:
 class PosedScene:
     """The scene of a document, posed and ready to be rendered. One thread at a time may use it.
 
-    A Deformer is made only when what it is made of changes: faces, rest cages, kinds, visibility, order, coordinates,
-    resolution or density. A changed pose is posed, and an unchanged one is left as it is.
+    A Deformer is made only when what it is made of changes: faces, rest cages, kinds, falloffs, crumbs, visibility,
+    order, coordinates, resolution or density. A changed pose is posed, and an unchanged one is left as it is.
 
     Args:
         field: The radiance field. Several scenes may share it.
@@ -96,7 +99,7 @@ class PosedScene:
         if deformer is None:
             coordinates, density = options
             deformer = Deformer(
-                self.field, _cage_edits(edits, rest), coordinates=coordinates, resolution=cells, density=density
+                self.field, self._cage_edits(edits, rest), coordinates=coordinates, resolution=cells, density=density
             )
             _pose(deformer, edits, posed)
         elif not _same_arrays(vertices, self._posed.get(cells, [])):
@@ -112,7 +115,12 @@ class PosedScene:
             del self._kept[oldest], self._posed[oldest]
 
     def render(
-        self, camera: Camera, background: Background = None, step: float | None = None, supersampling: int | None = None
+        self,
+        camera: Camera,
+        background: Background = None,
+        step: float | None = None,
+        supersampling: int | None = None,
+        fill: bool = False,
     ) -> Frame:
         """The view of a camera of the scene that was prepared last; of the field itself where none was.
 
@@ -121,6 +129,7 @@ class PosedScene:
             background: Colour behind the scene: a name or three numbers in [0, 1]. None is the field's own.
             step: March step, world units. None is the field's. Splats have none.
             supersampling: Rays along each side of a pixel. None is the field's.
+            fill: Fill the background that no picture showed; see `fill_unseen`.
 
         Returns:
             The frame. That of a field without edits has no masks.
@@ -131,17 +140,29 @@ class PosedScene:
         options: dict[str, Any] = {"background": background, "supersampling": supersampling}
         if isinstance(self.field, VoxelField):
             options["step"] = step
-        return (self.field if self.deformer is None else self.deformer).render(camera, **options)
+        frame = (self.field if self.deformer is None else self.deformer).render(camera, **options)
+        if not fill or self.deformer is None or not isinstance(self.field, VoxelField):
+            return frame
+        filled = fill_unseen(frame, self.field, camera)
+        device = frame.arrays["rgb"].device
+        rgb = wp.array(filled.rgb.reshape(-1, 3), dtype=wp.vec3, device=device)
+        filled.arrays["rgb"] = rgb  # where the others are
+        return filled
 
-
-def _cage_edits(edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:
-    """The edits as a Deformer takes them."""
-    for edit, cage in zip(edits, rest, strict=True):
-        require_usable(cage, f"the rest cage of {edit.name!r}")
-    return [
-        CageEdit(cage, keep_source=edit.kind == "copy", remove=edit.kind == "remove")
-        for edit, cage in zip(edits, rest, strict=True)
-    ]
+    def _cage_edits(self, edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:
+        """The edits as a Deformer takes them."""
+        for edit, cage in zip(edits, rest, strict=True):
+            require_usable(cage, f"the rest cage of {edit.name!r}")
+        made = [edit.edit_of(cage) for edit, cage in zip(edits, rest, strict=True)]
+        if not isinstance(self.field, VoxelField):
+            return made
+        for edit, one in zip(edits, made, strict=True):
+            if one.falloff > 0.0 and one.held == "cut" and not len(cut_faces(one.cage, self.field)):
+                raise ValueError(
+                    f"{edit.name!r} fades to rest, but no wall of its cage cuts matter: nothing tears there. Set the "
+                    "width to 0, or let the walls be held that the pose leaves in place"
+                )
+        return made
 
 
 def _pose(deformer: Deformer, edits: Sequence[Edit], posed: list[Cage | None]) -> None:
@@ -154,7 +175,11 @@ def _pose(deformer: Deformer, edits: Sequence[Edit], posed: list[Cage | None]) -
 
 def _same_rest(edits: Sequence[Edit], others: Sequence[Edit]) -> bool:
     """Whether a Deformer of some edits is a Deformer of others too."""
-    return [edit.kind for edit in edits] == [edit.kind for edit in others] and _same_arrays(
+
+    def kinds(of: Sequence[Edit]) -> list[tuple]:
+        return [(edit.kind, edit.falloff, edit.held, edit.crumbs) for edit in of]
+
+    return kinds(edits) == kinds(others) and _same_arrays(
         [array for edit in edits for array in (edit.faces, edit.rest)],
         [array for edit in others for array in (edit.faces, edit.rest)],
     )

@@ -396,7 +396,7 @@ class Server:
                     "name": session.field_path.name if session.field_path else "field",
                     "bounds": field.bounds.tolist(),
                 }
-                | {"up": [float(x) for x in field.up], **count},
+                | {"up": [float(x) for x in field.up], "layers": field.background_model is not None, **count},
                 "device": str(field.device),
                 "saved": session.saved,
                 "save_error": session.save_error,

@@ -389,8 +389,12 @@ def _same_film(one: Timeline, two: Timeline) -> bool:
     )
 
 
+#: What an edit holds besides arrays.
+_PLAIN = tuple(field.name for field in dataclasses.fields(Edit) if field.name not in ("faces", "rest", "posed"))
+
+
 def _same_edit(one: Edit, two: Edit) -> bool:
     return one is two or (
-        (one.id, one.name, one.kind, one.visible) == (two.id, two.name, two.kind, two.visible)
+        all(getattr(one, name) == getattr(two, name) for name in _PLAIN)
         and all(np.array_equal(getattr(one, part), getattr(two, part)) for part in ("faces", "rest", "posed"))
     )

@@ -13,7 +13,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..view import keys as between
-from ..view.camera_path import CameraKey
+from ..view.camera_path import CameraKey, timed_keys
 from .checked import MAX_KEYS, MAX_NAME, MAX_SECONDS, frozen_vertices
 from .document import EASINGS, Document, Key, Timeline, View
 from .scene import camera
@@ -145,6 +145,7 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
     """A document whose keys hold the poses of a file, in the place of those that they held of the edit.
 
     A keyframe goes into the key of its time, if there is one. Keyframes without times are spread evenly over the film.
+    Cameras of the file take the place of those that the film has.
 
     Args:
         document: The document.
@@ -156,17 +157,19 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
 
     Raises:
         ValueError: If there is no such edit, for a file of another cage, times below 0 or beyond MAX_SECONDS, easings
-            that are not known, or too many keyframes.
+            that are not known, two cameras at one time, or too many keyframes.
     """
     edit = document.edit(number)
     if not np.array_equal(file.rest.faces, edit.faces):
         raise ValueError(f"the pose file is of another cage than {edit.name!r}: load it with this cage")
-    if not len(file):
+    if not len(file) and not file.cameras:
         raise ValueError("the pose file holds no keyframes")
-    keys = [_without_pose(key, number) for key in document.timeline.keys]
+    keys = [_without_pose(key, number) if len(file) else key for key in document.timeline.keys]
+    keys = [dataclasses.replace(key, view=None) if file.cameras else key for key in keys]
     keys = [key for key in keys if key.poses is not None or key.view is not None]
-    if len(keys) + len(file) > MAX_KEYS:
-        raise ValueError(f"a film has at most {MAX_KEYS} keys, this one would have {len(keys) + len(file)}")
+    count = len(keys) + len(file) + len(file.cameras)
+    if count > MAX_KEYS:
+        raise ValueError(f"a film has at most {MAX_KEYS} keys, this one would have {count}")
     by_time = {key.time: key for key in keys}
     spread = [float(time) for time in np.linspace(0.0, document.timeline.length, len(file))]
     next_id = document.next_id
@@ -186,11 +189,48 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
         key = dataclasses.replace(held, name=shown, easing=easing, poses=poses)
         keys = [other for other in keys if other.id != key.id] + [key]
         by_time[time] = key
+    for looking in timed_keys(file.cameras) if file.cameras else []:
+        time = looking.time or 0.0
+        if time > MAX_SECONDS:
+            raise ValueError(f"camera {looking.name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
+        held = by_time.get(time)
+        if held is None:
+            held = Key(next_id, time, " ".join(looking.name.split())[:MAX_NAME] or f"camera {next_id}", looking.easing)
+            next_id += 1
+        key = dataclasses.replace(held, view=view_of(looking, edit.rest_cage.bounds.mean(axis=0), document.view.up))
+        keys = [other for other in keys if other.id != key.id] + [key]
+        by_time[time] = key
     keys.sort(key=lambda key: (key.time, key.id))
     timeline = dataclasses.replace(
         document.timeline, keys=tuple(keys), length=max(document.timeline.length, keys[-1].time)
     )
     return dataclasses.replace(document, timeline=timeline, next_id=next_id)
+
+
+def view_of(key: CameraKey, middle: np.ndarray, up: Sequence[float]) -> View:
+    """The view that looks as a camera does: from its place, along its axis, with its height of picture.
+
+    Args:
+        key: The camera. Where its axis leaves the middle of its picture, or pixels are not square, that is left out.
+        middle: (3,) what it is thought to look at where it names no target.
+        up: (3,) unit vector that is up in the view where the camera stands upright by it.
+
+    Returns:
+        The view.
+    """
+    pose = key.camera.camera_to_world
+    eye, right, upward, forward = pose[:3, 3], pose[:3, 0], -pose[:3, 1], pose[:3, 2]
+    ahead = float(((middle if key.target is None else key.target) - eye) @ forward)
+    if ahead <= 0.0:
+        ahead = max(float(np.linalg.norm(middle - eye)), 1e-6)
+    target = eye + ahead * forward
+    if key.target is not None and np.linalg.norm(key.target - target) < 1e-9 * ahead:
+        target = key.target  # to the bit
+    given = np.asarray(up, dtype=np.float64)
+    stands = abs(given @ right) < 1e-6 and given @ upward > 1e-3
+    fov = math.degrees(2.0 * math.atan(0.5 * key.camera.height / key.camera.fy))
+    chosen = given if stands else upward / np.linalg.norm(upward)
+    return View(_triple(eye), _triple(target), _triple(chosen), min(max(fov, LEAST_FOV), LARGEST_FOV))
 
 
 def load_poses(document: Document, number: int, path: str) -> Document:

@@ -3,7 +3,7 @@
 import { store } from "./store.js";
 import { ask, attempt } from "./connection.js";
 import { askFor, confirmThat } from "./dialogs.js";
-import { activeEdit, button, choice, el, group, icon, rows, setIcon, setText, text } from "./controls.js";
+import { activeEdit, button, choice, el, group, icon, number, rows, setIcon, setText, text } from "./controls.js";
 
 const KINDS = [
   ["move", "Move"],
@@ -16,7 +16,18 @@ const MEANINGS = {
   remove: "What is in the rest cage is taken out of the scene.",
 };
 
+const HELD = [
+  ["cut", "Those that cut matter"],
+  ["still", "Those left in place"],
+];
+
 const change = (id, changes) => attempt(ask({ do: "edit.change", id, ...changes }));
+
+/** A listener for a field of the active edit. */
+const ofActive = (work) => (to) => {
+  const edit = activeEdit();
+  if (edit) work(edit, to);
+};
 
 function activate(id) {
   const { selection } = store.sections;
@@ -142,6 +153,26 @@ export function editsGroup() {
     if (edit) change(edit.id, { kind: to });
   } });
   const meaning = el("p", { class: "note", id: "edit-meaning" });
+  const length = (options) => number({ min: 0, step: 0.05, unit: "units", ...options });
+  const falloff = length({
+    id: "edit-falloff",
+    label: "Fade",
+    title: "Width of the band inside held walls in which the part fades to rest, so that it does not tear off. 0: no wall is held",
+    onChange: ofActive((edit, to) => edit.falloff !== to && change(edit.id, { falloff: to })),
+  });
+  const held = choice({
+    id: "edit-held",
+    label: "Held walls",
+    title: "The walls of the cage at which the part stays as it is at rest",
+    options: HELD,
+    onChange: ofActive((edit, to) => change(edit.id, { held: to })),
+  });
+  const crumbs = length({
+    id: "edit-crumbs",
+    label: "Crumbs",
+    title: "Pieces outside the cage that hang on the part alone and are smaller than this go with it. 0: they stay",
+    onChange: ofActive((edit, to) => edit.crumbs !== to && change(edit.id, { crumbs: to })),
+  });
   const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Whether the active edit acts on the picture", onClick: act((edit) => change(edit.id, { visible: !edit.visible })) });
   const tools = el(
     "div",
@@ -153,7 +184,7 @@ export function editsGroup() {
     button({ id: "edit-down", label: "Later", icon: "down", title: "Move the active edit down (Alt+Down in the list)", onClick: act((edit) => shift(edit.id, 1)) }),
     button({ id: "edit-delete", label: "Delete", icon: "delete", title: "Delete the active edit (Delete in the list)", onClick: act(remove) }),
   );
-  const details = el("div", { class: "stack" }, name.root, kind.root, meaning);
+  const details = el("div", { class: "stack" }, name.root, kind.root, meaning, falloff.root, held.root, crumbs.root);
   const made = group("edits", "Edits", true, list, empty, tools, details);
   const showRows = rows(list, makeRow);
   const show = () => {
@@ -173,6 +204,11 @@ export function editsGroup() {
     name.set(edit.name);
     kind.set(edit.kind);
     setText(meaning, MEANINGS[edit.kind]);
+    falloff.set(edit.falloff);
+    held.set(edit.held);
+    crumbs.set(edit.crumbs);
+    falloff.root.hidden = edit.kind === "remove";
+    held.root.hidden = edit.kind === "remove" || !edit.falloff;
     setIcon(shown, edit.visible ? "eye" : "eye-off");
     shown.setAttribute("aria-pressed", String(edit.visible));
   };

@@ -56,16 +56,20 @@ function legend() {
     ["fold", "Turned inside out: moved too far"],
     ["reveal", "Uncovered: no camera saw it"],
     ["outside", "Empty: nothing to show there"],
+    ["filled", "Filled: made up, not seen"],
   ];
   const shares = new Map();
+  const lines = new Map();
   const root = el("ul", { id: "mask-legend", class: "legend", "aria-label": "Colours of the masks" });
   for (const [name, text] of kinds) {
     const share = el("span", { class: "note" });
     shares.set(name, share);
-    root.append(el("li", {}, el("span", { class: `swatch ${name}`, "aria-hidden": "true" }), el("span", {}, text), share));
+    lines.set(name, el("li", {}, el("span", { class: `swatch ${name}`, "aria-hidden": "true" }), el("span", {}, text), share));
+    root.append(lines.get(name));
   }
   const show = perPicture(() => {
     root.hidden = store.sections.settings?.show !== "masks";
+    lines.get("filled").hidden = !store.sections.settings?.fill;
     const { masks } = store.status.frame ?? {};
     for (const [name, share] of shares) setText(share, masks && masks[name] !== undefined ? percent(masks[name]) : "");
   });
@@ -130,8 +134,14 @@ export function viewGroup() {
     value: store.tools.cage,
     onChange: (on) => store.setTool("cage", on),
   });
+  const fill = check({
+    id: "fill",
+    label: "Fill what nobody saw",
+    title: "Background that the edits uncover and no picture showed goes on from what is around it, in pictures that rest",
+    onChange: (on) => change({ fill: on }),
+  });
   const views = el("div", { class: "grid quarters", role: "group", "aria-label": "Look from" });
-  const made = group("view", "Picture", false, shown.root, masks.root, overlay.root, coordinates.root, resolution.root, density.root, background.root, supersampling.root, views);
+  const made = group("view", "Picture", false, shown.root, masks.root, overlay.root, coordinates.root, resolution.root, density.root, background.root, fill.root, supersampling.root, views);
   const show = () => {
     const { settings } = store.sections;
     if (!settings) return;
@@ -144,6 +154,8 @@ export function viewGroup() {
     density.set(settings.density);
     supersampling.set(settings.supersampling);
     background.set(settings.background);
+    fill.set(settings.fill);
+    fill.root.hidden = settings.background !== null || !store.sections.session?.field?.layers;
     shown.set(settings.show);
     masks.show();
   };
