@@ -26,6 +26,7 @@ _HOMES = {
     "Camera": "view.camera",
     "CameraFile": "view.camera_file",
     "CameraKey": "view.camera_path",
+    "CaptureReport": "captures.report",
     "Deformer": "deform.deformer",
     "FieldOptimizer": "fitting.optimizer",
     "FitOptions": "fitting.options",
@@ -39,6 +40,7 @@ _HOMES = {
     "VoxelField": "field.voxel_field",
     "bake": "deform.bake",
     "camera_at": "view.camera_path",
+    "capture": "captures.capture",
     "deform_points": "coordinates.deform",
     "edit": "editor.edit",
     "evaluate": "fitting.evaluation",
@@ -57,6 +59,7 @@ _HOMES = {
 
 _ROOMS = (
     "cage",
+    "captures",
     "cli",
     "coordinates",
     "core",

@@ -3,6 +3,8 @@
 from .cage.cage import Cage as Cage
 from .cage.pose_file import PoseFile as PoseFile
 from .cage.report import CageReport as CageReport
+from .captures.capture import capture as capture
+from .captures.report import CaptureReport as CaptureReport
 from .coordinates.deform import deform_points as deform_points
 from .coordinates.weights import green_coordinates as green_coordinates
 from .coordinates.weights import harmonic_coordinates as harmonic_coordinates

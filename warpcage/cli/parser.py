@@ -5,11 +5,27 @@ from __future__ import annotations
 import argparse
 from typing import Any, NoReturn
 
-from .arguments import animate, bake, cage, check, edit, edits, evaluate, fit, info, kernels, mesh, pose, render, select
+from .arguments import (
+    animate,
+    bake,
+    cage,
+    capture,
+    check,
+    edit,
+    edits,
+    evaluate,
+    fit,
+    info,
+    kernels,
+    mesh,
+    pose,
+    render,
+    select,
+)
 from .options import package_version
 
 #: The commands in the order of their help.
-COMMANDS = (fit, select, mesh, cage, check, edit, pose, edits, render, animate, bake, evaluate, info, kernels)
+COMMANDS = (capture, fit, select, mesh, cage, check, edit, pose, edits, render, animate, bake, evaluate, info, kernels)
 EXAMPLE = """\
 example, from pictures to a bent object:
   warpcage fit data/lego --downscale 2 -o lego.npz

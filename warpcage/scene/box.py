@@ -14,6 +14,9 @@ PARALLEL_DISTANCE = 4.0
 #: Optical axes whose equations are conditioned worse than this are taken to be parallel.
 MAX_CONDITION = 1e6
 
+#: Fewer points of a reconstruction say nothing about where the object is.
+MIN_POINTS = 8
+
 #: Half side of the box over the radius of the object that a camera sees whole; most of it may be of its distance.
 BOX_ROOM, MOST_OF_DISTANCE = 1.2, 0.95
 
@@ -76,3 +79,25 @@ def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np
             "give the bounds of what should be fitted"
         )
     return box
+
+
+def bulk_box(points: np.ndarray, seen_box: np.ndarray) -> np.ndarray | None:
+    """A box around the bulk of the points of a reconstruction that lie where the cameras look, or of all of them.
+
+    Args:
+        points: (n, 3) world units.
+        seen_box: (2, 3) what the cameras look at: see `view_box`.
+
+    Returns:
+        (2, 3) float64 lower and upper corner, world units; None where there are too few points, or no extent.
+    """
+    low, high = seen_box
+    seen = points[((points > low) & (points < high)).all(axis=1)]
+    bulk = seen if len(seen) >= max(MIN_POINTS, len(points) // 4) else points
+    if len(bulk) < MIN_POINTS:
+        return None
+    low, high = np.percentile(bulk, [1.0, 99.0], axis=0)  # a few are always far off
+    margin = 0.1 * float((high - low).max())
+    if not (np.isfinite(margin) and margin > 0):
+        return None
+    return np.stack([low - margin, high + margin])

@@ -13,13 +13,10 @@ import numpy as np
 from ...core.memory import free_host_bytes
 from ...view.camera import Camera
 from ...view.pictures import image_size, read_rows, shrink, shrunk_size
-from ..box import view_box
+from ..box import bulk_box, view_box
 from ..scene import Scene
 from .distortion import Intrinsics, undistort, undistorted_intrinsics
 from .parsing import Bounds
-
-#: Fewer points of a reconstruction say nothing about where the object is.
-MIN_POINTS = 8
 
 #: Bytes a pixel that files decode to: 4 of Pillow's, and as many again where colours are looked up; 24 with 16 bits a
 #: channel, as a frame, as an array and in this machine's order.
@@ -127,7 +124,7 @@ def make_scene(
     cameras = [camera.resized(width, height) for camera in cameras]
     opaque = all((alpha == 1.0).all() for alpha in alphas)  # such images say nothing about the object's outline
     if bounds is None and points is not None:
-        bounds = _bulk_box(points, view_box(cameras))
+        bounds = bulk_box(points, view_box(cameras))
     return Scene(
         images,
         None if opaque else alphas,
@@ -282,17 +279,3 @@ def _names(views: list[View]) -> list[str]:
     """File names without ending; with the folder where that does not tell them apart."""
     names = [view.file.stem for view in views]
     return names if len(set(names)) == len(names) else [f"{view.file.parent.name}/{view.file.stem}" for view in views]
-
-
-def _bulk_box(points: np.ndarray, seen_box: np.ndarray) -> np.ndarray | None:
-    """(2, 3) box around the bulk of the points that lie where the cameras look, or of all of them; None for too few."""
-    low, high = seen_box
-    seen = points[((points > low) & (points < high)).all(axis=1)]
-    bulk = seen if len(seen) >= max(MIN_POINTS, len(points) // 4) else points
-    if len(bulk) < MIN_POINTS:
-        return None
-    low, high = np.percentile(bulk, [1.0, 99.0], axis=0)  # a few are always far off
-    margin = 0.1 * float((high - low).max())
-    if not (np.isfinite(margin) and margin > 0):
-        return None
-    return np.stack([low - margin, high + margin])

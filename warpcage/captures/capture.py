@@ -1,0 +1,289 @@
+"""`warpcage.capture`: from a video or a folder of pictures to a scene with cameras."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import pathlib
+import shutil
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..core.checks import checked_whole, listed
+from ..core.files import atomic_path
+from ..view.pictures import write_png
+from .found import Found, found_of
+from .placing import placed
+from .report import MOST_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
+from .scene_folder import write_scene
+from .shrunk import shrink_all
+from .solver import Solver, load_pycolmap
+from .sources import Source, read_sources, shrink_factor
+from .video import FrameScores, pick_frames, scan_video, write_frames
+from .work_folder import WorkFolder, publish, require_new_folder
+
+#: Fewest pictures that cameras can be found of, and fewest features that a usual picture must have.
+LEAST_PICTURES, LEAST_FEATURES = 3, 40
+
+#: Fewest points that hold the cameras of a picture together.
+LEAST_POINTS = 10
+
+#: Bounds of the options.
+MOST_FRAMES, LEAST_SIZE, MOST_SIZE = 2000, 100, 8000
+
+#: How pictures are taken that can be used, for messages.
+HOW_TO = "walk around the object in small steps, so that each picture shows most of what the one before it did"
+
+
+def capture(
+    path: str | os.PathLike,
+    output: str | os.PathLike,
+    *,
+    frames: int = 120,
+    feature_size: int = 800,
+    seed: int = 0,
+    progress: bool = True,
+) -> CaptureReport:
+    """Make a scene of a video or of a folder of pictures: find the cameras, undistort the pictures.
+
+    Of a video, sharp frames are picked that stand evenly along the way of the view. Their cameras are found by COLMAP
+    (Schoenberger and Frahm 2016; `pip install 'warpcage[capture]'`): neighbours and frames that look alike are
+    compared, of a small folder all pictures. Pictures of one size, maker, model and focal length share a camera. The
+    scene is written with +z up, the object around the origin and its box two units long, in the format "transforms" of
+    `load_scene`: images/, transforms.json, points.ply; and capture.md, capture.json and contact.png, which say how good
+    it is. The folder appears whole or not at all.
+
+    What has been done is kept in a hidden folder beside the output until the end. After an interrupt or a kill the same
+    call continues there.
+
+    Args:
+        path: A video that FFmpeg reads, or a folder of pictures (JPEG, PNG, WebP, BMP, TIFF). Their turns are obeyed:
+            EXIF orientation and the rotation of a video.
+        output: The folder to write, new or empty.
+        frames: Most frames of a video that are taken.
+        feature_size: Longer side at which features are looked for, pixels; larger pictures are shrunk for that. More
+            finds cameras more exactly, and takes longer.
+        seed: Seed of what COLMAP draws by lot. The same pictures give the same cameras on the same machine.
+        progress: Whether bars are shown.
+
+    Returns:
+        What was found.
+
+    Raises:
+        FileNotFoundError: Where there is no such file or folder, or no picture in it.
+        ValueError: For an output that is there, a video that cannot be read, and pictures whose cameras cannot be
+            found: too few, too little texture, no overlap. The message says what to do.
+        ImportError: Where pycolmap is not installed.
+
+    Warns:
+        UserWarning: For pictures and frames that cannot be read, and for pictures without a camera.
+    """
+    source, output = pathlib.Path(path), pathlib.Path(output)
+    frames = checked_whole(frames, "frames", LEAST_PICTURES, MOST_FRAMES)
+    feature_size = checked_whole(feature_size, "feature_size", LEAST_SIZE, MOST_SIZE)
+    seed = checked_whole(seed, "seed", 0, 2**31 - 1)
+    if not source.exists():
+        raise FileNotFoundError(f"video or folder {str(source)!r} is not there")
+    require_new_folder(output)
+    load_pycolmap()
+    job = {
+        "source": str(source.resolve()),
+        "files": _stamps(source),
+        "frames": frames,
+        "feature_size": feature_size,
+        "seed": seed,
+        "pycolmap": importlib.metadata.version("pycolmap"),
+    }
+    with WorkFolder(output, job) as work:
+        return _capture(source, output, work, frames, feature_size, seed, progress)
+
+
+def _capture(
+    source: pathlib.Path,
+    output: pathlib.Path,
+    work: pathlib.Path,
+    frames: int,
+    feature_size: int,
+    seed: int,
+    progress: bool,
+) -> CaptureReport:
+    video = not source.is_dir()
+    facts: dict[str, object] = {}
+    sources = _video_sources(source, work, frames, facts, progress) if video else read_sources(source)
+    _require_several(len(sources), source, video)
+    names, sharp = shrink_all(sources, work / "small", feature_size, progress)
+    found = placed(_find(source, work, sources, names, video, feature_size, seed, progress))
+
+    new = work / "scene"
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir()
+    size, reshaped = write_scene(new, sources, sharp, found, feature_size, progress=progress)
+    if reshaped:
+        facts["pictures_cut_or_turned_to_that_size"] = reshaped
+    to_pixels = 1.0 / shrink_factor(size, feature_size)
+    kept = [source.name for source in sources]
+    report = make_report(output, source.name or str(source), kept, sharp, found, size, to_pixels, facts)
+    _write_contact_sheet(new / "contact.png", [work / "small" / name for name in names], report)
+    (new / "capture.json").write_text(report.to_json(), encoding="utf-8")
+    (new / "capture.md").write_text(report.to_markdown(), encoding="utf-8")
+    publish(new, output)
+    if report.left_out:
+        warnings.warn(
+            f"{len(report.left_out)} of {len(sources)} pictures have no camera and are left out "
+            f"({listed(report.left_out, 4)}): they overlap too little with the others, show something else, or are "
+            "blurred",
+            stacklevel=3,
+        )
+    return report
+
+
+def _stamps(source: pathlib.Path) -> list[list[object]]:
+    """Names, sizes and times of the files of a capture, by which another one is told apart."""
+    files = sorted(source.iterdir()) if source.is_dir() else [source]
+    return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
+
+
+def _require_several(count: int, source: pathlib.Path, video: bool) -> None:
+    if count >= LEAST_PICTURES:
+        return
+    if video:
+        raise ValueError(
+            f"video {str(source)!r} shows {count} different views: cameras are found where the view moves; {HOW_TO}"
+        )
+    raise ValueError(
+        f"{str(source)!r} holds {count} picture{'s' * (count != 1)}: cameras are found of at least {LEAST_PICTURES}, "
+        f"and 30 or more are better; {HOW_TO}"
+    )
+
+
+def _video_sources(
+    video: pathlib.Path, work: pathlib.Path, count: int, facts: dict[str, object], progress: bool
+) -> list[Source]:
+    """The picked frames of a video, written as pictures."""
+    scores = _kept_scores(video, work / "scores.npz", progress)
+    picked = pick_frames(scores, count)
+    facts["frames_of_the_video"] = len(scores.times)
+    facts["frames_that_cannot_be_decoded"] = scores.broken
+    if len(picked) < LEAST_PICTURES:
+        return [Source(str(k), video, scores.size, None, (), False) for k in picked]  # too few to be worth writing
+    folder = work / "frames"
+    folder.mkdir(exist_ok=True)
+    names = [f"frame_{index:05d}" for index in picked]
+    files = [folder / f"{name}.jpg" for name in names]
+    write_frames(video, scores.times[picked], files, progress=progress)
+    return [
+        Source(name, file, scores.size, None, (scores.size,), False) for name, file in zip(names, files, strict=True)
+    ]
+
+
+def _kept_scores(video: pathlib.Path, file: pathlib.Path, progress: bool) -> FrameScores:
+    """The measures of a video's frames, from an earlier run where there was one."""
+    if file.is_file():
+        kept = np.load(file)
+        width, height, broken = (int(value) for value in kept["numbers"])
+        return FrameScores(kept["times"], kept["sharpness"], kept["way"], (width, height), broken)
+    scores = scan_video(video, progress=progress)
+    with atomic_path(file) as temporary:
+        numbers = np.array([*scores.size, scores.broken])
+        np.savez(temporary, times=scores.times, sharpness=scores.sharpness, way=scores.way, numbers=numbers)
+    return scores
+
+
+def _find(
+    source: pathlib.Path,
+    work: pathlib.Path,
+    sources: Sequence[Source],
+    names: list[str],
+    video: bool,
+    feature_size: int,
+    seed: int,
+    progress: bool,
+) -> Found:
+    """Cameras and points, from an earlier run where there was one."""
+    colmap, kept = load_pycolmap(), work / "model"
+    if kept.is_dir():
+        return found_of(colmap.Reconstruction(kept), names)
+    from PIL import Image
+
+    sizes = [Image.open(work / "small" / name).size for name in names]
+    cameras = list(dict.fromkeys(each.camera for each in sources))
+    groups = [cameras.index(each.camera) for each in sources]
+    first = [groups.index(camera) for camera in range(len(cameras))]
+    focals = [
+        None if (focal := sources[k].focal) is None else focal * shrink_factor(sources[k].size, feature_size)
+        for k in first
+    ]
+    solver = Solver(
+        work / "database.db",
+        work / "small",
+        names,
+        groups,
+        focals,
+        [sizes[k] for k in first],
+        seed=seed,
+        progress=progress,
+    )
+    features = solver.find_features()
+    usual = float(np.median(features))
+    if usual < LEAST_FEATURES:
+        raise ValueError(
+            f"the pictures of {str(source)!r} show too little to hold on to, {usual:.0f} features each: more light, "
+            "sharper pictures, or something with a pattern around the object, such as a newspaper under it, help"
+        )
+    pairs, alike = solver.match(video=video)
+    if not alike:
+        raise ValueError(
+            f"no two pictures of {str(source)!r} show the same ({pairs} pairs were compared): {HOW_TO}; what shines or "
+            "moves cannot be matched"
+        )
+    working = work / "mapping"
+    shutil.rmtree(working, ignore_errors=True)
+    working.mkdir()
+    models = solver.map(working)
+    _require_most(source, sources, names, models)
+    model = solver.refine(models[0])
+    unfinished = work / "model.new"
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir()
+    model.write(unfinished)
+    unfinished.replace(kept)
+    return found_of(model, names)
+
+
+def _require_most(source: pathlib.Path, sources: Sequence[Source], names: list[str], models: list[Any]) -> None:
+    """Raises ValueError where fewer than half of the pictures have a camera, or next to nothing holds them."""
+    count = len(names)
+    groups = [[image.name for image in model.images.values() if image.has_pose] for model in models]
+    most = len(groups[0]) if groups else 0
+    name_of = {name: each.name for name, each in zip(names, sources, strict=True)}
+    if len(groups) > 1 and 2 * most < count + 1 and 2 * len(groups[1]) >= most:
+        parts = "; ".join(
+            f"{len(group)} with {name_of[min(group)]} and {name_of[max(group)]}"
+            for group in groups
+            if 2 * len(group) >= most
+        )
+        raise ValueError(
+            f"the pictures of {str(source)!r} fall apart into groups that share nothing ({parts}): capture them one by "
+            "one, or add pictures that show both"
+        )
+    if most < LEAST_PICTURES or 2 * most < count or models[0].num_points3D() < LEAST_POINTS * most:
+        raise ValueError(
+            f"cameras were found of {most} of {count} pictures of {str(source)!r}, which is too few to go by: "
+            f"{HOW_TO}; keep the object still, and avoid mirrors, glass and bare walls"
+        )
+
+
+def _write_contact_sheet(path: pathlib.Path, files: Sequence[pathlib.Path], report: CaptureReport) -> None:
+    """The sheet of all pictures, or of some of them evenly where they are many."""
+    from PIL import Image
+
+    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), MOST_THUMBNAILS)).round().astype(int))
+    thumbnails = []
+    for index in chosen:
+        picture = Image.open(files[index])
+        picture.thumbnail((THUMBNAIL, THUMBNAIL))
+        thumbnails.append(np.asarray(picture.convert("RGB")))
+    write_png(path, make_contact_sheet(thumbnails, [report.registered[index] for index in chosen]))

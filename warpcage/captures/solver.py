@@ -1,0 +1,340 @@
+"""Cameras of pictures by COLMAP (Schoenberger and Frahm 2016), through pycolmap: features, matches, mapping.
+
+Everything is seeded, and pictures enter in the order of their names, so that the same pictures give the same cameras on
+the same machine. COLMAP works in a thread of its own, so that an interrupt ends it at once; what it has found so far
+stays in its database, and the next run continues there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import pathlib
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..core.threads import cpu_threads
+from .pairs import chosen_pairs, largest_features
+from .progress import bar
+
+#: Features that a picture has at most.
+MOST_FEATURES = 6000
+
+#: Pictures and pairs that COLMAP takes at once: progress moves, and a killed run loses no more than this.
+PICTURES_AT_ONCE, PAIRS_AT_ONCE = 8, 96
+
+#: A camera with at least so many pictures gets the whole lens model and a principal point of its own.
+PICTURES_FOR_LENS = 10
+
+#: The principal point is freed where that takes this share of the mean squared error away: 0.0009 for a video with a
+#: rolling shutter and its middle in the middle, 0.0034 and 0.015 for cameras whose middle is 1 to 3 % off.
+LEAST_GAIN = 0.002
+
+#: The principal point lies within this share of the picture's sides of its middle, or it is left there.
+MOST_OFF_CENTRE = 0.1
+
+#: Groups of pictures that are told apart where not all fit together, and the fewest pictures of one.
+MOST_GROUPS, LEAST_GROUP = 4, 3
+
+#: Focal length of a picture that says nothing of it, in longer sides: between phones and their videos.
+USUAL_FOCAL = 0.9
+
+
+def load_pycolmap() -> Any:
+    """The library, whose own messages are errors alone.
+
+    Returns:
+        The module.
+
+    Raises:
+        ImportError: One line that says what to install.
+    """
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise ImportError(f"finding cameras needs pycolmap (pip install 'warpcage[capture]'): {error}") from error
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL
+    return pycolmap
+
+
+class Solver:
+    """Finds the cameras of pictures.
+
+    Args:
+        database: COLMAP's file; an earlier one is continued.
+        folder: The folder of the pictures, all upright and no larger than features are looked for.
+        names: Their file names, in order.
+        groups: Number of the camera of each picture.
+        focals: Focal length in pixels that each camera is known to have, or None, by its number.
+        sizes: Width and height of each camera's pictures.
+        seed: Seed of everything that is drawn by lot.
+        progress: Whether bars are shown.
+    """
+
+    def __init__(
+        self,
+        database: pathlib.Path,
+        folder: pathlib.Path,
+        names: Sequence[str],
+        groups: Sequence[int],
+        focals: Sequence[float | None],
+        sizes: Sequence[tuple[int, int]],
+        *,
+        seed: int = 0,
+        progress: bool = False,
+    ):
+        self.colmap = load_pycolmap()
+        self.database, self.folder, self.names = database, folder, list(names)
+        self.groups, self.focals, self.sizes = list(groups), list(focals), list(sizes)
+        self.seed, self.progress, self.threads = seed, progress, cpu_threads()
+        self.colmap.set_random_seed(seed)
+
+    def find_features(self) -> np.ndarray:
+        """Find the features of all pictures that have none yet.
+
+        Returns:
+            (n,) their number for each picture.
+        """
+        colmap = self.colmap
+        if not self.database.exists():
+            self._import_pictures()
+        options = colmap.FeatureExtractionOptions()
+        options.num_threads, options.use_gpu = self.threads, False
+        options.sift.max_num_features = MOST_FEATURES
+        counts = self._feature_counts()
+        left = [name for name, count in zip(self.names, counts, strict=True) if count < 0]
+        with bar(len(self.names), "features", self.progress, done=len(self.names) - len(left)) as shown:
+            for first in range(0, len(left), PICTURES_AT_ONCE):
+                part = left[first : first + PICTURES_AT_ONCE]
+                self._run(
+                    colmap.extract_features,
+                    self.database,
+                    self.folder,
+                    image_names=part,
+                    extraction_options=options,
+                    device=colmap.Device.cpu,
+                )
+                shown.update(len(part))
+        return np.maximum(self._feature_counts(), 0)
+
+    def match(self, *, video: bool) -> tuple[int, int]:
+        """Match the pairs of pictures that are worth it and have not been matched.
+
+        Args:
+            video: Whether the pictures follow one another.
+
+        Returns:
+            Number of the pairs, and of those that show the same.
+        """
+        colmap = self.colmap
+        pairs = self._named_pairs(video)
+        options, verification = colmap.FeatureMatchingOptions(), colmap.TwoViewGeometryOptions()
+        options.num_threads, options.use_gpu = self.threads, False
+        verification.ransac.random_seed = self.seed
+        pairing, listed = colmap.ImportedPairingOptions(), self.database.with_name("pairs.txt")
+        pairing.match_list_path = listed
+        with bar(len(pairs), "matches", self.progress) as shown:
+            for first in range(0, len(pairs), PAIRS_AT_ONCE):
+                part = pairs[first : first + PAIRS_AT_ONCE]
+                listed.write_text("".join(f"{a} {b}\n" for a, b in part), encoding="utf-8")
+                self._run(
+                    colmap.match_image_pairs,
+                    self.database,
+                    matching_options=options,
+                    pairing_options=pairing,
+                    verification_options=verification,
+                    device=colmap.Device.cpu,
+                )
+                shown.update(len(part))
+        with self._opened() as database:
+            return len(pairs), int(database.num_verified_image_pairs())
+
+    def map(self, folder: pathlib.Path) -> list[Any]:
+        """Find cameras and points from the matches.
+
+        Args:
+            folder: An empty folder for COLMAP's own files.
+
+        Returns:
+            pycolmap Reconstructions, the largest first; several where the pictures fall apart into groups.
+        """
+        options = self._mapping_options()
+        with bar(len(self.names), "cameras", self.progress) as shown:
+            found = self._run(
+                self.colmap.incremental_mapping,
+                self.database,
+                self.folder,
+                folder,
+                options=options,
+                initial_image_pair_callback=lambda: shown.update(2),
+                next_image_callback=lambda: shown.update(),
+            )
+            models = sorted(found.values(), key=lambda model: -model.num_reg_images())
+            if models:
+                shown.n = min(models[0].num_reg_images(), len(self.names))
+                shown.refresh()
+        return models
+
+    def refine(self, model: Any) -> Any:
+        """Adjust all cameras and points once more, with a loss that outliers hardly move (Cauchy).
+
+        The principal point of a lens stays in the middle, unless it explains clearly more when it is free: it is hardly
+        told from a turn of the camera, so that rolling shutters and blur would move it about.
+
+        Args:
+            model: A Reconstruction of `map`.
+
+        Returns:
+            The refined one.
+        """
+        freed = self._adjusted(model, free=True) if self._tells_middle(model) else None
+        gain = 0.0 if freed is None else 1.0 - mean_square(freed) / mean_square(model)
+        return self._adjusted(model, free=gain > LEAST_GAIN and _is_central(freed), robust=True)
+
+    def _tells_middle(self, model: Any) -> bool:
+        """Whether each camera has pictures enough to tell where its middle is."""
+        pictures = [image.camera_id for image in model.images.values() if image.has_pose]
+        return min(pictures.count(camera) for camera in set(pictures)) >= PICTURES_FOR_LENS
+
+    def _adjusted(self, model: Any, *, free: bool, robust: bool = False) -> Any:
+        """A copy of a Reconstruction after bundle adjustment, with free principal points or without."""
+        options = self.colmap.BundleAdjustmentOptions()
+        options.refine_principal_point, options.print_summary = free, False
+        options.ceres.solver_options.num_threads = self.threads
+        options.ceres.solver_options.function_tolerance = 1e-7
+        if robust:
+            options.ceres.loss_function_type = self.colmap.LossFunctionType.CAUCHY
+        copy, config = self.colmap.Reconstruction(model), self.colmap.BundleAdjustmentConfig()
+        for number in copy.reg_image_ids():
+            config.add_image(number)
+        config.fix_gauge(self.colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+        # pycolmap.bundle_adjustment does the same, and turns COLMAP's messages on for good
+        self._run_plain(self.colmap.create_default_bundle_adjuster(options, config, copy).solve)
+        return copy
+
+    # What these share
+
+    def _import_pictures(self) -> None:
+        """A database of cameras and pictures, in order: COLMAP itself would number them as its threads end."""
+        colmap = self.colmap
+        temporary = self.database.with_name("new.db")
+        temporary.unlink(missing_ok=True)
+        colmap.Database.open(temporary).close()
+        for camera, (size, focal) in enumerate(zip(self.sizes, self.focals, strict=True)):
+            names = [name for name, group in zip(self.names, self.groups, strict=True) if group == camera]
+            model = "RADIAL" if len(names) >= PICTURES_FOR_LENS else "SIMPLE_RADIAL"
+            options = colmap.ImageReaderOptions(camera_model=model, default_focal_length_factor=USUAL_FOCAL)
+            if focal is not None:
+                middle = f"{size[0] / 2},{size[1] / 2}"
+                options.camera_params = f"{focal},{middle},0" + ",0" * (model == "RADIAL")
+            colmap.import_images(
+                temporary, self.folder, camera_mode=colmap.CameraMode.SINGLE, image_names=names, options=options
+            )
+        temporary.replace(self.database)
+
+    def _mapping_options(self) -> Any:
+        options = self.colmap.IncrementalPipelineOptions()
+        options.num_threads = options.mapper.num_threads = self.threads
+        options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = self.seed
+        options.min_model_size, options.max_num_models = LEAST_GROUP, MOST_GROUPS
+        return options
+
+    def _named_pairs(self, video: bool) -> list[tuple[str, str]]:
+        features = []
+        with self._opened() as database:
+            for number in self._numbers(database):
+                scales = np.linalg.norm(np.asarray(_array(database.read_keypoints(number)))[:, 2:4], axis=1)
+                features.append(largest_features(scales, np.asarray(_array(database.read_descriptors(number)))))
+        return [(self.names[a], self.names[b]) for a, b in chosen_pairs(features, video=video)]
+
+    def _numbers(self, database: Any) -> list[int]:
+        """COLMAP's numbers of the pictures, in the order of their names."""
+        numbers = {image.name: image.image_id for image in database.read_all_images()}
+        return [numbers[name] for name in self.names]
+
+    def _feature_counts(self) -> np.ndarray:
+        """(n,) features of each picture; -1 where they have not been looked for."""
+        with self._opened() as database:
+            return np.array(
+                [
+                    database.num_keypoints_for_image(number) if database.exists_keypoints(number) else -1
+                    for number in self._numbers(database)
+                ]
+            )
+
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[Any]:
+        database = self.colmap.Database.open(self.database)
+        try:
+            yield database
+        finally:
+            database.close()
+
+    def _run(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        """Run a function of COLMAP that can be cancelled, in a thread: see `_run_plain`."""
+        token = self.colmap.CancellationToken()
+        return self._run_plain(function, *arguments, cancel=token.cancel, cancellation_token=token, **options)
+
+    def _run_plain(
+        self, function: Callable[..., Any], *arguments: Any, cancel: Callable[[], None] = lambda: None, **options: Any
+    ) -> Any:
+        """Run a function of COLMAP in a thread, while this one hears interrupts; both end before this returns."""
+        outcome: list[Any] = []
+        failure: list[BaseException] = []
+
+        def work() -> None:
+            try:
+                outcome.append(function(*arguments, **options))
+            except BaseException as error:
+                failure.append(error)
+
+        thread = threading.Thread(target=work, name="colmap")
+        thread.start()
+        try:
+            while thread.is_alive():
+                thread.join(0.1)
+        except BaseException:
+            cancel()
+            thread.join()
+            raise
+        if failure:
+            raise failure[0]
+        return outcome[0]
+
+
+def mean_square(model: Any) -> float:
+    """Mean squared distance between where pictures show points and where these project to.
+
+    Args:
+        model: A Reconstruction.
+
+    Returns:
+        The mean over all observations, squared pixels.
+    """
+    total, count = 0.0, 0
+    for image in model.images.values():
+        if not image.has_pose:
+            continue
+        for point in image.points2D:
+            if point.has_point3D():
+                place = image.project_point(model.point3D(point.point3D_id).xyz)
+                if place is not None:
+                    total += float(((place - point.xy) ** 2).sum())
+                    count += 1
+    return total / max(count, 1)
+
+
+def _is_central(model: Any) -> bool:
+    """Whether the principal points of a Reconstruction lie near the middle of their pictures."""
+    return all(
+        abs(camera.principal_point_x / camera.width - 0.5) < MOST_OFF_CENTRE
+        and abs(camera.principal_point_y / camera.height - 0.5) < MOST_OFF_CENTRE
+        for camera in model.cameras.values()
+    )
+
+
+def _array(value: Any) -> Any:
+    """The numbers of what COLMAP calls descriptors, which newer versions wrap."""
+    return getattr(value, "data", value) if not isinstance(value, np.ndarray) else value

@@ -1,0 +1,175 @@
+"""The pictures that cameras are found of: those of a folder, upright, with what their cameras wrote into them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pathlib
+import warnings
+
+import numpy as np
+
+from ..core.checks import listed
+from ..view.pictures import MAX_PIXELS
+
+#: Endings of pictures that are read, and of those that are not but are often there.
+ENDINGS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
+FOREIGN_ENDINGS = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
+
+#: Formats of these endings that Pillow is asked for. Phones write MPO too, which it opens as JPEG.
+FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
+
+#: Tags of EXIF: turn of the camera, its own block, maker, model, focal lengths in millimetres and for 35 mm film.
+ORIENTATION, EXIF_BLOCK, MAKER, MODEL, FOCAL, FOCAL_35 = 0x0112, 0x8769, 0x010F, 0x0110, 0x920A, 0xA405
+
+#: The diagonal of a frame of 35 mm film, to which equivalent focal lengths refer, mm.
+FILM_DIAGONAL = 43.267
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A picture whose camera is looked for.
+
+    Attributes:
+        name: Its name in the scene, without ending; no two are the same.
+        file: Where it is.
+        size: Width and height as it is looked at, pixels.
+        focal: Focal length that its camera wrote, pixels of that size. None where it says nothing.
+        camera: What pictures of one camera and zoom have in common.
+        lossless: Whether its pixels were kept exactly.
+    """
+
+    name: str
+    file: pathlib.Path
+    size: tuple[int, int]
+    focal: float | None
+    camera: tuple
+    lossless: bool
+
+
+def read_sources(folder: pathlib.Path) -> list[Source]:
+    """The pictures of a folder in the order of their names.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        What their headers say.
+
+    Raises:
+        FileNotFoundError: Where it holds no pictures.
+        ValueError: Where none can be read.
+
+    Warns:
+        UserWarning: Where some cannot be read; they are left out.
+    """
+    entries = sorted(entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
+    files = [entry for entry in entries if entry.suffix.lower() in ENDINGS]
+    if not files:
+        raise FileNotFoundError(_no_pictures(folder, entries))
+    sources, broken, names = [], [], set()
+    for file in files:
+        name = file.stem if file.stem not in names else file.name.replace(".", "_")
+        try:
+            source = _source(file, name)
+        except Exception as error:  # whatever a library makes of a broken file
+            broken.append((file.name, " ".join(str(error).split())))
+            continue
+        names.add(name)
+        sources.append(source)
+    if not sources:
+        raise ValueError(
+            f"none of the {len(files)} pictures of {str(folder)!r} can be read: {broken[0][0]}: {broken[0][1]}"
+        )
+    if broken:
+        warnings.warn(
+            f"{len(broken)} of {len(files)} pictures of {str(folder)!r} cannot be read and are left out: "
+            f"{listed([name for name, _ in broken])}",
+            stacklevel=3,
+        )
+    return sources
+
+
+def load_upright(file: pathlib.Path) -> np.ndarray:
+    """A picture as it is looked at: turned as its EXIF orientation says.
+
+    Args:
+        file: The picture.
+
+    Returns:
+        (h, w, 3) uint8, or (h, w, 4) with opacity.
+
+    Raises:
+        ValueError: Where it cannot be read.
+    """
+    from PIL import Image, ImageOps
+
+    try:
+        with open(file, "rb") as stream, Image.open(stream, formats=FORMATS) as picture:
+            upright = ImageOps.exif_transpose(picture)
+            if upright.mode == "I;16":
+                return np.repeat((np.asarray(upright) >> 8).astype(np.uint8)[..., None], 3, axis=-1)
+            clear = "A" in upright.mode or "transparency" in upright.info
+            return np.array(upright.convert("RGBA" if clear else "RGB"))
+    except Exception as error:
+        raise ValueError(f"picture {str(file)!r} cannot be read: {' '.join(str(error).split())}") from error
+
+
+def shrink_factor(size: tuple[int, int], most: int) -> float:
+    """The factor by which a picture becomes at most so many pixels long.
+
+    Args:
+        size: Width and height, pixels.
+        most: Longer side that it has at most, pixels.
+
+    Returns:
+        The factor, at most 1.
+    """
+    return min(1.0, most / max(size))
+
+
+def _source(file: pathlib.Path, name: str) -> Source:
+    """What the header of a picture says; raises where the file is cut off."""
+    from PIL import Image
+
+    with open(file, "rb") as stream, Image.open(stream, formats=FORMATS) as picture:
+        width, height = picture.size
+        if width * height > MAX_PIXELS:
+            raise ValueError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
+        exif = picture.getexif()
+        block = exif.get_ifd(EXIF_BLOCK)
+        picture.load()
+        kind = str(picture.format)
+    size = (height, width) if exif.get(ORIENTATION, 1) in (5, 6, 7, 8) else (width, height)
+    equivalent = _positive(block.get(FOCAL_35))
+    focal = None if equivalent is None else equivalent * float(np.hypot(width, height)) / FILM_DIAGONAL
+    made_by = tuple(str(exif.get(tag, "")).strip("\0 ") for tag in (MAKER, MODEL))
+    camera = (size, *made_by, _positive(block.get(FOCAL)), equivalent)
+    return Source(name, file, size, focal, camera, kind not in ("JPEG", "MPO", "WEBP"))
+
+
+def _positive(value: object) -> float | None:
+    """A number above zero out of EXIF, or None."""
+    try:
+        number = float(value)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if 0.0 < number < 1e5 else None
+
+
+def _no_pictures(folder: pathlib.Path, entries: list[pathlib.Path]) -> str:
+    foreign = sorted({entry.suffix.lower() for entry in entries if entry.suffix.lower() in FOREIGN_ENDINGS})
+    if foreign:
+        return (
+            f"{str(folder)!r} holds pictures as {listed(foreign)} alone, which is not read: convert them to JPEG or PNG"
+        )
+    below = [entry.name for entry in sorted(folder.iterdir()) if entry.is_dir() and _has_pictures(entry)]
+    hint = f": give one of its folders {listed(below)}" if below else f" ({', '.join(ENDINGS)})"
+    return f"{str(folder)!r} holds no pictures{hint}"
+
+
+def _has_pictures(folder: pathlib.Path) -> bool:
+    try:
+        return any(os.path.splitext(name)[1].lower() in ENDINGS for name in os.listdir(folder))
+    except OSError:
+        return False
