@@ -14,6 +14,11 @@ EDIT = [
 
 EXR = ["OpenEXR>=3.3"]  # pictures of light, opacity and depth: from 3.3 on it takes NumPy arrays
 
+CAPTURE = [
+    "pycolmap>=4.2",  # cameras of pictures; from 4.2 on its work can be cancelled
+    "av>=14.2",  # from there on frames say how a phone was held
+]
+
 TEST = [
     *EDIT,
     *EXR,
@@ -23,9 +28,9 @@ TEST = [
     "hypothesis>=6.100",
     "scipy>=1.11",
     "setuptools>=70.1",  # builds the wheel that tests/test_install.py looks into
-    # cameras and lenses are compared with these two; without them those tests are skipped
+    # cameras are found by the one, and compared with those of both; without them those tests are skipped
     "opencv-python-headless>=4.10",
-    "pycolmap>=3.13; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.15'",
+    "pycolmap>=4.2; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.15'",
 ]
 
 DEV = [*TEST, "ruff>=0.9", "codespell>=2.3", "import-linter>=2.0", "pyright[nodejs]>=1.1.380", "pre-commit>=3.7"]
@@ -57,7 +62,7 @@ setup(
         "scipy>=1.11",
         "tqdm>=4.66",
     ],
-    extras_require={"edit": EDIT, "exr": EXR, "test": TEST, "dev": DEV},
+    extras_require={"edit": EDIT, "exr": EXR, "capture": CAPTURE, "test": TEST, "dev": DEV},
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[
         "Programming Language :: Python :: 3",

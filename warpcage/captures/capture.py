@@ -75,8 +75,8 @@ def capture(
     Raises:
         FileNotFoundError: Where there is no such file or folder, or no picture in it.
         ValueError: For an output that is there, a video that cannot be read, and pictures whose cameras cannot be
-            found: too few, too little texture, no overlap. The message says what to do.
-        ImportError: Where pycolmap is not installed.
+            found: too few, too little texture, no overlap. The message says what to do. Also where pycolmap is not
+            installed.
 
     Warns:
         UserWarning: For pictures and frames that cannot be read, and for pictures without a camera.

@@ -35,6 +35,7 @@ class Pinhole:
     Args:
         lens: The lens, for pictures as they are.
         size: Width and height of the result, pixels.
+        clockwise: Which way a picture on its side is turned.
 
     Attributes:
         intrinsics: (fx, fy, cx, cy) of the pinhole camera, pixels of the result.
@@ -45,15 +46,16 @@ class Pinhole:
         ValueError: Where the distortion folds the picture.
     """
 
-    def __init__(self, lens: Lens, size: tuple[int, int]):
-        self.lens, self.size = lens, size
+    def __init__(self, lens: Lens, size: tuple[int, int], *, clockwise: bool = False):
+        self.lens, self.size, self.clockwise = lens, size, clockwise
         self._inner = undistorted_intrinsics(self.lens.intrinsics, self.lens.size, self.lens.distortion, "the lens")
         width, height = self.lens.size
         self.reshaped = (width, height) != size
         self.turned = width != height and (width > height) != (self.size[0] > self.size[1])
         fx, fy, cx, cy = self._inner
         if self.turned:
-            fx, fy, cx, cy, width, height = fy, fx, cy, width - cx, height, width
+            cx, cy = (height - cy, cx) if clockwise else (cy, width - cx)
+            fx, fy, width, height = fy, fx, height, width
         scale = max(self.size[0] / width, self.size[1] / height)
         left, top = (width - self.size[0] / scale) / 2, (height - self.size[1] / scale) / 2
         self._part = (left, top, width - left, height - top)
@@ -70,7 +72,8 @@ class Pinhole:
             The pinhole camera, turned with its picture.
         """
         if self.turned:
-            pose = pose @ np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+            turn = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+            pose = pose @ (turn.T if self.clockwise else turn)
         return Camera(*self.intrinsics, *self.size, pose)
 
     def prepare(self) -> None:
@@ -96,7 +99,7 @@ class Pinhole:
         if any(self.lens.distortion):
             picture = self._undistorted(picture)
         if self.turned:
-            picture = np.rot90(picture)
+            picture = np.rot90(picture, 3 if self.clockwise else 1)
         if picture.shape[1::-1] == self.size:
             return np.ascontiguousarray(picture)
         whole = Image.fromarray(np.ascontiguousarray(picture))

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ..core.threads import cpu_threads
-from .found import Found, Lens
+from .found import Found
 from .pinholes import Pinhole, common_size
 from .progress import bar
 from .sources import Source, load_upright, shrink_factor
@@ -43,7 +43,7 @@ def write_scene(
     """
     chosen = [sources[picture] for picture in found.pictures]
     size = common_size([source.size for source in chosen])
-    pinholes = _pinholes(chosen, found.lenses, size, feature_size)
+    pinholes = _pinholes(chosen, found, size, feature_size)
     (folder / "images").mkdir()
     frames = []
     for source, pinhole, pose, picture in zip(chosen, pinholes, found.poses, found.pictures, strict=True):
@@ -97,17 +97,16 @@ def write_points(path: pathlib.Path, found: Found) -> None:
     path.write_bytes(header.encode() + rows.tobytes())
 
 
-def _pinholes(
-    sources: Sequence[Source], lenses: Sequence[Lens], size: tuple[int, int], feature_size: int
-) -> list[Pinhole]:
+def _pinholes(sources: Sequence[Source], found: Found, size: tuple[int, int], feature_size: int) -> list[Pinhole]:
     """What each picture is resampled by; pictures of one camera share it."""
     made: dict[tuple, Pinhole] = {}
     result = []
-    for source, lens in zip(sources, lenses, strict=True):
-        key = (id(lens), source.size)
+    for source, lens, pose in zip(sources, found.lenses, found.poses, strict=True):
+        clockwise = bool(pose[2, 0] < 0)  # so that up, +z, is up in the turned picture
+        key = (id(lens), source.size, clockwise)
         if key not in made:
             factor = 1.0 / shrink_factor(source.size, feature_size)
-            made[key] = Pinhole(lens.enlarged(factor, source.size), size)
+            made[key] = Pinhole(lens.enlarged(factor, source.size), size, clockwise=clockwise)
         result.append(made[key])
     return result
 

@@ -49,12 +49,12 @@ def load_pycolmap() -> Any:
         The module.
 
     Raises:
-        ImportError: One line that says what to install.
+        ValueError: Where it is not installed; one line that says how.
     """
     try:
         import pycolmap
     except ImportError as error:
-        raise ImportError(f"finding cameras needs pycolmap (pip install 'warpcage[capture]'): {error}") from error
+        raise ValueError('finding cameras needs pycolmap: pip install "warpcage[capture]"') from error
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL
     return pycolmap
 

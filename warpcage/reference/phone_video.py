@@ -18,6 +18,9 @@ from .solids import Model, Part, ball, box, joined
 #: Half side of the table, height of its top, and half side of the room around it, world units.
 TABLE, TOP, ROOM = 3.0, -1.0, 7.0
 
+#: A blurred frame is exposed so many times as long as the others, and is the mean of at least so many moments.
+LONG, LONG_EXPOSURES = 12, 6
+
 #: Amplitude of the noise over all colours, and its frequency per world unit.
 TEXTURE = (0.55, 5.0)
 
@@ -95,7 +98,7 @@ def write_phone_video(
         route: The walk. None is `PhonePath()`.
         exposure: Time that a row is exposed, in times from one frame to the next.
         readout: Time from the first row to the last one, in the same unit.
-        blurred: Every so many-th frame is exposed 12 times as long. 0 for none.
+        blurred: Every so many-th frame is exposed LONG times as long. 0 for none.
         strips: Parts of a frame whose rows are taken at one time; they divide its height.
         exposures: Moments of which an exposure is the mean.
         samples: Rays along each side of a pixel.
@@ -118,16 +121,17 @@ def write_phone_video(
 
     def pictures() -> Iterator[np.ndarray]:
         for frame in range(frames):
-            long = 12.0 if blurred and frame % blurred == blurred - 1 else 1.0
+            long = LONG if blurred and frame % blurred == blurred - 1 else 1
+            moments = exposures if long == 1 else max(exposures, LONG_EXPOSURES)
             cameras = []
             for strip in range(strips):
                 late = readout * ((strip + 0.5) / strips - 0.5)
-                for part in range(exposures):
-                    moment = long * exposure * ((part + 0.5) / exposures - 0.5)
+                for part in range(moments):
+                    moment = long * exposure * ((part + 0.5) / moments - 0.5)
                     pose = route.pose((frame + late + moment) * step)
                     cameras.append(Camera(focal, focal, width / 2, height / 2 - strip * rows, width, rows, pose))
             rgba, _ = mesh.render(cameras, samples=samples)
-            shown = rgba[..., :3].reshape(strips, exposures, rows, width, 3).mean(axis=1)
+            shown = rgba[..., :3].reshape(strips, moments, rows, width, 3).mean(axis=1)
             yield shown.reshape(height, width, 3)
 
     write_video(path, pictures(), rate)

@@ -16,7 +16,9 @@ EXAMPLE = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="VIDEO|FOLDER", help="video, or folder of pictures (.jpg .png .webp .bmp .tif)")
+    parser.add_argument(
+        "source", metavar="VIDEO|FOLDER", help="video, or folder of pictures (.jpg .png .webp .bmp .tif)"
+    )
     parser.add_argument(
         "-o", "--output", required=True, metavar="SCENE", help="folder to write, new or empty: a scene for fit"
     )

@@ -1,0 +1,140 @@
+"""Cameras found of videos and pictures that the project ray casts, against the true ones."""
+
+import json
+
+import numpy as np
+import pytest
+from capture_scenes import camera_errors, found_poses, relative_errors, save_pictures, table_pictures
+
+import warpcage
+from warpcage.reference.phone_video import PhonePath, write_phone_video
+
+pytest.importorskip("pycolmap", minversion="4.2")
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    """A phone's video with a rolling shutter, its scene, the report, and the true cameras of all frames."""
+    folder = tmp_path_factory.mktemp("walk")
+    video = folder / "walk.mp4"
+    true = write_phone_video(video, frames=36, size=(256, 192), blurred=6, exposures=1, strips=8, device="cpu")
+    report = warpcage.capture(video, folder / "scene", frames=18, progress=False)
+    return folder / "scene", report, true
+
+
+@pytest.fixture(scope="module")
+def shots():
+    """Sharp pictures of a short walk, and their cameras."""
+    return table_pictures(np.linspace(0.0, 0.25, 8))
+
+
+def test_cameras_of_a_video(walk):
+    folder, report, true = walk
+    names, poses, _ = found_poses(folder)
+    degrees, off = camera_errors(poses, [true[int(name.removeprefix("frame_"))] for name in names])
+    assert report.registered_count == len(names) == 18
+    assert np.median(degrees) < 0.2 and np.median(off) < 0.005, (degrees, off)
+
+
+def test_blurred_frames_are_passed_over(walk):
+    numbers = np.array([int(name.removeprefix("frame_")) for name in found_poses(walk[0])[0]])
+    assert (numbers % 6 == 5).sum() == 0 and np.diff(numbers).max() <= 4  # a sixth of all are blurred: 3 by chance
+
+
+def test_a_captured_scene_stands_upright_around_its_object(walk):
+    folder, _, true = walk
+    names, poses, _ = found_poses(folder)
+    scene = warpcage.load_scene(folder, split="all")
+    assert scene.names == names and len(scene) == 18
+    np.testing.assert_allclose(scene.up, [0, 0, 1], atol=0.02)
+    assert np.ptp(scene.bounds, axis=0).max() == pytest.approx(2.0, rel=1e-3)
+    np.testing.assert_allclose(scene.bounds.mean(axis=0), 0, atol=1e-3)
+    first = poses[0, :3, 3]
+    assert abs(first[0]) < 0.05 * abs(first[1]) and first[1] < 0
+    lows = [camera.centre[2] / np.linalg.norm(camera.centre) for camera in scene.cameras]
+    assert min(lows) > 0  # the phone was above the table
+
+
+def test_points_of_a_capture_project_to_where_they_were_seen(walk):
+    """Colours of points are those of the pixels that they fall on: cameras, points and pictures belong together."""
+    from warpcage.mesh.files.ply import read_ply
+
+    scene = warpcage.load_scene(walk[0], split="all")
+    points, _ = read_ply(walk[0] / "points.ply")
+    raw = (walk[0] / "points.ply").read_bytes().split(b"end_header\n", 1)[1]
+    colours = np.frombuffer(raw, np.uint8).reshape(-1, 15)[:, 12:] / 255.0
+    near = []
+    for image, camera in list(zip(scene.images, scene.cameras, strict=True))[::5]:
+        pixels, depth = camera.project(points)
+        u, v = np.floor(pixels).astype(int).T
+        there = (depth > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        near.append(np.abs(image[v[there], u[there]] - colours[there]).mean(axis=1))
+    near = np.concatenate(near)
+    shuffled = np.abs(colours[np.random.default_rng(0).permutation(len(colours))] - colours).mean()
+    assert np.median(near) < 0.4 * shuffled
+
+
+def test_the_report_says_what_was_found(walk):
+    folder, report, _ = walk
+    assert {entry.name for entry in folder.iterdir()} == {
+        "images", "transforms.json", "points.ply", "capture.json", "capture.md", "contact.png"
+    }  # fmt: skip
+    content = json.loads((folder / "capture.json").read_text())
+    assert content["registered"] == 18 and content["frames_of_the_video"] == 36
+    assert content["reprojection_error"] == pytest.approx(report.error, abs=1e-3) and 0.05 < report.error < 1.0
+    assert 85 < report.around < 140 and 10 < report.elevation[0] < report.elevation[1] < 60  # it walked 250 degrees
+    assert report.sphere < report.upper < 0.7
+    page = (folder / "capture.md").read_text()
+    assert "18 of 18" in page and "contact.png" in page and "Walk all the way around" in page
+    assert not any(entry.name.startswith(".scene") for entry in folder.parent.iterdir())
+
+
+def test_pictures_of_a_phone_held_upright(tmp_path, shots):
+    """EXIF says the turn and the focal length; the stored pictures lie on their side."""
+    pictures, cameras = shots
+    lying = [np.rot90(picture) for picture in pictures]  # orientation 6 turns them back, by 90 degrees clockwise
+    equivalent = cameras[0].fx * 43.267 / np.hypot(*pictures.shape[1:3])
+    folder = save_pictures(tmp_path / "in", lying, ending=".jpg", orientation=6, focal_35=round(float(equivalent)))
+    report = warpcage.capture(folder, tmp_path / "out", progress=False)
+    _, poses, frames = found_poses(tmp_path / "out")
+    assert report.size == (200, 150) and report.registered_count == len(cameras)
+    assert relative_errors(poses, cameras).max() < 0.5 and np.median(camera_errors(poses, cameras)[1]) < 0.005
+    assert frames[0]["fl_x"] == pytest.approx(cameras[0].fx, rel=0.02)
+
+
+def test_the_same_pictures_give_the_same_cameras(tmp_path, shots):
+    folder = save_pictures(tmp_path / "in", shots[0])
+    for name in ("a", "b"):
+        warpcage.capture(folder, tmp_path / name, progress=False)
+    assert (tmp_path / "a/transforms.json").read_bytes() == (tmp_path / "b/transforms.json").read_bytes()
+    assert (tmp_path / "a/points.ply").read_bytes() == (tmp_path / "b/points.ply").read_bytes()
+
+
+def test_pictures_of_several_sizes_become_one(tmp_path, shots):
+    """Small ones, wide ones, and ones on their side: one size in the scene, and cameras that still are the true ones."""
+    from PIL import Image
+
+    pictures, cameras = shots
+    folder = save_pictures(tmp_path / "in", pictures)
+    Image.fromarray(pictures[1]).resize((160, 120), Image.Resampling.BOX).save(folder / "p001.png")
+    Image.fromarray(pictures[3][10:140]).save(folder / "p003.png")
+    Image.fromarray(np.rot90(pictures[5])).save(folder / "p005.png")  # held on its side, without EXIF
+    warpcage.capture(folder, tmp_path / "out", progress=False)
+    names, poses, _ = found_poses(tmp_path / "out")
+    scene = warpcage.load_scene(tmp_path / "out", split="all")
+    assert scene.images.shape[1:3] == (150, 200) and len(names) >= 7
+    true = [cameras[int(name[1:])] for name in names]
+    assert "p005" in names and relative_errors(poses, true).max() < 1.0  # upright again, and its camera with it
+    assert np.median(camera_errors(poses, true)[1]) < 0.01
+
+
+def test_a_turned_video_is_upright(tmp_path):
+    from test_capture_video import turn_video
+
+    from warpcage.captures.video import scan_video
+
+    video = tmp_path / "walk.mp4"
+    write_phone_video(video, frames=3, size=(64, 48), strips=2, exposures=1, route=PhonePath(degrees=9), device="cpu")
+    upright = scan_video(video)
+    turn_video(video, 90)
+    assert upright.size == (64, 48) and scan_video(video).size == (48, 64)
