@@ -19,8 +19,13 @@ def table_pictures(times, *, size=(200, 150), fov_degrees=62.0, route=None):
     width, height = size
     focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
     cameras = [Camera(focal, focal, width / 2, height / 2, width, height, route.pose(time)) for time in times]
+    return render_table(cameras), cameras
+
+
+def render_table(cameras):
+    """Pictures (n, h, w, 3) uint8 of the table scene."""
     rgba, _ = CarriedMesh(*table_scene(), texture=TEXTURE, device="cpu").render(cameras, samples=1)
-    return np.round(rgba[..., :3] * 255).astype(np.uint8), cameras
+    return np.round(rgba[..., :3] * 255).astype(np.uint8)
 
 
 def save_pictures(folder, pictures, *, ending=".png", orientation=None, focal_35=None, first=0):

@@ -111,7 +111,7 @@ def test_the_same_pictures_give_the_same_cameras(tmp_path, shots):
 
 
 def test_pictures_of_several_sizes_become_one(tmp_path, shots):
-    """Small ones, wide ones, and ones on their side: one size in the scene, and cameras that still are the true ones."""
+    """Small ones, wide ones, and ones on their side: one size in the scene, and cameras that are still the true."""
     from PIL import Image
 
     pictures, cameras = shots

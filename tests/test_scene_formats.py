@@ -131,7 +131,11 @@ def test_pictures_that_are_not_there_are_left_out(tmp_path, bricks):
     assert "\n" not in str(caught[0].message) and "view_0" in str(caught[0].message)
     names = sorted(name for scene in found for name in scene.names)
     assert [name[:7] for name in names] == [bricks.names[number] for number in kept]
-    for number in kept:
+    for number in kept[3:]:
+        (tmp_path / "images" / f"{bricks.names[number]}.png").unlink()
+    with pytest.raises(FileNotFoundError, match=f"{len(bricks.names) - 3} of them are not there, more than half"):
+        load(tmp_path)
+    for number in kept[:3]:
         (tmp_path / "images" / f"{bricks.names[number]}.png").unlink()
     with pytest.raises(FileNotFoundError, match="view_"):
         load(tmp_path)
@@ -201,6 +205,26 @@ def test_colmap(tmp_path, bricks, binary, where, masks):
     require_held_out_splits(tmp_path, bricks)
     low, high = load(tmp_path, format="colmap").bounds
     assert (low > -0.8).all() and (low < -0.45).all() and (high > 0.75).all() and (high < 1.1).all()
+
+
+@pytest.mark.parametrize("pictures", ["", "images"])
+def test_a_model_beside_its_pictures(tmp_path, bricks, pictures):
+    """As RealityScan exports it: cameras.txt, images.txt and points3D.txt in the scene's folder itself."""
+    write_colmap(tmp_path, bricks, binary=False, where="model")
+    for file in (tmp_path / "model").iterdir():
+        file.rename(tmp_path / file.name)
+    if not pictures:
+        for file in (tmp_path / "images").iterdir():
+            file.rename(tmp_path / file.name)
+    require_equal(load(tmp_path, split="all"), bricks)
+    files = sorted((tmp_path / pictures).glob("*.png"))
+    files[2].unlink()
+    with pytest.warns(UserWarning, match="1 of them are not there and are left out"):
+        assert len(load(tmp_path, split="all")) == len(bricks.names) - 1
+    for file in files[3:]:
+        file.unlink()
+    with pytest.raises(FileNotFoundError, match="more than half"):
+        load(tmp_path)
 
 
 @pytest.mark.parametrize("binary", [False, True])

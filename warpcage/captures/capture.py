@@ -31,6 +31,9 @@ LEAST_PICTURES, LEAST_FEATURES = 3, 40
 #: Fewest points that hold the cameras of a picture together.
 LEAST_POINTS = 10
 
+#: Cameras lie at least so far apart, as a share of the distance to what they see.
+LEAST_PARALLAX = 0.1
+
 #: Bounds of the options.
 MOST_FRAMES, LEAST_SIZE, MOST_SIZE = 2000, 100, 8000
 
@@ -66,7 +69,7 @@ def capture(
         frames: Most frames of a video that are taken.
         feature_size: Longer side at which features are looked for, pixels; larger pictures are shrunk for that. More
             finds cameras more exactly, and takes longer.
-        seed: Seed of what COLMAP draws by lot. The same pictures give the same cameras on the same machine.
+        seed: Seed of what COLMAP draws by lot. The same pictures, up to 200, give the same cameras on the same machine.
         progress: Whether bars are shown.
 
     Returns:
@@ -245,12 +248,14 @@ def _find(
     models = solver.map(working)
     _require_most(source, sources, names, models)
     model = solver.refine(models[0])
+    found = found_of(model, names)
+    _require_parallax(source, found)
     unfinished = work / "model.new"
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()
     model.write(unfinished)
     unfinished.replace(kept)
-    return found_of(model, names)
+    return found
 
 
 def _require_most(source: pathlib.Path, sources: Sequence[Source], names: list[str], models: list[Any]) -> None:
@@ -262,7 +267,7 @@ def _require_most(source: pathlib.Path, sources: Sequence[Source], names: list[s
     if len(groups) > 1 and 2 * most < count + 1 and 2 * len(groups[1]) >= most:
         parts = "; ".join(
             f"{len(group)} with {name_of[min(group)]} and {name_of[max(group)]}"
-            for group in groups
+            for group in sorted(groups, key=min)
             if 2 * len(group) >= most
         )
         raise ValueError(
@@ -273,6 +278,18 @@ def _require_most(source: pathlib.Path, sources: Sequence[Source], names: list[s
         raise ValueError(
             f"cameras were found of {most} of {count} pictures of {str(source)!r}, which is too few to go by: "
             f"{HOW_TO}; keep the object still, and avoid mirrors, glass and bare walls"
+        )
+
+
+def _require_parallax(source: pathlib.Path, found: Found) -> None:
+    """Raises ValueError where all pictures were taken from about one place: they say nothing about depth."""
+    places = found.poses[:, :3, 3]
+    spread = float(np.linalg.norm(np.ptp(places, axis=0)))
+    away = float(np.median(np.linalg.norm(found.points - places.mean(axis=0), axis=1)))
+    if spread < LEAST_PARALLAX * away:
+        raise ValueError(
+            f"the pictures of {str(source)!r} were taken from about one place, {100 * spread / away:.0f} % of the way "
+            f"to what they show apart, which says nothing about depth: do not turn the camera, {HOW_TO}"
         )
 
 

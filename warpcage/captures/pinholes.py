@@ -108,7 +108,8 @@ class Pinhole:
     def _undistorted(self, picture: np.ndarray) -> np.ndarray:
         self.prepare()
         assert self._table is not None
-        corner, right, down, across, below = self._table
+        corner, across, below = self._table
+        right, down = 1, self.lens.size[0]
         flat = picture.reshape(-1, picture.shape[-1])
         if picture.shape[-1] == 4:  # colours count as much as they are seen
             flat = flat.astype(np.float32)
@@ -121,8 +122,7 @@ class Pinhole:
         return np.clip(np.rint(mixed), 0, 255).astype(np.uint8).reshape(picture.shape)
 
     def _resampling(self) -> tuple[np.ndarray, ...]:
-        """For each pixel of the pinhole picture: its upper left source, the steps to those beside and below it, and how
-        much they count."""
+        """For each pixel of the pinhole picture its upper left source, and how much those beside and below it count."""
         width, height = self.lens.size
         fx, fy, cx, cy = self._inner
         x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy)
@@ -131,5 +131,5 @@ class Pinhole:
         u = np.clip(fx * x + cx - 0.5, 0, width - 1)
         v = np.clip(fy * y + cy - 0.5, 0, height - 1)
         left, top = np.minimum(u.astype(np.int64), width - 2), np.minimum(v.astype(np.int64), height - 2)
-        across, below = ((part).astype(np.float32)[:, None] for part in (u - left, v - top))
-        return top * width + left, np.int64(1), np.int64(width), across, below
+        across, below = (part.astype(np.float32)[:, None] for part in (u - left, v - top))
+        return top * width + left, across, below

@@ -158,7 +158,7 @@ def make_report(
     folder: pathlib.Path,
     source: str,
     names: Sequence[str],
-    sharpness: Sequence[float],
+    sharpness: Sequence[float] | np.ndarray,
     found: Found,
     size: tuple[int, int],
     to_pixels: float,

@@ -22,7 +22,7 @@ TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 def write_scene(
     folder: pathlib.Path,
     sources: Sequence[Source],
-    sharpness: Sequence[float],
+    sharpness: Sequence[float] | np.ndarray,
     found: Found,
     feature_size: int,
     *,

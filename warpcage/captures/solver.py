@@ -1,8 +1,8 @@
 """Cameras of pictures by COLMAP (Schoenberger and Frahm 2016), through pycolmap: features, matches, mapping.
 
 Everything is seeded, and pictures enter in the order of their names, so that the same pictures give the same cameras on
-the same machine. COLMAP works in a thread of its own, so that an interrupt ends it at once; what it has found so far
-stays in its database, and the next run continues there.
+the same machine, up to MOST_ON_ONE_THREAD of them. COLMAP works in a thread of its own, so that an interrupt ends it at
+once; what it has found so far stays in its database, and the next run continues there.
 """
 
 from __future__ import annotations
@@ -35,6 +35,9 @@ LEAST_GAIN = 0.002
 #: The principal point lies within this share of the picture's sides of its middle, or it is left there.
 MOST_OFF_CENTRE = 0.1
 
+#: Up to so many pictures the mapping runs on one thread, which takes hardly longer and always gives the same cameras.
+MOST_ON_ONE_THREAD = 200
+
 #: Groups of pictures that are told apart where not all fit together, and the fewest pictures of one.
 MOST_GROUPS, LEAST_GROUP = 4, 3
 
@@ -55,7 +58,7 @@ def load_pycolmap() -> Any:
         import pycolmap
     except ImportError as error:
         raise ValueError('finding cameras needs pycolmap: pip install "warpcage[capture]"') from error
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL
+    pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
     return pycolmap
 
 
@@ -149,7 +152,8 @@ class Solver:
                 )
                 shown.update(len(part))
         with self._opened() as database:
-            return len(pairs), int(database.num_verified_image_pairs())
+            _, inliers = database.read_two_view_geometry_num_inliers()
+        return len(pairs), int((np.asarray(inliers) >= verification.min_num_inliers).sum())
 
     def map(self, folder: pathlib.Path) -> list[Any]:
         """Find cameras and points from the matches.
@@ -202,7 +206,7 @@ class Solver:
         """A copy of a Reconstruction after bundle adjustment, with free principal points or without."""
         options = self.colmap.BundleAdjustmentOptions()
         options.refine_principal_point, options.print_summary = free, False
-        options.ceres.solver_options.num_threads = self.threads
+        options.ceres.solver_options.num_threads = self._mapping_threads
         options.ceres.solver_options.function_tolerance = 1e-7
         if robust:
             options.ceres.loss_function_type = self.colmap.LossFunctionType.CAUCHY
@@ -234,9 +238,14 @@ class Solver:
             )
         temporary.replace(self.database)
 
+    @property
+    def _mapping_threads(self) -> int:
+        """One, as the order of sums and of what is drawn by lot hangs on threads; all of them where that takes long."""
+        return 1 if len(self.names) <= MOST_ON_ONE_THREAD else self.threads
+
     def _mapping_options(self) -> Any:
         options = self.colmap.IncrementalPipelineOptions()
-        options.num_threads = options.mapper.num_threads = self.threads
+        options.num_threads = options.mapper.num_threads = self._mapping_threads
         options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = self.seed
         options.min_model_size, options.max_num_models = LEAST_GROUP, MOST_GROUPS
         return options

@@ -128,11 +128,12 @@ def write_frames(path: pathlib.Path, times: np.ndarray, files: list[pathlib.Path
 def _opened(path: pathlib.Path) -> Any:
     """The container of a video file."""
     import av
+    from av.error import FFmpegError
 
     try:
         # by name, some names are taken for addresses
         container = av.open(f"file:{path.absolute()}", metadata_errors="ignore")
-    except (av.FFmpegError, OSError) as error:
+    except (FFmpegError, OSError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
         raise ValueError(f"{str(path)!r} cannot be read as a video: {reason}") from error
     if not container.streams.video:
@@ -144,7 +145,7 @@ def _opened(path: pathlib.Path) -> Any:
 
 def _frames(container: Any, broken: list[int]) -> Iterator[Any]:
     """Frames whose time is known; what cannot be decoded is counted in broken[0]."""
-    import av
+    from av.error import FFmpegError
 
     stream = container.streams.video[0]
     packets = container.demux(stream)
@@ -153,12 +154,12 @@ def _frames(container: Any, broken: list[int]) -> Iterator[Any]:
             packet = next(packets)
         except StopIteration:
             return
-        except av.FFmpegError:  # the container itself ends here
+        except FFmpegError:  # the container itself ends here
             broken[0] += 1
             return
         try:
             frames = packet.decode()
-        except av.FFmpegError:
+        except FFmpegError:
             broken[0] += 1
             continue
         for frame in frames:

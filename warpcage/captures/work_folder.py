@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pathlib
@@ -31,6 +32,7 @@ class WorkFolder:
 
     def __enter__(self) -> pathlib.Path:
         note = self.path / "job.json"
+        self._made = [parent for parent in self.path.parents if not parent.exists()]  # the nearest first
         try:
             same = json.loads(note.read_text("utf-8")) == self._job
         except (OSError, ValueError):
@@ -47,6 +49,10 @@ class WorkFolder:
     ) -> None:
         if kind is None or issubclass(kind, ValueError | FileNotFoundError):
             shutil.rmtree(self.path, ignore_errors=True)
+        if kind is not None:
+            with contextlib.suppress(OSError):  # one that holds something
+                for parent in self._made:
+                    parent.rmdir()
 
 
 def require_new_folder(path: pathlib.Path) -> None:

@@ -87,8 +87,8 @@ def write_phone_video(
 ) -> list[Camera]:
     """Ray cast a walk around the table scene, as a phone records it.
 
-    Each row is taken a little later than the one above (rolling shutter), blurred by the motion during its exposure. The
-    film is H.264 of 8 bits.
+    Each row is taken a little later than the one above (rolling shutter), blurred by the motion during its exposure.
+    The film is H.264 of 8 bits.
 
     Args:
         path: The file (.mp4).

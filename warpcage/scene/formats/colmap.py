@@ -11,10 +11,15 @@ from ..scene import Scene
 from .colmap_model import Model, ModelImage, read_model
 from .distortion import COEFFICIENTS
 from .parsing import PICTURE_ENDINGS, held_out, inside, is_file
-from .views import View, make_scene
+from .views import View, make_scene, views_there
 
 MARK = "sparse/0/ with cameras and images, .bin or .txt"
-MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
+
+#: Where a model lies: COLMAP's own folders, nerfstudio's, and beside the pictures, as RealityScan exports it.
+MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
+
+#: Where its pictures lie.
+PICTURE_FOLDERS = ("images", "dense/images", "")
 
 #: Camera models and where their parameters go: fx, fy, cx, cy, then distortion by name.
 PARAMETERS = {
@@ -42,7 +47,8 @@ def is_scene(folder: pathlib.Path) -> bool:
 def _model_folder(folder: pathlib.Path) -> pathlib.Path | None:
     """The folder of the model, or None."""
     for name in MODEL_FOLDERS:
-        if any((folder / name / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
+        model = folder / name
+        if any((model / f"cameras{e}").is_file() and (model / f"images{e}").is_file() for e in (".bin", ".txt")):
             return folder / name
     return None
 
@@ -62,8 +68,11 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         The scene.
 
     Raises:
-        FileNotFoundError: For a missing split or file.
+        FileNotFoundError: For a missing split or file, and where fewer than half of the pictures are there.
         ValueError: For contents that cannot be used.
+
+    Warns:
+        UserWarning: Where some pictures are not there; they are left out.
     """
     model_folder = _model_folder(folder)
     if model_folder is None:
@@ -72,15 +81,23 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
     if not model.images:
         raise ValueError(f"{model.images_path} holds no images")
     masks = masks and (folder / "masks").is_dir()
-    views = sorted((_view(folder, model, image, masks) for image in model.images), key=lambda view: str(view.file))
+    pictures = _picture_folder(folder, model)
+    views = [_view(folder, pictures, model, image, masks) for image in model.images]
+    views = sorted(views_there(views, model.images_path), key=lambda view: str(view.file))
     views = [views[index] for index in held_out(len(views), split, folder)]
     return make_scene(folder, views, downscale=downscale, background=background, masks=masks, points=model.points)
 
 
-def _view(folder: pathlib.Path, model: Model, image: ModelImage, masks: bool | str) -> View:
+def _picture_folder(folder: pathlib.Path, model: Model) -> pathlib.Path:
+    """The folder of the pictures: the one where most of the model's are, the usual one where none is."""
+    counts = [sum(is_file(folder / name / image.name) for image in model.images) for name in PICTURE_FOLDERS]
+    return folder / PICTURE_FOLDERS[counts.index(max(counts))]
+
+
+def _view(folder: pathlib.Path, pictures: pathlib.Path, model: Model, image: ModelImage, masks: bool | str) -> View:
     """One picture of a model with its camera."""
     where = f"{model.images_path}: image {image.name!r}"
-    file = inside(folder / "images", image.name, where)
+    file = inside(pictures, image.name, where)
     camera = model.cameras.get(image.camera)
     if camera is None:
         raise ValueError(f"{where} has camera {image.camera}, which {model.cameras_path} lacks")

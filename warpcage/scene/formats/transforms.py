@@ -8,7 +8,6 @@ on them, is undone by Scene.to_source.
 from __future__ import annotations
 
 import pathlib
-import warnings
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from .parsing import (
     read_json,
     split_file,
 )
-from .views import View, make_scene
+from .views import View, make_scene, views_there
 
 MARK = "transforms.json, or transforms_train.json with fl_x"
 
@@ -68,7 +67,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         The scene.
 
     Raises:
-        FileNotFoundError: For a missing split or file, and where no picture is there.
+        FileNotFoundError: For a missing split or file, and where fewer than half of the pictures are there.
         ValueError: For contents that cannot be used.
 
     Warns:
@@ -78,7 +77,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
     single = folder / "transforms.json"
     path = single if single.is_file() else split_file(folder, split)
     transforms = read_json(path)
-    views = _there([_view(folder, transforms, where, frame) for where, frame in frames_of(transforms, path)], path)
+    views = views_there([_view(folder, transforms, where, frame) for where, frame in frames_of(transforms, path)], path)
     if path == single:
         views.sort(key=lambda view: str(view.file))
         views = _of_split(views, transforms, split, folder, path)
@@ -91,20 +90,6 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
         points=_points(folder, transforms, path),
         to_source=_to_source(transforms, path),
     )
-
-
-def _there(views: list[View], path: pathlib.Path) -> list[View]:
-    """The views whose picture is there; all of them where none is, so that the first is named as missing."""
-    there = [view for view in views if view.file.is_file()]
-    if not there or len(there) == len(views):
-        return views
-    missing = next(view.file for view in views if not view.file.is_file())
-    warnings.warn(
-        f"{path} lists {len(views)} pictures, {len(views) - len(there)} of them are not there and are left out, the "
-        f"first is {missing.name}",
-        stacklevel=2,
-    )
-    return there
 
 
 def _view(folder: pathlib.Path, transforms: dict, where: str, frame: dict) -> View:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -54,6 +55,33 @@ class View:
     size: tuple[int, int] | None = None
     distortion: tuple[float, ...] = ()
     mask: pathlib.Path | None = None
+
+
+def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
+    """The views whose picture is there.
+
+    Args:
+        views: All that the scene lists, at least one.
+        listing: The file that lists them.
+
+    Returns:
+        Those that are left; all of them where none is there, so that the first is named as missing.
+
+    Raises:
+        FileNotFoundError: Where more than half of the pictures are not there.
+
+    Warns:
+        UserWarning: Where some are not.
+    """
+    there = [view for view in views if view.file.is_file()]
+    if not there or len(there) == len(views):
+        return views
+    missing = next(view.file for view in views if not view.file.is_file())
+    count = f"{listing} lists {len(views)} pictures, {len(views) - len(there)} of them are not there"
+    if 2 * len(there) < len(views):
+        raise FileNotFoundError(f"{count}, more than half; the first is {str(missing)!r}")
+    warnings.warn(f"{count} and are left out, the first is {missing.name}", stacklevel=3)
+    return there
 
 
 def make_scene(
