@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import listed
 from ..view.backgrounds import parse_background
 from ..view.camera import rigid_motion
-from .formats import blender, colmap, dtu, nsvf, transforms
+from .formats import blender, colmap, dtu, nsvf, polycam, record3d, transforms
 from .scene import Scene, rotation_to
 
 
@@ -43,6 +43,8 @@ READERS: dict[str, SceneReader] = {
     "dtu": dtu,
     "transforms": transforms,
     "colmap": colmap,
+    "polycam": polycam,
+    "record3d": record3d,
 }
 
 
@@ -71,8 +73,8 @@ def load_scene(
         split: "train", "val" or "test" as the format has them. Where it has none, every eighth picture is "test", the
             others are "train", and "all" is both.
         downscale: Whole factor by which width and height shrink, by area averages of premultiplied colour.
-        format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp) or
-            "colmap". None takes the first of these that fits.
+        format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp),
+            "colmap", "polycam" (its raw data) or "record3d". None takes the first of these that fits.
         background: Colour put behind transparent pixels, a name or (3,) in [0, 1].
         masks: True makes mask files alphas, and what they hide the background. "split" keeps what they hide as the
             scene's surroundings, which `fit` puts into layers behind the object. False leaves the pictures whole.
