@@ -21,7 +21,7 @@ import warp as wp
 from results import write_results
 
 import warpcage
-from warpcage.reference.phone_video import write_phone_video
+from warpcage.reference.phone_video import PhonePath, write_phone_video
 
 
 def main() -> None:
@@ -30,6 +30,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=384, help="of the video, pixels; a multiple of 32")
     parser.add_argument("--video-frames", type=int, default=120, help="frames that the video has")
     parser.add_argument("--frames", type=int, default=48, help="frames that are taken of it")
+    parser.add_argument("--degrees", type=float, default=250.0, help="that its camera walks around")
     parser.add_argument("--fit", action="store_true", help="also compare fits of the video with found and true cameras")
     parser.add_argument("--quality", default="fast", help="of these fits")
     parser.add_argument(
@@ -89,10 +90,10 @@ def video_run(folder: pathlib.Path, args: argparse.Namespace) -> dict:
         video,
         frames=args.video_frames,
         size=size,
-        route=None,
-        exposure=0.25,
-        readout=0.4,
-        exposures=3,
+        route=PhonePath(degrees=args.degrees),
+        exposure=0.12,
+        readout=0.2,
+        exposures=2,
         device=args.device,
     )
     report, run = captured(video, scene, frames=args.frames, feature_size=args.feature_size)

@@ -55,6 +55,21 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
     scene, field, cage = out / "scene", out / "field.npz", out / "cage.obj"
     return {
         "prepare_quick": [out],
+        "capture": [
+            "--video",
+            "--device",
+            "cpu",
+            "--width",
+            192,
+            "--degrees",
+            100,
+            "--video-frames",
+            16,
+            "--frames",
+            10,
+            "--json",
+            out / "captures.json",
+        ],
         "coordinates": [
             "--device",
             "cpu",
@@ -135,6 +150,7 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
             *("--worst", out / "worst", "--json", out / "fits.json"),
         ],
         "fits_page": ["--results", out, "--page", out / "fits.md"],
+        "captures_page": ["--results", out, "--page", out / "captures.md"],
         "soak": ["--poses", 20, "--fits", 4, "--refused", 200, "--json", out / "soak.json"],
         "page": ["--results", out, "--page", out / "page.md"],
     }
