@@ -121,7 +121,7 @@ def fields(device) -> None:
 
 
 def fits(device) -> None:
-    """With pictures of alphas, without, with layers, several rays per pixel, and a limit of memory."""
+    """With pictures of alphas, without, with layers, an outer field, several rays per pixel, and a limit of memory."""
     train, _ = synthetic_scene("bricks", train_views=8, test_views=2, size=20, samples=1, device=device)
     whole = warpcage.Scene(train.images, None, train.cameras)
     around = 0.5 * (1 - train.alphas[..., None]) * np.ones(3)
@@ -131,12 +131,14 @@ def fits(device) -> None:
         (train, {"supersampling": 2}),
         (whole, {"background": "layers", "background_layers": 3, "background_side": 4}),
         (split, {"background_layers": 3, "background_side": 4}),
+        (whole, {"background": "outer", "outer_resolution": 16}),
         (train, {"max_memory": "6MB"}),
     ):
         field = warpcage.fit(scene, device=device, progress=False, resolution=24, levels=2, least_steps=12, **options)
         field.render(scene.cameras[0])
         if field.background_model is not None:
             field.background_model.sample(*(each.reshape(-1, 3) for each in scene.cameras[0].rays()))
+            warpcage.Deformer(field, CAGE, resolution=12).pose(POSE).render(scene.cameras[0])
     optimizer = FieldOptimizer(train, device=device, resolution=24, levels=2, least_steps=4)
     for _ in range(3):
         optimizer.step()

@@ -5,10 +5,17 @@
         --quality fast standard high --device cuda:0 --warm --json scenes.json --worst worst
     python benchmarks/fit_scenes.py --kind "20 views" thin --size 200 --views 60 --option epochs=16
     python benchmarks/fit_scenes.py --kind --folder data/lego_800:8 --every 4 --pose-noise 0.2 --jpeg 90
+    python benchmarks/fit_scenes.py --kind --room --size 400 --whole --folder data/fox:2 data/dtu_scan24_half \
+        --option "background='outer'" --warm
 
 Seconds run from images in host memory to the finished field. Those of the first scene include the compilation of
 kernels that are not in Warp's cache yet; with --warm a small fit compiles them before. The error of opacity is the mean
 absolute difference to the alphas of the held-out views. --worst FOLDER keeps the worst views, each beside its picture.
+
+--room adds a room of the project's own, seen by cameras in it, and what a fit would reach if all that is around the
+object were known: the object alone, with opacity, before a white background. Beside the PSNR of whole pictures stands
+that of the object's pixels ("psnr_inside"), by which the two compare. --whole takes whole pictures of each --folder
+whatever masks it has. An option `background` is for whole pictures, and left out for those with opacity.
 
 --pose-noise turns each training camera about a random axis by a normal angle of so many degrees; --jpeg packs the
 training pictures as JPEG of that quality first. Held-out views stay as they are. Peak memory is that of all fits so
@@ -31,6 +38,7 @@ import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.reference.fit_scenes import KINDS, synthetic_scene
+from warpcage.reference.room import room_views
 from warpcage.view.pictures import side_by_side, write_png
 
 #: Training views that are rendered to see how far a fit goes beyond what it generalises.
@@ -54,7 +62,8 @@ def measure(name, scene, test, device, options: dict) -> tuple[dict, warpcage.Vo
         "options": options,
         "psnr": mean_psnr(views),
         "psnr_training": mean_psnr(evaluate(field, every_nth(scene, max(1, len(scene) // TRAINING_VIEWS)))),
-        "alpha_error": alpha_error(field, test),
+        "psnr_inside": inside(views),
+        "alpha_error": None if test.surroundings is not None else alpha_error(field, test),
         "worst": sorted((row["psnr"], row["view"]) for row in views)[:WORST],
         "seconds": seconds,
         "memory": memory_peak(device),
@@ -62,6 +71,11 @@ def measure(name, scene, test, device, options: dict) -> tuple[dict, warpcage.Vo
         "resolution": field.resolution,
     }
     return row, field
+
+
+def inside(rows: list[dict]) -> float | None:
+    """Mean PSNR of the object's pixels, where the views tell which those are."""
+    return float(np.mean([row["masked_psnr"] for row in rows])) if "masked_psnr" in rows[0] else None
 
 
 def memory_peak(device) -> int | None:
@@ -80,10 +94,11 @@ def alpha_error(field, scene) -> float | None:
 def write_worst(folder: pathlib.Path, row: dict, field, test) -> None:
     """The worst views of a fit as PNG files, what it renders on the left."""
     folder.mkdir(parents=True, exist_ok=True)
+    pictures = test.images if field.background_model is None else test.whole
     stem = "_".join([row["scene"], row["options"].get("quality", "standard")])
     for place, (_, view) in enumerate(row["worst"]):
         index = list(test.names).index(view)
-        pair = side_by_side([np.clip(field.render(test.cameras[index]).rgb, 0, 1), test.images[index]])
+        pair = side_by_side([np.clip(field.render(test.cameras[index]).rgb, 0, 1), pictures[index]])
         write_png(folder / f"{stem}_{place}.png".replace(" ", "_").replace(",", "").replace("/", "_"), pair)
 
 
@@ -120,11 +135,14 @@ def scenes_of(args, device):
             kind, train_views=args.views, size=args.size, alpha=not args.opaque, device=device
         )
         yield kind, train, test
+    if args.room:
+        train, test = room_views(args.views, size=args.size, device=device)
+        yield "room", train.whole, test.split
+        yield "room, surroundings known", train.object, test.object
     for folder in args.folder:
         path, _, factor = folder.partition(":")
-        train, test = (
-            warpcage.load_scene(path, split=split, downscale=int(factor or 1)) for split in ("train", "test")
-        )
+        given = {"downscale": int(factor or 1), "masks": not args.whole}
+        train, test = (warpcage.load_scene(path, split=split, **given) for split in ("train", "test"))
         if args.opaque:
             train = dataclasses.replace(train, alphas=None)
         if args.pose_noise:
@@ -138,6 +156,8 @@ def scenes_of(args, device):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kind", nargs="*", choices=list(KINDS), default=list(KINDS), help="which of our own scenes")
+    parser.add_argument("--room", action="store_true", help="a room, and its object with known surroundings")
+    parser.add_argument("--whole", action="store_true", help="whole pictures of each --folder, whatever its masks")
     parser.add_argument("--views", type=int, default=60, help="training views, for kinds that do not fix their number")
     parser.add_argument("--size", type=int, default=100, help="pixels along each side")
     parser.add_argument("--opaque", action="store_true", help="fit without the alphas")
@@ -158,11 +178,16 @@ def main() -> None:
         train, _ = synthetic_scene("bricks", train_views=8, size=32, device=device)
         for quality in args.quality:
             warpcage.fit(train, device=device, progress=False, quality=quality).render(train.cameras[0])
+        whole = dataclasses.replace(train, alphas=None)
+        warpcage.fit(whole, device=device, progress=False, background="outer", resolution=32).render(train.cameras[0])
     results = []
     print(f"{'scene':32} quality   views  PSNR dB  training  opacity  seconds    voxels  resolution")
     for name, scene, test in scenes_of(args, device):
         for quality in args.quality:
-            row, field = measure(name, scene, test, device, {"quality": quality, **options})
+            given = {"quality": quality, **options}
+            if scene.alphas is not None:
+                given.pop("background", None)
+            row, field = measure(name, scene, test, device, given)
             results.append(row)
             opacity = "      -" if row["alpha_error"] is None else f"{row['alpha_error']:.5f}"
             print(

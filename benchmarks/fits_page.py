@@ -21,8 +21,9 @@ Every number on this page was written by `benchmarks/fit_scenes.py` to a JSON fi
 machine and the versions in it; the page is made from them by `python benchmarks/fits_page.py`. Fits have a quality and
 nothing else: options that a command gives, but the table does not name, are those of the quality today. Seconds run
 from pictures in host memory to the finished field, kernels compiled before. PSNR is the mean over views that the fit
-has not seen; beside it stand its own views, the mean error of opacity where pictures have alpha, and the worst views.
-What was tried, with outcomes, is in [the notes](../benchmarks/NOTES-fit.md).
+has not seen; beside it stand that of the object's pixels, where they are told apart, that of its own views, the mean
+error of opacity where pictures have alpha, and the worst views. What was tried, with outcomes, is in [the
+notes](../benchmarks/NOTES-fit.md) and [those on backgrounds](../benchmarks/NOTES-background.md).
 """
 
 
@@ -35,7 +36,7 @@ def title(results: dict) -> str:
     return " and ".join(parts).capitalize() if parts else "As they are"
 
 
-def run_row(run: dict) -> list[str]:
+def run_row(run: dict, with_inside: bool) -> list[str]:
     opacity = "–" if run["alpha_error"] is None else f"{run['alpha_error']:.4f}"
     worst = ", ".join(f"{view} {psnr:.1f}" for psnr, view in run["worst"])
     resolution = "x".join(map(str, run["resolution"]))
@@ -43,11 +44,14 @@ def run_row(run: dict) -> list[str]:
     usual = checked_options({"quality": quality})
     changed = {name: value for name, value in run["options"].items() if name != "quality"}
     given = [f"{name}={value}" for name, value in changed.items() if value != getattr(usual, name)]
+    inside = run.get("psnr_inside")
+    of_object = ["–" if inside is None else f"{inside:.2f}"] if with_inside else []
     return [
         run["scene"],
         str(run["views"]),
         " ".join([quality, *given]),
         f"**{run['psnr']:.2f}**",
+        *of_object,
         f"{run['seconds']:.1f}",
         f"{run['psnr_training']:.2f}",
         opacity,
@@ -73,7 +77,9 @@ def main() -> None:
         if title(results) != heading:
             heading = title(results)
             parts.append(f"## {heading}\n")
-        parts += [table(HEAD, [run_row(run) for run in results["runs"]]), source(results)]
+        with_inside = any(run.get("psnr_inside") is not None for run in results["runs"])
+        head = [*HEAD[:4], "object, dB", *HEAD[4:]] if with_inside else HEAD
+        parts += [table(head, [run_row(run, with_inside) for run in results["runs"]]), source(results)]
         if "note" in results:
             parts.append(results["note"] + "\n")
     pathlib.Path(args.page).write_text("\n".join(parts), encoding="utf-8")

@@ -46,11 +46,11 @@ def layer_points(background, origin, direction):
 
 
 def bilinear(values, place, side):
-    """(4,) value at a point of the surface, values: {lattice point: (4,)}."""
+    """(c,) value at a point of the surface, values: {lattice point: (c,)}."""
     axis = int(np.argmax(np.abs(place)))
     grid = (np.asarray(place) / np.abs(place[axis]) + 1) / 2 * side
     low = np.minimum(np.floor(grid).astype(int), side - 1)
-    total = np.zeros(4)
+    total = 0.0
     for corner in np.ndindex(2, 2):
         node, weight = np.empty(3, int), 1.0
         node[axis] = side if place[axis] > 0 else 0
@@ -58,7 +58,7 @@ def bilinear(values, place, side):
             node[other] = low[other] + up
             fraction = grid[other] - low[other]
             weight *= fraction if up else 1 - fraction
-        total += weight * values[tuple(node)]
+        total = total + weight * values[tuple(node)]
     return total
 
 

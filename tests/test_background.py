@@ -185,7 +185,8 @@ def test_variation_gradient_matches_finite_differences(device):
 # Fits of a room
 
 
-SMALL = {"resolution": 32, "levels": 2, "epochs": 6, "background_layers": 6, "batch_rays": 1024, "progress": False}
+SMALL = {"resolution": 32, "levels": 2, "epochs": 6, "batch_rays": 1024, "progress": False}
+SMALL |= {"background": "layers", "background_layers": 6}
 
 
 @pytest.fixture(scope="module")
@@ -328,10 +329,11 @@ def test_what_stands_behind_is_chosen():
     cut = warpcage.Scene(split.images, split.alphas, split.cameras)
     plain = warpcage.Scene(split.images, None, split.cameras)  # on white, opacity lost
     chosen = [chosen_background(scene, "auto") for scene in (whole, split, cut, plain)]
-    assert chosen == [(False, True), (True, True), (True, False), (False, False)]
-    assert chosen_background(plain, "layers") == (False, True)
-    assert chosen_background(whole, "constant") == (False, False)
-    assert chosen_background(split, "random") == (True, False)
+    assert chosen == [(False, "layers"), (True, "layers"), (True, None), (False, None)]
+    assert chosen_background(plain, "layers") == (False, "layers")
+    assert chosen_background(whole, "outer") == (False, "outer")
+    assert chosen_background(whole, "constant") == (False, None)
+    assert chosen_background(split, "random") == (True, None)
     for scene, kind, word in ((cut, "layers", "split"), (whole, "random", "no opacity"), (whole, "sky", "not known")):
         with pytest.raises(ValueError, match=word):
             warpcage.fit(scene, background=kind, progress=False)
@@ -406,7 +408,7 @@ def test_the_way_on_the_command_line(tmp_path, capsys):
     assert main(["fit", str(folder), "-o", str(field), "--split-masks", *words]) == 0
     assert "16 background layers" in capsys.readouterr().out
     assert main(["info", str(field)]) == 0
-    assert "16 of 6x" in capsys.readouterr().out
+    assert "16 layers of 6x" in capsys.readouterr().out
     report = tmp_path / "r.json"
     assert main(["evaluate", str(field), str(folder), "--split-masks", "--json", str(report), "--quiet"]) == 0
     assert "in mask dB" in capsys.readouterr().out

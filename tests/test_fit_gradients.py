@@ -47,16 +47,18 @@ def photometric_gradient(
     by_warps=False,
     own_background=None,
     grad_background=None,
+    front=None,
+    grad_front=None,
 ):
     """Gradient rows (rows, 25), coefficients, then density, and squared errors (count,) of a batch.
 
-    own_background, grad_background: Warp arrays.
+    own_background, grad_background, front, grad_front: Warp arrays.
     """
     device = field.device
     gradients = wp.zeros(25 * field.voxel_count, dtype=wp.float32, device=device)
     touched = wp.zeros(field.voxel_count, dtype=wp.uint8, device=device)
     error = wp.zeros(count, dtype=wp.float32, device=device)
-    inputs = [rays, wp.vec3(*background), random_background, seed, field.step, stop, scale, own_background]
+    inputs = [rays, wp.vec3(*background), random_background, seed, field.step, stop, scale, own_background, front]
     if by_warps:
         wp.launch(
             field_loss_warps.accumulate_photometric_gradient_by_warps,
@@ -64,7 +66,7 @@ def photometric_gradient(
             device=device,
             block_dim=128,
             inputs=[0, field.grid, *inputs],
-            outputs=[gradients, touched, error, grad_background],
+            outputs=[gradients, touched, error, grad_background, grad_front],
         )
         assert touched.numpy()[gradient_rows(gradients).any(axis=1)].all()
     else:
@@ -73,7 +75,7 @@ def photometric_gradient(
             dim=count,
             device=device,
             inputs=[0, field.grid, *inputs],
-            outputs=[*gradient_parts(gradients), error, grad_background],
+            outputs=[*gradient_parts(gradients), error, grad_background, grad_front],
         )
     return gradient_rows(gradients), error.numpy()
 

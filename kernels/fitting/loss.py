@@ -136,24 +136,30 @@ def accumulate_photometric_gradient(
     stop: float,
     scale: float,
     own_background: wp.array(dtype=wp.vec3),
+    front: wp.array(dtype=wp.vec4),
     grad_density: wp.array(dtype=wp.float32),
     grad_sh: wp.array2d(dtype=wp.float32),
     squared_error: wp.array(dtype=wp.float32),
     grad_background: wp.array(dtype=wp.vec3),
+    grad_front: wp.array(dtype=wp.vec4),
 ):
     """Adds scale * d(sum over channels of (C - C*)^2) for each pixel of a batch. squared_error: (pixels,) that sum.
 
     One item per pixel. random_background: 1 puts a random colour behind both the image's alpha and the render of each
     pixel, so that opacity is supervised too; 0 takes `background` for all. own_background: (pixels,) a colour for each
-    pixel instead, whose gradient goes to grad_background (pixels,); both are empty where there is none. stop:
+    pixel instead, whose gradient goes to grad_background (pixels,). front: (pixels,) the colour of what is before the
+    grid and the light that passes it, whose gradients go to grad_front (pixels,). Empty where there is none. stop:
     transmittance at which a march ends. grad_density: (rows,). grad_sh: (rows, 24). Rows are shared: this kernel is for
     CPU threads that have gradients of their own.
     """
     n = first + wp.tid()
     squared_error[n] = 0.0
     has_background = own_background.shape[0] > 0
+    has_front = front.shape[0] > 0
     if has_background:
         grad_background[n] = wp.vec3()
+    if has_front:
+        grad_front[n] = wp.vec4()
     pixel = batch_pixel(rays, n)
     if not in_picture(rays, pixel):
         return
@@ -162,6 +168,10 @@ def accumulate_photometric_gradient(
     if has_background:
         behind = own_background[n]
     target = training_colour(rays, pixel, behind)
+    passed_front = float(1.0)
+    if has_front:
+        target -= wp.vec3(front[n][0], front[n][1], front[n][2])
+        passed_front = front[n][3]
 
     subray_count = rays.rays_per_side * rays.rays_per_side
     colours = mat43()
@@ -210,9 +220,13 @@ def accumulate_photometric_gradient(
             colours[subray] = colour + transmittance * behind
             left += transmittance
         if march == subray_count - 1:
-            error = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count) - target
+            seen = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count)
+            error = passed_front * seen - target
             squared_error[n] = wp.dot(error, error)
-            grad_colour = 2.0 * scale / float(subray_count) * error
+            grad_seen = 2.0 * scale * error
+            grad_colour = passed_front / float(subray_count) * grad_seen
+            if has_front:
+                grad_front[n] = wp.vec4(grad_seen[0], grad_seen[1], grad_seen[2], wp.dot(grad_seen, seen))
             if has_background:
                 grad_background[n] = left * grad_colour
         march += 1

@@ -141,10 +141,12 @@ def accumulate_photometric_gradient_by_warps(
     stop: float,
     scale: float,
     own_background: wp.array(dtype=wp.vec3),
+    front: wp.array(dtype=wp.vec4),
     gradients: wp.array(dtype=wp.float32),
     touched: wp.array(dtype=wp.uint8),
     squared_error: wp.array(dtype=wp.float32),
     grad_background: wp.array(dtype=wp.vec3),
+    grad_front: wp.array(dtype=wp.vec4),
 ):
     """As accumulate_photometric_gradient of fitting/loss, with 32 items per pixel, in blocks of at most 128.
 
@@ -161,6 +163,8 @@ def accumulate_photometric_gradient_by_warps(
             squared_error[n] = 0.0
             if has_background:
                 grad_background[n] = wp.vec3()
+            if front.shape[0] > 0:
+                grad_front[n] = wp.vec4()
         return
     channel = lane % 3  # of colours that a lane keeps: registers are what is short
     number = wp.min(lane, COEFFICIENTS - 1)
@@ -172,6 +176,8 @@ def accumulate_photometric_gradient_by_warps(
         all_behind = own_background[n]
     behind = pick(all_behind, channel)
     target = pick(training_colour(rays, pixel, all_behind), channel)
+    if front.shape[0] > 0:
+        target -= pick(wp.vec3(front[n][0], front[n][1], front[n][2]), channel)
 
     subray_count = rays.rays_per_side * rays.rays_per_side
     mean_colour = float(0.0)  # of this lane's channel
@@ -316,12 +322,19 @@ def accumulate_photometric_gradient_by_warps(
                 keep_one(head + 5, bits_as_float(start))
             warp_meets()
         if march == subray_count - 1:
-            error = mean_colour - target
-            grad_colour = 2.0 * scale / float(subray_count) * error
+            passed_front = float(1.0)
+            if front.shape[0] > 0:
+                passed_front = front[n][3]
+            error = passed_front * mean_colour - target
+            grad_colour = 2.0 * scale * error
             total = over_channels(error * error)
+            change_of_light = over_channels(grad_colour * mean_colour)
             all_errors = channels(grad_colour)
+            grad_colour *= passed_front / float(subray_count)
             if lane == 0:
                 squared_error[n] = total
                 if has_background:
-                    grad_background[n] = left_over * all_errors
+                    grad_background[n] = left_over * passed_front / float(subray_count) * all_errors
+                if front.shape[0] > 0:
+                    grad_front[n] = wp.vec4(all_errors[0], all_errors[1], all_errors[2], change_of_light)
         march += 1

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> None:
     )
     field.save(output)
     size = "x".join(str(n) for n in field.resolution)
-    behind = "" if field.background_model is None else f", {field.background_model.layer_count} background layers"
+    behind = "" if field.background_model is None else f", {field.background_model.summary}"
     print(
         f"wrote {output}: {field.voxel_count} voxels in a grid of {size}{behind}, {output.stat().st_size / 1e6:.1f} MB"
     )

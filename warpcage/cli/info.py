@@ -15,6 +15,7 @@ from ..core.json_files import read_json
 from ..core.modules import start_warp
 from ..core.threads import cpu_threads
 from ..field.background import LayeredBackground
+from ..field.outer import OuterField
 from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
 from ..splats.files.files import is_splat_file
@@ -94,7 +95,7 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
         ("background", field.background.round(3).tolist()),
         ("up", field.up.round(3).tolist()),
         ("straightened", _turn(field.straightening)),
-        ("layers behind", _layers(field.background_model)),
+        ("around it", _around(field.background_model)),
         ("file", _file_size(path)),
     ]
 
@@ -125,11 +126,13 @@ def _turn(straightening: np.ndarray | None) -> str:
     return f"by {np.degrees(np.arccos(cosine)):.1f} degrees"
 
 
-def _layers(background: LayeredBackground | None) -> str:
+def _around(background: LayeredBackground | OuterField | None) -> str:
     if background is None:
-        return "none"
+        return "nothing"
+    if isinstance(background, OuterField):
+        return f"{background.voxel_count} voxels in {background.side}^3 of contracted space, to infinity"
     return (
-        f"{background.layer_count} of 6x{background.side}x{background.side} cells, from "
+        f"{background.layer_count} layers of 6x{background.side}x{background.side} cells, from "
         f"{background.half:.4g} to infinity around {background.center.round(4).tolist()}"
     )
 

@@ -22,9 +22,9 @@ QUALITIES = ("fast", "standard", "high")
 #: Colours behind a picture, by name.
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
 
-#: What may stand behind a field while it is fitted: a new random colour for every ray, background layers that are
-#: fitted too, the scene's one colour, or whichever of these the pictures suggest.
-FIT_BACKGROUNDS = ("auto", "layers", "random", "constant")
+#: What may stand behind a field while it is fitted: a new random colour for every ray, an outer field or
+#: background layers that are fitted too, the scene's one colour, or whichever of these the pictures suggest.
+FIT_BACKGROUNDS = ("auto", "outer", "layers", "random", "constant")
 
 #: How the way from a key of a film to the next one goes.
 EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import warp as wp
 
 from ..core.checks import require_type
 from ..field.background import LayeredBackground
+from ..field.outer import OuterField
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
 from ..view.frame import Frame
@@ -55,7 +58,7 @@ def fill_unseen(frame: Frame, field: VoxelField, camera: Camera) -> Frame:
     if frame.layered and field.background_model is not None:
         # of the background: where the object of the pictures is not any more. The reveal mask leaves out what an empty
         # part of a moved cage took the place of
-        at_rest = field.render(camera, background="black").alpha
+        at_rest = field.render(camera).alpha
         uncovered = at_rest - frame.alpha > UNCOVERED
         known = ~grown(at_rest > UNCOVERED, RIM) & (frame.alpha < CLEAR)
         if uncovered.any() and known.any():
@@ -72,11 +75,12 @@ def fill_unseen(frame: Frame, field: VoxelField, camera: Camera) -> Frame:
     return filled
 
 
-def background_picture(layers: LayeredBackground, camera: Camera) -> np.ndarray:
+def background_picture(layers: LayeredBackground | OuterField, camera: Camera) -> np.ndarray:
     """(h, w, 3) float32, what a camera sees of the background alone."""
     count, device = camera.width * camera.height, layers.device
     rgb = wp.zeros(count, dtype=wp.vec3, device=device)
-    layers.add_behind(camera, rgb, wp.zeros(count, dtype=wp.float32, device=device))
+    nothing, nowhere = (wp.full(count, value, dtype=wp.float32, device=device) for value in (0.0, math.inf))
+    layers.add_around(camera, rgb, nothing, nowhere)
     return rgb.numpy().reshape(camera.height, camera.width, 3)
 
 

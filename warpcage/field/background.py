@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
@@ -123,6 +125,11 @@ class LayeredBackground:
         """The layers on the host, for a file."""
         return LayerContents(self.center, self.half, self.side, self.values, self.unseen)
 
+    @property
+    def summary(self) -> str:
+        """What it is, in a few words."""
+        return f"{self.layer_count} background layers"
+
     def __repr__(self) -> str:
         return f"LayeredBackground({self.layer_count} layers of 6x{self.side}x{self.side}, {self.device})"
 
@@ -149,13 +156,17 @@ class LayeredBackground:
         launch(sample_background, len(starts), [self.layers, *rays], [rgb], device=self.device)
         return rgb.numpy()
 
-    def add_behind(self, camera: Camera, rgb: wp.array, alpha: wp.array) -> None:
+    def add_around(
+        self, camera: Camera, rgb: wp.array, alpha: wp.array, depth: wp.array, masks: Sequence[wp.array] = ()
+    ) -> None:
         """Put the background behind a view.
 
         Args:
             camera: The camera of the view.
             rgb: (h * w,) vec3, the view on black; the background is added to it.
             alpha: (h * w,) float32 opacity of the view.
+            depth: Not used: all layers lie behind.
+            masks: Not used.
         """
         inputs = [self.layers, camera_struct(camera, self.center), alpha]
         launch(add_background, tile_threads(camera), inputs, [rgb], device=self.device)

@@ -13,6 +13,7 @@ from ..core.arrays import array_view, empty_array
 from ..view.camera import Camera, camera_struct, tile_threads
 from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera
 from .background import LayeredBackground
+from .outer import OuterField
 
 #: A march ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-3
@@ -28,7 +29,7 @@ def render_frame(
     *,
     origin: ArrayLike,
     colour: np.ndarray,
-    layers: LayeredBackground | None,
+    layers: LayeredBackground | OuterField | None,
     supersampling: int,
     device: wp.Device,
     masks: Sequence[str] = (),
@@ -40,7 +41,7 @@ def render_frame(
         camera: The camera.
         origin: (3,) world point that the kernel's positions are relative to.
         colour: (3,) float32 colour behind everything.
-        layers: Background layers that are put behind the picture, which then must be on black. None is none.
+        layers: What is put around the picture, which then must be on black. None is nothing.
         supersampling: Rays along each side of a pixel.
         device: Warp device of the arrays.
         masks: Names of the masks that the march fills beside colour, opacity and depth.
@@ -53,7 +54,8 @@ def render_frame(
     arrays = picture_arrays(count, (*PART_NAMES, *masks), device)
     march(tile_threads(fine), camera_struct(fine, origin), wp.vec3(*map(float, colour)), arrays)
     if layers is not None:
-        layers.add_behind(fine, arrays["rgb"], arrays["alpha"])
+        dimmed = [arrays[name] for name in masks]
+        layers.add_around(fine, arrays["rgb"], arrays["alpha"], arrays["depth"], dimmed)
     return average_frame(Frame(fine.width, fine.height, **arrays), supersampling)
 
 

@@ -23,6 +23,7 @@ from .background import LayeredBackground
 from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field
 from .marching import MarchTables
+from .outer import OuterField
 from .rendering import STOP_TRANSMITTANCE, March, render_frame
 from .sparse import harmonics_on_device, harmonics_on_host, measure_skip, values_on_device
 from .surface import DensityField, extract_mesh
@@ -67,7 +68,7 @@ class VoxelField:
         device: Warp device of the arrays.
         bounds: (2, 3) float64, read-only, world units.
         background: (3,) float32 colour behind everything.
-        background_model: LayeredBackground or None.
+        background_model: LayeredBackground, OuterField or None.
         up: (3,) float64 unit vector.
         straightening: (4, 4) float64 from the coordinates of the scene's files, or None; its inverse leads back.
         supersampling: Rays along each side of a pixel in renders.
@@ -87,7 +88,7 @@ class VoxelField:
         sh: np.ndarray | wp.array,
         *,
         background: str | ArrayLike = "white",
-        background_model: LayeredBackground | None = None,
+        background_model: LayeredBackground | OuterField | None = None,
         weights: np.ndarray | wp.array | None = None,
         up: ArrayLike = (0.0, 0.0, 1.0),
         straightening: ArrayLike | None = None,
@@ -324,14 +325,14 @@ class VoxelField:
 
     def chosen_background(
         self, background: str | ArrayLike | None = None
-    ) -> tuple[np.ndarray, LayeredBackground | None]:
+    ) -> tuple[np.ndarray, LayeredBackground | OuterField | None]:
         """What goes behind a view.
 
         Args:
             background: Colour name or (3,). None is the field's own background.
 
         Returns:
-            (3,) float32 colour to render the view on, and the layers that are put behind it then, or None.
+            (3,) float32 colour to render the view on, and what is put around it then, or None.
 
         Raises:
             ValueError: For a background that is not known.
@@ -420,9 +421,11 @@ class VoxelField:
         """
         held = load_field(path, scene_scale=scene_scale)
         try:
-            layers = None if held.layers is None else LayeredBackground.from_contents(held.layers, device)
+            model = None if held.layers is None else LayeredBackground.from_contents(held.layers, device)
+            if held.outer is not None:
+                model = OuterField.from_contents(held.outer, device)
             return cls(
-                held.bounds, held.links, held.density, held.sh, background_model=layers, device=device, **held.options()
+                held.bounds, held.links, held.density, held.sh, background_model=model, device=device, **held.options()
             )
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
@@ -430,6 +433,7 @@ class VoxelField:
     @in_turn
     def _contents(self) -> FieldContents:
         """The field's parts on the host, for a file."""
+        model = self.background_model
         return FieldContents(
             bounds=self.bounds,
             links=self.grid.links.numpy(),
@@ -440,7 +444,8 @@ class VoxelField:
             up=self.up,
             straightening=self.straightening,
             supersampling=self.supersampling,
-            layers=None if self.background_model is None else self.background_model.contents(),
+            layers=model.contents() if isinstance(model, LayeredBackground) else None,
+            outer=model.contents() if isinstance(model, OuterField) else None,
         )
 
     def to(self, device: wp.DeviceLike) -> VoxelField:

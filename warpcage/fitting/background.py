@@ -14,10 +14,12 @@ from ..core.devices import launch
 from ..core.files import require_numbers
 from ..core.names import FIT_BACKGROUNDS
 from ..field.background import LayeredBackground, surface_node_count
+from ..field.voxel_field import VoxelField
 from ..kernels.field.background import BackgroundLayers, refine_layers
 from ..kernels.fitting import background_loss
 from ..scene.scene import Scene
 from .options import FitOptions
+from .schedule import Rates
 from .shards import ShardedWork, launch_shards, sum_shards
 
 #: Opacity of all layers in front of the last one together, at the start.
@@ -42,18 +44,19 @@ COLOUR_STRIDE = 8
 EPSILON = 1e-12
 
 
-def chosen_background(scene: Scene, kind: str) -> tuple[bool, bool]:
+def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
     """What is behind a field while it is fitted to a scene.
 
     "auto" is random colours where the pictures carry opacity, with layers where masks split their surroundings off. For
-    pictures without opacity it is layers, unless the border of the pictures shows the background colour alone.
+    pictures without opacity it is layers, unless the border of the pictures shows the background colour alone. An outer
+    field has to be asked for.
 
     Args:
         scene: The scene.
         kind: One of FIT_BACKGROUNDS.
 
     Returns:
-        Whether there are random colours, and whether there are layers.
+        Whether there are random colours; and "layers", "outer" or None, what is fitted beside the field.
 
     Raises:
         ValueError: For another kind, or one that the scene does not allow.
@@ -62,16 +65,19 @@ def chosen_background(scene: Scene, kind: str) -> tuple[bool, bool]:
         raise ValueError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
         if scene.alphas is None:
-            return False, not _is_plain(scene)
-        return True, scene.surroundings is not None
+            return False, None if _is_plain(scene) else "layers"
+        return True, None if scene.surroundings is None else "layers"
     if kind == "layers" and scene.alphas is not None and scene.surroundings is None:
         raise ValueError(
             "the pictures' own background is cut away by their opacity: background layers need whole "
             "pictures (masks=False) or split ones (masks='split')"
         )
+    if kind == "outer" and scene.alphas is not None:
+        raise ValueError("an outer field needs whole pictures: load them with masks=False, or fit background='layers'")
     if kind == "random" and scene.alphas is None:
         raise ValueError("the pictures have no opacity: random backgrounds need it, fit with background='layers'")
-    return kind == "random" or (kind == "layers" and scene.alphas is not None), kind == "layers"
+    is_random = kind == "random" or (kind == "layers" and scene.alphas is not None)
+    return is_random, kind if kind in ("layers", "outer") else None
 
 
 def _is_plain(scene: Scene) -> bool:
@@ -128,6 +134,9 @@ class BackgroundOptimizer:
             does not need it.
     """
 
+    #: Nothing is before the field.
+    front = grad_front = None
+
     def __init__(
         self,
         colour: np.ndarray,
@@ -152,11 +161,13 @@ class BackgroundOptimizer:
         self.behind = None if split else wp.zeros(batch_rays, dtype=wp.vec3, device=device)
         self._grad_behind = wp.zeros(batch_rays, dtype=wp.vec3, device=device)
 
-    def start_level(self, level: int) -> None:
+    def start_level(self, level: int, rays: Any, field: VoxelField) -> None:
         """Layers of a level, interpolated from the ones before. Gradients and moments start anew.
 
         Args:
             level: Index of the level.
+            rays: Not used: layers are not pruned.
+            field: Not used.
         """
         self._release()
         coarse, self.layers = self.layers, self._untouched(level)
@@ -238,14 +249,17 @@ class BackgroundOptimizer:
             self.device,
         )
 
-    def apply(self, rate: float) -> None:
+    def thin_out(self, rays: Any, field: VoxelField) -> None:
+        """Nothing: layers are not pruned."""
+
+    def apply(self, rates: Rates) -> None:
         """One step of RMSProp by the gradients, which are cleared.
 
         Args:
-            rate: Learning rate.
+            rates: Learning rates.
         """
         total = sum_shards([_numbers(gradients) for gradients in self.gradients])
-        inputs = [rate, self.options.beta, EPSILON, total, _numbers(self.moments)]
+        inputs = [rates.background, self.options.beta, EPSILON, total, _numbers(self.moments)]
         outputs = [_numbers(self.layers.values)]
         launch(background_loss.apply_layer_rmsprop, total.size, inputs, outputs, device=self.device)
 
@@ -285,8 +299,16 @@ class BackgroundOptimizer:
             values[met] = rows
             target.assign(values)
 
-    def result(self) -> LayeredBackground:
-        """The layers so far, colours in [0, 1] and optical depths of at least 0."""
+    def result(self, rays: Any, field: VoxelField) -> LayeredBackground:
+        """The layers so far, colours in [0, 1] and optical depths of at least 0.
+
+        Args:
+            rays: Not used: layers are not pruned.
+            field: Not used.
+
+        Returns:
+            The layers.
+        """
         values = self.layers.values.numpy()
         values[..., :3] = np.clip(values[..., :3], 0.0, 1.0)
         values[..., 3] = np.maximum(values[..., 3], 0.0)

@@ -42,6 +42,8 @@ class Batch:
         random_background: Whether a random colour is behind each ray.
         behind: (rays,) vec3, what is behind the field for each ray. None is one colour.
         grad_behind: (rays,) vec3, where the loss leaves its gradient by `behind`. None where that is None.
+        front: (rays,) vec4, what is before the field for each ray, and the light that passes. None is nothing.
+        grad_front: (rays,) vec4, where the loss leaves its gradient by `front`. None where that is None.
     """
 
     rays: Any
@@ -50,6 +52,8 @@ class Batch:
     random_background: bool
     behind: wp.array | None
     grad_behind: wp.array | None
+    front: wp.array | None
+    grad_front: wp.array | None
 
     @property
     def size(self) -> int:

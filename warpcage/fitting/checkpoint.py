@@ -20,6 +20,7 @@ from ..scene.scene import Scene
 from .background import BackgroundOptimizer
 from .batches import ORDERS, Batches
 from .level import COEFFICIENTS, ROW_NUMBERS, Level
+from .outer import OuterOptimizer
 from .pictures import PRECISIONS
 from .schedule import Schedule
 
@@ -34,6 +35,7 @@ NAMES = frozenset(
     (
         *("format", "version", "fingerprint", "state", "resolution", "occupancy", "density", "sh", "tiles", "moments"),
         *("layers_met", "layers_values", "layers_moments"),
+        *("outer_sides", "outer_occupancy", "outer_values", "outer_moments", "outer_sky", "outer_sky_moments"),
     )
 )
 
@@ -52,7 +54,7 @@ class Fit(Protocol):
     current: Level
     batches: Batches
     schedule: Schedule
-    background: BackgroundOptimizer | None
+    background: BackgroundOptimizer | OuterOptimizer | None
 
     def restore(self, mask: wp.array, bits: int) -> None: ...
 

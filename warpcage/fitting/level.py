@@ -44,6 +44,9 @@ VARIATION_SIDE = 256.0
 #: Optical depth of half the box at the start.
 START_DEPTH = 0.1
 
+#: The harmonic of degree 0.
+CONSTANT_HARMONIC = 0.28209479177387814
+
 #: Keeps a step finite where the second moment is almost zero.
 EPSILON = 1e-12
 
@@ -114,6 +117,14 @@ class Level:
         self.release()
         self.field, self.nodes = _started(mask, self.field.bounds, self.field.background)
         self.allocate()
+
+    def paint(self, colour: np.ndarray) -> None:
+        """Give all rows one colour (3,), from all directions."""
+        red, green, blue = (np.asarray(colour, np.float64) - 0.5) / CONSTANT_HARMONIC
+        orange, difference = 0.5 * (red - blue), (green - 0.5 * (red + blue)) / 1.5
+        row = np.zeros(COEFFICIENTS, np.float32)
+        row[[0, 16, 20]] = green - difference, orange, difference
+        self.field.grid.sh.assign(np.tile(row, (self.field.voxel_count, 1)))
 
     def refine(self, shape: tuple[int, ...], kept: wp.array) -> None:
         """Values on a finer grid, interpolated. Gradients and second moments stay released.
@@ -229,6 +240,7 @@ class Level:
             STOP_TRANSMITTANCE,
             1.0 / (3.0 * batch.size),
             batch.behind,
+            batch.front,
         ]
         varied = max(1, int(share * field.voxel_count))
         # a share of the rows stands for all of them
@@ -249,7 +261,8 @@ class Level:
         works = [variation] if max(weights) > 0 else []
         if device.is_cpu:
             outputs = [
-                [*gradient_parts(gradients), batch.squared_error, batch.grad_behind] for gradients in self.gradients
+                [*gradient_parts(gradients), batch.squared_error, batch.grad_behind, batch.grad_front]
+                for gradients in self.gradients
             ]
             inputs = [field.grid, *photometric]
             works.insert(0, ShardedWork(accumulate_photometric_gradient, batch.size, inputs, outputs))
@@ -258,7 +271,7 @@ class Level:
                 accumulate_photometric_gradient_by_warps,
                 lane_count(device) * batch.size,
                 [field.grid, *photometric],
-                [self.gradients[0], self.touched, batch.squared_error, batch.grad_behind],
+                [self.gradients[0], self.touched, batch.squared_error, batch.grad_behind, batch.grad_front],
                 device=device,
             )
         launch_shards(works, self.shards, device)

@@ -30,6 +30,7 @@ from .checkpoint import load_progress, require_writable, save_progress
 from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
 from .options import checked_options, checked_seed
+from .outer import MEMORY_SHARE, OuterOptimizer
 from .pictures import PRECISIONS, TrainingPictures
 from .plan import plan_batches, plan_grid
 from .schedule import Schedule
@@ -93,7 +94,7 @@ class FieldOptimizer:
         self.random = np.random.default_rng(self.seed)
         self.psnr = float("nan")
         self.shards = shard_count(self.device)
-        self.random_background, layered = chosen_background(scene, self.options.background)
+        self.random_background, around = chosen_background(scene, self.options.background)
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
         gradients = loss if self.device.is_cpu else loss_warps
         load_modules([visual_hull, refine, skip, active_tiles, gradients, variation, rmsprop], self.device)
@@ -104,11 +105,13 @@ class FieldOptimizer:
             if silhouettes is not None:
                 bounds = silhouettes.bound(bounds)
         box = checked_bounds(bounds)
-        layer_side, layer_bytes = 0, 0
-        if layered:
-            layer_side, layer_bytes = layers_that_fit(scene, self.options, self.shards, self.memory_limit)
-        self.memory_limit -= layer_bytes
-        grid = plan_grid(scene, self.options, box, layered)
+        layer_side, around_bytes = 0, 0
+        if around == "layers":
+            layer_side, around_bytes = layers_that_fit(scene, self.options, self.shards, self.memory_limit)
+        elif around == "outer":
+            around_bytes = int(MEMORY_SHARE * self.memory_limit)
+        self.memory_limit -= around_bytes
+        grid = plan_grid(scene, self.options, box, around is not None)
         self.options = dataclasses.replace(self.options, levels=grid.levels)
         self.bounds, self.shapes, self.variation = grid.bounds, grid.shapes, grid.variation
         self.planned = list(grid.shapes)
@@ -126,15 +129,32 @@ class FieldOptimizer:
         del silhouettes  # its tables are as large as the images
         self.current = Level(mask, self.bounds, scene.background, self.shards)
         del mask
-        self.layered = layered
+        self.has_around = around is not None
+        if around == "outer":  # which begins with this colour too, and would explain all if the field did not
+            self.current.paint(mean_colour(scene))
         self._activate_tiles()
         batch_tiles, level_steps = plan_batches(
             self.options, math.prod(scene.images.shape[:3]), self.batches.active_tiles
         )
         self.batches.size(batch_tiles)
         self.schedule = Schedule(self.options, level_steps, grid.scarcity)
-        self.background: BackgroundOptimizer | None = None
-        if layered:
+        self.background: BackgroundOptimizer | OuterOptimizer | None = None
+        if around == "outer":
+            side = self.options.outer_resolution
+            if side is None:
+                side = min(max(self.planned[-1]), self.options.max_outer_resolution)
+            self.background = OuterOptimizer(
+                mean_colour(scene),
+                self.bounds,
+                scene.cameras,
+                self.options,
+                side,
+                around_bytes,
+                self.batches.batch_rays,
+                self.shards,
+                self.device,
+            )
+        if around == "layers":
             self.background = BackgroundOptimizer(
                 mean_colour(scene),
                 scene.surroundings is not None,
@@ -232,7 +252,8 @@ class FieldOptimizer:
 
     def memory(self) -> FitMemory:
         """What levels of the fit take, as their owners state it."""
-        return self.current.memory(self._fixed_bytes(), self.batches.mark_bytes)
+        fixed = self.batches.held_bytes if isinstance(self.background, OuterOptimizer) else self._fixed_bytes()
+        return self.current.memory(fixed, self.batches.mark_bytes)  # outer fields have a limit of their own
 
     @property
     def coarser(self) -> str | None:
@@ -254,7 +275,7 @@ class FieldOptimizer:
 
     def _activate_tiles(self) -> None:
         """Batches of the tiles that see the field; of all of them with layers, as every pixel shows something."""
-        self.batches.activate(None if self.layered else self.field)
+        self.batches.activate(None if self.has_around else self.field)
 
     def _refine(self) -> None:
         """On to the next level: prune, halve the voxels, interpolate; pictures at 8 bits per channel, then larger
@@ -270,7 +291,7 @@ class FieldOptimizer:
         if shape is not None:
             level.refine(shape, kept)
         if self.background is not None:
-            self.background.start_level(self.level)
+            self.background.start_level(self.level, self.rays, self.field)
         level.allocate()
         self._activate_tiles()
 
@@ -278,6 +299,8 @@ class FieldOptimizer:
         """Remove what no view shows, and keep the optimiser's state of the rest."""
         level, rows, memory = self.current, self.field.voxel_count, self.memory()
         level.release_gradients()
+        if self.background is not None:
+            self.background.thin_out(self.rays, self.field)
         mask = level.weighty_mask(self.rays, self.options.keep_weight)
         if memory.thinning_bytes(rows, mask_count(mask), self.field.resolution) > self.memory_limit:
             level.allocate_gradients()
@@ -318,10 +341,11 @@ class FieldOptimizer:
         self.schedule.step_count += 1
 
     def _accumulate_gradients(self) -> None:
-        behind, grad_behind = None, None
+        behind = grad_behind = front = grad_front = None
         if self.background is not None:
             self.background.prepare(self.rays, self.pictures.surroundings)
             behind, grad_behind = self.background.behind, self.background.grad_behind
+            front, grad_front = self.background.front, self.background.grad_front
         batch = Batch(
             rays=self.rays,
             squared_error=self.batches.squared_error,
@@ -329,6 +353,8 @@ class FieldOptimizer:
             random_background=self.random_background and self.schedule.supervises_opacity,
             behind=behind,
             grad_behind=grad_behind,
+            front=front,
+            grad_front=grad_front,
         )
         self.current.accumulate(batch, self.variation, self.options.variation_share, self.random)
         if self.background is not None:
@@ -337,7 +363,7 @@ class FieldOptimizer:
     def _apply_gradients(self) -> None:
         rates = self.schedule.rates()
         if self.background is not None:
-            self.background.apply(rates.background)
+            self.background.apply(rates)
         self.current.apply(rates, self.options.beta)
 
     @in_turn
@@ -356,7 +382,7 @@ class FieldOptimizer:
         field.up, field.straightening = self.scene.up, self.scene.straightening
         field.supersampling = self.options.supersampling
         if self.background is not None:
-            field.background_model = self.background.result()
+            field.background_model = self.background.result(self.rays, field)
         return field
 
 

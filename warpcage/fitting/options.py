@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core.names import QUALITIES
 from ..field.files.layers import MAX_LAYERS, MAX_SIDE
+from ..field.files.outer import MAX_SIDE as MAX_OUTER_SIDE
 from .memory import memory_size
 
 MAX_LEVELS = 6
@@ -170,7 +171,8 @@ class FitOptions:
     background: str = _option(
         "auto",
         'What is behind the field. "random": random colours that supervise opacity, for images with alpha. '
-        '"layers": a LayeredBackground, for whole or split images. "constant": the colour of the scene. '
+        '"outer": an OuterField around the box, for whole images. "layers": a LayeredBackground behind it, for whole '
+        'or split images. "constant": the colour of the scene. '
         '"auto": what suits the scene.',
     )
     opacity_share: float = _number(
@@ -192,6 +194,27 @@ class FitOptions:
     rate_background_end: float = _positive(0.01, "Last learning rate of the layers.")
     variation_background: float = _weight(0.03, "Weight of the total variation of the layers' colours.")
     variation_background_depth: float = _weight(0.03, "Weight of the total variation of the layers' optical depths.")
+    outer_resolution: int | None = _whole(
+        None,
+        8,
+        MAX_OUTER_SIDE,
+        "Voxels along each side of the contracted space around the box. None is the field's resolution, at most "
+        "`max_outer_resolution`.",
+    )
+    max_outer_resolution: int = _whole(
+        512, 8, MAX_OUTER_SIDE, "Most voxels along each side of contracted space where `outer_resolution` is None."
+    )
+    rate_outer: float = _positive(0.06, "First learning rate of the outer field's colours.")
+    rate_outer_end: float = _positive(0.003, "Last learning rate of the outer field's colours.")
+    rate_outer_density: float = _positive(
+        0.083, "First learning rate of the outer field's density, in optical depth per voxel of the level."
+    )
+    rate_outer_density_end: float = _positive(0.0042, "Last learning rate of the outer field's density.")
+    variation_outer: float = _weight(0.03, "Weight of the total variation of the outer field's colours.")
+    variation_outer_density: float = _weight(1e-4, "Weight of the total variation of the outer field's density.")
+    front_opacity: float = _weight(
+        0.01, "Weight of the opacity of what an outer field holds between the cameras and the box, mean over the rays."
+    )
     max_memory: int | str | None = _option(
         None,
         'Memory that the fit may take on its device, images included, in bytes or as text such as "4GB". None '

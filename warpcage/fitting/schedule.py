@@ -25,12 +25,16 @@ class Rates:
         sh: Learning rates of the SH coefficients of degree 0 to 3.
         directional_kept: Factor on those coefficients after the step; 1 leaves them.
         background: Learning rate of the layers behind the field.
+        outer: Learning rate of the colours of an outer field.
+        outer_density: Learning rate of its density, in optical depth per voxel of the level.
     """
 
     density: float
     sh: tuple[float, float, float, float]
     directional_kept: float
     background: float
+    outer: float
+    outer_density: float
 
 
 class Schedule:
@@ -109,6 +113,8 @@ class Schedule:
             sh=(sh, directional, directional * options.degree_falloff, directional * options.degree_falloff**2),
             directional_kept=self._directional_kept(sh),
             background=_log_interpolate(options.rate_background, options.rate_background_end, progress),
+            outer=_log_interpolate(options.rate_outer, options.rate_outer_end, progress),
+            outer_density=_log_interpolate(options.rate_outer_density, options.rate_outer_density_end, progress),
         )
 
     def _directional_kept(self, rate: float) -> float:

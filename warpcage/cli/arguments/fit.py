@@ -23,8 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_background(
         parser,
         "white",
-        "; or what is behind the object during the fit: random (random colours, for pictures with opacity), layers "
-        "(layers around the field), constant, or auto (default)",
+        "; or what is behind the object during the fit: random (random colours, for pictures with opacity), outer "
+        "(voxels before and behind the object's box, to infinity), layers (of pictures behind it), constant, or auto "
+        "(default)",
     )
     parser.add_argument(
         "--straighten",
@@ -68,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=options.positive_float,
         metavar="FACTOR",
         help="factor on the total variation: higher is smoother (default: chosen from the pictures, at least 30 "
-        "for density and 15 for colours with masks or layers)",
+        "for density and 15 for colours with masks or surroundings)",
     )
     parser.add_argument(
         "--bounds",

@@ -55,6 +55,36 @@ class LayerContents:
 
 
 @dataclasses.dataclass(frozen=True)
+class OuterContents:
+    """An outer field on the host.
+
+    Attributes:
+        center: (3,) float64 middle of the box that it surrounds, world units.
+        half: (3,) float64 half sides of that box, world units.
+        links: (n, n, n) int32, row of each voxel of contracted space or -1.
+        values: (rows, 4) float32 red, green, blue and density per unit of contracted length.
+        sky: (nodes, 3) float32 colours of a cube at infinity.
+    """
+
+    center: np.ndarray
+    half: np.ndarray
+    links: np.ndarray
+    values: np.ndarray
+    sky: np.ndarray
+
+    def shrunk(self, divisor: float) -> OuterContents:
+        """The outer field of a smaller world.
+
+        Args:
+            divisor: Old lengths over new ones.
+
+        Returns:
+            The outer field.
+        """
+        return dataclasses.replace(self, center=self.center / divisor, half=self.half / divisor)
+
+
+@dataclasses.dataclass(frozen=True)
 class FieldContents:
     """A voxel field on the host, as field files read and write it.
 
@@ -70,6 +100,7 @@ class FieldContents:
         straightening: (4, 4) rigid motion from the coordinates of the scene's files, or None where they are the same.
         supersampling: Rays along each side of a pixel, or None where the file does not say.
         layers: Background layers, or None.
+        outer: An outer field, or None.
     """
 
     bounds: np.ndarray
@@ -82,6 +113,7 @@ class FieldContents:
     straightening: np.ndarray | None = None
     supersampling: int | None = None
     layers: LayerContents | None = None
+    outer: OuterContents | None = None
 
     def options(self) -> dict[str, Any]:
         """What is known beside the voxels and layers, by the names of VoxelField's arguments."""

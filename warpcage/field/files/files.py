@@ -13,11 +13,12 @@ from ...core.files import atomic_path, npz_names, read_npz
 from . import compact
 from .contents import FieldContents, voxel_side
 from .layers import LAYER_NAMES
+from .outer import OUTER_NAMES
 from .own import OWN_NAMES, own_arrays, read_own
 from .svox2 import SVOX2_KEYS, SVOX2_LAYERS, read_svox2, svox2_arrays
 
 #: The arrays that are read of a file; others may be there.
-KNOWN_NAMES = frozenset((*OWN_NAMES, *compact.COMPACT_NAMES, *LAYER_NAMES, *SVOX2_KEYS))
+KNOWN_NAMES = frozenset((*OWN_NAMES, *compact.COMPACT_NAMES, *LAYER_NAMES, *OUTER_NAMES, *SVOX2_KEYS))
 
 #: Bytes of memory that a byte of these arrays takes: float16 becomes float32, which is turned and handed to a device.
 ROOM = 6
@@ -46,9 +47,9 @@ def save_field(field: FieldContents, path: str | os.PathLike, *, format: str = "
         field: The field.
         path: The file; it must end in .npz.
         format: "warpcage" is packed occupancy bits, float32 densities, float16 harmonics and rendering weights,
-            background layers as RGBA bytes. "compact" is the same quantised and deflated, a third of the size (see
-            `warpcage.field.files.compact`). "svox2" has the keys of Plenoxels' SparseGrid.save (float16 harmonics),
-            which leaves background layers and harmonics of degree 3 out and warns.
+            background layers and outer fields as RGBA bytes. "compact" is the same quantised and deflated, a third of
+            the size (see `warpcage.field.files.compact`). "svox2" has the keys of Plenoxels' SparseGrid.save (float16
+            harmonics), which leaves backgrounds and harmonics of degree 3 out and warns.
 
     Raises:
         ValueError: For another format or ending.
@@ -87,6 +88,7 @@ def load_field(path: str | os.PathLike, *, scene_scale: float = 1.0) -> FieldCon
         straightening=_unscaled(field.straightening, scene_scale),
         density=field.density * np.float32(scene_scale),
         layers=None if field.layers is None else field.layers.shrunk(scene_scale),
+        outer=None if field.outer is None else field.outer.shrunk(scene_scale),
     )
 
 

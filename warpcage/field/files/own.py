@@ -13,10 +13,11 @@ from ...core.memory import free_host_bytes
 from . import compact
 from .contents import BASIS_COUNT, LUMINANCE_NUMBERS, MAX_VOXELS, FieldContents, as_half, voxel_side
 from .layers import layer_arrays, read_layers
+from .outer import outer_arrays, read_outer
 
-#: Files of luminous rows are of version 3, others with background layers of version 2; the rest stays readable by older
-#: releases.
-FORMAT_VERSION, LAYERS_VERSION = 3, 2
+#: Files with an outer field are of version 4, of luminous rows of version 3, others with background layers of version
+#: 2; the rest stays readable by older releases.
+FORMAT_VERSION, LUMINOUS_VERSION, LAYERS_VERSION = 4, 3, 2
 
 #: The arrays of a plain file, without its layers.
 OWN_NAMES = (
@@ -54,13 +55,17 @@ def own_arrays(field: FieldContents) -> dict[str, Any]:
         contents["weights"] = as_half(field.weights[order])
     if field.layers is not None:
         contents |= layer_arrays(field.layers)
+    if field.outer is not None:
+        contents |= outer_arrays(field.outer)
     return contents
 
 
 def _least_version(field: FieldContents) -> int:
     """The oldest version of the format that can hold a field."""
-    if field.sh.ndim == 2:
+    if field.outer is not None:
         return FORMAT_VERSION
+    if field.sh.ndim == 2:
+        return LUMINOUS_VERSION
     return 1 if field.layers is None else LAYERS_VERSION
 
 
@@ -133,4 +138,5 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
         straightening=straightening,
         supersampling=supersampling,
         layers=read_layers(contents, path),
+        outer=read_outer(contents, path),
     )

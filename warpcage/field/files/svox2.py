@@ -32,6 +32,8 @@ def svox2_arrays(field: FieldContents) -> dict[str, Any]:
     """
     if field.layers is not None:
         warn_caller("a svox2 file holds the field without its background layers")
+    if field.outer is not None:
+        warn_caller("a svox2 file holds the field without what is around its box (its outer field)")
     half = 0.5 * (field.bounds[1] - field.bounds[0])
     if field.sh.ndim == 2:
         warn_caller(

@@ -1,0 +1,315 @@
+"""Gradients of the photometric loss and of the total variation by the values of an outer grid, and their steps.
+
+A pixel is C = F + T_F (inner), inner = ... + T B: the front F and the light T_F that passes it, and the back B, are
+marches through field/outer, before and after the inner grid's. With the loss's gradients by F, T_F and B, a sample of
+weight w_k = T_k alpha_k gets dL/dc_k = w_k g and dL/dsigma_k = d_k (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g - r), where
+r is what the end of its march adds: T_F dL/dT_F in front, T sky . g behind. The adjoint of fitting/loss in two parts.
+Needs: field/background, field/grid, field/outer, field/samples, fitting/loss, fitting/rmsprop, view/rays.
+"""
+
+import warp as wp
+
+from ..field.background import layer_value, surface_sample
+from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from ..field.outer import (
+    FAR_AWAY,
+    OUTER_STOP,
+    OuterGrid,
+    front_end,
+    march_outer,
+    outer_colour,
+    outer_empty,
+    outer_path,
+    outer_piece,
+    outer_place,
+    outer_sample,
+    sample_after,
+    shown_colour,
+)
+from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
+from ..view.rays import PinholeCamera, pixel_direction
+from .loss import TrainingRays, batch_pixel, in_picture
+from .rmsprop import rmsprop_update
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def gather_outer(
+    first: int, outer: OuterGrid, rays: TrainingRays, front: wp.array(dtype=wp.vec4), behind: wp.array(dtype=wp.vec3)
+):
+    """What is before and behind the box for each ray of a batch.
+
+    One item per ray. front: (rays,) colour, and the light that passes. behind: (rays,) colour, the sky included.
+    """
+    n = first + wp.tid()
+    pixel = batch_pixel(rays, n)
+    if in_picture(rays, pixel):
+        camera = rays.cameras[pixel[0]]
+        direction = pixel_direction(camera, pixel[2], pixel[1])
+        between = front_end(outer, camera.centre, direction)
+        seen = wp.vec4(0.0, 0.0, 0.0, 1.0)
+        if between > 0.0:
+            seen = march_outer(outer, camera.centre, direction, 0.0, between)
+        front[n] = seen
+        behind[n] = wp.vec3()
+        if seen[3] > OUTER_STOP:
+            behind[n] = outer_colour(outer, camera.centre, direction, between)
+
+
+@wp.func
+def add_outer_gradient(
+    outer: OuterGrid,
+    origin: wp.vec3,
+    direction: wp.vec3,
+    begin: float,
+    end: float,
+    grad_colour: wp.vec3,
+    total: float,
+    grad_values: wp.array(dtype=wp.vec4),
+):
+    """Adjoint of march_outer. total: colour . its gradient, and light that is left times its own gradient.
+
+    Returns the light that is left.
+    """
+    later = float(total)
+    light = float(1.0)
+    path = outer_path(outer, origin, direction, begin, end)
+    for n in range(path.count):
+        piece = outer_piece(outer, origin, direction, path, n)
+        k = int(0)
+        while k < piece.count and light > OUTER_STOP:
+            g = outer_place(outer, piece, k)
+            empty = outer_empty(outer, g)
+            if empty > 0:
+                k = sample_after(piece, k, g, empty)
+            else:
+                sample = outer_sample(outer, g)
+                if sample.value[3] > 0.0:
+                    kept = wp.exp(-sample.value[3] * piece.length)
+                    weight = light * (1.0 - kept)
+                    light *= kept
+                    change = wp.dot(shown_colour(sample.value), grad_colour)
+                    later -= weight * change
+                    gradient = wp.vec4(0.0, 0.0, 0.0, piece.length * (light * change - later))
+                    for channel in range(3):
+                        if sample.value[channel] > 0.0:
+                            gradient[channel] = weight * grad_colour[channel]
+                    for corner in range(8):
+                        if sample.rows[corner] >= 0:
+                            wp.atomic_add(grad_values, sample.rows[corner], sample.weights[corner] * gradient)
+                k += 1
+    return light
+
+
+@wp.kernel
+def accumulate_outer_gradient(
+    first: int,
+    outer: OuterGrid,
+    rays: TrainingRays,
+    front: wp.array(dtype=wp.vec4),
+    behind: wp.array(dtype=wp.vec3),
+    grad_front: wp.array(dtype=wp.vec4),
+    grad_behind: wp.array(dtype=wp.vec3),
+    by_front: float,
+    grad_values: wp.array(dtype=wp.vec4),
+    grad_sky: wp.array2d(dtype=wp.vec4),
+):
+    """Adds the gradient of the loss by the values of the grid and of the sky, and of by_front * opacity of the front.
+
+    One item per ray. front, behind: (rays,) of gather_outer, grad_front and grad_behind the loss's gradients by them.
+    grad_values: (rows,), grad_sky: (1, nodes). They are shared: on the CPU each thread needs its own.
+    """
+    n = first + wp.tid()
+    pixel = batch_pixel(rays, n)
+    if not in_picture(rays, pixel):
+        return
+    camera = rays.cameras[pixel[0]]
+    origin = camera.centre
+    direction = pixel_direction(camera, pixel[2], pixel[1])
+    between = front_end(outer, origin, direction)
+    seen = front[n]
+    if between > 0.0 and seen[3] < 1.0:
+        change = grad_front[n] - wp.vec4(0.0, 0.0, 0.0, by_front)
+        by_colour = wp.vec3(change[0], change[1], change[2])
+        add_outer_gradient(outer, origin, direction, 0.0, between, by_colour, wp.dot(seen, change), grad_values)
+    grad_colour = grad_behind[n]
+    if seen[3] > OUTER_STOP and wp.length_sq(grad_colour) > 0.0:
+        total = wp.dot(behind[n], grad_colour)
+        light = add_outer_gradient(outer, origin, direction, between, FAR_AWAY, grad_colour, total, grad_values)
+        if light > OUTER_STOP:
+            place = surface_sample(outer.sky.side, direction)
+            value = layer_value(outer.sky, 0, place)
+            gradient = wp.vec4()
+            for channel in range(3):
+                if value[channel] > 0.0:
+                    gradient[channel] = light * grad_colour[channel]
+            for corner in range(4):
+                wp.atomic_add(grad_sky, 0, place.nodes[corner], place.weights[corner] * gradient)
+
+
+@wp.func
+def light_through(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, step: float):
+    """Light that passes the inner grid."""
+    ray = grid_ray(grid, origin, direction, step)
+    depth = float(0.0)
+    k = ray.first
+    while sample_distance(ray, k) < ray.far and depth < 7.0:
+        g = sample_place(ray, k)
+        empty = empty_distance(grid, g)
+        if empty > 0:
+            k = sample_beyond(ray, k, g, empty)
+        else:
+            depth += step * wp.max(cell_density(grid, cell_sample(grid, g)), 0.0)
+            k += 1
+    return wp.exp(-depth)
+
+
+@wp.func
+def record_outer_ray(
+    outer: OuterGrid,
+    origin: wp.vec3,
+    direction: wp.vec3,
+    begin: float,
+    end: float,
+    first_light: float,
+    weights: wp.array(dtype=wp.float32),
+):
+    """Largest rendering weights along a ray. Returns the light that is left."""
+    light = float(first_light)
+    path = outer_path(outer, origin, direction, begin, end)
+    for n in range(path.count):
+        piece = outer_piece(outer, origin, direction, path, n)
+        k = int(0)
+        while k < piece.count and light > OUTER_STOP:
+            g = outer_place(outer, piece, k)
+            empty = outer_empty(outer, g)
+            if empty > 0:
+                k = sample_after(piece, k, g, empty)
+            else:
+                sample = outer_sample(outer, g)
+                if sample.value[3] > 0.0:
+                    kept = wp.exp(-sample.value[3] * piece.length)
+                    weight = light * (1.0 - kept)
+                    for corner in range(8):
+                        if sample.rows[corner] >= 0:
+                            if weights[sample.rows[corner]] < weight:
+                                wp.atomic_max(weights, sample.rows[corner], weight)
+                    light *= kept
+                k += 1
+    return light
+
+
+@wp.kernel
+def record_outer_weights(
+    first: int,
+    outer: OuterGrid,
+    inner: VoxelGrid,
+    cameras: wp.array(dtype=PinholeCamera),
+    pixel_stride: int,
+    step: float,
+    weights: wp.array(dtype=wp.float32),
+):
+    """Largest rendering weight that any ray gives to each node's row (rows,), behind what the inner grid holds.
+
+    Every pixel_stride-th row and column of every camera. step: of the march through the inner grid, world units. Rays
+    share rows: on the CPU each thread needs its own `weights`, which are joined by maximum.
+    """
+    n = first + wp.tid()
+    per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride
+    per_view = per_row * ((cameras[0].height + pixel_stride - 1) // pixel_stride)
+    camera = cameras[n // per_view]
+    column = (n % per_view % per_row) * pixel_stride
+    row = (n % per_view // per_row) * pixel_stride
+    direction = pixel_direction(camera, column, row)
+    between = front_end(outer, camera.centre, direction)
+    light = float(1.0)
+    if between > 0.0:
+        light = record_outer_ray(outer, camera.centre, direction, 0.0, between, 1.0, weights)
+    light *= light_through(inner, camera.centre, direction, step)
+    if light > OUTER_STOP:
+        record_outer_ray(outer, camera.centre, direction, between, FAR_AWAY, light, weights)
+
+
+@wp.kernel
+def accumulate_outer_variation(
+    first: int,
+    outer: OuterGrid,
+    nodes: wp.array(dtype=wp.vec3i),
+    first_row: int,
+    scale_colour: float,
+    scale_density: float,
+    grad_values: wp.array(dtype=wp.vec4),
+):
+    """Adds the gradient of scale_colour * TV(colours) + scale_density * TV(densities) over a run of rows.
+
+    One item per row, from first_row on; sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, those to nodes without a
+    row counting as zero (fitting/variation). nodes: (rows,) grid indices. Rows are shared with neighbours: on the CPU
+    each thread needs grad_values of its own.
+    """
+    row = (first_row + first + wp.tid()) % nodes.shape[0]
+    node = nodes[row]
+    value = outer.values[row]
+    rows = wp.vec3i(-1, -1, -1)
+    squares = wp.vec4(1.0e-9, 1.0e-9, 1.0e-9, 1.0e-9)
+    for axis in range(3):
+        other = node
+        other[axis] = node[axis] + 1
+        if other[axis] < outer.links.shape[0]:
+            rows[axis] = outer.links[other[0], other[1], other[2]]
+            if rows[axis] >= 0:
+                difference = outer.values[rows[axis]] - value
+                squares += wp.cw_mul(difference, difference)
+    slope = wp.vec4(scale_colour, scale_colour, scale_colour, scale_density)
+    for channel in range(4):
+        slope[channel] = slope[channel] / wp.sqrt(squares[channel])
+    total = wp.vec4()
+    for axis in range(3):
+        if rows[axis] >= 0:
+            step = wp.cw_mul(slope, outer.values[rows[axis]] - value)
+            total -= step
+            wp.atomic_add(grad_values, rows[axis], step)
+    wp.atomic_add(grad_values, row, total)
+
+
+@wp.kernel
+def apply_outer_rmsprop(
+    first: int,
+    rate_colour: float,
+    rate_density: float,
+    beta: float,
+    epsilon: float,
+    gradients: wp.array(dtype=wp.vec4),
+    moments: wp.array(dtype=wp.vec4),
+    values: wp.array(dtype=wp.vec4),
+):
+    """Step of RMSProp where the gradient is not zero, which is cleared. One item per row."""
+    row = first + wp.tid()
+    gradient = gradients[row]
+    if wp.length_sq(gradient) == 0.0:
+        return
+    value = values[row]
+    moment = moments[row]
+    for channel in range(4):
+        if gradient[channel] != 0.0:
+            rate = wp.where(channel < 3, rate_colour, rate_density)
+            number, spread = rmsprop_update(value[channel], moment[channel], gradient[channel], rate, beta, epsilon)
+            value[channel] = number
+            moment[channel] = spread
+    values[row] = value
+    moments[row] = moment
+    gradients[row] = wp.vec4()
+
+
+@wp.kernel
+def gather_rows(
+    first: int,
+    links: wp.array3d(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.vec3i),
+    before: wp.array(dtype=wp.vec4),
+    kept: wp.array(dtype=wp.vec4),
+):
+    """Values of the nodes (rows,) that stay, from the rows that `links` gave them before."""
+    row = first + wp.tid()
+    node = nodes[row]
+    kept[row] = before[links[node[0], node[1], node[2]]]

@@ -1,0 +1,417 @@
+"""Outer fields: against a plain NumPy version, finite differences, and a room of the project's own."""
+
+import field_oracles
+import numpy as np
+import outer_oracles as oracle
+import pytest
+import warp as wp
+from background_scenes import room_cameras, room_scene, write_room
+from test_fit_gradients import photometric_gradient, training_rays
+
+import warpcage
+from warpcage.cli import main
+from warpcage.field.outer import OuterField
+from warpcage.fitting.checkpoint import load_progress, save_progress
+from warpcage.fitting.evaluation import mean_psnr
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.kernels.field.outer import mark_outer_nodes
+from warpcage.kernels.fitting import outer_loss
+from warpcage.reference.room import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views
+from warpcage.view.camera import camera_array
+
+HALF = np.array([1.0, 0.7, 1.3])
+
+#: Weight of the front's opacity.
+BY_FRONT = 0.002
+
+
+def rays_of(count, seed=0, reach=4.0):
+    """Origins (n, 3) in and around the box, unit directions (n, 3)."""
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(count, 3))
+    return random.uniform(-reach, reach, (count, 3)), directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def test_the_oracle_contracts_as_published():
+    """It can be undone, leaves the box as it is, and is continuous at its faces."""
+    random = np.random.default_rng(0)
+    u = random.normal(size=(500, 3)) * 10 ** random.uniform(-1, 3, (500, 1))
+    p = oracle.contract(u)
+    assert np.abs(p).max() < 2
+    np.testing.assert_allclose(oracle.expand(p), u, rtol=1e-6)
+    np.testing.assert_array_equal(p[np.abs(u).max(axis=1) <= 1], u[np.abs(u).max(axis=1) <= 1])
+    np.testing.assert_allclose(oracle.contract(u * (1 + 1e-9)), p, atol=1e-7)
+    face = random.uniform(-1, 1, (50, 3))
+    face[:, 1] = 1.0
+    np.testing.assert_allclose(oracle.contract(face * 1.000001), face, atol=2e-6)
+
+
+def test_colours_match_numpy(device):
+    """To the cells of the seams: rays from within the box, around it, along its faces, and straight along axes."""
+    outer, values = oracle.random_outer(device, center=(0.3, -0.2, 0.5), half=HALF)
+    origins, directions = rays_of(250)
+    directions[:6] = np.concatenate([np.eye(3), -np.eye(3)])
+    origins[6:12] = outer.center + [2.5, 0, 0]
+    directions[6:9] = [[0, 0.6, 0.8], [0, -1, 0], [0, 0, 1]]
+    seen = outer.sample(origins, directions)
+    expected = []
+    for origin, direction in zip(origins, directions, strict=True):
+        colour, light = oracle.march(outer, values, origin, direction)
+        expected.append(colour + light * oracle.sky_colour(outer, direction))
+    error = np.abs(seen - expected).max(axis=1)
+    # where a length is a whole number of steps, float32 may take one sample more
+    assert np.quantile(error, 0.97) < 3e-5 and error.max() < 2e-2
+
+
+def test_views_are_put_between_what_is_before_and_behind(device):
+    outer, values = oracle.random_outer(device, half=HALF)
+    camera = warpcage.Camera.look_at([3.0, 1.4, 0.8], [0, 0, 0], fov_degrees=70, width=12, height=9)
+    random = np.random.default_rng(1)
+    alpha = random.random(108) * (random.random(108) > 0.3)
+    depth = np.where(
+        alpha > 0, random.uniform(0.5, 6.0, 108), np.inf
+    )  # also before the box, as an edit may move things
+    rgb = random.random((108, 3)) * alpha[:, None]
+    mask = random.random(108)
+    arrays = [
+        wp.array(each, dtype=kind, device=device)
+        for each, kind in ((rgb, wp.vec3), (alpha, wp.float32), (depth, wp.float32), (mask, wp.float32))
+    ]
+    outer.add_around(camera, *arrays[:3], [arrays[3]])
+    origins, directions = (each.reshape(-1, 3) for each in camera.rays())
+    errors = []
+    for n in range(108):
+        cut = depth[n] if alpha[n] > 0 else 0.0
+        front, light = oracle.march(outer, values, origins[n], directions[n], 0.0, cut)
+        back, left = oracle.march(outer, values, origins[n], directions[n], cut)
+        expected = front + light * (rgb[n] + (1 - alpha[n]) * (back + left * oracle.sky_colour(outer, directions[n])))
+        errors.append(np.abs(arrays[0].numpy()[n] - expected).max())
+        assert arrays[1].numpy()[n] == pytest.approx(light * alpha[n], abs=5e-3)
+        assert arrays[3].numpy()[n] == pytest.approx(light * mask[n], abs=5e-3)
+    assert np.quantile(errors, 0.95) < 1e-4 and max(errors) < 2e-2
+
+
+def test_gradients_match_finite_differences(device):
+    """Of the whole loss: by what is before and behind the box, and by the field in it."""
+    field, density, sh = field_oracles.random_field(
+        device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5, bounds=(-HALF, HALF), numbers=(24,)
+    )
+    outer, values = oracle.random_outer(device, side=6, half=HALF, density=0.6)
+    cameras = [
+        warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=70, width=8, height=6)
+        for eye in ([3.0, 0.4, 0.5], [-0.3, 0.5, 0.2], [-1.4, -2.1, 0.3])
+    ]
+    random = np.random.default_rng(0)
+    images = random.random((3, 6, 8, 3)).astype(np.float16).astype(np.float64)
+    rays = training_rays(cameras, images, np.ones((3, 6, 8)), field, device)
+    count = 144
+    front, grad_front = (wp.zeros(count, dtype=wp.vec4, device=device) for _ in range(2))
+    behind, grad_behind = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
+    wp.launch(outer_loss.gather_outer, dim=count, inputs=[0, outer.grid, rays], outputs=[front, behind], device=device)
+    scale = 1 / (3 * count)
+    gradients, _ = photometric_gradient(
+        field,
+        rays,
+        count,
+        scale=scale,
+        by_warps=not wp.get_device(device).is_cpu,
+        own_background=behind,
+        grad_background=grad_behind,
+        front=front,
+        grad_front=grad_front,
+    )
+    grad = wp.zeros(outer.voxel_count, dtype=wp.vec4, device=device)
+    grad_sky = wp.zeros_like(outer.grid.sky.values)
+    wp.launch(
+        outer_loss.accumulate_outer_gradient,
+        dim=count,
+        device=device,
+        inputs=[0, outer.grid, rays, front, behind, grad_front, grad_behind, BY_FRONT],
+        outputs=[grad, grad_sky],
+    )
+    found, in_box = grad.numpy(), gradients[:, 24]
+
+    def loss(density, values):
+        total = 0.0
+        for camera, image in zip(cameras, images, strict=True):
+            origins, directions = camera.rays()
+            for row, column in np.ndindex(6, 8):
+                ray = origins[row, column], directions[row, column]
+                rgb, before = oracle.surrounded(
+                    outer,
+                    values,
+                    *ray,
+                    lambda far, ray=ray: field_oracles.render_ray(field, density, sh, *ray, field.step, far, 6.0)[0],
+                )
+                total += scale * ((rgb - image[row, column]) ** 2).sum() + BY_FRONT * before
+        return total
+
+    def slope(changed, at, which):
+        ends = []
+        for sign in (1, -1):
+            moved = changed.copy()
+            moved[at] += sign * (1e-2 if which == "sky" else 1e-4)  # the loss is square in the sky
+            if which == "sky":
+                outer.grid.sky.values.assign(np.pad(moved, ((0, 0), (0, 1))).astype(np.float32)[None])
+                ends.append(loss(density, values))
+            else:
+                ends.append(loss(moved, values) if which == "density" else loss(density, moved))
+        return (ends[0] - ends[1]) / (2e-2 if which == "sky" else 2e-4)
+
+    for channel in range(4):
+        largest = np.abs(found[:, channel]).max()
+        seen = np.flatnonzero(np.abs(found[:, channel]) > 0.2 * largest)
+        for at in random.permutation(seen)[:2]:
+            expected = slope(values, (at, channel), "values")
+            assert abs(found[at, channel] - expected) < 4e-3 * largest + 2e-3 * abs(expected)
+    found, sky = grad_sky.numpy()[0], outer.sky.astype(float)
+    for at in map(tuple, random.permutation(np.argwhere(np.abs(found) > 0.3 * np.abs(found).max()))[:2]):
+        assert abs(found[at] - slope(sky, at, "sky")) < 1e-2 * np.abs(found).max()
+    outer.grid.sky.values.assign(np.pad(sky, ((0, 0), (0, 1))).astype(np.float32)[None])
+    links, largest = field.grid.links.numpy(), np.abs(in_box).max()
+    for node in map(tuple, random.permutation(np.argwhere(links >= 0))[:2]):
+        expected = slope(density, node, "density")
+        assert abs(in_box[links[node]] - expected) < 2e-3 * largest + 1e-3 * abs(expected)
+
+
+def test_variation_gradient_matches_finite_differences(device):
+    outer, values = oracle.random_outer(device, side=6)
+    links = outer.grid.links.numpy()
+    nodes = np.empty((len(values), 3), np.int32)
+    nodes[links[links >= 0]] = np.argwhere(links >= 0)
+    grad = wp.zeros(len(values), dtype=wp.vec4, device=device)
+    inputs = [0, outer.grid, wp.array(nodes, dtype=wp.vec3i, device=device), 7, 0.2, 0.7]
+    wp.launch(outer_loss.accumulate_outer_variation, dim=len(values), device=device, inputs=inputs, outputs=[grad])
+
+    def variation(values):
+        total = 0.0
+        for row, node in enumerate(nodes):
+            squares = np.full(4, 1e-9)
+            for axis in range(3):
+                other = node + np.eye(3, dtype=int)[axis]
+                if other.max() < 6 and links[tuple(other)] >= 0:
+                    squares += (values[links[tuple(other)]] - values[row]) ** 2
+            total += np.array([0.2, 0.2, 0.2, 0.7]) @ np.sqrt(squares)
+        return total
+
+    found = grad.numpy()
+    for at in map(tuple, np.argwhere(np.abs(found) > 0)[::41]):
+        ends = []
+        for sign in (1, -1):
+            moved = values.copy()
+            moved[at] += sign * 1e-6
+            ends.append(variation(moved))
+        assert found[at] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=2e-3)
+
+
+def test_voxels_that_may_hold_matter(device):
+    side, cameras = 12, room_cameras(5, 20)
+    mask = wp.empty((side,) * 3, dtype=wp.uint8, device=device)
+    inputs = [0, wp.vec3(*HALF), camera_array(cameras, np.zeros(3), device), 1.5, 0.8, 3]
+    wp.launch(mark_outer_nodes, dim=mask.size, inputs=inputs, outputs=[mask], device=device)
+    places = oracle.node_places(side).reshape(-1, 3)
+    u = oracle.expand(places)
+    seen, front, near = np.zeros(len(u), int), np.zeros(len(u), bool), np.full(len(u), np.inf)
+    for camera in cameras:
+        local = (u * HALF - camera.centre) @ camera.rotation
+        near = np.minimum(near, np.linalg.norm(local, axis=1))
+        ahead = local[:, 2] > 0
+        pixel = local[:, :2] / np.where(ahead, local[:, 2], 1)[:, None] * [camera.fx, camera.fy] + [
+            camera.cx,
+            camera.cy,
+        ]
+        shown = ahead & (pixel >= 0).all(axis=1) & (pixel < 20).all(axis=1)
+        seen += shown
+        front |= shown & (np.linalg.norm(local, axis=1) < 0.8 * np.linalg.norm(camera.centre))
+    least = np.where(front, 3, 1)
+    size = np.abs(places)
+    in_slabs = (size.max(axis=1) > 1 - 4 / side) & ((size > 1 + 4 / side).sum(axis=1) < 2)
+    expected = in_slabs & (near >= 1.5) & (seen >= least)
+    order = np.sort(size, axis=1)
+    clear = (order[:, 2] - order[:, 1] > 1e-6) | (order[:, 2] <= 1)  # else rounding says which slab a node is in
+    assert (mask.numpy().ravel() != expected)[clear].mean() < 2e-3 and 0 < expected.sum() < len(u)
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"half": (1, 0, 1)}, "positive"),
+        ({"center": (0, np.inf, 0)}, "center"),
+        ({"links": np.zeros((4, 4, 5))}, "links"),
+        ({"links": np.full((4, 4, 4), 7)}, "one row for each"),
+        ({"values": np.zeros((3, 3))}, "values"),
+        ({"values": np.full((1, 4), np.nan)}, "finite"),
+        ({"sky": (0, np.nan, 0)}, "sky"),
+    ],
+)
+def test_bad_outer_fields(change, word):
+    given = {
+        "center": (0, 0, 0),
+        "half": (1, 1, 1),
+        "links": np.full((4, 4, 4), -1),
+        "values": np.zeros((1, 4)),
+    } | change
+    with pytest.raises(ValueError, match=word):
+        OuterField(**given)
+
+
+def test_the_room_is_its_object_before_its_walls():
+    """In whole views as in split ones; the object keeps within its box, cameras stand in the room and outside that."""
+    train, test = room_views(3, 2, 16, samples=1, device="cpu")
+    for views in (train, test):
+        np.testing.assert_allclose(views.split.whole, views.whole.images, atol=1e-6)
+        alphas = views.object.alphas
+        assert 0.1 < alphas.mean() < 0.7 and views.whole.alphas is None
+        np.testing.assert_allclose(views.whole.images[alphas == 1], views.object.images[alphas == 1], atol=1e-6)
+        places = np.array([camera.centre for camera in views.whole.cameras])
+        assert (np.abs(places[:, :2]) < ROOM_HALF).all() and (places[:, 2] > FLOOR).all()
+        assert (np.abs(places[:, :2]).max(axis=1) > OBJECT_BOX[1, 0]).all()
+    vertices = object_model()[0]
+    assert (vertices > OBJECT_BOX[0]).all() and (vertices < OBJECT_BOX[1]).all()
+    with pytest.raises(ValueError, match="views"):
+        room_views(0, 2, 16)
+
+
+# Fits of a room
+
+
+SMALL = {"resolution": 32, "levels": 2, "epochs": 6, "batch_rays": 1024, "background": "outer"}
+
+
+@pytest.fixture(scope="module")
+def room():
+    """The room's whole pictures, and the field fitted to them."""
+    scene = room_scene(24, 32, masks=False)
+    return scene, warpcage.fit(scene, progress=False, **SMALL)
+
+
+def test_a_room_is_seen_from_new_places(room):
+    scene, field = room
+    assert isinstance(field.background_model, OuterField) and field.background_model.voxel_count > 100
+    test = room_scene(5, 32, masks="split", turn=0.13)
+    assert mean_psnr(warpcage.evaluate(field, test)) > 24
+    renders, outside = np.stack([field.render(camera).rgb for camera in test.cameras]), test.alphas == 0
+    assert warpcage.psnr(renders[outside], test.whole[outside]) > 26
+    frame, alone = field.render(scene.cameras[0]), field.render(scene.cameras[0], background="black")
+    assert (frame.alpha <= alone.alpha + 1e-6).all()  # what is before the box can only hide it
+    np.testing.assert_array_equal(frame.depth, alone.depth)
+
+
+@pytest.mark.parametrize("format", ["warpcage", "compact"])
+def test_outer_fields_are_saved_and_loaded(room, tmp_path, format):
+    scene, field = room
+    field.save(tmp_path / "f.npz", format=format)
+    assert np.load(tmp_path / "f.npz")["version"] == 4
+    again = warpcage.VoxelField.load(tmp_path / "f.npz")
+    model, loaded = field.background_model, again.background_model
+    np.testing.assert_array_equal(loaded.grid.links.numpy() >= 0, model.grid.links.numpy() >= 0)
+    np.testing.assert_array_equal(loaded.center, model.center)
+    np.testing.assert_allclose(loaded.sky, model.sky, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(loaded.values[:, :3], model.values[:, :3], atol=0.5 / 255 + 1e-6)
+    assert warpcage.psnr(again.render(scene.cameras[0]).rgb, field.render(scene.cameras[0]).rgb) > 35
+    again.save(tmp_path / "g.npz", format=format)
+    np.testing.assert_array_equal(warpcage.VoxelField.load(tmp_path / "g.npz").background_model.values, loaded.values)
+    scaled = warpcage.VoxelField.load(tmp_path / "f.npz", scene_scale=0.5).background_model
+    np.testing.assert_array_equal(scaled.half, 2 * model.half)
+    with pytest.warns(UserWarning, match="outer field"):
+        field.save(tmp_path / "p.npz", format="svox2")
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"outer_rgba": np.zeros((3, 4), np.uint8)}, "outer_rgba"),
+        ({"outer_rgba": None}, "outer_rgba"),
+        ({"outer_occupancy": np.zeros(3, np.uint8)}, "outer_occupancy"),
+        ({"outer_side": np.array(10**6)}, "voxels along a side"),
+        ({"outer_half": np.array([1.0, -1.0, 1.0])}, "half sides"),
+        ({"outer_center": np.array([0, np.inf, 0])}, "center"),
+        ({"outer_sky": None}, "outer_sky"),
+    ],
+)
+def test_damaged_outer_fields_are_named(room, tmp_path, change, word):
+    room[1].save(tmp_path / "f.npz")
+    contents = dict(np.load(tmp_path / "f.npz")) | change
+    np.savez(tmp_path / "d.npz", **{name: array for name, array in contents.items() if array is not None})
+    with pytest.raises(ValueError, match=word) as raised:
+        warpcage.VoxelField.load(tmp_path / "d.npz")
+    assert "d.npz" in str(raised.value) and "\n" not in str(raised.value)
+
+
+CAGE = warpcage.Cage.box([-1.0, -0.8, -0.9], [1.3, 0.8, 1.1])
+
+
+def test_the_room_stays_while_the_object_moves(room, device):
+    """A moved object is before what is behind it, and what was behind shows where it was, marked."""
+    field = room[1].to(device)
+    camera = room_cameras(1, 48, 0.3)[0]
+    deformer = warpcage.Deformer(field, CAGE, resolution=24).pose(CAGE.scale(0.35).translate([0.0, 0.0, 1.35]))
+    frame, alone = deformer.render(camera), deformer.render(camera, background="black")
+    cleared = (field.render(camera).alpha > 0.9) & (alone.alpha < 1e-4)
+    assert cleared.sum() > 20 and frame.reveal[cleared].min() > 0.3
+    origins, directions = camera.rays()
+    behind = field.background_model.sample(origins[cleared], directions[cleared])
+    np.testing.assert_allclose(frame.rgb[cleared], behind, atol=5e-3)
+    baked = warpcage.bake(deformer, resolution=32)
+    assert baked.background_model is field.background_model
+
+
+def test_whole_pictures_are_needed():
+    split = room_scene(3, 16, masks="split")
+    with pytest.raises(ValueError, match="whole pictures"):
+        warpcage.fit(split, background="outer", progress=False)
+
+
+def test_an_outer_field_keeps_within_the_memory_given():
+    scene = room_scene(6, 16, masks=False)
+    most = 24e6
+    optimizer = FieldOptimizer(scene, max_memory=most, **(SMALL | {"outer_resolution": 128}))
+    held = []
+    while optimizer.step_count < optimizer.total_steps:
+        optimizer.step()
+        held.append(optimizer.background.held_bytes)
+    assert 32 < optimizer.background.outer.side < 128 and max(held) < 0.4 * most
+    with pytest.raises(ValueError, match="outer_resolution"):
+        FieldOptimizer(scene, outer_resolution=2)
+
+
+def test_a_fit_goes_on_from_its_checkpoint(tmp_path):
+    scene = room_scene(6, 16, masks=False)
+    options = SMALL | {"resolution": 16}
+    through, stopped, resumed = (FieldOptimizer(scene, **options) for _ in range(3))
+    for step in range(through.total_steps):
+        through.step()
+        if step < through.total_steps * 2 // 3:
+            stopped.step()
+    save_progress(stopped, tmp_path / "c.npz")
+    load_progress(resumed, tmp_path / "c.npz")
+    assert resumed.level == 1
+    np.testing.assert_array_equal(resumed.background.outer.values, stopped.background.outer.values)
+    while resumed.step_count < resumed.total_steps:
+        resumed.step()
+    psnrs = [mean_psnr(warpcage.evaluate(optimizer.finish(), scene)) for optimizer in (through, resumed)]
+    assert abs(psnrs[0] - psnrs[1]) < 0.1
+    contents = dict(np.load(tmp_path / "c.npz"))
+    for change in (
+        {"outer_values": np.zeros((2, 4))},
+        {"outer_occupancy": np.zeros(2, np.uint8)},
+        {"outer_sides": np.array([4, 400])},
+        {"outer_moments": np.full_like(contents["outer_moments"], -1)},
+    ):
+        np.savez(tmp_path / "d.npz", **(contents | change))
+        with pytest.raises(ValueError, match="damaged fit checkpoint"):
+            load_progress(FieldOptimizer(scene, **options), tmp_path / "d.npz")
+
+
+def test_the_way_on_the_command_line(tmp_path, capsys):
+    folder, field = write_room(tmp_path / "dtu", 17, 24), tmp_path / "room.npz"
+    words = ["--resolution", "24", "--epochs", "3", "--quiet"]
+    assert main(["fit", str(folder), "-o", str(field), "--no-masks", "--background", "outer", *words]) == 0
+    assert "voxels around it in 24^3" in capsys.readouterr().out
+    assert main(["info", str(field)]) == 0
+    assert "voxels in 24^3 of contracted space" in capsys.readouterr().out
+    CAGE.save(tmp_path / "cage.obj")
+    view = ["--camera", f"{folder}:test:1", "--cage", str(tmp_path / "cage.obj"), "--posed", "scale:0.5"]
+    assert main(["render", str(field), "-o", str(tmp_path / "r.png"), *view, "--fill"]) == 0
+    assert main(["fit", str(folder), "-o", str(tmp_path / "cut.npz"), "--background", "outer", *words]) == 2
+    assert "whole pictures" in capsys.readouterr().err

@@ -1,0 +1,396 @@
+"""Fit what is around the box of a field, together with the field."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.arrays import array_view, empty_array
+from ..core.devices import launch
+from ..core.files import require_numbers
+from ..field.files.contents import surface_node_count
+from ..field.outer import OuterField, sky_layers
+from ..field.sparse import link_mask, mask_count
+from ..field.voxel_field import VoxelField
+from ..kernels.field import refine as grid_refine
+from ..kernels.field.background import refine_layers
+from ..kernels.field.outer import mark_outer_nodes, resample_outer
+from ..kernels.fitting import outer_loss
+from ..kernels.fitting.background_loss import accumulate_layer_variation, apply_layer_rmsprop
+from ..kernels.fitting.rmsprop import join_maximum
+from ..view.camera import Camera, camera_array
+from .memory import FitMemory
+from .options import FitOptions
+from .schedule import Rates
+from .shards import ShardedWork, launch_shards, sum_shards
+from .silhouettes import dilated
+
+#: Share of the memory of a fit that an outer field may take.
+MEMORY_SHARE = 0.4
+
+#: Optical depth of a unit of contracted length at the start.
+START_DEPTH = 0.1
+
+#: Nothing stands nearer to a camera than this share of its distance to the middle of the box.
+NEAREST_SHARE = 0.2
+
+#: What a camera sees from nearer than this share of its distance to the middle of the box must be seen by this share of
+#: all cameras: floaters before cameras are seen by few.
+FRONT_DISTANCE, FRONT_SHARE = 0.7, 0.2
+
+#: Cells of the sky along an edge in the first level, and most of them. The learning rate and the weight of the total
+#: variation of its colours, relative to those of the voxels' colours.
+SKY_SIDE, MOST_SKY, SKY_RATE, SKY_VARIATION = 4, 32, 4.0, 1.0
+
+#: Voxels along a side for which the weights of the total variation are meant.
+VARIATION_SIDE = 256.0
+
+#: Of the sky in a checkpoint.
+SKY_NAMES = ("outer_sky", "outer_sky_moments")
+
+#: Keeps a step finite where the second moment is almost zero.
+EPSILON = 1e-12
+
+#: Bytes of a value, a gradient or a moment; of a row's place; of a node's row and skip; of a ray's front; of a colour.
+VALUE_BYTES, PLACE_BYTES, NODE_BYTES, FRONT_BYTES, COLOUR_BYTES = 16, 12, 5, 16, 12
+
+
+class OuterOptimizer:
+    """RMSProp on the outer field of a fit, one step with each of the field's.
+
+    `prepare`, `accumulate` and `apply` make a step.
+
+    Args:
+        colour: (3,) of all voxels at the start, and of the sky.
+        bounds: (2, 3) box of the field, world units.
+        cameras: Of all views.
+        options: Options of the fit, with the number of its levels.
+        side: Voxels along a side of contracted space in the last level.
+        limit: Bytes that the outer field may take.
+        batch_rays: Rays per batch.
+        shards: Arrays of gradients, one for each CPU thread.
+        device: Warp device.
+
+    Attributes:
+        sides: Voxels along a side in each level; made coarser during the fit where memory is short.
+        outer: The OuterField so far.
+        nodes: (rows,) vec3i, grid indices of each row.
+        gradients: (rows,) vec4 for each shard.
+        moments: (rows,) vec4 second moments.
+        front: (rays,) vec4, what is before the box for each ray of a batch, and the light that passes.
+        behind: (rays,) vec3, what is behind it.
+        grad_front, grad_behind: Of the loss by them: the field's march leaves them there.
+    """
+
+    def __init__(
+        self,
+        colour: np.ndarray,
+        bounds: np.ndarray,
+        cameras: list[Camera],
+        options: FitOptions,
+        side: int,
+        limit: int,
+        batch_rays: int,
+        shards: int,
+        device: wp.Device,
+    ):
+        self.options, self.shards, self.device, self.limit = options, shards, device, limit
+        self.batch_rays = batch_rays
+        self.center, self.half = bounds.mean(axis=0), 0.5 * (bounds[1] - bounds[0])
+        self.colour = np.asarray(colour, np.float32)
+        self.cameras = cameras
+        unit = 2 ** (options.levels - 1)
+        self.sides = [max(1, side // unit) * 2**level for level in range(options.levels)]
+        self.sides = [max(4, each) for each in self.sides]
+        while self.sides[0] > 4 and self._memory().level_bytes(self.sides[0] ** 3, (self.sides[0],) * 3) > limit:
+            self.sides = [max(4, each * 7 // 8) for each in self.sides]
+        self.gradients: list[wp.array] = []
+        self.sky_gradients: list[wp.array] = []
+        self.moments = wp.zeros(0, dtype=wp.vec4, device=device)
+        self.nodes = wp.zeros(0, dtype=wp.vec3i, device=device)
+        colours = np.broadcast_to(self.colour, (surface_node_count(SKY_SIDE), 3))
+        self.outer = self._started(self.possible(self.sides[0]), sky_layers(colours, device).values)
+        self._allocate()
+        self.front, self.grad_front = (wp.zeros(batch_rays, dtype=wp.vec4, device=device) for _ in range(2))
+        self.behind, self.grad_behind = (wp.zeros(batch_rays, dtype=wp.vec3, device=device) for _ in range(2))
+
+    def possible(self, side: int) -> wp.array:
+        """Voxels that may hold anything, by where cameras stand and look.
+
+        Args:
+            side: Voxels along a side.
+
+        Returns:
+            (side, side, side) uint8 mask.
+        """
+        centres = np.stack([camera.centre for camera in self.cameras]) - self.center
+        nearest = NEAREST_SHARE * float(np.linalg.norm(centres, axis=1).min())
+        least = max(1, math.ceil(FRONT_SHARE * len(self.cameras)))
+        mask = empty_array((side, side, side), wp.uint8, self.device)
+        cameras = camera_array(self.cameras, self.center, self.device)
+        inputs = [wp.vec3(*self.half), cameras, nearest, FRONT_DISTANCE, least]
+        launch(mark_outer_nodes, mask.size, inputs, [mask], device=self.device)
+        return mask
+
+    def _started(self, mask: wp.array, sky: wp.array) -> OuterField:
+        """An outer field as it starts, of a mask's voxels, which become `nodes`, and a sky."""
+        links, self.nodes = link_mask(mask)
+        start = wp.vec4(*map(float, self.colour), START_DEPTH)
+        values = wp.full(self.nodes.shape[0], start, dtype=wp.vec4, device=self.device)
+        return OuterField(self.center, self.half, links, values, sky=sky, device=self.device)
+
+    def _release(self) -> None:
+        """Free the memory of gradients and second moments."""
+        self.gradients, self.moments = [], wp.zeros(0, dtype=wp.vec4, device=self.device)
+        self.sky_gradients, self.sky_moments = [], wp.zeros((0, 0), dtype=wp.vec4, device=self.device)
+
+    def _allocate(self) -> None:
+        """Fresh gradients and second moments."""
+        self.moments = wp.zeros(self.nodes.shape[0], dtype=wp.vec4, device=self.device)
+        self.sky_moments = wp.zeros_like(self.outer.grid.sky.values)
+        self.sky_gradients = [wp.zeros_like(self.sky_moments) for _ in range(self.shards)]
+        ones = wp.vec4(1.0, 1.0, 1.0, 1.0)  # the variation goes on where no ray goes, and carries colours there
+        self.everywhere = wp.full(self.sky_moments.shape, ones, dtype=wp.vec4, device=self.device)
+        self._allocate_gradients()
+
+    def _allocate_gradients(self) -> None:
+        rows = self.nodes.shape[0]
+        self.gradients = [wp.zeros(rows, dtype=wp.vec4, device=self.device) for _ in range(self.shards)]
+
+    # Memory
+
+    @property
+    def held_bytes(self) -> int:
+        """Device memory of the grid, its optimiser, and what is before and behind the rays of a batch."""
+        rows, side = self.nodes.shape[0], self.outer.side
+        grid = row_bytes(self.shards) * rows + 4 * side**3 + (side - 1) ** 3
+        sky = VALUE_BYTES * (3 + self.shards) * self.sky_moments.size
+        return grid + sky + 2 * (FRONT_BYTES + COLOUR_BYTES) * self.batch_rays
+
+    def _memory(self) -> FitMemory:
+        """What other levels take."""
+        return FitMemory(
+            fixed=0,
+            node=NODE_BYTES,
+            row=row_bytes(self.shards),
+            field_row=VALUE_BYTES + PLACE_BYTES,
+            moment_row=VALUE_BYTES,
+            shards=self.shards,
+            tiles=0,
+            row_numbers=1,
+        )
+
+    # Levels
+
+    def start_level(self, level: int, rays: Any, field: VoxelField) -> None:
+        """Prune, and go on to the voxels of a level, interpolated from the ones before.
+
+        Args:
+            level: Index of the level.
+            rays: TrainingRays, whose cameras are taken.
+            field: The field of the level before.
+        """
+        self._release()
+        coarse, side = self.outer, self.outer.side
+        kept = self._weighty_mask(rays, field, self.options.prune_weight / side)
+        planned = (self.sides[level],) * 3
+        shape = self._memory().refinement(self.nodes.shape[0], mask_count(kept), (side,) * 3, planned, self.limit)
+        if shape is None:
+            self.sides[level] = side
+        else:
+            self.sides[level] = shape[0]
+            finer = empty_array(shape, wp.uint8, self.device)
+            ratio = wp.vec3(*(3 * [shape[0] / side]))
+            launch(grid_refine.refine_mask, finer.size, [ratio, kept], [finer], device=self.device)
+            kept = finer
+        self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MOST_SKY))
+        self._allocate()
+
+    def _resample(self, coarse: OuterField, mask: wp.array, sky_side: int) -> None:
+        """The field at the voxels of a mask, and its sky, interpolated from what it was."""
+        sky = coarse.grid.sky.values
+        if sky_side != coarse.grid.sky.side:
+            sky = empty_array((1, surface_node_count(sky_side)), wp.vec4, self.device)
+            launch(refine_layers, sky.size, [coarse.grid.sky, sky_side], [sky], device=self.device)
+        self.outer = self._started(mask, sky)
+        grid = self.outer.grid
+        inputs = [coarse.grid, self.nodes, self.outer.side]
+        launch(resample_outer, self.nodes.shape[0], inputs, [grid.values], device=self.device)
+
+    def thin_out(self, rays: Any, field: VoxelField) -> None:
+        """Remove what no view shows, and keep the second moments of the rest.
+
+        Args:
+            rays: TrainingRays, whose cameras are taken.
+            field: The field.
+        """
+        self.gradients = []
+        before, moments = self.outer, self.moments
+        mask = self._weighty_mask(rays, field, self.options.keep_weight)
+        self._resample(before, mask, before.grid.sky.side)
+        self.moments = empty_array(self.nodes.shape[0], wp.vec4, self.device)
+        inputs = [before.grid.links, self.nodes, moments]
+        launch(outer_loss.gather_rows, self.nodes.shape[0], inputs, [self.moments], device=self.device)
+        self._allocate_gradients()
+
+    def _weighty_mask(self, rays: Any, field: VoxelField, threshold: float) -> wp.array:
+        """The voxels whose rendering weight reaches a threshold in some view, and their neighbours."""
+        outer, rows = self.outer, self.nodes.shape[0]
+        stride = max(1, int(0.5 * rays.width / outer.side))
+        count = rays.cameras.shape[0] * -(-rays.width // stride) * -(-rays.height // stride)
+        weights = [wp.zeros(rows, dtype=wp.float32, device=self.device) for _ in range(self.shards)]
+        inputs = [outer.grid, field.grid, rays.cameras, stride, field.step]
+        work = ShardedWork(outer_loss.record_outer_weights, count, inputs, [[shard] for shard in weights])
+        launch_shards([work], self.shards, self.device)
+        for other in weights[1:]:
+            launch(join_maximum, rows, [other], [weights[0]], device=self.device)
+        mask = wp.zeros(outer.grid.links.shape, dtype=wp.uint8, device=self.device)
+        launch(grid_refine.mark_weighty_nodes, rows, [self.nodes, weights[0], threshold], [mask], device=self.device)
+        mask = dilated(mask)
+        launch(grid_refine.keep_linked, mask.size, [outer.grid.links], [mask], device=self.device)
+        return mask
+
+    # Steps
+
+    def prepare(self, rays: Any, surroundings: Any) -> None:
+        """Before the field's march of a batch: fill `front` and `behind`.
+
+        Args:
+            rays: TrainingRays that begin at the batch's first tile.
+            surroundings: Not used: the pictures are whole.
+        """
+        inputs, outputs = [self.outer.grid, rays], [self.front, self.behind]
+        launch(outer_loss.gather_outer, self.batch_rays, inputs, outputs, device=self.device)
+
+    def accumulate(self, rays: Any, random: np.random.Generator) -> None:
+        """Add the gradients of the batch, after the field's march, and of the total variation.
+
+        Args:
+            rays: TrainingRays that begin at the batch's first tile.
+            random: Chooses the first row that gets a gradient of the total variation.
+        """
+        options, rows, side = self.options, self.nodes.shape[0], self.outer.side
+        sky = self.outer.grid.sky
+        by_front = options.front_opacity / self.batch_rays
+        photometric = [self.outer.grid, rays, self.front, self.behind, self.grad_front, self.grad_behind, by_front]
+        varied = max(1, int(options.variation_share * rows))
+        boost = max(1, rows) / varied / side**3 * (side / VARIATION_SIDE)
+        variation = [
+            self.outer.grid,
+            self.nodes,
+            int(random.integers(max(1, rows))),
+            options.variation_outer * boost,
+            options.variation_outer_density * boost,
+        ]
+        nodes = sky.values.size
+        weight = SKY_VARIATION * options.variation_outer / nodes
+        sky_variation = [sky, self.everywhere, 0, weight, 0.0]
+        grids, skies = ([[each] for each in kind] for kind in (self.gradients, self.sky_gradients))
+        both = [[*grid, *each] for grid, each in zip(grids, skies, strict=True)]
+        works = [
+            ShardedWork(outer_loss.accumulate_outer_gradient, self.batch_rays, photometric, both),
+            ShardedWork(accumulate_layer_variation, nodes, sky_variation, skies),
+        ]
+        if rows:
+            works.append(ShardedWork(outer_loss.accumulate_outer_variation, varied, variation, grids))
+        launch_shards(works, self.shards, self.device)
+
+    def apply(self, rates: Rates) -> None:
+        """One step of RMSProp by the gradients, which are cleared.
+
+        Args:
+            rates: Learning rates.
+        """
+        rows = self.nodes.shape[0]
+        total = sum_shards([_numbers(gradients) for gradients in self.sky_gradients])
+        inputs = [SKY_RATE * rates.outer, self.options.beta, EPSILON, total, _numbers(self.sky_moments)]
+        outputs = [_numbers(self.outer.grid.sky.values)]
+        launch(apply_layer_rmsprop, total.size, inputs, outputs, device=self.device)
+        total = self.gradients[0]
+        sum_shards([_numbers(gradients) for gradients in self.gradients])
+        inputs = [rates.outer, rates.outer_density * 0.25 * self.outer.side, self.options.beta, EPSILON]
+        outputs = [total, self.moments, self.outer.grid.values]
+        launch(outer_loss.apply_outer_rmsprop, rows, inputs, outputs, device=self.device)
+
+    # State
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Values and second moments, for a checkpoint."""
+        return {
+            "outer_sides": np.array(self.sides, np.int32),
+            "outer_occupancy": np.packbits((self.outer.grid.links.numpy() >= 0).ravel()),
+            "outer_values": self.outer.values,
+            "outer_moments": self.moments.numpy(),
+            "outer_sky": self.outer.grid.sky.values.numpy()[0],
+            "outer_sky_moments": self.sky_moments.numpy()[0],
+        }
+
+    def restore(self, contents: dict[str, np.ndarray], level: int, path: pathlib.Path) -> None:
+        """Take over the state of a level.
+
+        Args:
+            contents: Arrays of a checkpoint.
+            level: Index of the level.
+            path: The checkpoint, for errors.
+
+        Raises:
+            ValueError: For a state that does not fit.
+        """
+        sides = [int(side) for side in require_numbers(contents, "outer_sides", (len(self.sides),), path)]
+        if any(not 4 <= side <= planned for side, planned in zip(sides, self.sides, strict=True)):
+            raise ValueError(f"outer fields of {sides} voxels along a side, {self.sides} planned")
+        side = sides[level]
+        packed = require_numbers(contents, "outer_occupancy", (-(-(side**3) // 8),), path)
+        occupied = np.unpackbits(packed, count=side**3).reshape(side, side, side)
+        rows = int(occupied.sum())
+        values, moments = (
+            require_numbers(contents, name, (rows, 4), path) for name in ("outer_values", "outer_moments")
+        )
+        if not (np.isfinite(values).all() and np.isfinite(moments).all()) or moments.min(initial=0.0) < 0:
+            raise ValueError("the outer field holds values that cannot be")
+        nodes = surface_node_count(min(SKY_SIDE * 2**level, MOST_SKY))
+        sky, sky_moments = (require_numbers(contents, name, (nodes, 4), path) for name in SKY_NAMES)
+        if not (np.isfinite(sky).all() and np.isfinite(sky_moments).all()) or sky_moments.min() < 0:
+            raise ValueError("the sky holds values that cannot be")
+        self.sides = sides
+        self._release()
+        colours = wp.array(np.ascontiguousarray(sky[None], np.float32), dtype=wp.vec4, device=self.device)
+        self.outer = self._started(wp.array(occupied, dtype=wp.uint8, device=self.device), colours)
+        self._allocate()
+        self.sky_moments.assign(np.ascontiguousarray(sky_moments[None], np.float32))
+        self.outer.grid.values.assign(values.astype(np.float32))
+        self.moments.assign(moments.astype(np.float32))
+
+    def result(self, rays: Any, field: VoxelField) -> OuterField:
+        """The outer field so far, pruned, colours in [0, 1] and densities of at least 0.
+
+        Args:
+            rays: TrainingRays, whose cameras are taken.
+            field: The field.
+
+        Returns:
+            The outer field.
+        """
+        self._release()
+        mask = self._weighty_mask(rays, field, self.options.keep_weight)
+        self._resample(self.outer, mask, self.outer.grid.sky.side)
+        values, sky = self.outer.values, self.outer.grid.sky.values
+        values[:, :3] = np.clip(values[:, :3], 0.0, 1.0)
+        values[:, 3] = np.maximum(values[:, 3], 0.0)
+        self.outer.grid.values.assign(values)
+        sky.assign(np.clip(sky.numpy(), 0.0, 1.0))
+        return self.outer
+
+
+def row_bytes(shards: int) -> int:
+    """Device memory of a voxel while it is optimised: value, moment, gradients and its place."""
+    return VALUE_BYTES * (2 + shards) + PLACE_BYTES
+
+
+def _numbers(array: wp.array) -> wp.array:
+    """The numbers of an array of vec4, one after another, without a copy."""
+    return array_view(array, wp.float32, (4 * array.size,))
