@@ -54,6 +54,20 @@ def test_a_pose_is_baked(ending, folder, capsys):
     np.testing.assert_allclose(posed.contents.centres, expected.contents.centres, atol=2e-3)
 
 
+def test_a_sequence_of_files(folder, capsys):
+    order = ["bake", "scene.ply", "--cage", "cage.obj", "--posed", "twist:40", "--coordinates", "mean_value"]
+    assert main([*order, "-o", "walk_##.ply", "--frames", "3"]) == 0
+    assert "3 files" in said(capsys)
+    names = sorted(path.name for path in folder.glob("walk_*"))
+    assert names == ["walk_01.ply", "walk_02.ply", "walk_03.ply"]
+    assert (folder / "walk_01.ply").read_bytes() == (folder / "scene.ply").read_bytes()  # at rest
+    cage = warpcage.Cage.load("cage.obj")
+    field = warpcage.SplatField.load("scene.ply", device="cpu")
+    expected = warpcage.Deformer(field, cage, coordinates="mean_value").pose(cage.twist(40)).baked()
+    last = warpcage.SplatField.load("walk_03.ply", device="cpu")
+    np.testing.assert_allclose(last.contents.centres, expected.contents.centres, atol=1e-6)
+
+
 def test_pictures_and_films(folder, capsys):
     size = ["--size", "64", "48"]
     moved = ["--cage", "cage.obj", "--posed", "bend:30:z:x", "--coordinates", "mean_value"]
@@ -75,6 +89,7 @@ def test_pictures_and_films(folder, capsys):
         (["bake", "scene.ply", "-o", "a.npz", "--cage", "cage.obj", "--posed", "twist:9"], "must end in .ply"),
         (["bake", "scene.ply", "-o", "a.ply", "--voxels", "9", "--cage", "cage.obj"], "--voxels and --format"),
         (["bake", "scene.ply", "-o", "a.ply"], "needs a deformation"),
+        (["bake", "scene.ply", "-o", "a.ply", "--frames", "3", "--cage", "cage.obj"], "numbered files of splats"),
         (["info", "scene.ply", "--scene-scale", "2"], "--scene-scale is for fields"),
         (["info", "cut.splat"], "32 bytes a splat"),
     ],

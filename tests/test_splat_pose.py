@@ -17,6 +17,7 @@ from warpcage.splats.binding import CageBinding, fit_similarity
 
 KINDS = ("harmonic", "mean_value", "green")
 BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
+ROOM = Cage.box((-1.6, -1.6, -1.6), (1.6, 1.6, 1.6), segments=2)
 TURN = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
 AFFINE = np.array([[1.2, 0.3, 0.0], [-0.1, 0.8, 0.2], [0.05, 0.0, 1.4]])
 
@@ -255,3 +256,24 @@ def test_calls_that_do_not_fit():
     with pytest.raises(ValueError, match="leave resolution and bounds out"):
         warpcage.bake(deformer, resolution=8)
     assert isinstance(deformer, Deformer) and covariances_of(field.splats).shape == (3, 3, 3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_rigid_pose_is_what_the_counter_moved_camera_sees(kind, device):
+    """With harmonics of degree 3, which turn along: 45 dB at least; unturned they are far off."""
+    field = splats_in_box(device, count=300, scales=(-4.5, -2.8))
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = TURN, [0.2, -0.1, 0.4]
+    camera = warpcage.Camera.look_at((0.5, 1.0, 4.0), (0, 0, 0), width=96, height=96)
+    deformer = Deformer(field, ROOM, coordinates=kind, resolution=16)
+    posed = deformer.pose(ROOM.with_vertices(ROOM.vertices @ TURN.T + motion[:3, 3]))
+    seen = posed.render(camera).rgb
+    lens = camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
+    counter = warpcage.Camera(*lens, np.linalg.inv(motion) @ camera.camera_to_world)
+    expected = field.render(counter).rgb
+    assert np.abs(expected - field.background).max() > 0.3
+    assert warpcage.psnr(seen, expected) > 45.0
+    splats = posed.posed_splats()
+    splats.turns = wp.empty(0, dtype=wp.quat, device=device)
+    unturned = field.renderer.render(splats, camera, origin=field.center, near=field.near)
+    assert warpcage.psnr(unturned.rgb, expected) < 35.0

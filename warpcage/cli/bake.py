@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 
+import numpy as np
+
 from ..core.files import require_file
 from ..deform.bake import bake
 from ..deform.splat_deformer import SplatDeformer
 from ..field.selection import NodeSelection
 from ..splats.files.files import is_splat_file
 from . import inputs, options
-from .deformation import is_deformed, read_deformation
+from .deformation import Deformation, is_deformed, read_deformation
 
 
 def run(args: argparse.Namespace) -> None:
@@ -19,6 +21,8 @@ def run(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, options.SPLAT_ENDINGS if of_splats else (".npz",), "field file")
     if of_splats and (args.voxels is not None or args.format is not None):
         raise ValueError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
+    if args.frames is not None and (not of_splats or "#" not in output.name):
+        raise ValueError("--frames writes numbered files of splats: give -o NAME_####.ply, the # for the number")
     if args.selection is None:
         inputs.require_deformation(args, "bake")
     elif args.voxels is not None and not is_deformed(args):
@@ -32,6 +36,8 @@ def run(args: argparse.Namespace) -> None:
     else:
         deformer = inputs.make_deformer(field, deformation, args).pose(deformation.posed)
         if isinstance(deformer, SplatDeformer):
+            if args.frames is not None:
+                return _write_sequence(deformer, deformation, args)
             splats = deformer.baked()
             splats.save(output)
             print(f"wrote {output}: {splats.splat_count} splats, {output.stat().st_size / 1e6:.1f} MB")
@@ -40,3 +46,10 @@ def run(args: argparse.Namespace) -> None:
     baked.save(output, format=args.format or "warpcage")
     size = "x".join(map(str, baked.resolution))
     print(f"wrote {output}: {baked.voxel_count} voxels in a grid of {size}, {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _write_sequence(deformer: SplatDeformer, deformation: Deformation, args: argparse.Namespace) -> None:
+    """Files of the poses from rest to the last one, evenly."""
+    places = np.linspace(0.0, deformation.pose_count - 1.0, args.frames)
+    written = deformer.save_sequence(args.output, (deformation.at(place) for place in places))
+    print(f"wrote {len(written)} files, {written[0]} to {written[-1]}")

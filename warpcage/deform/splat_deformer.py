@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import pathlib
+import re
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +20,7 @@ from ..core.names import DENSITIES, SPLAT_MAPS, require_coordinates, require_nam
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..splats.density import SplatDensity
 from ..splats.files.contents import SplatContents, logits_of
+from ..splats.files.files import splat_ending
 from ..splats.files.ply import chosen_layout
 from ..splats.harmonics import turned_harmonics
 from ..splats.splat_field import SplatField, rotation_matrices
@@ -112,6 +116,21 @@ class SplatDeformer(Deformer):
         matter: Any = SplatDensity(self.field, bounds=np.array([low - reach, high + reach]))
         return FalloffBand(edit, matter)
 
+    def pose(self, deformed: Cage | Sequence[Cage | None]) -> SplatDeformer:
+        """Move the cages; see `Deformer.pose`.
+
+        Args:
+            deformed: One Cage; or one per edit in their order, None for an edit that removes.
+
+        Returns:
+            This SplatDeformer.
+
+        Raises:
+            ValueError: As `Deformer.pose`.
+        """
+        super().pose(deformed)
+        return self
+
     def posed_splats(self) -> Any:
         """The Splats of the last pose, for kernels (kernels/splats/splats.py), relative to `field.center`.
 
@@ -134,6 +153,37 @@ class SplatDeformer(Deformer):
             if posed is self.field.splats:
                 return self.field
             return _baked(self.field, posed, edits)
+
+    def save_sequence(
+        self, path: str | os.PathLike, poses: Iterable[Cage | Sequence[Cage | None]], *, first: int = 1
+    ) -> list[pathlib.Path]:
+        """Write a file for each of several poses, for viewers and programs that play such sequences.
+
+        Each file is written whole or not at all; those before a failure stay.
+
+        Args:
+            path: The files, with a run of # where the number goes (`walk_####.ply`), of any ending of `SplatField.save`.
+            poses: As `pose` takes them.
+            first: Number of the first file.
+
+        Returns:
+            The files.
+
+        Raises:
+            ValueError: For a path without a run of #, or as `pose`.
+        """
+        pattern = pathlib.Path(path)
+        marks = re.findall("#+", pattern.name)
+        if len(marks) != 1:
+            raise ValueError(f"a sequence needs one run of # in its name, such as walk_####.ply, got {pattern.name!r}")
+        splat_ending(pattern)
+        written = []
+        for number, cages in enumerate(poses, first):
+            with self.lock:
+                baked = self.pose(cages).baked()
+            written.append(pattern.with_name(pattern.name.replace(marks[0], str(number).zfill(len(marks[0])))))
+            baked.save(written[-1])
+        return written
 
     def _to_canonical(self, edits: Any, points: Any, directions: Any, step: float | None, return_outside: bool) -> Any:
         raise ValueError(

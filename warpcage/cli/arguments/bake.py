@@ -13,6 +13,7 @@ EXAMPLE = """\
   warpcage bake lego.npz --cage cage.obj --posed twist:60 -o twisted.npz --format svox2 --voxels 512
   warpcage bake lego.npz --edits lego.edits.json -o parts.npz
   warpcage bake scene.ply --cage cage.obj --posed bend:40:x:z -o bent.ply
+  warpcage bake scene.ply --cage cage.obj --posed bend:40:x:z -o bend_####.ply --frames 30
   warpcage bake room.npz --selection cup.npz -o cup_alone.npz
 """
 
@@ -32,6 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--format",
         choices=("warpcage", "svox2"),
         help="file format; svox2 is a Plenoxels checkpoint (default: warpcage)",
+    )
+    parser.add_argument(
+        "--frames",
+        type=options.positive_int,
+        metavar="N",
+        help="splats only: so many files from rest to the pose, -o walk_####.ply with the # for the number",
     )
     options.add_selection(parser, "only what is chosen, cut out of its scene,")
     options.add_deformation(parser, usual_resolution="128")
