@@ -45,7 +45,7 @@ def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("*.py")}
     assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
                      "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py", "edit_fox.py",
-                     "edit_parts.py"}  # fmt: skip
+                     "edit_parts.py", "bend_splats.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
@@ -197,3 +197,15 @@ def test_render_lego_on_the_brick_scene(tmp_path, device, monkeypatch):
     assert again["test_psnr"] == pytest.approx(summary["test_psnr"], abs=1.0)
     assert not (tmp_path / "again" / "bend.mp4").exists()
     assert (tmp_path / "again" / "cage.obj").read_bytes() == (out / "cage.obj").read_bytes()
+
+
+def test_splats_are_bent(tmp_path, monkeypatch):
+    """Of splats made here, so that it runs without data: they move, and the saved file shows the same."""
+    from splat_scenes import splats_in_box
+
+    splats_in_box("cpu", count=300, scales=(-3.2, -2.6)).save(tmp_path / "made.ply")
+    monkeypatch.chdir(tmp_path)
+    words = ["made.ply", "--out", "out", "--vertices", "40", "--size", "64", "--device", "cpu", "--axis", "z"]
+    found = runpy.run_path(str(EXAMPLES / "bend_splats.py"))["main"]([*words, "--towards", "x"])
+    assert found["moved"] < 35.0 and found["saved"] > 60.0 and found["count"] >= 300
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"cage.obj", "bent.ply", "splats.png"}

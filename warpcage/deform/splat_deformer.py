@@ -162,7 +162,7 @@ class SplatDeformer(Deformer):
         Each file is written whole or not at all; those before a failure stay.
 
         Args:
-            path: The files, with a run of # where the number goes (`walk_####.ply`), of any ending of `SplatField.save`.
+            path: The files, with a run of # where the number goes (`walk_####.ply`), in any format that is saved.
             poses: As `pose` takes them.
             first: Number of the first file.
 
