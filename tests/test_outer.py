@@ -289,9 +289,9 @@ def test_a_room_is_seen_from_new_places(room):
     scene, field = room
     assert isinstance(field.background_model, OuterField) and field.background_model.voxel_count > 100
     test = room_scene(5, 32, masks="split", turn=0.13)
-    assert mean_psnr(warpcage.evaluate(field, test)) > 24
+    assert mean_psnr(warpcage.evaluate(field, test)) > 26
     renders, outside = np.stack([field.render(camera).rgb for camera in test.cameras]), test.alphas == 0
-    assert warpcage.psnr(renders[outside], test.whole[outside]) > 26
+    assert warpcage.psnr(renders[outside], test.whole[outside]) > 28.5
     frame, alone = field.render(scene.cameras[0]), field.render(scene.cameras[0], background="black")
     assert (frame.alpha <= alone.alpha + 1e-6).all()  # what is before the box can only hide it
     np.testing.assert_array_equal(frame.depth, alone.depth)
@@ -390,7 +390,7 @@ def test_a_fit_goes_on_from_its_checkpoint(tmp_path):
     while resumed.step_count < resumed.total_steps:
         resumed.step()
     psnrs = [mean_psnr(warpcage.evaluate(optimizer.finish(), scene)) for optimizer in (through, resumed)]
-    assert abs(psnrs[0] - psnrs[1]) < 0.1
+    assert abs(psnrs[0] - psnrs[1]) < 0.3  # sums of atomics on a GPU
     contents = dict(np.load(tmp_path / "c.npz"))
     for change in (
         {"outer_values": np.zeros((2, 4))},
