@@ -13,11 +13,14 @@ pytest.importorskip("hypothesis")
 
 from editor_pages import BOX, WAIT, Page, new_session, pages, with_pages  # noqa: E402
 from editor_pages import nothing_logged as _nothing_logged  # noqa: E402, F401 (a fixture for all tests)
+from table_scene import LAMP, TableScene  # noqa: E402
 
 from warpcage.cage.cage import Cage  # noqa: E402
 from warpcage.cage.upright import Standing  # noqa: E402
 from warpcage.editor import checker, clients, server, tasks  # noqa: E402
 from warpcage.editor.document import Document  # noqa: E402
+from warpcage.editor.scene import camera  # noqa: E402
+from warpcage.editor.session import Session, new_document  # noqa: E402
 from warpcage.editor.session_file import read_session  # noqa: E402
 
 REST = BOX.vertices
@@ -318,6 +321,30 @@ def test_the_check_follows_the_active_cage_and_says_why_it_cannot(tmp_path, monk
         assert page.sections["check"]["pending"] is False
 
     with_pages(test, tmp_path)
+
+
+def test_a_cage_around_the_object_that_is_clicked(tmp_path):
+    scene = TableScene(degrees=8.0, floor=False, crumbs=False)
+
+    async def test(host, page):
+        eye, target, up = (scene.world(each).tolist() for each in ((2.2, -2.4, 1.6), (0, 0, 0), (0, 0, 1)))
+        await page.do(do="view", eye=eye, target=target, up=up, fov=40)
+        seen = camera(host.session.document.view, 300, 200)
+        across, down = (seen.project(scene.world((-0.05, 0.0, 0.4))[None])[0][0] / [300, 200]).tolist()
+        click = {"across": across, "down": down, "aspect": 1.5, "plane": "ground"}
+        await page.do(do="cage.generate", edit=None, count=40, click=click)
+        await page.until(lambda: page.sections["jobs"] and page.sections["jobs"][0]["state"] == "done")
+        inside = host.session.document.edits[-1].rest_cage.contains(scene.cells)
+        assert inside[(scene.labels == LAMP) & (scene.heights() > 0.09)].all()
+        assert not inside[(scene.labels != LAMP) & (scene.labels > 0)].any()
+        await page.do(do="cage.generate", edit=None, count=40, click={**click, "across": 0.01, "down": 0.01})
+        await page.until(lambda: page.sections["jobs"][-1]["state"] == "failed")
+        assert "is on nothing" in str(page.sections["jobs"][-1])
+        for wrong in ([], {}, {**click, "plane": "sky"}, {**click, "aspect": 0}, {**click, "down": 2}):
+            await page.refused(do="cage.generate", count=40, click=wrong)
+
+    session = Session(scene.field, new_document(scene.field))
+    with_pages(test, tmp_path, session=session)
 
 
 def test_a_job_waits_for_the_hand_and_takes_in_what_was_done_meanwhile(tmp_path, monkeypatch):

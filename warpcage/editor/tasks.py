@@ -17,15 +17,20 @@ from typing import Any, TypeVar
 from ..cage.cage import Cage
 from ..cage.upright import Standing, load_standing
 from ..core.files import atomic_path
+from ..core.names import PLANES
 from ..core.words import counted
+from ..field.objects import select_object
+from ..field.selection import NodeSelection
+from ..field.voxel_field import VoxelField
 from ..mesh.files.files import ENDINGS
 from ..splats.files.files import SPLAT_ENDINGS
-from ..splats.load import field_size
+from ..splats.load import AnyField, field_size
 from . import commands, exports, timeline
 from .checked import checked_between, checked_choice, checked_flag, checked_id, checked_whole
 from .commands import Step
 from .document import Document
 from .jobs import Cancelled, Jobs, Outcome, Progress
+from .scene import camera
 from .session import Session
 from .session_file import ENDING, Stamp, file_stamp
 
@@ -61,6 +66,9 @@ MAX_MARGIN = 64.0
 
 #: How often a cage is made anew because somebody has changed the scene meanwhile, before all others must wait for it.
 ATTEMPTS = 4
+
+#: Rows of the picture that a click is taken in: finer than any page's.
+CLICK_ROWS = 4096
 
 #: Seconds between looks at whether the hand has come to rest, or the editor is being closed.
 LOOK_SECONDS = 0.1
@@ -199,15 +207,38 @@ class Tasks:
         margin = message.get("margin")
         if margin is not None:
             margin = checked_between(margin, 0.0, MAX_MARGIN, "margin")
+        choose = self._clicked(message.get("click"))
 
         def work(progress: Progress) -> Outcome:
             progress(None, "looks for the surface and draws a cage around it")
-            cage = Cage.from_field(self.session.field, count, margin=margin, method=method, symmetry=symmetry)
+            around: Any = choose()
+            cage = Cage.from_field(around, count, margin=margin, method=method, symmetry=symmetry)
             progress(0.95, "puts it into the scene")
             self._hand_over(lambda document: self._with_cage(document, number, cage, "generate cage"))
             return Outcome(f"a cage of {len(cage.vertices)} vertices")
 
         return self.jobs.start(f"Cage of {count} vertices", "cage", work)
+
+    def _clicked(self, click: Any) -> Callable[[], AnyField | NodeSelection]:
+        """What finds what a cage goes around: the object at a place in a page's picture, or all of the field.
+
+        click: None, or across and down (shares of the picture), aspect (its width over its height) and plane, a name
+        of what the object stands on, or "none".
+        """
+        field = self.session.field
+        if click is None:
+            return lambda: field
+        if not isinstance(click, dict):
+            raise ValueError("click must hold across, down, aspect and plane")
+        if not isinstance(field, VoxelField):
+            raise ValueError("an object can be clicked in a field of voxels alone")
+        across, down = (checked_between(click.get(name), 0.0, 1.0, name) for name in ("across", "down"))
+        aspect = checked_between(click.get("aspect"), 0.05, 20.0, "aspect")
+        plane = checked_choice(click.get("plane"), (*PLANES, "none"), "plane")
+        width, height = round(CLICK_ROWS * aspect), CLICK_ROWS
+        seen = camera(self.session.document.view, width, height)
+        pixel = min(int(across * width), width - 1), min(int(down * height), height - 1)
+        return lambda: select_object(field, pixel=pixel, camera=seen, plane=None if plane == "none" else plane)
 
     def _simplify(self, message: dict[str, Any]) -> int:
         edit = self.session.document.edit(message["edit"])

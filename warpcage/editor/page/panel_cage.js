@@ -3,12 +3,20 @@
 import { store } from "./store.js";
 import { ask, attempt } from "./connection.js";
 import { askFor, toast } from "./dialogs.js";
+import { nextPlace } from "./pointer.js";
 import { activeEdit, button, el, group, setText } from "./controls.js";
 
 const METHODS = [
   ["auto", "Whichever fits better"],
   ["shell", "Shell: follows the surface"],
   ["voxel", "Voxels: sturdy, for any matter"],
+];
+
+const AROUND = [
+  ["all", "All that is visible"],
+  ["ground", "The object that I click, on the ground or a table"],
+  ["wall", "The object that I click, on a wall"],
+  ["none", "The object that I click, in the air"],
 ];
 
 const where = (edit) => [["new", "A new edit"], ...(edit ? [[edit.id, `"${edit.name}", in place of its cage`]] : [])];
@@ -20,6 +28,7 @@ async function generate() {
     title: "Generate a cage",
     fields: [
       { name: "edit", label: "For", type: "choice", value: edit ? edit.id : "new", choices: where(edit) },
+      { name: "around", label: "Around", type: "choice", value: "all", choices: AROUND },
       { name: "count", label: "Vertices", type: "number", value: 100, min: 8, max: 2000, step: 1, help: "About so many. Few are easy to pose, many follow details." },
       { name: "margin", label: "Margin", type: "number", value: null, min: 0, max: 100, step: 0.5, unit: "voxels", optional: true, help: "Room between matter and cage. Empty: chosen for you." },
       { name: "method", label: "Method", type: "choice", value: "auto", choices: METHODS },
@@ -39,7 +48,15 @@ async function generate() {
     confirm: "Generate",
   });
   if (!given) return;
-  await attempt(ask({ do: "cage.generate", ...given, edit: given.edit === "new" ? null : given.edit, count: Math.round(given.count) }));
+  const { around, ...options } = given;
+  let click = null;
+  if (around !== "all") {
+    toast("Click the object in the picture; Escape leaves it.");
+    const place = await nextPlace();
+    if (!place) return;
+    click = { ...place, plane: around };
+  }
+  await attempt(ask({ do: "cage.generate", ...options, click, edit: given.edit === "new" ? null : given.edit, count: Math.round(given.count) }));
 }
 
 async function simplify(edit) {

@@ -14,6 +14,23 @@ const TURN = 0.008; // radians per pixel
 let canvas = null;
 let gesture = null; // {kind: "press" | "turn" | "pan" | "zoom" | "region" | "transform" | "pinch", ...}
 const fingers = new Map(); // pointer id -> [x, y]
+let wanted = null; // takes the place of the next press, or null where Escape ends the waiting
+
+/** The next place that is clicked: shares of the picture across and down, and its aspect; null after Escape. */
+export function nextPlace() {
+  wanted?.(null);
+  return new Promise((resolve) => {
+    const leave = (event) => event.key === "Escape" && wanted?.(null);
+    addEventListener("keydown", leave, true);
+    canvas.classList.add("choosing");
+    wanted = (place) => {
+      wanted = null;
+      removeEventListener("keydown", leave, true);
+      canvas.classList.remove("choosing");
+      resolve(place);
+    };
+  });
+}
 
 const placeOf = (event) => {
   const box = canvas.getBoundingClientRect();
@@ -39,6 +56,10 @@ function onDown(event) {
   }
   if (gesture) return;
   event.preventDefault();
+  if (wanted && event.button === 0 && !event.altKey) {
+    const { width, height } = canvas.getBoundingClientRect();
+    return wanted({ across: at[0] / width, down: at[1] / height, aspect: width / height });
+  }
   if (operation.current()) {
     if (event.button === 0) operation.finish();
     else if (event.button === 2) operation.finish(true);
