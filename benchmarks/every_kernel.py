@@ -133,6 +133,8 @@ def fits(device) -> None:
         (split, {"background_layers": 3, "background_side": 4}),
         (whole, {"background": "outer", "outer_resolution": 16}),
         (train, {"max_memory": "6MB"}),
+        (train, {"refine_cameras": True}),
+        (whole, {"refine_cameras": True, "background": "layers", "background_layers": 3, "background_side": 4}),
     ):
         field = warpcage.fit(scene, device=device, progress=False, resolution=24, levels=2, least_steps=12, **options)
         field.render(scene.cameras[0])

@@ -7,6 +7,7 @@
     python benchmarks/fit_scenes.py --kind --folder data/lego_800:8 --every 4 --pose-noise 0.2 --jpeg 90
     python benchmarks/fit_scenes.py --kind --room --size 400 --whole --folder data/fox:2 data/dtu_scan24_half \
         --option "background='outer'" --warm
+    python benchmarks/fit_scenes.py --kind --folder data/lego_800:8 --pose-noise 1 --refine-cameras
 
 Seconds run from images in host memory to the finished field. Those of the first scene include the compilation of
 kernels that are not in Warp's cache yet; with --warm a small fit compiles them before. The error of opacity is the mean
@@ -18,8 +19,10 @@ that of the object's pixels ("psnr_inside"), by which the two compare. --whole t
 whatever masks it has. An option `background` is for whole pictures, and left out for those with opacity.
 
 --pose-noise turns each training camera about a random axis by a normal angle of so many degrees; --jpeg packs the
-training pictures as JPEG of that quality first. Held-out views stay as they are. Peak memory is that of all fits so
-far. benchmarks/fits_page.py makes a page of the JSON files.
+training pictures as JPEG of that quality first. Held-out views stay as they are. With --refine-cameras there are two
+more PSNRs: of held-out cameras moved by the similarity between the exact training cameras and the refined ones
+("aligned"), and of held-out cameras fitted to the field one by one ("tuned"). Peak memory is that of all fits so far.
+benchmarks/fits_page.py makes a page of the JSON files.
 """
 
 import argparse
@@ -37,8 +40,10 @@ from results import write_results
 import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.fitting.evaluation import evaluate, mean_psnr
+from warpcage.fitting.tuning import tuned_scene
 from warpcage.reference.fit_scenes import KINDS, synthetic_scene
 from warpcage.reference.room import room_views
+from warpcage.view.alignment import picture_similarity, pose_errors
 from warpcage.view.pictures import side_by_side, write_png
 
 #: Training views that are rendered to see how far a fit goes beyond what it generalises.
@@ -48,8 +53,8 @@ TRAINING_VIEWS = 16
 WORST = 3
 
 
-def measure(name, scene, test, device, options: dict) -> tuple[dict, warpcage.VoxelField]:
-    """One fit: what it reached, and its field."""
+def measure(name, scene, test, exact, device, options: dict) -> tuple[dict, warpcage.VoxelField]:
+    """One fit: what it reached, and its field. exact: the training cameras as they were before any noise."""
     begin = time.perf_counter()
     field = warpcage.fit(scene, device=device, progress=False, **options)
     wp.synchronize_device(device)
@@ -70,12 +75,36 @@ def measure(name, scene, test, device, options: dict) -> tuple[dict, warpcage.Vo
         "voxels": field.voxel_count,
         "resolution": field.resolution,
     }
+    if field.refined_cameras is not None:
+        row["psnr_aligned"] = mean_psnr(evaluate(field, aligned(field, test, exact)))
+        row["psnr_tuned"] = mean_psnr(evaluate(field, tuned_scene(field, test)))
+        errors = zip(
+            ("turns", "shifts"), pose_errors(poses_of(field.refined_cameras.cameras), poses_of(exact)), strict=True
+        )
+        row |= {f"{what}_median": float(np.median(values)) for what, values in errors}
     return row, field
 
 
 def inside(rows: list[dict]) -> float | None:
     """Mean PSNR of the object's pixels, where the views tell which those are."""
     return float(np.mean([row["masked_psnr"] for row in rows])) if "masked_psnr" in rows[0] else None
+
+
+def poses_of(cameras) -> np.ndarray:
+    """(n, 4, 4) camera_to_world."""
+    return np.array([camera.camera_to_world for camera in cameras])
+
+
+def aligned(field, test, exact):
+    """Test views moved from the world of the exact training cameras into that of the refined ones."""
+    refined, (lower, upper) = field.refined_cameras.cameras, field.bounds
+    points = lower + (upper - lower) * (0.2 + 0.3 * np.indices((3, 3, 3)).reshape(3, 27).T)
+    motion = picture_similarity(poses_of(exact), poses_of(refined), points)
+    zoom = float(np.mean([one.fx / other.fx for one, other in zip(refined, exact, strict=True)]))
+    cameras = [
+        dataclasses.replace(camera, fx=zoom * camera.fx, fy=zoom * camera.fy) for camera in motion.moved(test.cameras)
+    ]
+    return dataclasses.replace(test, cameras=cameras)
 
 
 def memory_peak(device) -> int | None:
@@ -134,23 +163,24 @@ def scenes_of(args, device):
         train, test = synthetic_scene(
             kind, train_views=args.views, size=args.size, alpha=not args.opaque, device=device
         )
-        yield kind, train, test
+        yield kind, train, test, train.cameras
     if args.room:
         train, test = room_views(args.views, size=args.size, device=device)
-        yield "room", train.whole, test.split
-        yield "room, surroundings known", train.object, test.object
+        yield "room", train.whole, test.split, train.whole.cameras
+        yield "room, surroundings known", train.object, test.object, train.object.cameras
     for folder in args.folder:
         path, _, factor = folder.partition(":")
         given = {"downscale": int(factor or 1), "masks": not args.whole}
         train, test = (warpcage.load_scene(path, split=split, **given) for split in ("train", "test"))
         if args.opaque:
             train = dataclasses.replace(train, alphas=None)
+        exact = train.cameras[:: args.every]
         if args.pose_noise:
             train = shaken(train, args.pose_noise)
         if args.jpeg:
             train = squeezed(train, args.jpeg)
         name = pathlib.Path(path).name + (f", 1/{factor}" if factor else "")
-        yield name if args.every == 1 else f"{name}, every {args.every}.", every_nth(train, args.every), test
+        yield name if args.every == 1 else f"{name}, every {args.every}.", every_nth(train, args.every), test, exact
 
 
 def main() -> None:
@@ -165,6 +195,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="take every n-th training view of each --folder")
     parser.add_argument("--pose-noise", type=float, default=0.0, help="degrees that cameras of a --folder are turned")
     parser.add_argument("--jpeg", type=int, help="pack pictures of a --folder as JPEG of this quality, 1 to 95")
+    parser.add_argument("--refine-cameras", action="store_true", help="refine cameras and exposures with the field")
     parser.add_argument("--quality", nargs="*", default=["standard"], choices=["fast", "standard", "high"])
     parser.add_argument("--device", default=None)
     parser.add_argument("--warm", action="store_true", help="compile kernels before the first fit")
@@ -182,12 +213,14 @@ def main() -> None:
         warpcage.fit(whole, device=device, progress=False, background="outer", resolution=32).render(train.cameras[0])
     results = []
     print(f"{'scene':32} quality   views  PSNR dB  training  opacity  seconds    voxels  resolution")
-    for name, scene, test in scenes_of(args, device):
+    if args.refine_cameras:
+        options["refine_cameras"] = True
+    for name, scene, test, exact in scenes_of(args, device):
         for quality in args.quality:
             given = {"quality": quality, **options}
             if scene.alphas is not None:
                 given.pop("background", None)
-            row, field = measure(name, scene, test, device, given)
+            row, field = measure(name, scene, test, exact, device, given)
             results.append(row)
             opacity = "      -" if row["alpha_error"] is None else f"{row['alpha_error']:.5f}"
             print(
@@ -195,6 +228,8 @@ def main() -> None:
                 f"  {opacity}  {row['seconds']:7.1f}  {row['voxels']:8d}  {'x'.join(map(str, row['resolution']))}",
                 flush=True,
             )
+            if field.refined_cameras is not None:
+                print(f"{'':32} aligned {row['psnr_aligned']:.2f}, tuned {row['psnr_tuned']:.2f} dB", flush=True)
             if args.worst:
                 write_worst(pathlib.Path(args.worst), row, field, test)
             if args.json:

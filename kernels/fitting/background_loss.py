@@ -20,7 +20,7 @@ from ..field.background import (
     surface_place,
 )
 from ..view.rays import pixel_direction
-from .loss import TrainingRays, batch_pixel, in_picture
+from .loss import TrainingRays, batch_pixel, evenly_exposed, in_picture
 from .pictures import Pictures, picture_pixel
 from .rmsprop import rmsprop_update
 
@@ -66,7 +66,7 @@ def compare_surroundings(
         if share > 0.0:
             camera = rays.cameras[pixel[0]]
             colour = background_colour(layers, camera.centre, pixel_direction(camera, pixel[2], pixel[1]))
-            error = share * colour - wp.vec3(seen[0], seen[1], seen[2])
+            error = share * colour - evenly_exposed(rays, pixel[0], seen)
             grad_behind[n] = 2.0 * scale * share * error
 
 

@@ -29,13 +29,14 @@ class TrainingRays:
 
     cameras: wp.array(dtype=PinholeCamera)  # (views,)
     pictures: Pictures  # (views, h, w)
+    exposures: wp.array2d(dtype=wp.vec3)  # (views, 2) gain and offset that undo a picture's exposure; empty: none
     height: int  # of a picture, pixels
     width: int
     tiles: wp.array(
         dtype=wp.int32
     )  # flat indices of those that count: (view * tile rows + row) * tile columns + column
     tile_size: int
-    order: int  # key of the order in which `tiles` are taken (fitting/shuffle)
+    order: int  # key of the order in which `tiles` are taken (fitting/shuffle); below 0: as they are
     first_tile: int  # where this batch begins in that order
     rays_per_side: int  # 1: through the middle of a pixel, 2: four rays, each somewhere in its quarter
 
@@ -47,7 +48,10 @@ def batch_pixel(rays: TrainingRays, n: int):
     columns = (rays.width + size - 1) // size
     rows = (rays.height + size - 1) // size
     count = rays.tiles.shape[0]
-    tile = rays.tiles[shuffled_place((rays.first_tile + n // (size * size)) % count, count, rays.order)]
+    place = (rays.first_tile + n // (size * size)) % count
+    if rays.order >= 0:
+        place = shuffled_place(place, count, rays.order)
+    tile = rays.tiles[place]
     within = n % (size * size)
     view = tile // (rows * columns)
     row = (tile // columns) % rows * size + within // size
@@ -61,10 +65,19 @@ def in_picture(rays: TrainingRays, pixel: wp.vec3i):
 
 
 @wp.func
+def evenly_exposed(rays: TrainingRays, view: int, rgba: wp.vec4):
+    """A pixel's premultiplied colour without its picture's exposure: gain c + alpha offset."""
+    colour = wp.vec3(rgba[0], rgba[1], rgba[2])
+    if rays.exposures.shape[0] > 0:
+        colour = wp.cw_mul(rays.exposures[view, 0], colour) + rgba[3] * rays.exposures[view, 1]
+    return colour
+
+
+@wp.func
 def training_colour(rays: TrainingRays, pixel: wp.vec3i, behind: wp.vec3):
     """What a pixel of the pictures shows in front of a background."""
     rgba = picture_pixel(rays.pictures, pixel[0], pixel[1], pixel[2])
-    return wp.vec3(rgba[0], rgba[1], rgba[2]) + (1.0 - rgba[3]) * behind
+    return evenly_exposed(rays, pixel[0], rgba) + (1.0 - rgba[3]) * behind
 
 
 @wp.func

@@ -7,6 +7,7 @@ import json
 
 from ..core.files import atomic_path
 from ..fitting.evaluation import comparison, error_image, evaluate, in_world_of, mean_psnr
+from ..fitting.tuning import tuned_scene
 from ..view.pictures import side_by_side, write_png
 from . import inputs, options
 
@@ -20,6 +21,9 @@ def run(args: argparse.Namespace) -> None:
     background = field.background if args.background is None else args.background
     scene = inputs.read_scene(args, background)
     scene = in_world_of(field, scene)
+    if args.tune_cameras:
+        scene = tuned_scene(field, scene)
+        print("the poses of these views were fitted to the field: the figures say how good it is, not where they are")
     rows = evaluate(field, scene, similarity=min(scene.images.shape[1:3]) >= 11, progress=not args.quiet)
     mean = mean_psnr(rows)
     width = max(len("view"), *(len(row["view"]) for row in rows))
@@ -46,6 +50,7 @@ def run(args: argparse.Namespace) -> None:
             "scene": args.scene,
             "split": args.split,
             "downscale": args.downscale,
+            "tuned_cameras": args.tune_cameras,
             "mean_psnr": finite(mean),
             "mean_ssim": mean_ssim,
             "mean_masked_psnr": finite(mean_masked),

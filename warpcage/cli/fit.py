@@ -35,9 +35,13 @@ def run(args: argparse.Namespace) -> None:
         background=kind,
         checkpoint=checkpoint,
         checkpoint_seconds=args.checkpoint_seconds,
+        refine_cameras=args.refine_cameras,
         **given,
     )
     field.save(output)
+    if field.refined_cameras is not None:
+        beside = field.refined_cameras.save(output.with_suffix(".cameras.json"))
+        print(f"wrote {beside}: {len(field.refined_cameras)} refined cameras")
     size = "x".join(str(n) for n in field.resolution)
     behind = "" if field.background_model is None else f", {field.background_model.summary}"
     print(

@@ -70,6 +70,7 @@ def read_scene(args: argparse.Namespace, background: str | ArrayLike, orient: st
         background=background,
         masks=args.masks,
         orient=orient,
+        cameras=args.cameras,
     )
 
 

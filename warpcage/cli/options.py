@@ -65,6 +65,12 @@ def add_scene(parser: Arguments, split: str) -> None:
         metavar="N",
         help="shrink the pictures by averaging N x N pixels (default: %(default)s)",
     )
+    parser.add_argument(
+        "--cameras",
+        metavar="FILE",
+        help="camera file (.json) that has a camera for each picture, by its name, instead of those of the scene: as "
+        "`fit --refine-cameras` writes it",
+    )
 
 
 def add_scene_format(parser: Arguments) -> None:

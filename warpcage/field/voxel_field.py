@@ -19,6 +19,7 @@ from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera, rigid_motion
 from ..view.frame import PART_NAMES, Frame, checked_supersampling
+from ..view.refined_cameras import RefinedCameras
 from .background import LayeredBackground
 from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field
@@ -75,6 +76,8 @@ class VoxelField:
         resolution: (nx, ny, nz) number of voxels along each axis.
         voxel_size: (3,) float64, world units.
         weights: (rows,) float32 Warp array or None.
+        refined_cameras: RefinedCameras of the fit's pictures, where it refined them; None otherwise. Files of fields do
+            not hold them: save them beside.
         grid: The VoxelGrid that kernels take; positions in it are relative to `center`. Its arrays may be written to at
             any time, but for the links.
         marching: What marches read instead of it.
@@ -104,6 +107,7 @@ class VoxelField:
         self.up = _checked_up(up)
         self.straightening = None if straightening is None else rigid_motion(straightening, "straightening")
         self.supersampling = checked_supersampling(supersampling)
+        self.refined_cameras: RefinedCameras | None = None
         if len(links.shape) != 3 or min(links.shape) < 2:
             raise ValueError(f"links must be (nx, ny, nz) with at least 2 along each axis, got {tuple(links.shape)}")
         self.resolution: tuple[int, ...] = tuple(int(n) for n in links.shape)

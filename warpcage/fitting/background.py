@@ -213,12 +213,21 @@ class BackgroundOptimizer:
             surroundings: Pictures that masks split off. None for whole pictures.
         """
         if self.behind is not None:
-            inputs = [self.layers, rays]
-            launch(background_loss.gather_background, self.batch_rays, inputs, [self.behind], device=self.device)
+            self.gather(rays, self.behind)
         else:
             inputs = [self.layers, rays, surroundings, 1.0 / (3.0 * self.batch_rays)]
             outputs = [self._grad_behind]
             launch(background_loss.compare_surroundings, self.batch_rays, inputs, outputs, device=self.device)
+
+    def gather(self, rays: Any, behind: wp.array, front: wp.array | None = None) -> None:
+        """What rays see of the layers.
+
+        Args:
+            rays: TrainingRays that begin at the batch's first tile.
+            behind: (rays,) vec3, filled.
+            front: Not used: nothing is before the field.
+        """
+        launch(background_loss.gather_background, behind.size, [self.layers, rays], [behind], device=self.device)
 
     def accumulate(self, rays: Any, random: np.random.Generator) -> None:
         """Add the gradients of the batch, after the field's march, and of the total variation.

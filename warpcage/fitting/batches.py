@@ -82,6 +82,7 @@ class Batches:
         tile_total: Tiles of all pictures.
         active_tiles: Tiles that see anything of the field.
         batch_tiles: Tiles per batch.
+        view_tiles: (views + 1,) int32, where the active tiles of each view begin among all.
         cursor: Where the next batch begins in the order.
         squared_error: (rays,) float32 of the last batch, summed over the channels.
     """
@@ -104,8 +105,10 @@ class Batches:
         self.rays.height, self.rays.width = height, width
         self.rays.tile_size = tile_size
         self.rays.rays_per_side = 1
+        self.rays.exposures = wp.zeros((0, 0), dtype=wp.vec3, device=device)
         self.tile_total = count * -(-height // tile_size) * -(-width // tile_size)
         self.active_tiles = self.batch_tiles = self.cursor = 0
+        self.view_tiles = np.zeros(len(scene) + 1, np.int32)
         self.squared_error = wp.zeros(0, dtype=wp.float32, device=device)
         self.pictures = TrainingPictures(scene, chosen_bits(scene, held + self.rays.cameras.capacity, limit), device)
         self.rays.pictures = self.pictures.seen
@@ -176,6 +179,8 @@ class Batches:
             tiles: (tiles,) int32, those that count.
         """
         self.active_tiles = len(tiles)
+        views = self.rays.cameras.shape[0]
+        self.view_tiles = np.searchsorted(tiles, self.tile_total // views * np.arange(views + 1)).astype(np.int32)
         self.rays.tiles = wp.array(tiles, dtype=wp.int32, device=self.device)
 
     def order(self, key: int, cursor: int) -> None:

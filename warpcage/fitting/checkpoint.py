@@ -19,13 +19,14 @@ from ..core.threads import run_parallel
 from ..scene.scene import Scene
 from .background import BackgroundOptimizer
 from .batches import ORDERS, Batches
+from .cameras import STATE, CameraRefinement
 from .level import COEFFICIENTS, ROW_NUMBERS, Level
 from .outer import OuterOptimizer
 from .pictures import PRECISIONS
 from .schedule import Schedule
 
-#: Version 5: rows of luminance and differences of colour.
-KIND, VERSION = "warpcage fit", 5
+#: Version 5: rows of luminance and differences of colour. 6: refined cameras.
+KIND, VERSION = "warpcage fit", 6
 
 #: Exponent bits of a bfloat16: all of them are set in numbers that are not finite.
 EXPONENT_BITS = 0x7F80
@@ -36,6 +37,7 @@ NAMES = frozenset(
         *("format", "version", "fingerprint", "state", "resolution", "occupancy", "density", "sh", "tiles", "moments"),
         *("layers_met", "layers_values", "layers_moments"),
         *("outer_sides", "outer_occupancy", "outer_values", "outer_moments", "outer_sky", "outer_sky_moments"),
+        *(f"camera_{name}" for name in STATE),
     )
 )
 
@@ -55,6 +57,7 @@ class Fit(Protocol):
     batches: Batches
     schedule: Schedule
     background: BackgroundOptimizer | OuterOptimizer | None
+    refinement: CameraRefinement | None
 
     def restore(self, mask: wp.array, bits: int) -> None: ...
 
@@ -108,6 +111,8 @@ def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
     }
     if optimizer.background is not None:
         contents |= optimizer.background.state()
+    if optimizer.refinement is not None:
+        contents |= optimizer.refinement.state()
     with atomic_path(path) as temporary:
         np.savez(temporary, **contents)
 
@@ -173,7 +178,9 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
         raise ValueError(f"pictures of {picture_bits!r} bits per channel, {PRECISIONS} are known")
 
     optimizer.restore(wp.array(occupied.astype(np.uint8), device=optimizer.device), picture_bits)
-    if len(tiles) != batches.active_tiles or tiles.min() < 0 or tiles.max() >= batches.tile_total:
+    # which tiles count was found with the cameras that were then
+    counted = 0 < len(tiles) <= batches.tile_total if optimizer.refinement else len(tiles) == batches.active_tiles
+    if not counted or tiles.min() < 0 or tiles.max() >= batches.tile_total:
         raise ValueError(f"{len(tiles)} tiles of pixels, {batches.active_tiles} expected")
     if not 0 <= cursor <= len(tiles):
         raise ValueError(f"cursor {cursor} among {len(tiles)} tiles")
@@ -187,6 +194,9 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
         target.assign(wp.array(values, dtype=dtype, device=optimizer.device))
     if optimizer.background is not None:
         optimizer.background.restore(contents, level, path)
+    if optimizer.refinement is not None:
+        optimizer.refinement.restore(contents, path)
+        optimizer.refinement.attach(batches.rays)
     schedule.step_count, schedule.level, schedule.level_steps = int(state["step_count"]), level, level_steps
     optimizer.shapes = shapes
     optimizer.random.bit_generator.state = state["random"]

@@ -24,8 +24,11 @@ from ..kernels.field import refine, skip
 from ..kernels.fitting import active_tiles, loss, loss_warps, rmsprop, variation, visual_hull
 from ..scene.box import scene_box
 from ..scene.scene import Scene
+from ..view.camera import Camera
+from ..view.refined_cameras import RefinedCameras
 from .background import BackgroundOptimizer, chosen_background, layers_that_fit, mean_colour
 from .batches import Batch, Batches
+from .cameras import CameraRefinement, ray_bytes
 from .checkpoint import load_progress, require_writable, save_progress
 from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
@@ -42,6 +45,9 @@ SMALLEST_GRID = (2, 2, 2)
 
 #: Seconds between two updates of the progress bar.
 SHOWN_EVERY = 1.0
+
+#: Rays that look at the cameras for each ray of the batches between two of their steps.
+CAMERA_RAYS = 0.15
 
 
 class FieldOptimizer:
@@ -166,6 +172,12 @@ class FieldOptimizer:
                 self.device,
             )
 
+        self.refinement: CameraRefinement | None = None
+        if self.options.refine_cameras:
+            self.refinement = CameraRefinement(scene.cameras, self.bounds, self.device)
+            self.refinement.attach(self.rays)
+            self.memory_limit -= ray_bytes(self.camera_tiles * len(scene) * self.options.tile_size**2)
+
     def _first_mask(self, silhouettes: Silhouettes | None) -> wp.array:
         """Voxels of the first level; pictures at 8 bits per channel, then coarser voxels, where memory is short."""
         while True:
@@ -215,6 +227,19 @@ class FieldOptimizer:
     def batch_rays(self) -> int:
         """Rays per batch."""
         return self.batches.batch_rays
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """The scene's cameras, refined so far where `refine_cameras` is chosen."""
+        return self.scene.cameras if self.refinement is None else self.refinement.cameras
+
+    @property
+    def refined_cameras(self) -> RefinedCameras | None:
+        """Those cameras with the names of their pictures and their exposures. None where none are refined."""
+        held = self.refinement
+        if held is None:
+            return None
+        return RefinedCameras(list(self.scene.names), held.cameras, held.gains.copy(), held.offsets.copy())
 
     @property
     def level(self) -> int:
@@ -338,6 +363,7 @@ class FieldOptimizer:
         self.batches.advance(self.schedule.rays_per_side)
         self._accumulate_gradients()
         self._apply_gradients()
+        self._refine_cameras()
         self.schedule.step_count += 1
 
     def _accumulate_gradients(self) -> None:
@@ -349,7 +375,7 @@ class FieldOptimizer:
         batch = Batch(
             rays=self.rays,
             squared_error=self.batches.squared_error,
-            seed=(self.seed * 1_000_003 + self.step_count) % (2**31 - 1),
+            seed=self._step_seed(),
             random_background=self.random_background and self.schedule.supervises_opacity,
             behind=behind,
             grad_behind=grad_behind,
@@ -365,6 +391,36 @@ class FieldOptimizer:
         if self.background is not None:
             self.background.apply(rates)
         self.current.apply(rates, self.options.beta)
+
+    def _refine_cameras(self) -> None:
+        """Move the cameras, where a step of theirs is due."""
+        if self.refinement is None:
+            return
+        rates = self.schedule.camera_rates()
+        if not rates:
+            return
+        around = self.background
+        sums = self.refinement.measure(
+            self.field,
+            self.rays,
+            self.batches.view_tiles,
+            self.camera_tiles,
+            seed=self._step_seed(),
+            random_background=self.random_background,
+            gather=None if around is None or around.behind is None else around.gather,
+            has_front=around is not None and around.front is not None,
+        )
+        self.refinement.step(sums, rates, float(self.field.voxel_size.max()))
+        self.refinement.attach(self.rays)
+
+    @property
+    def camera_tiles(self) -> int:
+        """Tiles by which each camera is looked at before one of its steps."""
+        return max(1, round(CAMERA_RAYS * self.schedule.camera_every * self.batches.batch_tiles / len(self.scene)))
+
+    def _step_seed(self) -> int:
+        """Of what is drawn in this step."""
+        return (self.seed * 1_000_003 + self.step_count) % (2**31 - 1)
 
     @in_turn
     def measure_psnr(self) -> float:
@@ -383,6 +439,7 @@ class FieldOptimizer:
         field.supersampling = self.options.supersampling
         if self.background is not None:
             field.background_model = self.background.result(self.rays, field)
+        field.refined_cameras = self.refined_cameras
         return field
 
 

@@ -215,6 +215,9 @@ class FitOptions:
     front_opacity: float = _weight(
         0.01, "Weight of the opacity of what an outer field holds between the cameras and the box, mean over the rays."
     )
+    refine_cameras: bool = _option(
+        False, "Whether poses, focal lengths and the exposure of each picture are refined with the field."
+    )
     max_memory: int | str | None = _option(
         None,
         'Memory that the fit may take on its device, images included, in bytes or as text such as "4GB". None '
@@ -272,6 +275,8 @@ def checked_options(options: dict) -> FitOptions:
         raise ValueError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
     if "epochs" in options:
         options.setdefault("least_steps", 0)
+    if not isinstance(options.get("refine_cameras", False), bool):
+        raise ValueError(f"refine_cameras must be True or False, got {options['refine_cameras']!r}")
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
     checked = FitOptions(**{**_SET_BY_QUALITY[quality], **options})

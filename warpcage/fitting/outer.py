@@ -263,8 +263,18 @@ class OuterOptimizer:
             rays: TrainingRays that begin at the batch's first tile.
             surroundings: Not used: the pictures are whole.
         """
-        inputs, outputs = [self.outer.grid, rays], [self.front, self.behind]
-        launch(outer_loss.gather_outer, self.batch_rays, inputs, outputs, device=self.device)
+        self.gather(rays, self.behind, self.front)
+
+    def gather(self, rays: Any, behind: wp.array, front: wp.array | None) -> None:
+        """What is before and behind the box for rays.
+
+        Args:
+            rays: TrainingRays that begin at the batch's first tile.
+            behind: (rays,) vec3, filled.
+            front: (rays,) vec4, filled.
+        """
+        inputs, outputs = [self.outer.grid, rays], [front, behind]
+        launch(outer_loss.gather_outer, behind.size, inputs, outputs, device=self.device)
 
     def accumulate(self, rays: Any, random: np.random.Generator) -> None:
         """Add the gradients of the batch, after the field's march, and of the total variation.

@@ -15,6 +15,45 @@ OPACITY_EVERY = 4
 #: Steps from one pass over the SH coefficients that shrinks them to the next.
 SHRINK_EVERY = 4
 
+#: Steps of the cameras over a fit, about; and least and most steps of the field from one to the next.
+CAMERA_STEPS, CAMERA_EVERY = 200, (4, 16)
+
+#: Cameras first move when the first level is done, and not before this share of all steps: until then the field shows
+#: too little. They move last after another share.
+CAMERA_START, CAMERA_END = 0.08, 0.95
+
+#: Share of a whole step that poses and focal lengths, and exposures, take at first. It falls with this power of the
+#: progress to none.
+CAMERA_SHARE, EXPOSURE_SHARE, CAMERA_POWER = 0.7, 0.3, 4.0
+
+#: Focal lengths and exposures follow after these shares of the steps that are left then: fields that are not yet whole
+#: look like either.
+LENS_START, EXPOSURE_START = 0.05, 0.15
+
+#: Small moves are doubted between these shares of those steps, from not at all to wholly.
+DOUBT_START, DOUBT_END = 0.15, 0.3
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraRates:
+    """Shares of a whole step that cameras take.
+
+    Args:
+        poses: Of turns and shifts.
+        lenses: Of focal lengths.
+        exposures: Of the exposures of pictures.
+        doubt: Share to which small moves are doubted.
+    """
+
+    poses: float
+    lenses: float
+    exposures: float
+    doubt: float = 0.0
+
+    def __bool__(self) -> bool:
+        """Whether anything moves."""
+        return self.poses > 0
+
 
 @dataclasses.dataclass(frozen=True)
 class Rates:
@@ -100,6 +139,28 @@ class Schedule:
         """Whether random colours are behind the rays of the next step, where the pictures have alpha."""
         early = self.step_count < self.options.opacity_share * self.total_steps
         return early or self.step_count % OPACITY_EVERY == 0
+
+    @property
+    def camera_every(self) -> int:
+        """Steps of the field from one of the cameras to the next."""
+        least, most = CAMERA_EVERY
+        return min(max(self.total_steps // CAMERA_STEPS, least), most)
+
+    def camera_rates(self) -> CameraRates:
+        """How far the cameras go after the next step: nowhere, where none of their steps is due."""
+        total, first = self.total_steps, 0 if len(self.level_steps) == 1 else self.level_steps[0]
+        first = max(first, math.ceil(CAMERA_START * total))
+        progress, since = self.step_count / total, (self.step_count - first) / max(1, total - first)
+        if since < 0 or progress > CAMERA_END or self.step_count % self.camera_every:
+            return CameraRates(0.0, 0.0, 0.0)
+        left = 1.0 - (progress / CAMERA_END) ** CAMERA_POWER
+        share = CAMERA_SHARE * left
+        return CameraRates(
+            poses=share,
+            lenses=share if since > LENS_START else 0.0,
+            exposures=EXPOSURE_SHARE * left if since > EXPOSURE_START else 0.0,
+            doubt=min(max((since - DOUBT_START) / (DOUBT_END - DOUBT_START), 0.0), 1.0),
+        )
 
     def rates(self) -> Rates:
         """How far the next step goes."""

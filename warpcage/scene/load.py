@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import listed
 from ..view.backgrounds import parse_background
 from ..view.camera import rigid_motion
+from ..view.camera_file import CameraFile
 from .formats import blender, colmap, dtu, nsvf, polycam, record3d, transforms
 from .scene import Scene, rotation_to
 
@@ -61,6 +62,7 @@ def load_scene(
     background: str | ArrayLike = "white",
     masks: bool | str = True,
     orient: str | ArrayLike | None = None,
+    cameras: str | os.PathLike | None = None,
 ) -> Scene:
     """Read one split of a scene from disk.
 
@@ -82,12 +84,14 @@ def load_scene(
             `Scene.straightening` is the turn. A rigid (4, 4) moves the world by it: that of a scene or a field that was
             straightened, to read another split of its scene without its training pictures. None leaves the coordinates
             as the files have them.
+        cameras: Camera file (.json) whose cameras the pictures get, by their names, as `RefinedCameras.save` writes
+            them after a fit. They are in the world that `orient` leads to. None takes those of the scene's files.
 
     Returns:
         The scene.
 
     Raises:
-        FileNotFoundError: For a missing folder, split or image.
+        FileNotFoundError: For a missing folder, split, image or camera file.
         ValueError: For contents that cannot be used.
     """
     folder = pathlib.Path(path)
@@ -112,7 +116,13 @@ def load_scene(
     scene = read(split)
     if isinstance(orient, str):
         motion = _straightening(scene if split == "train" else _other_split(read, scene))
-    return scene if motion is None else scene.moved(motion, round_bounds=format in ROUND)
+    scene = scene if motion is None else scene.moved(motion, round_bounds=format in ROUND)
+    if cameras is None:
+        return scene
+    try:
+        return scene.with_cameras(CameraFile.load(cameras))
+    except ValueError as error:
+        raise ValueError(f"{cameras}: {str(error).removeprefix(f'{cameras}: ')}") from None
 
 
 def _other_split(read: Callable[[str], Scene], scene: Scene) -> Scene:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,10 +11,14 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_bounds
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera, common_up, rigid_motion
+from ..view.camera_file import CameraFile
 from ..view.motion import axis_rotation
 
 #: Images may leave [0, 1] by this much, as renders of a field do; values further out are in other units.
 IMAGE_ROOM = 1.0
+
+#: Degrees by which named cameras may be turned against those of a scene, in the median: refined ones are by about one.
+OTHER_TURN = 15.0
 
 #: Opacities may leave [0, 1] by this much.
 ALPHA_ROOM = 1e-3
@@ -114,6 +119,40 @@ class Scene:
         else, it is the mean of their upward axes, and z where they have none.
         """
         return common_up(self.cameras)
+
+    def with_cameras(self, cameras: Sequence[Camera] | CameraFile) -> Scene:
+        """The same pictures with other cameras, as a fit refined them.
+
+        Args:
+            cameras: One for each picture in their order, or a CameraFile that names the pictures and maybe others; in
+                the world of this scene.
+
+        Returns:
+            The scene.
+
+        Raises:
+            ValueError: For too few cameras or pictures without one, cameras of another picture size, and named ones
+                that look elsewhere: splits may have the same names.
+        """
+        if isinstance(cameras, CameraFile) and any(key.name for key in cameras):
+            named = {key.name: key.camera for key in cameras}
+            missing = [name for name in self.names if name not in named]
+            if missing:
+                raise ValueError(
+                    f"there is no camera for {len(missing)} of {len(self)} pictures, {missing[0]!r} among them: the "
+                    "file must name all pictures of the split"
+                )
+            chosen = [named[name] for name in self.names]
+            turn = float(np.median([_turn(one, other) for one, other in zip(chosen, self.cameras, strict=True)]))
+            if turn > OTHER_TURN:
+                raise ValueError(
+                    f"its cameras look elsewhere than the scene's, {turn:.0f} degrees in the median: they may be those "
+                    "of another split, or of another world"
+                )
+        else:
+            chosen = [key.camera for key in cameras] if isinstance(cameras, CameraFile) else list(cameras)
+        height, width = self.images.shape[1:3]
+        return dataclasses.replace(self, cameras=[_at_size(camera, width, height) for camera in chosen])
 
     def straightened(self, *, round_bounds: bool = False) -> Scene:
         """The scene turned about the origin of its world, so that `up` is +z; by the smallest such turn.
@@ -228,3 +267,24 @@ def _checked_alphas(alphas: np.ndarray, shape: tuple[int, ...], names: list[str]
                 f"alpha of image {name} holds values from {alpha.min():g} to {alpha.max():g}: they must lie in [0, 1]"
             )
     return alphas
+
+
+def _turn(one: Camera, other: Camera) -> float:
+    """Degrees between the axes of two cameras."""
+    cosine = 0.5 * (np.trace(one.rotation.T @ other.rotation) - 1.0)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def _at_size(camera: Camera, width: int, height: int) -> Camera:
+    """A camera for pictures of another size: that many times smaller or larger, but for a last part of a pixel."""
+    if (camera.width, camera.height) == (width, height):
+        return camera
+    factor = max(round(camera.width / width), 1) / max(round(width / camera.width), 1)
+    whole = [(camera.width, width), (camera.height, height)]
+    if any(abs(held / factor - wanted) >= 1.0 for held, wanted in whole):
+        raise ValueError(
+            f"a camera is for pictures of {camera.width}x{camera.height}, those of the scene have {width}x{height}: "
+            "sizes must be the same but for a whole factor"
+        )
+    numbers = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
+    return dataclasses.replace(camera, **numbers, width=width, height=height)

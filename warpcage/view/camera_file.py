@@ -87,7 +87,7 @@ class CameraFile(list[CameraKey]):
             raise ValueError(f"it holds {len(self)} cameras: name one of {names}")
         raise ValueError(f"it holds {f'{len(found)} cameras' if found else 'no camera'} {name!r}, only {names}")
 
-    def save(self, path: PathLike) -> None:
+    def save(self, path: PathLike, *, extras: Sequence[dict[str, Any]] | None = None) -> None:
         """Write the file as JSON, whole or not at all. All numbers keep their digits.
 
         The file holds format, version and cameras: for each width, height, fx, fy, cx and cy in pixels, the (4, 4)
@@ -96,6 +96,7 @@ class CameraFile(list[CameraKey]):
 
         Args:
             path: The file; it must end in .json.
+            extras: For each camera, more that stands beside its numbers. None is nothing.
 
         Raises:
             ValueError: For another ending, or no cameras.
@@ -108,7 +109,7 @@ class CameraFile(list[CameraKey]):
         document: dict[str, Any] = {
             "format": _FORMAT,
             "version": _VERSION,
-            "cameras": [camera_json(key) for key in self],
+            "cameras": [camera_json(key) | extra for key, extra in zip(self, extras or [{}] * len(self), strict=True)],
         }
         document |= {name: value for name, value in (("fps", self.fps), ("loop", self.loop)) if value is not None}
         with atomic_path(path) as temporary:

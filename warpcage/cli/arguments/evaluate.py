@@ -22,6 +22,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--worst", metavar="FILE", help="write the worst view (.png): picture, render, and their difference"
     )
+    parser.add_argument(
+        "--tune-cameras",
+        action="store_true",
+        help="turn and shift the camera of each view first so that it matches the field best, as is usual for fields "
+        "of refined cameras: the figures then say how good the field is, not where the views are",
+    )
     options.add_scene_scale(parser)
     options.add_device(parser)
     options.add_quiet(parser)

@@ -14,6 +14,7 @@ EXAMPLE = """\
   warpcage fit data/lego -o lego.npz --device cuda:0 --resolution 384 --background black
   warpcage fit data/lego -o lego.npz --quality high --checkpoint progress.npz --max-memory 6GB
   warpcage fit data/dtu/scan24 -o house.npz --split-masks
+  warpcage fit my_phone_pictures -o fox.npz --refine-cameras
 """
 
 
@@ -77,6 +78,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=6,
         metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
         help="box around the object, world units (default: found from the pictures)",
+    )
+    parser.add_argument(
+        "--refine-cameras",
+        action="store_true",
+        help="refine poses, focal lengths and the exposure of each picture with the field, for cameras that are not "
+        "exact; the refined ones are written beside it (.cameras.json)",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the order of the pixels (default: %(default)s)")
     options.add_device(parser)

@@ -1,0 +1,225 @@
+"""Fits that refine their cameras: noisy poses, wrong focal lengths, exposures, checkpoints, files and commands."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_optimize import blob_scene
+
+import warpcage
+from warpcage.cli import main
+from warpcage.fitting import cameras as cameras_module
+from warpcage.fitting.cameras import CameraRefinement
+from warpcage.fitting.checkpoint import load_progress, save_progress
+from warpcage.fitting.evaluation import evaluate, mean_psnr
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.fitting.tuning import tuned_scene
+from warpcage.reference.brick_scene import write_brick_scene
+from warpcage.reference.fit_scenes import synthetic_scene
+from warpcage.view.alignment import picture_similarity
+from warpcage.view.camera_file import CameraFile
+
+#: Fits of a second or two.
+QUICK = {"resolution": 28, "batch_rays": 2048, "least_steps": 250, "epochs": 11.0}
+
+
+def turned_in_place(scene, degrees, seed=0):
+    """Each camera turned about a random axis by a normal angle."""
+    random = np.random.default_rng(seed)
+    cameras = []
+    for camera in scene.cameras:
+        axis = random.normal(size=3)
+        pose = camera.camera_to_world.copy()
+        turn = np.radians(degrees) * random.normal() * axis / np.linalg.norm(axis)
+        pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+        cameras.append(dataclasses.replace(camera, camera_to_world=pose))
+    return dataclasses.replace(scene, cameras=cameras)
+
+
+def poses_of(cameras):
+    return np.array([camera.camera_to_world for camera in cameras])
+
+
+def optimized(scene, device, **options):
+    """The fit and its field."""
+    optimizer = FieldOptimizer(scene, device=device, seed=0, **{**QUICK, **options})
+    while optimizer.step_count < optimizer.total_steps:
+        optimizer.step()
+    return optimizer, optimizer.finish()
+
+
+def aligned_psnr(optimizer, field, exact, test):
+    """PSNR in dB of test views after the similarity between exact and refined training cameras."""
+    points = field.bounds.mean(axis=0) + 0.3 * np.diff(field.bounds, axis=0) * (
+        np.indices((3, 3, 3)).reshape(3, 27).T - 1
+    )
+    motion = picture_similarity(poses_of(exact), poses_of(optimizer.cameras), points)
+    return mean_psnr(evaluate(field, dataclasses.replace(test, cameras=motion.moved(test.cameras))))
+
+
+@pytest.fixture(scope="module")
+def bricks():
+    return synthetic_scene("bricks", train_views=24, size=28, device="cpu")
+
+
+def test_noisy_poses_are_refined_and_exact_ones_stay(bricks, device):
+    train, test = bricks
+    _, exact_field = optimized(train, device)
+    exact = mean_psnr(evaluate(exact_field, test))
+    assert exact_field.refined_cameras is None
+
+    optimizer, field = optimized(train, device, refine_cameras=True)
+    np.testing.assert_allclose(poses_of(optimizer.cameras), poses_of(train.cameras), atol=2e-4)
+    assert mean_psnr(evaluate(field, test)) > exact - 0.25  # the spread of fits this small; see NOTES-cameras.md
+
+    noisy = turned_in_place(train, 1.0)
+    _, blurred = optimized(noisy, device)
+    optimizer, field = optimized(noisy, device, refine_cameras=True)
+    refined = aligned_psnr(optimizer, field, train.cameras, test)
+    assert mean_psnr(evaluate(blurred, test)) < exact - 3
+    assert refined > exact - 1
+    # which held-out views show too, each with its own pose fitted to the field
+    assert mean_psnr(evaluate(field, tuned_scene(field, test))) > exact - 0.5
+
+
+def test_exposures_are_undone(bricks, device):
+    train, test = bricks
+    random = np.random.default_rng(0)
+    gains = np.exp(0.2 * random.normal(size=(len(train), 1, 1, 1))) * np.ones(3)
+    behind = (1 - train.alphas[..., None]) * train.background
+    images = gains * (train.images - behind) + behind
+    exposed = dataclasses.replace(train, images=images.astype(np.float32))
+    _, uneven = optimized(exposed, device)
+    optimizer, field = optimized(exposed, device, refine_cameras=True)
+    assert mean_psnr(evaluate(field, test)) > mean_psnr(evaluate(uneven, test)) + 0.3
+    found, true = np.log(field.refined_cameras.gains).ravel(), np.log(gains).ravel()
+    assert np.corrcoef(found, true)[0, 1] > 0.75
+    np.testing.assert_allclose(np.log(field.refined_cameras.gains).mean(axis=0), 0, atol=1e-9)
+
+
+def test_an_outer_field_goes_with_refined_cameras(device):
+    """What is before the box goes into the cameras' steps, and into views that are tuned."""
+    scene = blob_scene(6, 16, with_alpha=False)
+    options = {"background": "outer", "resolution": 16, "outer_resolution": 16, "epochs": 3, "least_steps": 40}
+    optimizer, field = optimized(scene, device, refine_cameras=True, **options)
+    assert np.isfinite(optimizer.refinement.poses).all() and optimizer.refinement.normal.any()
+    assert len(tuned_scene(field, scene)) == 6
+
+
+def test_what_is_around_the_field_tells_cameras_too(device, monkeypatch):
+    """The sums of whole pictures against finite differences of their error, layers behind the field included."""
+    monkeypatch.setattr(cameras_module, "OUTLIER", 1e6)  # each ray counts alike
+    scene = blob_scene(6, 24, with_alpha=False)
+    optimizer = FieldOptimizer(scene, device=device, refine_cameras=True, background="layers", resolution=24, epochs=4)
+    while optimizer.step_count < optimizer.total_steps:
+        optimizer.step()
+    refinement, background = optimizer.refinement, optimizer.background
+    values = background.layers.values.numpy()
+    values[..., :3] = 0.5 + 0.4 * np.sin(np.arange(values.shape[1])[:, None] / 150)
+    background.layers.values.assign(values)
+
+    def look():
+        refinement.attach(optimizer.rays)
+        return refinement.measure(
+            optimizer.field,
+            optimizer.rays,
+            optimizer.batches.view_tiles,
+            64,
+            seed=3,
+            random_background=False,
+            gather=background.gather,
+        )
+
+    found = look()
+    poses, change = refinement.poses.copy(), 1e-3
+    for number in (0, 1, 2):
+        errors = []
+        for sign in (1, -1):
+            turn = sign * change * np.eye(3)[number]
+            refinement.poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+            errors.append(look().error)
+        refinement.poses[:] = poses
+        expected = (errors[0] - errors[1]) / (2 * change)
+        # a few rays meet a crease of the field or of the layers within the change
+        assert np.linalg.norm(2 * found.slope[:, number] - expected) < 0.15 * np.linalg.norm(expected)
+
+
+def test_pictures_of_one_camera_share_their_lens(bricks):
+    cameras = list(bricks[0].cameras)
+    bounds = np.array([[-1.0] * 3, [1.0] * 3])
+    assert len(CameraRefinement(cameras, bounds, "cpu").zooms) == 1
+    cameras[3] = dataclasses.replace(cameras[3], cx=cameras[3].cx + 0.25)
+    assert CameraRefinement(cameras, bounds, "cpu").lenses.tolist() == [0, 0, 0, 1] + [0] * (len(cameras) - 4)
+
+
+def test_checkpoints_hold_refined_cameras(tmp_path):
+    """A fit that goes on from its checkpoint ends where the whole one does, to the bit."""
+    scene = turned_in_place(blob_scene(12, 24), 1.0)
+    options = {"device": "cpu", "refine_cameras": True, "resolution": 24, "levels": 2, "epochs": 10, "batch_rays": 512}
+    whole, stopped = (FieldOptimizer(scene, **options) for _ in range(2))
+    while whole.step_count < whole.total_steps:
+        whole.step()
+        if whole.step_count == 2 * whole.total_steps // 3:
+            save_progress(whole, tmp_path / "fit.npz")
+    assert np.abs(whole.refinement.poses - whole.refinement.given_poses).max() > 1e-3
+    load_progress(stopped, tmp_path / "fit.npz")
+    while stopped.step_count < stopped.total_steps:
+        stopped.step()
+    np.testing.assert_array_equal(stopped.refinement.poses, whole.refinement.poses)
+    np.testing.assert_array_equal(stopped.refinement.gains, whole.refinement.gains)
+    np.testing.assert_array_equal(stopped.finish().grid.density.numpy(), whole.finish().grid.density.numpy())
+
+    contents = dict(np.load(tmp_path / "fit.npz"))
+    for name, value in (("camera_poses", np.nan), ("camera_gains", -1.0), ("camera_zooms", 9.0)):
+        changed = contents[name].copy()
+        changed.flat[0] = value
+        np.savez(tmp_path / "bad.npz", **{**contents, name: changed})
+        with pytest.raises(ValueError, match="damaged fit checkpoint"):
+            load_progress(FieldOptimizer(scene, **options), tmp_path / "bad.npz")
+
+
+def test_the_option_is_yes_or_no():
+    with pytest.raises(ValueError, match="refine_cameras must be True or False, got 'yes'"):
+        warpcage.fit(blob_scene(count=2, size=8), progress=False, refine_cameras="yes")
+
+
+def test_commands_write_read_and_tune_cameras(tmp_path, capsys):
+    write_brick_scene(tmp_path / "scene", train_views=6, test_views=2, size=24)
+    words = [
+        "fit",
+        tmp_path / "scene",
+        "-o",
+        tmp_path / "bricks.npz",
+        "--refine-cameras",
+        "--quiet",
+        "--resolution",
+        24,
+    ]
+    assert main([str(word) for word in [*words, "--epochs", 2]]) == 0
+    assert "bricks.cameras.json: 6 refined cameras" in capsys.readouterr().out
+    held = CameraFile.load(tmp_path / "bricks.cameras.json")
+    scene = warpcage.load_scene(tmp_path / "scene")
+    assert [key.name for key in held] == list(scene.names)
+    entries = json.loads((tmp_path / "bricks.cameras.json").read_text())["cameras"]
+    assert all(len(entry["exposure"]["gain"]) == len(entry["exposure"]["offset"]) == 3 for entry in entries)
+
+    again = warpcage.load_scene(tmp_path / "scene", cameras=tmp_path / "bricks.cameras.json")
+    np.testing.assert_array_equal(poses_of(again.cameras), poses_of(key.camera for key in held))
+    halved = warpcage.load_scene(tmp_path / "scene", cameras=tmp_path / "bricks.cameras.json", downscale=2)
+    assert halved.cameras[0].fx == pytest.approx(again.cameras[0].fx / 2)
+    with pytest.raises(ValueError, match=r"bricks.cameras.json: its cameras look elsewhere than the scene's"):
+        warpcage.load_scene(tmp_path / "scene", split="test", cameras=tmp_path / "bricks.cameras.json")
+    held[0] = dataclasses.replace(held[0], name="another")
+    with pytest.raises(ValueError, match="there is no camera for 1 of 6 pictures"):
+        scene.with_cameras(held)
+    with pytest.raises(ValueError, match="one camera per image"):
+        scene.with_cameras(scene.cameras[:2])
+    with pytest.raises(ValueError, match="sizes must be the same but for a whole factor"):
+        scene.with_cameras([dataclasses.replace(camera, width=40, height=20) for camera in scene.cameras])
+
+    words = ["evaluate", tmp_path / "bricks.npz", tmp_path / "scene", "--tune-cameras", "--quiet"]
+    assert main([str(word) for word in [*words, "--json", tmp_path / "tuned.json"]]) == 0
+    assert "were fitted to the field" in capsys.readouterr().out
+    assert json.loads((tmp_path / "tuned.json").read_text())["tuned_cameras"] is True

@@ -1,0 +1,316 @@
+"""Refine the cameras of a scene, and the exposure of its pictures, while a field is fitted to them."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+
+from ..core.arrays import empty_array
+from ..core.devices import launch
+from ..core.files import require_numbers
+from ..field.voxel_field import STOP_TRANSMITTANCE, VoxelField
+from ..kernels.fitting import cameras as kernels
+from ..kernels.fitting.loss import TrainingRays
+from ..kernels.view.rays import PinholeCamera
+from ..view.alignment import picture_shifts, picture_similarity
+from ..view.camera import Camera
+from .camera_steps import NUMBERS, SUMS, CameraSums, camera_steps, even_exposures, fitted_exposures
+from .schedule import CameraRates
+
+RECORD = int(kernels.RECORD)
+
+#: Rays of a camera that one item adds up, at most.
+RUN = 64
+
+#: Change of a camera's number by which what is around the field is differenced: about a pixel.
+CHANGE = 1e-3
+
+#: Length of a ray's residual (of colours in [0, 1]) from which it counts for less.
+OUTLIER = 1.0
+
+#: Share that past steps keep of the normal equations' matrix.
+KEPT = 0.8
+
+#: A step moves no part of the picture by more voxels of the level than this.
+MOST_VOXELS = 0.5
+
+#: Pixels below about twice which a move of a camera is not believed; and change of the gains, in the mean of all
+#: pictures or half of a picture's own, below which exposures are not: some of what depends on the view looks like them.
+DOUBT, EXPOSURE_DOUBT = 0.1, 0.07
+
+#: Points by which the cameras as a whole are held fill this share of the box's sides.
+POINTS_SHARE = 0.6
+
+#: Bytes of a ray's record, and of what is around the field for it.
+RAY_BYTES, AROUND_BYTES = 12 * RECORD, (12 + 16) * (1 + NUMBERS)
+
+#: Fills what is behind each of a batch's TrainingRays, and what is before it, where there is such a thing.
+Gather = Callable[[Any, wp.array, "wp.array | None"], None]
+
+
+class CameraRefinement:
+    """The cameras of a fit and the exposures of its pictures, as they are refined.
+
+    A pose's six numbers are solved for by damped Gauss-Newton, and the focal length of a lens with the poses of all its
+    cameras. What the pictures alone cannot tell is held: after each step the cameras as a whole see the middle of the
+    box where the given ones do, and gains and offsets of the exposures are 1 and 0 in the mean.
+
+    Args:
+        cameras: As they are given. Those of the same numbers share a lens.
+        bounds: (2, 3) box of the field, world units. Positions on the device are relative to its middle.
+        device: Warp device.
+        held: Whether the cameras as a whole, and each a little, are held where they are given.
+
+    Attributes:
+        given: The cameras as they are given.
+        lenses: (n,) int, the lens of each camera.
+        poses: (n, 4, 4) float64 camera_to_world, world units.
+        zooms: (lenses,) float64, logarithm of the focal lengths over the given ones.
+        gains: (n, 3) float64, what the field's colours are multiplied by in a picture.
+        offsets: (n, 3) float64, what is added to them then.
+        normal: (n, 7, 7) float64, running mean of the normal equations' matrices.
+        reach: World units of a shift by 1: how far the cameras are from the middle.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], bounds: np.ndarray, device: wp.Device, *, held: bool = True):
+        self.given, self.device, self.held = list(cameras), device, held
+        self.center = bounds.mean(axis=0)
+        grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+        self.points = self.center + 0.5 * POINTS_SHARE * grid * (bounds[1] - bounds[0])
+        keys = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in cameras]
+        found = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+        self.lenses = np.array([found[key] for key in keys])
+        self.given_poses = np.array([camera.camera_to_world for camera in cameras])
+        self.poses, self.zooms = self.given_poses.copy(), np.zeros(len(found))
+        self.gains, self.offsets = np.ones((len(keys), 3)), np.zeros((len(keys), 3))
+        self.normal = np.zeros((len(keys), NUMBERS, NUMBERS))
+        self.reach = float(np.median(np.linalg.norm(self.poses[:, :3, 3] - self.center, axis=1)))
+
+    def __len__(self) -> int:
+        return len(self.given)
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """The cameras as they are now."""
+        factors = np.exp(self.zooms[self.lenses])
+        return [
+            dataclasses.replace(camera, fx=camera.fx * factor, fy=camera.fy * factor, camera_to_world=pose)
+            for camera, factor, pose in zip(self.given, factors, self.poses, strict=True)
+        ]
+
+    # On the device
+
+    def uploaded(self, number: int | None = None, change: float = 0.0) -> wp.array:
+        """(n,) PinholeCamera as they are, or with one of their numbers larger by `change`."""
+        rows = np.zeros(len(self), np.dtype(cast(Any, PinholeCamera).numpy_dtype()))
+        rotations, centres, zooms = self.poses[:, :3, :3], self.poses[:, :3, 3] - self.center, self.zooms[self.lenses]
+        if number is not None and number < 3:
+            rotations = turned(rotations, np.tile(change * np.eye(3)[number], (len(self), 1)))
+        elif number is not None and number < 6:
+            centres = centres + self.reach * change * rotations[:, :, number - 3]
+        elif number is not None:
+            zooms = zooms + change
+        rows["centre"], rows["rotation"] = centres, rotations
+        rows["focal"] = np.array([[c.fx, c.fy] for c in self.given]) * np.exp(zooms)[:, None]
+        rows["principal_point"] = [[c.cx, c.cy] for c in self.given]
+        rows["width"], rows["height"] = [c.width for c in self.given], [c.height for c in self.given]
+        return wp.array(rows, dtype=PinholeCamera, device=self.device)
+
+    def attach(self, rays: Any) -> None:
+        """Let TrainingRays have the cameras and exposures as they are.
+
+        Args:
+            rays: TrainingRays of the scene, changed.
+        """
+        rays.cameras = self.uploaded()
+        undone = np.stack([1.0 / self.gains, -self.offsets / self.gains], axis=1)
+        rays.exposures = wp.array(undone, dtype=wp.vec3, device=self.device)
+
+    def measure(
+        self,
+        field: VoxelField,
+        rays: Any,
+        view_tiles: np.ndarray,
+        tiles: int,
+        *,
+        seed: int,
+        random_background: bool,
+        gather: Gather | None = None,
+        has_front: bool = False,
+    ) -> CameraSums:
+        """Look at every camera with a sample of rays.
+
+        Args:
+            field: The field so far.
+            rays: TrainingRays, which have the cameras as they are.
+            view_tiles: (n + 1,) int32, where the tiles of each view begin among those of the rays.
+            tiles: Tiles of each camera; a few more are taken where that fills runs.
+            seed: Of the choice of the tiles, and of random colours.
+            random_background: Whether random colours are behind the rays.
+            gather: Fills what is around the field. None where nothing is.
+            has_front: Whether anything is before it.
+
+        Returns:
+            The sums.
+        """
+        device, size = self.device, rays.tile_size**2
+        run_tiles = max(1, RUN // size)
+        runs = -(-tiles // run_tiles)
+        drawn: Any = TrainingRays()
+        for name in TrainingRays.vars:
+            setattr(drawn, name, getattr(rays, name))
+        drawn.tiles = empty_array(len(self) * runs * run_tiles, wp.int32, device)
+        drawn.order, drawn.first_tile = -1, 0
+        starts = wp.array(view_tiles, dtype=wp.int32, device=device)
+        whole = -(-rays.height // rays.tile_size) * -(-rays.width // rays.tile_size)
+        inputs = [rays.tiles, starts, whole, runs * run_tiles, seed]
+        launch(kernels.draw_tiles, drawn.tiles.size, inputs, [drawn.tiles], device=device)
+        count = drawn.tiles.size * size
+        behind, front = self._around(drawn, count, gather, has_front)
+        records = empty_array((count, RECORD), wp.vec3, device)
+        inputs = [
+            field.grid,
+            drawn,
+            wp.vec3(*map(float, field.background)),
+            int(random_background),
+            seed,
+            field.step,
+            STOP_TRANSMITTANCE,
+            self.reach,
+            behind,
+            front,
+            CHANGE,
+        ]
+        launch(kernels.measure_camera_slopes, count, inputs, [records], device=device)
+        sums = empty_array((len(self) * runs, SUMS), wp.float32, device)
+        launch(kernels.sum_camera_slopes, sums.size, [records, run_tiles * size, OUTLIER], [sums], device=device)
+        return CameraSums.unpacked(sums.numpy().astype(np.float64).reshape(len(self), runs, SUMS).sum(axis=1))
+
+    def _around(self, drawn: Any, count: int, gather: Gather | None, has_front: bool) -> tuple[wp.array, wp.array]:
+        """(8, rays) what is behind and before the field: as it is, and with each of the cameras' numbers larger."""
+        shapes = [(1 + NUMBERS, count) if there else (0, 0) for there in (gather is not None, has_front)]
+        behind: Any = wp.zeros(shapes[0], dtype=wp.vec3, device=self.device)
+        front: Any = wp.zeros(shapes[1], dtype=wp.vec4, device=self.device)
+        if gather is not None:
+            cameras = drawn.cameras
+            for place in range(1 + NUMBERS):
+                drawn.cameras = cameras if place == 0 else self.uploaded(place - 1, CHANGE)
+                gather(drawn, behind[place], front[place] if has_front else None)
+            drawn.cameras = cameras
+        return behind, front
+
+    # Steps
+
+    def step(self, sums: CameraSums, rates: CameraRates, voxel: float) -> None:
+        """Move the cameras and change the exposures.
+
+        Args:
+            sums: What their rays say.
+            rates: Shares of a whole step.
+            voxel: Side of the field's voxels, world units.
+        """
+        met = self.normal.any(axis=(1, 2), keepdims=True)
+        self.normal = np.where(met, KEPT * self.normal + (1.0 - KEPT) * sums.normal, sums.normal)
+        changes, firmness = (self.changes(), self._firmness(rates)) if self.held else (None, 0.0)
+        steps = camera_steps(self.normal, sums.slope, self.lenses, changes, firmness)
+        most = MOST_VOXELS * voxel / self.reach
+        farthest = np.abs(steps[:, :6]).max(axis=1, keepdims=True)
+        moves = steps[:, :6] * np.minimum(rates.poses, most / np.maximum(farthest, 1e-30))
+        rotations = self.poses[:, :3, :3]
+        self.poses[:, :3, 3] += self.reach * np.einsum("nij,nj->ni", rotations, moves[:, 3:])
+        self.poses[:, :3, :3] = turned(rotations, moves[:, :3])
+        firsts = np.unique(self.lenses, return_index=True)[1]
+        self.zooms += np.clip(rates.lenses * steps[firsts, 6], -most, most)
+        if self.held:
+            self.poses = picture_similarity(self.poses, self.given_poses, self.points).moved_poses(self.poses)
+        gains, offsets = fitted_exposures(sums.exposure)
+        if self.held:
+            gains, offsets = even_exposures(gains, offsets)
+            changes = np.sqrt((np.log(gains) ** 2 + offsets**2).mean(axis=1, keepdims=True))
+            changes = np.maximum(np.sqrt((changes**2).mean()), 0.5 * changes)
+            kept = 1.0 / (1.0 + doubted(changes, EXPOSURE_DOUBT))
+            gains, offsets = gains**kept, kept * offsets
+        self.gains = self.gains * (gains / self.gains) ** rates.exposures
+        self.offsets = self.offsets + rates.exposures * (offsets - self.offsets)
+        if self.held:
+            self.gains, self.offsets = even_exposures(self.gains, self.offsets)
+
+    def _firmness(self, rates: CameraRates) -> np.ndarray:
+        """(n, 7) how firmly the given cameras hold theirs: by how little those have moved.
+
+        A camera that the pictures alone would move by y settles at x = y / (1 + (DOUBT / x)^4): almost y where that is
+        far, and 0 where it is below 1.75 DOUBT (as the garrote of Breiman 1995). So little does a field that is not
+        exact ask of exact cameras too.
+        """
+        focal = np.array([camera.fx for camera in self.given])
+        moved = focal * picture_shifts(self.poses, self.given_poses, self.points)
+        # how far from the middle of a picture the object reaches
+        size = np.sqrt(((self.points - self.center) ** 2).sum(axis=1).mean()) / self.reach
+        zoomed = focal * size * np.abs(self.zooms[self.lenses])
+        doubts = [doubted(moved, DOUBT)] * 6 + [doubted(zoomed, DOUBT)]
+        return rates.doubt * np.stack(doubts, axis=1)
+
+    def changes(self) -> np.ndarray:
+        """(n, 7) the numbers of each camera relative to the given one."""
+        from scipy.spatial.transform import Rotation
+
+        given = self.given_poses[:, :3, :3]
+        turns = Rotation.from_matrix(np.swapaxes(given, 1, 2) @ self.poses[:, :3, :3]).as_rotvec()
+        moved = self.poses[:, :3, 3] - self.given_poses[:, :3, 3]
+        shifts = np.einsum("nji,nj->ni", self.poses[:, :3, :3], moved) / self.reach
+        return np.concatenate([turns, shifts, self.zooms[self.lenses][:, None]], axis=1)
+
+    # State
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that changes, for a checkpoint."""
+        return {f"camera_{name}": getattr(self, name) for name in STATE}
+
+    def restore(self, contents: dict[str, np.ndarray], path: pathlib.Path) -> None:
+        """Take over a state.
+
+        Args:
+            contents: Arrays of a checkpoint.
+            path: The checkpoint, for errors.
+
+        Raises:
+            ValueError: For a state that does not fit.
+        """
+        held = {}
+        for name in STATE:
+            now = getattr(self, name)
+            held[name] = np.asarray(require_numbers(contents, f"camera_{name}", now.shape, path), np.float64)
+            if not np.isfinite(held[name]).all():
+                raise ValueError(f"camera_{name} holds values that are not finite")
+        if held["gains"].min(initial=1.0) <= 0 or np.abs(held["zooms"]).max(initial=0.0) > MOST_ZOOM:
+            raise ValueError("the cameras hold values that cannot be")
+        for name, values in held.items():
+            setattr(self, name, values)
+
+
+#: The attributes of a CameraRefinement that change, and largest logarithm of a focal length over the given one.
+STATE = ("poses", "zooms", "gains", "offsets", "normal")
+MOST_ZOOM = 3.0
+
+
+def doubted(change: np.ndarray, doubt: float) -> np.ndarray:
+    """How strongly changes are held back that may be none: (doubt / change)^4, at most a million."""
+    return np.minimum((doubt / np.maximum(change, 1e-9)) ** 4, 1e6)
+
+
+def turned(rotations: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Rotations (n, 3, 3) after turns (n, 3) about their own axes, radians."""
+    from scipy.spatial.transform import Rotation
+
+    left, _, right = np.linalg.svd(rotations @ Rotation.from_rotvec(turns).as_matrix())
+    return left @ right  # many steps leave no rounding
+
+
+def ray_bytes(rays: int) -> int:
+    """Device memory of a look at cameras with so many rays."""
+    return (RAY_BYTES + AROUND_BYTES) * rays

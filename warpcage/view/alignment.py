@@ -1,0 +1,164 @@
+"""Similarities between two sets of cameras of the same pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from .camera import Camera
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Similarity:
+    """x -> scale * rotation x + shift.
+
+    Args:
+        scale: Factor on lengths.
+        rotation: (3, 3) float64.
+        shift: (3,) float64, units of the target.
+    """
+
+    scale: float
+    rotation: np.ndarray
+    shift: np.ndarray
+
+    def moved(self, cameras: Sequence[Camera]) -> list[Camera]:
+        """Cameras that see of the moved world what these see of theirs."""
+        poses = self.moved_poses(np.array([camera.camera_to_world for camera in cameras]).reshape(-1, 4, 4))
+        return [dataclasses.replace(camera, camera_to_world=pose) for camera, pose in zip(cameras, poses, strict=True)]
+
+    def moved_poses(self, poses: np.ndarray) -> np.ndarray:
+        """(n, 4, 4) camera_to_world after the motion."""
+        moved = poses.copy()
+        moved[:, :3, :3] = self.rotation @ poses[:, :3, :3]
+        moved[:, :3, 3] = self.scale * poses[:, :3, 3] @ self.rotation.T + self.shift
+        return moved
+
+
+def aligning_similarity(poses: np.ndarray, targets: np.ndarray, *, scaled: bool = True) -> Similarity:
+    """The similarity that takes cameras best to others of the same pictures, by places and by axes.
+
+    It minimises sum |s R c + t - c'|^2 over the places, with R that of sum |s0 R c - c'|^2 + r^2 |R Q - Q'|^2: places
+    relative to their means, axes Q weighed by the spread r of the places, so that cameras on a line or in one place are
+    aligned by their axes (Umeyama 1991 for places; Horn 1987).
+
+    Args:
+        poses: (n, 4, 4) float64 camera_to_world, n >= 1.
+        targets: (n, 4, 4) float64, of the same pictures.
+        scaled: Whether lengths may change; where not, or where all places are one, the scale is 1.
+
+    Returns:
+        The similarity.
+    """
+    centres, goals = poses[:, :3, 3], targets[:, :3, 3]
+    spread, goal_spread = centres - centres.mean(axis=0), goals - goals.mean(axis=0)
+    size, goal_size = (float(np.sqrt((part**2).sum() / len(part))) for part in (spread, goal_spread))
+    weight = goal_size**2 if goal_size > 0 and size > 0 else 1.0
+    factor = goal_size / size if goal_size > 0 and size > 0 else 1.0
+    covariance = factor * goal_spread.T @ spread + weight * np.einsum(
+        "nij,nkj->ik", targets[:, :3, :3], poses[:, :3, :3]
+    )
+    left, _, right = np.linalg.svd(covariance)
+    rotation = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    scale = 1.0
+    if scaled and size > 0 and goal_size > 0:
+        scale = float(np.einsum("ni,ij,nj->", goal_spread, rotation, spread) / (spread**2).sum())
+        scale = scale if scale > 0 else 1.0
+    return Similarity(scale, rotation, goals.mean(axis=0) - scale * rotation @ centres.mean(axis=0))
+
+
+#: Steps of Gauss-Newton by which an alignment of pictures is found, and largest slope at which a point counts.
+PICTURE_STEPS, WIDEST = 4, 4.0
+
+
+def picture_similarity(poses: np.ndarray, targets: np.ndarray, points: np.ndarray) -> Similarity:
+    """The similarity after which cameras see points as others of the same pictures do.
+
+    A small turn of a camera and a shift across it show an object at a distance the same way, so that poses which were
+    found from pictures are inexact along both together. This alignment looks at what counts, the places in the
+    pictures: Gauss-Newton on sum |u(S pose, x) - u(target, x)|^2 with u = (x / z, y / z) in front of a camera, from
+    `aligning_similarity` on.
+
+    Args:
+        poses: (n, 4, 4) float64 camera_to_world.
+        targets: (n, 4, 4), of the same pictures.
+        points: (m, 3) where the targets' world holds what is seen.
+
+    Returns:
+        The similarity.
+    """
+    goal, _ = _seen(targets, points)
+    valid = (np.abs(goal) < WIDEST).all(axis=2) & np.isfinite(goal).all(axis=2)
+    found = aligning_similarity(poses, targets)
+    middle = points.mean(axis=0)
+    arms = points - middle
+    size = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-12)
+    # how points move, relative to the cameras, when the cameras are turned, shifted and spread about the middle
+    moves = np.empty((len(points), 3, 7))
+    for axis in range(3):
+        moves[:, :, axis] = -np.cross(np.eye(3)[axis], arms)
+        moves[:, :, 3 + axis] = -size * np.eye(3)[axis]
+    moves[:, :, 6] = -arms
+    for _ in range(PICTURE_STEPS):
+        seen, slopes = _seen(found.moved_poses(poses), points)
+        there = np.asarray(valid & np.isfinite(seen).all(axis=2))
+        missed = np.where(there[..., None], seen - goal, 0.0).reshape(-1)
+        jacobian = np.where(there[..., None, None], slopes @ moves, 0.0).reshape(-1, 7)
+        normal = jacobian.T @ jacobian
+        step = np.linalg.lstsq(normal, -jacobian.T @ missed, rcond=1e-9)[0]
+        scale, rotation = float(np.exp(step[6])), _rotation(step[:3])
+        shift = middle + size * step[3:6] - scale * rotation @ middle
+        found = Similarity(scale * found.scale, rotation @ found.rotation, scale * rotation @ found.shift + shift)
+    return found
+
+
+def picture_shifts(poses: np.ndarray, targets: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """How far from where other cameras see points cameras see them.
+
+    Args:
+        poses: (n, 4, 4) camera_to_world.
+        targets: (n, 4, 4), of the same pictures.
+        points: (m, 3) of their world.
+
+    Returns:
+        (n,) root mean squares of the distances in the pictures, in focal lengths; 0 where a camera sees no point.
+    """
+    squares = ((_seen(poses, points)[0] - _seen(targets, points)[0]) ** 2).sum(axis=2)
+    there = np.isfinite(squares)
+    return np.sqrt(np.where(there, squares, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1))
+
+
+def _seen(poses: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n, m, 2) slopes x / z and y / z of points, NaN behind a camera, and (n, m, 2, 3) how they change with them."""
+    local = (points - poses[:, None, :3, 3]) @ poses[:, :3, :3]
+    depth = np.where(local[..., 2] > 0, local[..., 2], np.nan)[..., None]
+    seen = local[..., :2] / depth
+    across, along = np.swapaxes(poses[:, None, :3, :2], 2, 3), poses[:, None, None, :3, 2]
+    return seen, (across - seen[..., None] * along) / depth[..., None]
+
+
+def _rotation(turn: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(turn).as_matrix()
+
+
+def pose_errors(poses: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far cameras are from others, after the best similarity.
+
+    Args:
+        poses: (n, 4, 4) camera_to_world.
+        targets: (n, 4, 4), of the same pictures.
+
+    Returns:
+        Angles (n,) in degrees, and distances (n,) in units of the targets.
+    """
+    moved = aligning_similarity(poses, targets).moved_poses(poses)
+    turns = np.einsum("nij,nik->njk", targets[:, :3, :3], moved[:, :3, :3])
+    skew = np.stack(
+        [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]], 1
+    )
+    angles = np.arctan2(np.linalg.norm(skew, axis=1), np.trace(turns, axis1=1, axis2=2) - 1.0)
+    return np.degrees(angles), np.linalg.norm(moved[:, :3, 3] - targets[:, :3, 3], axis=1)
