@@ -22,6 +22,7 @@ from results import write_results
 
 import warpcage
 from warpcage.reference.phone_video import PhonePath, write_phone_video
+from warpcage.view.pictures import shrink
 
 
 def main() -> None:
@@ -32,6 +33,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=48, help="frames that are taken of it")
     parser.add_argument("--degrees", type=float, default=250.0, help="that its camera walks around")
     parser.add_argument("--fit", action="store_true", help="also compare fits of the video with found and true cameras")
+    parser.add_argument("--downscale", type=int, default=1, help="of the pictures that are fitted")
+    parser.add_argument("--resolution", type=int, help="of these fits")
+    parser.add_argument("--epochs", type=float, help="of these fits")
     parser.add_argument("--quality", default="fast", help="of these fits")
     parser.add_argument(
         "--folder", nargs="*", default=[], help="scenes whose cameras are known; their pictures are captured"
@@ -145,20 +149,23 @@ def compared_fits(video, folder, found, true, args) -> dict:
     low, high = found.bounds
     corners = np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
     corners = scale * corners @ rotation.T + shift
+    images = np.stack([shrink(image, args.downscale) for image in images])
+    height, width = images.shape[1:3]
+    cameras = [true[number].resized(width, height) for number in numbers]
     held = np.arange(len(numbers)) % 8 == 0
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
-    cameras = [true[number] for number in numbers]
     scenes = {
-        "found": [warpcage.load_scene(folder, split=split) for split in ("train", "test")],
+        "found": [warpcage.load_scene(folder, split=split, downscale=args.downscale) for split in ("train", "test")],
         "true": [
             warpcage.Scene(images[part], None, [c for c, p in zip(cameras, part, strict=True) if p], bounds=bounds)
             for part in (~held, held)
         ],
     }
-    result = {}
+    options = {name: getattr(args, name) for name in ("resolution", "epochs") if getattr(args, name) is not None}
+    result = {"options": options, "fitted_size": [width, height]}
     for name, (train, test) in scenes.items():
         began = time.perf_counter()
-        field = warpcage.fit(train, device=args.device, quality=args.quality)
+        field = warpcage.fit(train, device=args.device, quality=args.quality, **options)
         result[f"psnr_{name}"] = warpcage.mean_psnr(warpcage.evaluate(field, test))
         result[f"fit_seconds_{name}"] = time.perf_counter() - began
     return {"quality": args.quality, **result, "fit_device": wp.get_device(args.device).name}

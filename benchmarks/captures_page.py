@@ -45,9 +45,11 @@ def row(run: dict) -> list[str]:
 
 
 def fits(run: dict) -> str:
+    options = "".join(f", {name} {value:g}" for name, value in run["options"].items())
+    size = "x".join(map(str, run["fitted_size"]))
     return (
-        f"Fits of these pictures (quality {run['quality']}, on {run['fit_device']}), every eighth held out: "
-        f"**{run['psnr_found']:.2f} dB** with the cameras found, {run['psnr_true']:.2f} dB with the true ones.\n"
+        f"Fits of these pictures at {size} (quality {run['quality']}{options}, on {run['fit_device']}), every eighth "
+        f"held out: **{run['psnr_found']:.2f} dB** with the cameras found, {run['psnr_true']:.2f} dB with the true ones.\n"
     )
 
 

@@ -1,10 +1,11 @@
 """Cameras found of videos and pictures that the project ray casts, against the true ones."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
-from capture_scenes import camera_errors, found_poses, relative_errors, save_pictures, table_pictures
+from capture_scenes import camera_errors, found_poses, relative_errors, save_pictures, similarity, table_pictures
 
 import warpcage
 from warpcage.reference.phone_video import PhonePath, write_phone_video
@@ -72,6 +73,32 @@ def test_points_of_a_capture_project_to_where_they_were_seen(walk):
     near = np.concatenate(near)
     shuffled = np.abs(colours[np.random.default_rng(0).permutation(len(colours))] - colours).mean()
     assert np.median(near) < 0.4 * shuffled
+
+
+def test_a_fit_with_found_cameras_is_as_good_as_one_with_true_ones(walk):
+    """Small pictures, small fields, views held out: video, capture, fit, and the truth beside it."""
+    folder, _, true = walk
+    numbers = [int(name.removeprefix("frame_")) for name in found_poses(folder)[0]]
+    held = np.arange(len(numbers)) % 8 == 0
+    train, test = (warpcage.load_scene(folder, split=split, downscale=4) for split in ("train", "test"))
+    rotation, scale, shift = similarity(
+        np.array([each.centre for each in warpcage.load_scene(folder, split="all", downscale=4).cameras]),
+        np.array([true[number].centre for number in numbers]),
+    )
+    corners = (
+        scale * np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, train.bounds[1], train.bounds[0]) @ rotation.T
+    )
+    bounds = np.stack([corners.min(axis=0), corners.max(axis=0)]) + shift
+    psnr = {}
+    for name in ("found", "true"):
+        scenes = [train, test]
+        if name == "true":
+            for k, part in enumerate((~held, held)):
+                cameras = [true[n].resized(64, 48) for n, kept in zip(numbers, part, strict=True) if kept]
+                scenes[k] = dataclasses.replace(scenes[k], cameras=cameras, bounds=bounds, to_source=None)
+        field = warpcage.fit(scenes[0], device="cpu", quality="fast", resolution=40, epochs=2.0, progress=False)
+        psnr[name] = warpcage.mean_psnr(warpcage.evaluate(field, scenes[1]))
+    assert psnr["found"] > max(15.0, psnr["true"] - 1.5), psnr
 
 
 def test_the_report_says_what_was_found(walk):
