@@ -49,7 +49,8 @@ def fits(run: dict) -> str:
     size = "x".join(map(str, run["fitted_size"]))
     return (
         f"Fits of these pictures at {size} (quality {run['quality']}{options}, on {run['fit_device']}), every eighth "
-        f"held out: **{run['psnr_found']:.2f} dB** with the cameras found, {run['psnr_true']:.2f} dB with the true ones.\n"
+        f"held out: **{run['psnr_found']:.2f} dB** with the cameras found, {run['psnr_true']:.2f} dB with the "
+        "true ones.\n"
     )
 
 
