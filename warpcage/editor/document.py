@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.names import COORDINATES, DENSITIES
 from ..deform.edits import HELD, MAX_EDITS, CageEdit
 from ..mesh.closed_mesh import ClosedMesh
-from ..view.backgrounds import parse_background
-from ..view.frame import MAX_SUPERSAMPLING
 from ..view.keys import EASINGS as EASINGS
 from ..view.keys import LOOPS as LOOPS
 from .checked import (
@@ -22,22 +19,24 @@ from .checked import (
     MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
-    RESOLUTIONS,
     checked_between,
     checked_choice,
     checked_flag,
     checked_id,
     checked_items,
     checked_name,
-    checked_triple,
     checked_vertices,
     checked_whole,
     frozen_vertices,
 )
+from .looks import MODES as MODES
+from .looks import SHOWN as SHOWN
+from .looks import Settings as Settings
+from .looks import View as View
+from .looks import checked_settings as checked_settings
+from .looks import checked_view as checked_view
 
 KINDS = ("move", "copy", "remove")
-SHOWN = ("rgb", "disparity", "alpha", "masks")
-MODES = ("pose", "rest")
 PICKS = ("vertex", "edge", "face")
 
 #: Largest width of a falloff and size of crumbs, world units.
@@ -98,48 +97,6 @@ class Edit:
             held=self.held,
             crumbs=self.crumbs,
         )
-
-
-@dataclasses.dataclass(frozen=True)
-class View:
-    """Where the person looks from.
-
-    Args:
-        eye: (3,) centre of projection, world units.
-        target: (3,) the point in the middle of the picture.
-        up: (3,) unit vector, the direction that points up.
-        fov: Vertical field of view, degrees.
-    """
-
-    eye: tuple[float, float, float]
-    target: tuple[float, float, float]
-    up: tuple[float, float, float]
-    fov: float = 40.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """How the scene is deformed and shown.
-
-    Args:
-        coordinates: "harmonic", "mean_value" or "green".
-        resolution: Cells of the map's lattice along the longest side of a cage, in pictures that rest.
-        density: "opacity" or "paper"; see `Deformer`.
-        background: A name, three numbers in [0, 1], or None for the field's own.
-        supersampling: Rays along each side of a pixel, in pictures that rest.
-        show: "rgb", "disparity", "alpha" or "masks".
-        mode: "pose": the posed cage and the deformed scene. "rest": the cage at rest and the scene as captured.
-        fill: Whether background that no picture showed is filled, in pictures that rest; see `fill_unseen`.
-    """
-
-    coordinates: str = "harmonic"
-    resolution: int = 64
-    density: str = "opacity"
-    background: str | tuple[float, float, float] | None = None
-    supersampling: int = 1
-    show: str = "rgb"
-    mode: str = "pose"
-    fill: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -352,82 +309,6 @@ def checked_walls(content: Mapping[str, Any]) -> dict[str, Any]:
         if name in content
     }
     return lengths | ({"held": checked_choice(content["held"], HELD, "held")} if "held" in content else {})
-
-
-def checked_view(content: Any) -> View:
-    """A view from its parts.
-
-    Args:
-        content: Dictionary of eye, target, up and fov; others are ignored.
-
-    Returns:
-        The view; its `up` has the length 1.
-
-    Raises:
-        ValueError: For values that are not finite, an eye at the target, or a direction that is zero.
-    """
-    eye, target, up = (checked_triple(content[name], name) for name in ("eye", "target", "up"))
-    length = float(np.linalg.norm(up))
-    if not 1e-12 < length < 1e12:
-        raise ValueError("a view needs a direction `up` that is not zero")
-    if not 1e-12 < np.linalg.norm(np.subtract(eye, target)) < 1e12:
-        raise ValueError("a view needs an eye some way from its target")
-    forward = np.subtract(target, eye)
-    if np.linalg.norm(np.cross(forward, up)) < 1e-6 * np.linalg.norm(forward) * length:
-        raise ValueError("a view cannot look along its own `up`")
-    x, y, z = (float(value / length) for value in up)
-    return View(eye, target, (x, y, z), checked_between(content["fov"], 1.0, 150.0, "fov"))
-
-
-def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Settings with some of them changed.
-
-    Args:
-        settings: As they are.
-        changes: New value by name.
-
-    Returns:
-        The new settings.
-
-    Raises:
-        ValueError: For names that do not exist and values that cannot be.
-    """
-    known = {field.name for field in dataclasses.fields(Settings)}
-    unknown = sorted(set(changes) - known)
-    if unknown:
-        raise ValueError(f"there is no setting {unknown[0][:40]!r}, only {', '.join(sorted(known))}")
-    good: dict[str, Any] = {}
-    for name, value in changes.items():
-        if name == "background":
-            good[name] = _background(value)
-        elif name == "fill":
-            good[name] = checked_flag(value, name)
-        elif name == "resolution":
-            good[name] = checked_whole(value, *RESOLUTIONS, name)
-        elif name == "supersampling":
-            good[name] = checked_whole(value, 1, min(4, MAX_SUPERSAMPLING), name)
-        else:
-            choices = {"coordinates": COORDINATES, "density": DENSITIES, "show": SHOWN, "mode": MODES}[name]
-            good[name] = checked_choice(value, choices, name)
-    return dataclasses.replace(settings, **good)
-
-
-def _background(value: Any) -> str | tuple[float, float, float] | None:
-    if value is None:
-        return None
-    if isinstance(value, str):
-        if len(value) == 7 and value[0] == "#":
-            try:
-                r, g, b = bytes.fromhex(value[1:])
-            except ValueError:
-                raise ValueError(f"background {value!r} is no colour: #rrggbb") from None
-            return r / 255, g / 255, b / 255
-        parse_background(value)  # raises ValueError where there is no such name
-        return value
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        raise ValueError("background must be a name, #rrggbb, or three numbers in [0, 1]")
-    r, g, b = (checked_between(part, 0.0, 1.0, "background") for part in value)
-    return r, g, b
 
 
 def _key_json(key: Key) -> dict[str, Any]:
