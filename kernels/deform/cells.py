@@ -2,13 +2,12 @@
 
 "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. A module of its own,
 so that a pose does not compile a march.
-Needs: deform/edits, deform/march, field/grid, field/skip, lattice/cage_map.
+Needs: deform/edits, deform/march, field/grid, lattice/cage_map.
 """
 
 import warp as wp
 
 from ..field.grid import VoxelGrid, empty_distance, grid_position
-from ..field.skip import SKIP_LIMIT
 from ..lattice.cage_map import cell_sides, map_distance
 from .edits import (
     CELL_CARRIES,
@@ -24,6 +23,10 @@ from .edits import (
 from .march import lattice_lower, lattice_upper
 
 wp.set_module_options({"enable_backward": False})
+
+#: Distances between lattice cells are cut here: a lattice is some hundred cells wide, and they are spread at each pose.
+REACH_LIMIT = wp.constant(12)
+
 mat83 = wp.types.matrix(shape=(8, 3), dtype=wp.float32)
 
 
@@ -167,7 +170,7 @@ def mark_edit_cells(
     step: float,
     marks: wp.array3d(dtype=wp.uint8),
 ):
-    """0 at the lattice cells of an edit in which a march must look, SKIP_LIMIT at the others.
+    """0 at the lattice cells of an edit in which a march must look, REACH_LIMIT at the others.
 
     The trilinear image of a cell lies in the bounding box of its eight corners' canonical positions; the scene beneath
     (canonical grid and earlier edits, whose `skip` must be ready) is asked whether that box is empty. `step`, world
@@ -203,4 +206,4 @@ def mark_edit_cells(
         h = 0.5 * edit.deformed.spacing
         centre = edit.deformed.lower + edit.deformed.spacing * wp.vec3(float(i) + 0.5, float(j) + 0.5, float(k) + 0.5)
         empty = empty and scene_is_empty(edits, edit_index, grid, centre, wp.vec3(h, h, h))
-    marks[i, j, k] = wp.uint8(wp.where(empty, SKIP_LIMIT, 0))
+    marks[i, j, k] = wp.uint8(wp.where(empty, REACH_LIMIT, 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,11 @@ class MarchTables:
     def __init__(self, grid: Any):
         self._grid = grid
         self._columns: ColumnTable | None = None
+        self._marched: Any = None
         self._matter = MatterSkip(grid.links)
+        size, lower = np.array(grid.voxel_size), np.array(grid.lower)
+        self._box = lower.tolist(), (lower + size * (np.array(grid.links.shape) - 1)).tolist()
+        self._longest = float(size.max())
         self._lock = owner_lock(grid.links.device)  # threads may share a field
 
     @property
@@ -53,11 +58,13 @@ class MarchTables:
 
     def grid(self) -> Any:
         """The VoxelGrid, with a `skip` that leaves out what holds no matter now."""
-        grid, own = VoxelGrid(), self._grid
-        grid.lower, grid.voxel_size, grid.inverse_voxel_size = own.lower, own.voxel_size, own.inverse_voxel_size
-        grid.links, grid.density, grid.sh = own.links, own.density, own.sh
+        own = self._grid
         with self._lock:
-            grid.skip = self._matter.distance(own.density)
+            skip, grid = self._matter.distance(own.density), self._marched
+            if grid is None or grid.skip is not skip or grid.density is not own.density or grid.sh is not own.sh:
+                self._marched = grid = VoxelGrid()
+                grid.lower, grid.voxel_size, grid.inverse_voxel_size = own.lower, own.voxel_size, own.inverse_voxel_size
+                grid.links, grid.density, grid.sh, grid.skip = own.links, own.density, own.sh, skip
         return grid
 
     def rows(self) -> Any:
@@ -83,11 +90,7 @@ class MarchTables:
 
     def _is_shaded(self, centre: wp.vec3) -> bool:
         """Whether voxels are shaded for a camera."""
-        grid = self._grid
-        if grid.links.device.is_cpu and not SHADES_ON_CPU:
+        if self._grid.links.device.is_cpu and not SHADES_ON_CPU:
             return False
-        size = np.array(grid.voxel_size)
-        lower = np.array(grid.lower)
-        upper = lower + size * (np.array(grid.links.shape) - 1)
-        away = np.maximum(lower - np.array(centre), np.array(centre) - upper)
-        return bool(np.linalg.norm(np.maximum(away, 0.0)) > NEAR_VOXELS * size.max())
+        away = [max(low - x, x - high, 0.0) for low, x, high in zip(self._box[0], centre, self._box[1], strict=True)]
+        return math.hypot(*away) > NEAR_VOXELS * self._longest

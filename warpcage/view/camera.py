@@ -377,8 +377,9 @@ def camera_struct(camera: Camera, origin: ArrayLike) -> Any:
         A PinholeCamera of kernels/view/rays.py.
     """
     struct = PinholeCamera()
-    struct.centre = wp.vec3(*(camera.centre - np.asarray(origin, np.float64)))
-    struct.rotation = wp.mat33(*np.asarray(camera.rotation, np.float64).ravel())
+    # plain floats: NumPy's own take Warp several times as long
+    struct.centre = wp.vec3(*(camera.centre - np.asarray(origin, np.float64)).tolist())
+    struct.rotation = wp.mat33(*np.asarray(camera.rotation, np.float64).ravel().tolist())
     struct.focal = wp.vec2(camera.fx, camera.fy)
     struct.principal_point = wp.vec2(camera.cx, camera.cy)
     struct.width = camera.width
