@@ -37,7 +37,7 @@ def test_a_cage_is_made_and_checked(folder, capsys):
     field = warpcage.SplatField.load("scene.ply", device="cpu")
     assert cage.contains(field.contents.centres).mean() > 0.99
     assert main(["check", "wrapped.obj", "--object", "scene.ply"]) == 0
-    assert "visible voxels enclosed" in said(capsys)
+    assert "visible matter enclosed" in said(capsys)
     assert main(["cage", "scene.ply", "-o", "part.obj", "--box", "--in-box", "0", "-1", "-1", "1", "1", "1"]) == 0
     assert warpcage.Cage.load("part.obj").bounds[0][0] > -0.2
 
@@ -92,11 +92,27 @@ def test_pictures_and_films(folder, capsys):
         (["bake", "scene.ply", "-o", "a.ply", "--frames", "3", "--cage", "cage.obj"], "numbered files of splats"),
         (["info", "scene.ply", "--scene-scale", "2"], "--scene-scale is for fields"),
         (["info", "cut.splat"], "32 bytes a splat"),
+        (["check", "scene.ply"], "scene.ply holds splats, without faces, no mesh and no cage"),
+        (["check", "scene.compressed.ply"], "holds splats"),
+        (["cage", "header.ply", "-o", "a.ply"], "cannot be read as a mesh, it is cut off or damaged"),
+        (["render", "cage.obj", "-o", "a.png"], "cage.obj is not an .npz field file: it holds something else"),
+        (["render", ".", "-o", "a.png"], "field file '.' is a folder"),
     ],
 )
 def test_what_does_not_fit_is_said_in_one_line(order, words, folder, capsys):
     (folder / "cut.splat").write_bytes(bytes(33))
+    (folder / "header.ply").write_bytes((folder / "scene.ply").read_bytes()[:60])
+    warpcage.SplatField.load("scene.ply", device="cpu").save("scene.compressed.ply")
     assert main(order) == 2
     text = said(capsys)
     assert words in text and text.count("\n") == 1
     assert not (folder / "a.ply").exists()
+
+
+def test_a_pose_stands_by_the_splats_axis(folder):
+    """--object takes splats as it takes voxels."""
+    order = ["pose", "cage.obj", "-o", "posed.obj", "--twist", "40", "--axis", "up", "--object", "scene.ply"]
+    assert main(order) == 0
+    cage = warpcage.Cage.load("cage.obj")
+    up = warpcage.SplatField.load("scene.ply", device="cpu").up
+    np.testing.assert_allclose(warpcage.Cage.load("posed.obj").vertices, cage.twist(40, axis=up).vertices, atol=1e-5)

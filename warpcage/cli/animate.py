@@ -86,12 +86,14 @@ def run(args: argparse.Namespace) -> None:
 
     from tqdm import tqdm
 
-    frames = tqdm(range(args.frames), desc="animate", disable=args.quiet)
-    if output.suffix:
-        write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
-    else:
-        settings = _settings(args, cameras, deformation)
-        kept = write_folder(output, frames, cameras, shot.rendered, settings, overwrite=bool(args.overwrite))
+    kept = 0
+    with tqdm(range(args.frames), desc="animate", disable=args.quiet) as frames:  # ends before an error is said
+        if output.suffix:
+            write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
+        else:
+            settings = _settings(args, cameras, deformation)
+            kept = write_folder(output, frames, cameras, shot.rendered, settings, overwrite=bool(args.overwrite))
+    if not output.suffix:
         print(f"wrote {output}: {counted(args.frames - kept, 'frame')}, {kept} were there already")
         shot.warn()
         return

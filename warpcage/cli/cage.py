@@ -149,7 +149,7 @@ def read_mesh(name: str) -> trimesh.Trimesh:
     try:
         mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
     except Exception as error:
-        raise ValueError(f"{path} cannot be read as a mesh: {error}") from error
+        raise ValueError(f"{path} cannot be read as a mesh, it is cut off or damaged: {error}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise ValueError(f"{path} holds no triangles")
     return mesh.apply_transform(np.transpose(TO_Y_UP)) if path.suffix.lower() == ".glb" else mesh

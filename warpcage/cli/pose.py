@@ -7,7 +7,7 @@ from typing import Any
 
 from ..cage.cage import Cage
 from ..core.files import require_file
-from ..field.voxel_field import VoxelField
+from ..splats.load import load_field
 from . import inputs, options, pose_keys
 from .axes import axis_of, default_towards, with_up
 from .standing import ending, read_rest
@@ -35,7 +35,7 @@ def read_cage(args: argparse.Namespace) -> tuple[Cage, dict[str, str]]:
 
     Where --object is given, --up becomes the field's unless it is given too, and the axis of the file is found by it.
     """
-    field = None if args.object is None else VoxelField.load(require_file(args.object, "field file"))
+    field = None if args.object is None else load_field(require_file(args.object, "field file"))
     if field is not None and args.up is None:
         args.up = tuple(field.up)
     args.straightening = None if field is None else field.straightening  # for cameras of its scene

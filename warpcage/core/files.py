@@ -141,9 +141,16 @@ def _opened_npz(path: PathLike, what: str) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(path) as archive:
             yield archive
     except Exception as error:
-        raise ValueError(
-            f"{path} is not an .npz {what}: {' '.join(str(error).split()) or type(error).__name__}"
-        ) from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        if isinstance(error, zipfile.BadZipFile) and not zipfile.is_zipfile(path):
+            reason = "it is cut off or damaged" if _begins_as_archive(path) else "it holds something else"
+        raise ValueError(f"{path} is not an .npz {what}: {reason}") from error
+
+
+def _begins_as_archive(path: pathlib.Path) -> bool:
+    """Whether a file begins as .npz files do."""
+    with path.open("rb") as opened:
+        return opened.read(4) == b"PK\x03\x04"
 
 
 def _members(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
@@ -274,6 +281,8 @@ def require_file(path: PathLike, what: str) -> pathlib.Path:
         FileNotFoundError: If it is not a file.
     """
     path = pathlib.Path(path)
+    if path.is_dir():
+        raise FileNotFoundError(f"{what} {str(path)!r} is a folder")
     if not path.is_file():
         raise FileNotFoundError(f"{what} {str(path)!r} is not there")
     return path

@@ -49,6 +49,8 @@ def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list
     for name, properties, values in rows(path, data[body:], elements, order, body_line):
         names = [each[0] for each in properties]
         if name == "vertex":
+            if "packed_position" in names or {"f_dc_0", "rot_0"} <= set(names):
+                raise ValueError(f"{path} holds splats, without faces, no mesh and no cage")
             if not {"x", "y", "z"} <= set(names):
                 raise ValueError(f"{path}: PLY vertices need properties x, y, z, got {listed(names)}")
             columns = [names.index(axis) for axis in "xyz"]
