@@ -92,6 +92,10 @@ def test_pictures_and_films(folder, capsys):
         (["bake", "scene.ply", "-o", "a.ply", "--frames", "3", "--cage", "cage.obj"], "numbered files of splats"),
         (["info", "scene.ply", "--scene-scale", "2"], "--scene-scale is for fields"),
         (["info", "cut.splat"], "32 bytes a splat"),
+        (
+            ["bake", "scene.ply", "-o", "a_##.ply", "--cage", "cage.obj", "--posed", "twist:9"],
+            "give --frames, how many",
+        ),
         (["check", "scene.ply"], "scene.ply holds splats, without faces, no mesh and no cage"),
         (["check", "scene.compressed.ply"], "holds splats"),
         (["cage", "header.ply", "-o", "a.ply"], "cannot be read as a mesh, it is cut off or damaged"),

@@ -121,6 +121,9 @@ def test_bad_arguments(tmp_path):
         load_scene(tmp_path, split="val")
     with pytest.raises(FileNotFoundError, match="is not there"):
         load_scene(tmp_path / "none")
+    (tmp_path / "file.txt").write_text("")
+    with pytest.raises(FileNotFoundError, match="scene folder .*file.txt' is a file"):
+        load_scene(tmp_path / "file.txt")
     with pytest.raises(ValueError, match="downscale"):
         load_scene(tmp_path, downscale=0)
     with pytest.raises(ValueError, match="background"):

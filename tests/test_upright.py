@@ -102,6 +102,7 @@ def test_animate_bake_and_check_find_it_too(files, tmp_path, capsys):
         assert run(files, "check", "@rest_y.obj", "--object", thing, "--cage-up", "z") == 1
         out, err = capsys.readouterr()
         assert "stands around its object" in out and "seems to have y up" in out
+        assert out.splitlines()[-1].split("  ")[-1].strip() == "not as it stands"
 
 
 def test_a_cage_that_holds_nothing_is_refused(files, tmp_path, capsys):

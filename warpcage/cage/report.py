@@ -200,7 +200,8 @@ class CageReport:
         )
         rows += [] if self.pose is None else self.pose.rows()
         problem = self.problem or ("" if self.pose is None else self.pose.problem)
-        rows.append(("usable", "yes" if self.usable else "no", f"the cage {problem}" if problem else ""))
+        usable = "no" if not self.usable else "not as it stands" if self.standing else "yes"
+        rows.append(("usable", usable, f"the cage {problem}" if problem else ""))
         widths = [max(len(row[k]) for row in rows) for k in range(2)]
         return "\n".join(f"{a:<{widths[0]}}  {b:<{widths[1]}}  {c}".rstrip() for a, b, c in rows)
 

@@ -477,4 +477,5 @@ def check_parent(path: pathlib.Path) -> None:
 def require_folder(path: str) -> None:
     """Raises FileNotFoundError where there is no such scene folder."""
     if not pathlib.Path(path).is_dir():
-        raise FileNotFoundError(f"scene folder {path!r} is not there")
+        what = "is a file" if pathlib.Path(path).is_file() else "is not there"
+        raise FileNotFoundError(f"scene folder {path!r} {what}")

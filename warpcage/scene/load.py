@@ -96,7 +96,8 @@ def load_scene(
     """
     folder = pathlib.Path(path)
     if not folder.is_dir():
-        raise FileNotFoundError(f"scene folder {str(folder)!r} is not there")
+        what = "is a file" if folder.is_file() else "is not there"
+        raise FileNotFoundError(f"scene folder {str(folder)!r} {what}")
     if int(downscale) != downscale or downscale < 1:
         raise ValueError(f"downscale must be a whole number of at least 1, got {downscale}")
     if format is None:
