@@ -50,6 +50,7 @@ def test_help_shows_an_example(name, capsys):
     text = capsys.readouterr().out
     assert f"warpcage {name}" in text.split("example:")[1]
     options = {"fit": ["--device", "--downscale"], "pose": ["--bend"], "kernels": ["copy"], "edits": ["--edit"]}
+    options["capture"] = ["--frames"]
     for option in options.get(name, ["--device"]):
         assert option in text
 

@@ -85,7 +85,7 @@ def test_few_pixels_get_steps_enough(device):
 
 @pytest.mark.parametrize(
     ("quality", "millions", "passes", "rays"),
-    [("standard", 22, 11, 131072), ("standard", 6, 11, 65536), ("fast", 22, 3.1, 65536), ("high", 11, 20, 131072)],
+    [("standard", 22, 11, 131072), ("standard", 6, 11, 65536), ("fast", 22, 3.1, 65536), ("high", 11, 22, 131072)],
 )
 def test_batches_are_large_where_steps_are_many(quality, millions, passes, rays):
     """A step costs much whatever its batch counts."""
