@@ -121,6 +121,14 @@ def test_cage_of_a_part_of_a_field(files, tmp_path, capsys):
     assert Cage.load(tmp_path / "box.ply").bounds[0, 2] > -0.1
 
 
+def test_pose_keeps_the_cage_at_rest(tmp_path, capsys):
+    Cage.box([[-1, -1, -1], [1, 1, 1]]).save(tmp_path / "cage.obj")
+    before = (tmp_path / "cage.obj").read_bytes()
+    words = ["pose", str(tmp_path / "cage.obj"), "-o", str(tmp_path / "." / "cage.obj"), "--twist", "9"]
+    assert main(words) == 2 and "is the cage at rest itself" in capsys.readouterr().err
+    assert (tmp_path / "cage.obj").read_bytes() == before
+
+
 def test_pose_takes_steps_in_their_order(files, tmp_path, capsys):
     rest = Cage.load(files / "cage.obj")
     out = tmp_path / "posed.off"

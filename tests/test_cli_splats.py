@@ -90,6 +90,10 @@ def test_pictures_and_films(folder, capsys):
         (["bake", "scene.ply", "-o", "a.ply", "--voxels", "9", "--cage", "cage.obj"], "--voxels and --format"),
         (["bake", "scene.ply", "-o", "a.ply"], "needs a deformation"),
         (["bake", "scene.ply", "-o", "a.ply", "--frames", "3", "--cage", "cage.obj"], "numbered files of splats"),
+        (
+            ["bake", "scene.ply", "-o", "a_##.ply", "--frames", "1", "--cage", "cage.obj", "--posed", "twist:9"],
+            "the pose at rest alone",
+        ),
         (["info", "scene.ply", "--scene-scale", "2"], "--scene-scale is for fields"),
         (["info", "cut.splat"], "32 bytes a splat"),
         (

@@ -255,6 +255,8 @@ def test_calls_that_do_not_fit():
         deformer.pose(Cage.box((-1, -1, -1), (1, 1, 1)))
     with pytest.raises(ValueError, match="leave resolution and bounds out"):
         warpcage.bake(deformer, resolution=8)
+    with pytest.raises(ValueError, match="render needs a Camera, got NoneType"):
+        deformer.render(None)
     assert isinstance(deformer, Deformer) and covariances_of(field.splats).shape == (3, 3, 3)
 
 

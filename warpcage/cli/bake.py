@@ -23,6 +23,8 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
     if args.frames is not None and (not of_splats or "#" not in output.name):
         raise ValueError("--frames writes numbered files of splats: give -o NAME_####.ply, the # for the number")
+    if args.frames == 1:
+        raise ValueError("--frames 1 would write the pose at rest alone: give 2 or more, or leave it out")
     if args.frames is None and of_splats and "##" in output.name:
         raise ValueError("-o with # for a number writes numbered files: give --frames, how many")
     if args.selection is None:

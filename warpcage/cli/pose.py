@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import pathlib
 from typing import Any
 
 from ..cage.cage import Cage
@@ -23,6 +24,10 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError(f"--{given[0]} is for keys of a pose file: give one with -o (.json)")
     if not args.steps:
         raise ValueError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
+    if output.exists() and pathlib.Path(args.cage).exists() and output.samefile(args.cage):
+        raise ValueError(
+            f"-o {output} is the cage at rest itself, which is needed beside a posed one: name another file"
+        )
     inputs.quiet_warp()
 
     cage, found = read_cage(args)

@@ -202,6 +202,7 @@ class SplatDeformer(Deformer):
         """`render` of a pose."""
         if step is not None:
             raise ValueError("splats are not marched through: leave step out")
+        require_type(camera, Camera, "render needs")
         field = self.field
         return field.renderer.render(
             posed_edits().posed,
@@ -209,7 +210,7 @@ class SplatDeformer(Deformer):
             colour=field.background if background is None else parse_background(background),
             origin=field.center,
             near=field.near,
-            supersampling=supersampling or 1,
+            supersampling=1 if supersampling is None else supersampling,
         )
 
 
