@@ -94,7 +94,7 @@ def test_what_an_editor_cannot_open_is_one_line_and_leaves_no_thread(tmp_path):
         (dict(cage="cage.obj"), "Cage"),
         (dict(cage=Cage(BOX.vertices, BOX.faces[1:])), "cage 1"),
         (dict(field=7), "VoxelField"),
-        (dict(field=tmp_path), "not there|is no|npz"),
+        (dict(field=tmp_path), "not there|is no|npz|is a folder"),
     ]
     for options, words in wrong:
         with pytest.raises((ValueError, OSError), match=words):
