@@ -249,52 +249,6 @@ def test_formats_are_told_apart_and_named(tmp_path, bricks):
 # Kinds of pictures
 
 
-@pytest.mark.parametrize("kind", ["16 bit", "8 bit grey", "16 bit grey", "grey and alpha", "16 bit alpha", "palette"])
-def test_kinds_of_png(tmp_path, bricks, kind):
-    from PIL import Image
-    from test_images import write_deep_png
-
-    write_transforms(tmp_path, bricks)
-    rng = np.random.default_rng(0)
-    levels, alpha = rng.integers(0, 65536, (2, 20, 24), dtype=np.uint16)
-    colour = rng.integers(0, 65536, (20, 24, 3), dtype=np.uint16)
-    bits = 255.0 if kind in ("8 bit grey", "grey and alpha", "palette") else 65535.0
-    expected, opacity = np.repeat(levels[..., None], 3, axis=-1) / 65535.0, np.ones((20, 24, 1))
-    for i in range(10):
-        path = tmp_path / "images" / f"view_{i:02d}.png"
-        if kind == "16 bit":
-            expected = colour / bits
-            write_deep_png(path, colour)
-        elif kind == "16 bit grey":
-            write_deep_png(path, levels[..., None])
-        elif kind == "16 bit alpha":
-            opacity = alpha[..., None] / bits
-            write_deep_png(path, np.stack([levels, levels, levels, alpha], axis=-1))
-        elif kind == "palette":
-            expected = np.round(colour[:1, :4] / 65535 * 255).repeat(20, axis=0).repeat(6, axis=1) / 255
-            Image.fromarray(np.round(expected * 255).astype(np.uint8)).convert("P", palette=1, colors=16).save(path)
-        else:
-            byte = (levels >> 8).astype(np.uint8)
-            expected = np.repeat(byte[..., None], 3, axis=-1) / bits
-            if kind == "grey and alpha":
-                opacity = (alpha >> 8)[..., None] / bits
-                byte = np.stack([byte, (alpha >> 8).astype(np.uint8)], axis=-1)
-            Image.fromarray(byte).save(path)
-    scene = load(tmp_path)
-    np.testing.assert_allclose(scene.images[0], expected * opacity + (1 - opacity) * BACKGROUND, atol=1e-6)
-    assert (scene.alphas is None) == (kind in ("16 bit", "8 bit grey", "16 bit grey", "palette"))
-
-
-@pytest.mark.parametrize("extension", [True, False])
-def test_jpeg(tmp_path, extension):
-    rows, columns = np.mgrid[:20, :24]
-    smooth = np.stack([rows * 8 + 40, columns * 7 + 30, (rows + columns) * 4 + 50], axis=-1).astype(np.uint8)
-    pictures = Pictures(np.repeat(smooth[None], 9, axis=0), spiral_cameras(9))
-    write_transforms(tmp_path, pictures, ending=".jpg", extension=extension)
-    scene = load(tmp_path)
-    assert np.abs(scene.images[0] - smooth / 255).mean() < 0.01 and scene.alphas is None
-
-
 # Distortion
 
 LENSES = {

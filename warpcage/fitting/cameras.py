@@ -24,6 +24,9 @@ from .schedule import CameraRates
 
 RECORD = int(kernels.RECORD)
 
+#: Rays that look at the cameras for each ray of the batches between two of their steps.
+CAMERA_RAYS = 0.15
+
 #: Rays of a camera that one item adds up, at most.
 RUN = 64
 

@@ -28,7 +28,7 @@ from ..view.camera import Camera
 from ..view.refined_cameras import RefinedCameras
 from .background import BackgroundOptimizer, chosen_background, layers_that_fit, mean_colour
 from .batches import Batch, Batches
-from .cameras import CameraRefinement, ray_bytes
+from .cameras import CAMERA_RAYS, CameraRefinement, ray_bytes
 from .checkpoint import load_progress, require_writable, save_progress
 from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
@@ -45,9 +45,6 @@ SMALLEST_GRID = (2, 2, 2)
 
 #: Seconds between two updates of the progress bar.
 SHOWN_EVERY = 1.0
-
-#: Rays that look at the cameras for each ray of the batches between two of their steps.
-CAMERA_RAYS = 0.15
 
 
 class FieldOptimizer:
@@ -394,10 +391,7 @@ class FieldOptimizer:
 
     def _refine_cameras(self) -> None:
         """Move the cameras, where a step of theirs is due."""
-        if self.refinement is None:
-            return
-        rates = self.schedule.camera_rates()
-        if not rates:
+        if self.refinement is None or not (rates := self.schedule.camera_rates()):
             return
         around = self.background
         sums = self.refinement.measure(
