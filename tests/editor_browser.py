@@ -314,9 +314,9 @@ CELLS = 24
 
 
 @pytest.fixture
-def editor(tmp_path: Path) -> Iterator[Any]:
-    """An editor of a ball, with settings that pictures are cheap with."""
-    tiny_field().save(tmp_path / "ball.npz")
+def editor(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:
+    """An editor of a ball, or of the field that the parameter makes."""
+    getattr(request, "param", tiny_field)().save(tmp_path / "ball.npz")
     with warpcage.edit(tmp_path / "ball.npz", CAGE) as opened:
         yield opened
 

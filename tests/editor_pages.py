@@ -14,6 +14,8 @@ import pytest
 from warpcage.cage.cage import Cage
 from warpcage.editor.server import Server
 from warpcage.editor.session import Session, new_document
+from warpcage.field.background import LayeredBackground
+from warpcage.field.sparse import harmonics_on_host
 from warpcage.field.voxel_field import VoxelField
 
 WAIT = 30.0
@@ -27,6 +29,16 @@ def tiny_field():
     sh = np.zeros((16, 16, 16, 9, 3))
     sh[..., 0, :] = np.where(z[..., None] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])
     return VoxelField.from_dense(np.where(x**2 + y**2 + z**2 < 0.3, 40.0, 0.0), sh, [[-1, -1, -1], [1, 1, 1]])
+
+
+def layered_field():
+    """The ball before a background of one colour, in layers."""
+    ball, side = tiny_field(), 8
+    values = np.full((2, 6 * side**2 + 2, 4), 0.5)
+    layers = LayeredBackground((0, 0, 0), 2.0, side, values)
+    return VoxelField(
+        ball.bounds, ball.grid.links, ball.grid.density, harmonics_on_host(ball.grid.sh), background_model=layers
+    )
 
 
 def new_session(path=None, cages=(BOX,), **options):

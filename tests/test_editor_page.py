@@ -9,8 +9,9 @@ from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
+import pytest
 from editor_browser import CAGE, CELLS, Window, below, editor, looks_cheap, posed, settle, tunnel, until, window
-from editor_pages import tiny_field
+from editor_pages import layered_field, tiny_field
 from page_probe import projected
 
 import warpcage
@@ -329,7 +330,7 @@ def test_the_keyboard_alone_poses_keys_and_exports(window: Window, editor: Any, 
     assert window.get("document.activeElement.id") == "export-gif"  # where the person was
 
 
-def test_walls_crumbs_and_filling_are_set_on_the_page(window: Window, editor: Any) -> None:
+def test_walls_and_crumbs_are_set_on_the_page(window: Window, editor: Any) -> None:
     looks_cheap(window)
     assert window.get('document.querySelector("#edit-held").closest(".field").hidden')  # nothing is held yet
     window.fill("#edit-falloff", "0.25\n")
@@ -346,8 +347,12 @@ def test_walls_crumbs_and_filling_are_set_on_the_page(window: Window, editor: An
     assert editor.document.edits[0].cage_edit.falloff == 0.0
     window.unfold("view")
     assert window.get('document.querySelector("#fill").closest("label").hidden')  # this field has no layers
-    window.get("warpcage.store.sections.session.field.layers = true")
-    window.choose("#coordinates", "harmonic")  # any change shows the panel anew
+
+
+@pytest.mark.parametrize("editor", [layered_field], indirect=True)
+def test_filling_is_set_on_the_page_of_a_field_with_layers(window: Window, editor: Any) -> None:
+    looks_cheap(window)
+    window.unfold("view")
     until(lambda: window.get('!document.querySelector("#fill").closest("label").hidden'), "filling is offered")
     window.click("#fill")
     until(lambda: editor.document.settings.fill, "filling is kept")

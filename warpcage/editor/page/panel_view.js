@@ -166,6 +166,7 @@ export function viewGroup() {
     }
     views.hidden = !views.children.length;
     store.on("settings", show);
+    store.on("session", show); // of its field: whether there is something to fill
     store.on("status", masks.show);
     store.on("tools", ({ cage }) => overlay.set(cage));
     show();
