@@ -1,22 +1,24 @@
 """Run every benchmark; with --quick, small versions on the CPU, to see in a few minutes that all of them still run.
 
     python benchmarks/run_all.py --quick
-    python benchmarks/run_all.py --device cuda:0 --data ../shared/data/lego_800 --cage lego_42.obj --out results
+    python benchmarks/run_all.py --scenes ../shared/data --cage lego_42.obj --gpus 0 1 --seconds 1500 --out results
 
 Each benchmark is a separate process. Its JSON file and its output go to --out (default: a temporary folder). The exit
-status is 1 if one of them fails. Left out are blender_round_trip.py, which needs Blender, editor_servers.py, which
-needs servers that warpcage does not use, editor_pictures.py, which makes the pictures of the README, and with --quick
-those whose figures mean nothing at a small size (fit_profile.py: CUDA events).
+status is 1 if one of them fails. The full ones (`full_runs.py`) go over the GPUs of a machine, one process a GPU at a
+time, the most important first; what would not end within --seconds is left out and named. Left out of --quick are
+blender_round_trip.py, which needs Blender, editor_servers.py, which needs servers that warpcage does not use,
+editor_pictures.py, which makes the pictures of the README, and those whose figures mean nothing at a small size
+(fit_profile.py and fit_split.py: CUDA events).
 """
 
 from __future__ import annotations
 
 import argparse
 import pathlib
-import subprocess
 import sys
 import tempfile
-import time
+
+from full_runs import Run, full_runs, run_over_gpus
 
 HERE = pathlib.Path(__file__).resolve().parent
 
@@ -24,30 +26,32 @@ HERE = pathlib.Path(__file__).resolve().parent
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="small, on the CPU")
-    parser.add_argument("--device", default="cuda:0")
-    parser.add_argument("--data", help="scene folder for the table and the fit; default: the brick model")
-    parser.add_argument("--cage", help="42-vertex cage around that scene")
+    parser.add_argument("--scenes", type=pathlib.Path, help="folder of lego_800, mic_800, dtu_scan24_half, fox, splats")
+    parser.add_argument("--cage", help="cage around Lego, of 42 vertices or so")
+    parser.add_argument("--gpus", nargs="+", default=["0"], help="numbers of the GPUs that runs are given to")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="when all must have ended")
     parser.add_argument("--out", help="folder for results")
     parser.add_argument("--only", nargs="*", help="names of benchmarks, without .py")
+    parser.add_argument("--list", action="store_true", help="say what would be run, and how long it may take")
     args = parser.parse_args()
+    if not args.quick and args.scenes is None:
+        parser.error("give --quick, or --scenes with the scenes of the full runs")
     with tempfile.TemporaryDirectory() as temporary:
-        out = pathlib.Path(args.out or temporary)
+        out = pathlib.Path(args.out or temporary).resolve()
         out.mkdir(parents=True, exist_ok=True)
-        runs = quick_runs(out) if args.quick else full_runs(args, out)
-        failed, begin = [], time.perf_counter()
-        for name, options in runs.items():
-            if args.only and name not in args.only:
-                continue
-            start = time.perf_counter()
-            command = [sys.executable, str(HERE / f"{name}.py"), *map(str, options)]
-            with open(out / f"{name}.txt", "w", encoding="utf-8") as log:
-                status = subprocess.run(command, stdout=log, stderr=subprocess.STDOUT).returncode
-            print(f"{name:16} {'ok' if status == 0 else 'FAILED'} {time.perf_counter() - start:7.1f} s", flush=True)
-            if status:
-                failed.append(name)
-                print((out / f"{name}.txt").read_text(encoding="utf-8")[-3000:])
-        print(f"{len(failed)} failed, {time.perf_counter() - begin:.1f} s in all")
-    return 1 if failed else 0
+        if args.quick:
+            runs = [
+                Run(name, [sys.executable, str(HERE / f"{name}.py"), *map(str, options)])
+                for name, options in quick_runs(out).items()
+            ]
+        else:
+            runs = full_runs(args.scenes.resolve(), args.cage and pathlib.Path(args.cage).resolve(), out)
+        runs = [run for run in runs if not args.only or run.name in args.only]
+        if args.list:
+            for run in runs:
+                print(f"{run.name:24} {run.seconds:6.0f} s, {run.gpus} GPU: {' '.join(run.command[1:])}")
+            return 0
+        return run_over_gpus(runs, [] if args.quick else args.gpus, args.seconds, out)
 
 
 def quick_runs(out: pathlib.Path) -> dict[str, list]:
@@ -154,22 +158,6 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
         "soak": ["--poses", 20, "--fits", 4, "--refused", 200, "--json", out / "soak.json"],
         "page": ["--results", out, "--page", out / "page.md"],
     }
-
-
-def full_runs(args, out: pathlib.Path) -> dict[str, list]:
-    scene = (["--data", args.data] if args.data else []) + (["--cage", args.cage] if args.cage else [])
-    runs = {
-        "compile": ["--device", args.device, "--json", out / "compile.json"],
-        "coordinates": ["--device", args.device, "--json", out / "coordinates.json"],
-        "convergence": ["--device", args.device, "--json", out / "convergence.json"],
-        "table1": [*scene, "--device", args.device, "--json", out / "table1.json", "--figure", out / "table1.jpg"],
-        "ground_truth": ["--device", args.device, "--json", out / "ground_truth.json", "--figures", out],
-        "every_kernel": ["--device", args.device],
-        "soak": ["--device", args.device, "--json", out / "soak.json", "--figure", out / "soak.svg"],
-    }
-    if args.data:
-        runs["fit_curve"] = ["--data", args.data, "--device", args.device, "--json", out / "fit_curve.json"]
-    return runs
 
 
 if __name__ == "__main__":
