@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from typing import TypeAlias
 
 import numpy as np
@@ -16,6 +15,7 @@ from ..core.files import require_file
 from ..core.names import BACKGROUNDS
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
+from ..deform.picture_cells import MOST_CELLS, picture_cells
 from ..field.voxel_field import VoxelField
 from ..scene.load import load_scene
 from ..scene.scene import Scene
@@ -131,11 +131,6 @@ def make_deformer(field: AnyField, deformation: Deformation, args: argparse.Name
     return Deformer(field, deformation.edits, **options, map=args.map)
 
 
-#: Fewest and most cells along the longest side of a cage where nobody asks for a number of them, and pixels for each:
-#: a lattice of 64 cells is 72 dB from a fine one in pictures of any size (docs/measurements.md).
-FEWEST_CELLS, MOST_CELLS, PIXELS_PER_CELL = 64, 128, 5
-
-
 def lattice_cells(args: argparse.Namespace) -> int | None:
     """The lattice of --resolution, None for none; the finest usual one where `set_lattice` chose none."""
     return MOST_CELLS if args.resolution == options.BY_SIZE else args.resolution
@@ -144,8 +139,7 @@ def lattice_cells(args: argparse.Namespace) -> int | None:
 def set_lattice(args: argparse.Namespace, camera: Camera) -> None:
     """Choose the lattice by the size of a camera's picture, where --resolution is not given."""
     if args.resolution == options.BY_SIZE:
-        cells = 16 * math.ceil(max(camera.width, camera.height) / (16 * PIXELS_PER_CELL))
-        args.resolution = min(max(cells, FEWEST_CELLS), MOST_CELLS)
+        args.resolution = picture_cells(camera)
 
 
 def posed_renderer(field: AnyField, deformation: Deformation | None, args: argparse.Namespace) -> AnyField | Deformer:

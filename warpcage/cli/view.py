@@ -16,6 +16,7 @@ from ..scene.load import load_scene
 from ..view.camera import Camera, framing_orbit
 from ..view.camera_file import CameraFile
 from ..view.camera_path import CameraKey
+from ..view.fitted import fitted
 from . import options
 from .deformation import Deformation
 
@@ -137,28 +138,14 @@ def middle(points: np.ndarray) -> np.ndarray:
 
 def fitted_to(camera: Camera, args: argparse.Namespace) -> Camera:
     """A camera at the size of --size, at its own where it is not given. A width alone keeps the picture's shape."""
-    size = image_size(args)
-    if size is None:
-        return camera
-    if len(args.size) == 1:
-        return camera.resized(size[0], max(1, round(size[0] * camera.height / camera.width)))
-    return fitted(camera, *size)
+    image_size(args)  # refuses others
+    return fitted(camera, args.size or (), "--size")
 
 
 def file_size(args: argparse.Namespace) -> tuple[int, int] | None:
     """The size of pictures from cameras of files that have none. None is that of the file."""
     size = image_size(args)
     return size if size is not None and len(args.size) == 2 else None
-
-
-def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """The same view at another size. Raises ValueError where that would squeeze it."""
-    if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
-        raise ValueError(
-            f"--size {width} {height} would squeeze a {camera.width}x{camera.height} picture: give "
-            f"{width} {round(width * camera.height / camera.width)}"
-        )
-    return camera.resized(width, height)
 
 
 def scene_cameras(args: argparse.Namespace, text: str) -> list[Camera]:

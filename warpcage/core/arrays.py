@@ -223,3 +223,46 @@ def array_view(
     )
     view._ref = owner  # where Warp's own views keep theirs
     return view
+
+
+def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
+    """Bytes that the arrays of an object take: those of its attributes, of theirs, and of what lists and dicts hold.
+
+    Views of one array count once. Only objects of this package and structs of Warp are looked into.
+
+    Args:
+        thing: The object.
+        leave: Objects whose arrays do not count.
+
+    Returns:
+        Bytes on devices and in main memory together.
+    """
+    held: dict[tuple[str, int], int] = {}
+    seen, open_things = {id(each) for each in leave}, [thing]
+    while open_things:
+        each = open_things.pop()
+        if id(each) in seen or each is None or isinstance(each, str | bytes | int | float):
+            continue
+        seen.add(id(each))
+        if isinstance(each, wp.array):
+            if each.ptr:
+                key = str(each.device), each.ptr
+                held[key] = max(held.get(key, 0), each.capacity)
+        elif isinstance(each, np.ndarray):
+            base = each
+            while isinstance(base.base, np.ndarray):
+                base = base.base
+            held["host", id(base)] = base.nbytes
+        elif isinstance(each, dict):
+            open_things += each.values()
+        elif isinstance(each, list | tuple | set):
+            open_things += each
+        elif type(each).__module__.startswith("warpcage.") or hasattr(each, "_ctype"):  # which structs have
+            open_things += _attributes(each)
+    return sum(held.values())
+
+
+def _attributes(thing: Any) -> list[Any]:
+    """The values of an object's attributes, those of slots too."""
+    names = [name for kind in type(thing).__mro__ for name in getattr(kind, "__slots__", ())]
+    return [*getattr(thing, "__dict__", {}).values(), *(getattr(thing, name, None) for name in names)]

@@ -181,7 +181,7 @@ def _check_sizes(archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], room:
 def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     name = _array_name(info)
     with archive.open(info) as file:
-        shape, fortran_order, dtype = _read_header(file, name)
+        shape, fortran_order, dtype = read_npy_header(file, name)
         claimed, there = math.prod(shape) * dtype.itemsize, info.file_size - file.tell()
         if min(shape, default=0) < 0 or claimed != there:
             raise ValueError(f"array {name!r} claims {claimed} bytes {shape}, the file has {there}")
@@ -196,8 +196,19 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     return array.reshape(shape, order="F" if fortran_order else "C")
 
 
-def _read_header(file: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Shape, whether columns come first, and data type of an array of numbers or text."""
+def read_npy_header(file: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """What the header of a .npy file says; pickled objects are refused.
+
+    Args:
+        file: The file, at its beginning; afterwards at the array's first byte.
+        name: How messages call the array.
+
+    Returns:
+        Shape, whether columns come first, and data type of an array of numbers or text.
+
+    Raises:
+        ValueError: For anything else.
+    """
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:
         raise ValueError(f"array {name!r} has the unknown .npy version {version}")
@@ -286,3 +297,19 @@ def require_file(path: PathLike, what: str) -> pathlib.Path:
     if not path.is_file():
         raise FileNotFoundError(f"{what} {str(path)!r} is not there")
     return path
+
+
+def file_stamp(path: PathLike) -> tuple[int, int]:
+    """Size of a file and its time of change, by which one that was replaced or written to is known.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Bytes and nanoseconds.
+
+    Raises:
+        OSError: If it cannot be looked at.
+    """
+    status = os.stat(path)
+    return status.st_size, status.st_mtime_ns

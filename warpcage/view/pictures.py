@@ -189,6 +189,27 @@ def write_png(path: str | os.PathLike, image: ArrayLike) -> None:
         iio.imwrite(file, pixels, extension=".png")
 
 
+def write_jpeg(path: str | os.PathLike, image: ArrayLike, *, quality: int = 95) -> None:
+    """Write a JPEG file, whole or not at all. Colours keep the resolution of the picture (4:4:4).
+
+    Args:
+        path: The file; it must end in .jpg or .jpeg.
+        image: (h, w) or (h, w, 3), values in [0, 1] or uint8.
+        quality: 1 to 100.
+
+    Raises:
+        ValueError: For another shape or ending.
+    """
+    path = pathlib.Path(path)
+    if path.suffix.lower() not in (".jpg", ".jpeg"):
+        raise ValueError(f"{str(path)!r} must end in .jpg or .jpeg")
+    pixels = to_uint8(image)
+    if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] == 3)) or 0 in pixels.shape:
+        raise ValueError(f"a JPEG holds (h, w) or (h, w, 3), got shape {pixels.shape}")
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        iio.imwrite(file, pixels, extension=".jpg", quality=quality, subsampling=0)
+
+
 def path_with_ending(path: str | os.PathLike, ending: str) -> pathlib.Path:
     """The path of a file to write, once its ending is checked.
 

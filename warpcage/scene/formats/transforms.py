@@ -110,7 +110,7 @@ def _view(folder: pathlib.Path, transforms: dict, where: str, frame: dict) -> Vi
         find_picture(folder, frame.get("file_path"), f"{where}: file_path"),
         pose,
         where,
-        lambda actual: _intrinsics(given, actual, where),
+        lambda actual: frame_intrinsics(given, actual, where),
         size,
         tuple(distortion),
         None if mask is None else inside(folder, mask, f"{where}: mask_path"),
@@ -122,7 +122,7 @@ def _with_last_row(rows):
     return [*rows, [0.0, 0.0, 0.0, 1.0]] if isinstance(rows, list) and len(rows) == 3 else rows
 
 
-def _intrinsics(given: dict, size: tuple[int, int], where: str) -> tuple[float, float, float, float]:
+def frame_intrinsics(given: dict, size: tuple[int, int], where: str) -> tuple[float, float, float, float]:
     """fl_x, fl_y, cx, cy, or what stands for them: angles of view, the middle of the picture."""
     focal = [_focal(given, axis, side, where) for axis, side in zip("xy", size, strict=True)]
     known = [value for value in focal if value is not None]

@@ -1,0 +1,243 @@
+"""Frames of items: fields and deformers that stay loaded, and the pictures of what they render."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import pathlib
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..cage.cage import Cage
+from ..core.arrays import array_bytes
+from ..core.memory import free_bytes
+from ..core.recent import Recent
+from ..deform.deformer import Deformer
+from ..deform.edits import CageEdit
+from ..deform.fill import fill_unseen
+from ..deform.picture_cells import picture_cells
+from ..field.voxel_field import VoxelField
+from ..splats.load import AnyField, load_field
+from ..view.camera import Camera
+from ..view.exr import depth_along_view, write_exr
+from ..view.frame import Frame
+from ..view.frame_parts import picture
+from ..view.opacity import rgba_picture
+from ..view.pictures import write_jpeg, write_png
+from .items import TRANSPARENT, FrameItem, canonical
+from .references import References, RestCage
+
+#: Writes an output to a temporary file. It holds main memory alone, so that any thread may call it.
+Writer = Callable[[pathlib.Path], None]
+
+#: Fields and deformers that stay loaded, and the share of the memory that is free for them.
+MOST_FIELDS, MOST_DEFORMERS, MEMORY_SHARE = 8, 4, 0.5
+
+
+@dataclasses.dataclass
+class Counts:
+    """How often something was made, by which reuse is seen.
+
+    Attributes:
+        fields: Fields read from files.
+        deformers: Cages at rest that were bound to a field.
+        poses: Maps of poses.
+        frames: Pictures rendered.
+    """
+
+    fields: int = 0
+    deformers: int = 0
+    poses: int = 0
+    frames: int = 0
+
+
+@dataclasses.dataclass
+class Bound:
+    """A Deformer and the pose that it holds."""
+
+    deformer: Deformer
+    rests: list[RestCage]
+    pose: Hashable = None
+
+
+class FrameMaker:
+    """Renders frames, and keeps what the next ones need: fields, deformers, and the map of the last pose.
+
+    Args:
+        references: What items refer to.
+        device: Warp device.
+        memory: Bytes that fields and deformers may take together. None is half of what is free on the device.
+
+    Attributes:
+        counts: How often something was made.
+    """
+
+    def __init__(self, references: References, device: wp.Device, memory: int | None = None):
+        self.references, self.device, self.counts = references, device, Counts()
+        limit = int(MEMORY_SHARE * free_bytes(device)) if memory is None else memory
+        self._fields: Recent[AnyField] = Recent(MOST_FIELDS, limit // 2, array_bytes)
+        self._bound: Recent[Bound] = Recent(MOST_DEFORMERS, limit // 2, _bound_bytes)
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes that fields and deformers take."""
+        return self._fields.held_bytes + self._bound.held_bytes
+
+    def forget(self) -> None:
+        """Let go of all that is loaded."""
+        self._bound.clear()
+        self._fields.clear()
+
+    def make(self, item: FrameItem) -> dict[str, Writer]:
+        """Render a frame.
+
+        Args:
+            item: The item.
+
+        Returns:
+            What writes its outputs, by their paths.
+
+        Raises:
+            FileNotFoundError: For a file that is not there.
+            ValueError: For what cannot be used, with its name.
+        """
+        field_key, field = self._field(item)
+        camera = self.references.camera(item, field)
+        if item.edits:
+            bound_key, bound = self._deformer(item, field_key, field, camera)
+            self._pose(bound, item)
+            renderer, drawn = bound.deformer, _drawn(bound) if item.overlay else []
+        else:
+            bound_key, renderer, drawn = None, field, []
+        frame = renderer.render(camera, **_render_options(item))
+        if item.fill:
+            frame = _filled(frame, field, camera)
+        self.counts.frames += 1
+        writers = frame_writers(item, frame, camera, drawn)
+        self._fields.settle(field_key)
+        self._bound.settle(bound_key)
+        return writers
+
+    def _field(self, item: FrameItem) -> tuple[Hashable, AnyField]:
+        path, stamp = self.references.stamped(item.field, "field file")
+
+        def load() -> AnyField:
+            self.counts.fields += 1
+            return load_field(path, scene_scale=item.scene_scale, device=self.device)
+
+        key = path, stamp, item.scene_scale
+        return key, self._fields.get(key, load)
+
+    def _deformer(
+        self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
+    ) -> tuple[Hashable, Bound]:
+        cells = picture_cells(camera) if item.resolution is None else item.resolution
+        files = [self.references.stamped(edit.cage, "cage file") for edit in item.edits if isinstance(edit.cage, str)]
+        rest = canonical([edit.rest for edit in item.edits])
+        key = field_key, rest, tuple(files), item.coordinates, cells, item.density, item.map
+
+        def bind() -> Bound:
+            rests = [self.references.rest_cage(edit, field) for edit in item.edits]
+            edits = [
+                CageEdit(cage, edit.keep, edit.remove, edit.falloff, edit.held, edit.crumbs)
+                for (cage, _), edit in zip(rests, item.edits, strict=True)
+            ]
+            self.counts.deformers += 1
+            resolution = None if cells == "precise" else int(cells)
+            options: dict[str, Any] = {"coordinates": item.coordinates, "density": item.density, "map": item.map}
+            return Bound(Deformer(field, edits, resolution=resolution, **options), rests)
+
+        return key, self._bound.get(key, bind)
+
+    def _pose(self, bound: Bound, item: FrameItem) -> None:
+        """Move the cages of a Deformer, if they are not there."""
+        cages = [self.references.posed_cage(edit, rest) for edit, rest in zip(item.edits, bound.rests, strict=True)]
+        pose = tuple(None if cage is None else cage.vertices.tobytes() for cage in cages)
+        if pose == bound.pose:
+            return
+        bound.pose = None  # should this fail, the next frame poses anew
+        bound.deformer.pose(cages)
+        bound.pose = pose
+        self.counts.poses += 1
+
+
+def _bound_bytes(bound: Bound) -> int:
+    return array_bytes(bound.deformer, leave=(bound.deformer.field,))
+
+
+def _drawn(bound: Bound) -> list[Cage]:
+    """The cages that an overlay shows: posed ones, and at rest those whose content is removed."""
+    posed = bound.deformer.deformed or []
+    return [rest if cage is None else cage for (rest, _), cage in zip(bound.rests, posed, strict=True)]
+
+
+def _render_options(item: FrameItem) -> dict[str, Any]:
+    options: dict[str, Any] = {} if item.supersampling is None else {"supersampling": item.supersampling}
+    if item.background is None:
+        return options
+    return options | {"background": "black" if item.background == TRANSPARENT else item.background}
+
+
+def _filled(frame: Frame, field: AnyField, camera: Camera) -> Frame:
+    if not isinstance(field, VoxelField):
+        raise ValueError("'fill' is for fields of voxels (.npz), this one is of splats")
+    if field.background_model is None:
+        raise ValueError("'fill': behind this field there is one colour, so that nothing is missing where it shows")
+    return fill_unseen(frame, field, camera)
+
+
+def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> dict[str, Writer]:
+    """What writes the outputs of a frame. Its arrays are on the host when this returns.
+
+    Args:
+        item: The item.
+        frame: The frame.
+        camera: Its camera.
+        drawn: Cages whose edges are drawn into the picture.
+
+    Returns:
+        Writers by the paths of the outputs.
+
+    Raises:
+        ValueError: For a part that the frame does not have.
+    """
+    for name in frame.arrays:
+        getattr(frame, name)
+    return {path: _writer(part, path, item, frame, camera, drawn) for part, path in item.outputs.items()}
+
+
+def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> Writer:
+    ending = pathlib.PurePosixPath(path).suffix.lower()
+    if part in ("reveal", "fold", "outside", "masks") and frame.reveal is None:
+        raise ValueError(f"{part!r} is for fields of voxels (.npz), this one is of splats")
+    if ending == ".npy":
+        return lambda temporary: write_array(temporary, getattr(frame, part))
+
+    def image() -> np.ndarray:
+        if part == "rgb":
+            clear = item.background == TRANSPARENT
+            return rgba_picture(frame, camera, drawn) if clear else picture(frame, "rgb", camera, drawn)
+        if part in ("reveal", "fold"):
+            return np.clip(getattr(frame, part), 0.0, 1.0)
+        return picture(frame, part, scale=item.disparity_scale)
+
+    if ending == ".exr":
+        shown = (lambda: np.repeat(frame.alpha[..., None], 3, axis=-1)) if part == "depth" else image
+        return lambda temporary: write_exr(temporary, shown(), depth_along_view(frame, camera))
+    write = write_jpeg if ending in (".jpg", ".jpeg") else write_png
+    return lambda temporary: write(temporary, image())
+
+
+def write_array(path: pathlib.Path, array: np.ndarray) -> None:
+    """Write a .npy file.
+
+    Args:
+        path: The file, which is not yet in its place.
+        array: The numbers.
+    """
+    data = io.BytesIO()
+    np.save(data, np.ascontiguousarray(array), allow_pickle=False)
+    path.write_bytes(data.getbuffer())  # np.save's own way tells of a full disk without its error number

@@ -1,0 +1,315 @@
+"""Job files: JSON Lines, a header and an item in each further line; read line by line, however long they are."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..core.checks import listed, shown
+from ..core.files import JSON_ROOM, PathLike, atomic_path, require_file
+from ..core.memory import require_host_memory
+from .items import KINDS, Item
+from .words import checked_words, one_of
+
+FORMAT, VERSION = "warpcage jobs", 1
+
+#: Bytes that a line may have: a cage of a hundred thousand vertices takes a tenth of it.
+MAX_LINE = 1 << 26
+
+#: Bytes that are looked through at once for the ends of lines.
+CHUNK = 1 << 22
+
+#: Words of the header's "records": how the outputs of all items are kept together.
+RECORD_WORDS = ("kind", "items_per_shard", "image", "depth", "alpha")
+
+
+class JobFile:
+    """The items of a job file. Lines are read and checked when they are asked for; 8 bytes a line are held.
+
+    The first line is a header, `{"format": "warpcage jobs", "version": 1, "defaults": {...}}`; every further one is an
+    item. Empty lines are left out. Paths in items are relative to the folder of the file.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For a header that cannot be read, with the file and the line.
+
+    Attributes:
+        path: The file.
+        folder: Its folder, which paths in items are relative to.
+        defaults: What holds where an item says nothing.
+        records: How outputs are kept together, {} where the header says nothing.
+        header: The whole header.
+    """
+
+    def __init__(self, path: PathLike):
+        self.path = require_file(path, "job file")
+        self.folder = self.path.absolute().parent
+        self._lock = threading.Lock()
+        self._file = self.path.open("rb")
+        try:
+            self._starts, self._lines = self._found_lines()
+            self.header = self._checked_header()
+        except BaseException:
+            self._file.close()
+            raise
+        self.defaults: dict[str, Any] = self.header.get("defaults") or {}
+        self.records: dict[str, Any] = self.header.get("records") or {}
+
+    def __enter__(self) -> JobFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        return len(self._lines) - 1
+
+    def __iter__(self) -> Iterator[Item]:
+        return self.items()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def line(self, index: int) -> int:
+        """The line, from 1, at which an item stands.
+
+        Args:
+            index: Number of the item, from 0.
+
+        Returns:
+            Its line.
+        """
+        return int(self._lines[index + 1]) + 1
+
+    def item(self, index: int) -> Item:
+        """An item.
+
+        Args:
+            index: Its number, from 0.
+
+        Returns:
+            The item, with what it takes from the header.
+
+        Raises:
+            ValueError: File and line of what is wrong, and what would be right.
+        """
+        if not 0 <= index < len(self):
+            raise ValueError(f"{self.path} has items 0 to {len(self) - 1}, got {index}")
+        line = int(self._lines[index + 1])
+        entry = self._object(line)
+        try:
+            return Item.from_json(entry, self.defaults)
+        except ValueError as error:
+            name = f" ({shown(entry['id'])})" if isinstance(entry.get("id"), str) else ""
+            raise ValueError(f"{self.path}, line {line + 1}{name}: {error}") from None
+
+    def items(self) -> Iterator[Item]:
+        """All items in their order. Raises ValueError at the first that cannot be read."""
+        for index in range(len(self)):
+            yield self.item(index)
+
+    # -- lines
+
+    def _found_lines(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where lines start (and the end of the file), and the numbers of those that hold something."""
+        ends, place, blank = [np.zeros(1, np.int64)], 0, b" \t\r\n"
+        while chunk := self._file.read(CHUNK):
+            ends.append(np.flatnonzero(np.frombuffer(chunk, np.uint8) == 10) + (place + 1))
+            place += len(chunk)
+        starts = np.concatenate(ends)
+        if starts[-1] != place:
+            starts = np.append(starts, place)
+        lengths = np.diff(starts)
+        kept = np.ones(len(lengths), bool)
+        for line in np.flatnonzero(lengths < 80):  # others hold more than a few spaces
+            self._file.seek(int(starts[line]))
+            kept[line] = bool(self._file.read(int(lengths[line])).strip(blank))
+        lines = np.flatnonzero(kept).astype(np.int32)
+        if not len(lines):
+            raise ValueError(f"{self.path} is empty: a job file begins with a header, {_HEADER_SHAPE}")
+        return starts, lines
+
+    def _object(self, line: int) -> dict[str, Any]:
+        """The JSON object of a line, counted from 0."""
+        start, end = int(self._starts[line]), int(self._starts[line + 1])
+        where = f"{self.path}, line {line + 1}"
+        if end - start > MAX_LINE:
+            raise ValueError(
+                f"{where}: it has {end - start:,} bytes, at most {MAX_LINE:,} are read: put arrays into .npy files"
+            )
+        if end - start > CHUNK:
+            require_host_memory(JSON_ROOM * (end - start), f"{where}: its {end - start} bytes need")
+        with self._lock:
+            self._file.seek(start)
+            data = self._file.read(end - start)
+        try:
+            text = data.decode("utf-8-sig" if line == 0 else "utf-8")
+            content = json.loads(text, parse_constant=_no_constant)
+        except UnicodeDecodeError:
+            raise ValueError(f"{where}: it holds no text (UTF-8)") from None
+        except RecursionError:
+            raise ValueError(f"{where}: its JSON is nested too deeply") from None
+        except json.JSONDecodeError as error:
+            raise ValueError(
+                f"{where}: its JSON breaks off or is damaged at column {error.colno}: every line is one whole object"
+            ) from None
+        except ValueError as error:  # NaN, or a number of too many digits
+            raise ValueError(f"{where}: {error}") from None
+        if not isinstance(content, dict):
+            raise ValueError(f"{where}: it must be a JSON object, got {shown(content)}")
+        return content
+
+    def _checked_header(self) -> dict[str, Any]:
+        """The header."""
+        line = int(self._lines[0])
+        header, where = self._object(line), f"{self.path}, line {line + 1}"
+        if header.get("format") != FORMAT:
+            raise ValueError(
+                f"{where}: it is no header of a job file: its format is {shown(header.get('format'))}, not {FORMAT!r}; "
+                f"a job file begins with {_HEADER_SHAPE}"
+            )
+        version = header.get("version")
+        if type(version) is not int or version < 1:
+            raise ValueError(f"{where}: its version must be a whole number from 1, got {shown(version)}")
+        if version > VERSION:
+            raise ValueError(f"{where}: its version is {version}, this warpcage reads up to {VERSION}: upgrade")
+        try:
+            _check_defaults(header.get("defaults") or {})
+            check_records(header.get("records") or {})
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from None
+        return header
+
+
+_HEADER_SHAPE = f'{{"format": "{FORMAT}", "version": {VERSION}}}'
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _check_defaults(defaults: Any) -> None:
+    """Raise ValueError for defaults that no kind of item takes."""
+    if not isinstance(defaults, dict):
+        raise ValueError(f"'defaults' must be an object of words of items, got {shown(defaults)}")
+    kind = defaults.get("kind")
+    if kind is not None:
+        one_of(*KINDS)(kind, "'kind' of 'defaults'")
+    known = {word: None for maker in KINDS.values() for word in maker.known if word != "id"}
+    for word, value in defaults.items():
+        if word not in known:
+            raise ValueError(f"'defaults' has no {shown(word)}, only {listed(known, most=60)}")
+        if value is None:
+            continue
+        makers = [KINDS[kind]] if kind is not None and word in KINDS[kind].known else list(KINDS.values())
+        _check_for_some(word, value, [maker for maker in makers if word in maker.known])
+
+
+def _check_for_some(word: str, value: Any, makers: list[type[Item]]) -> None:
+    """Raise the last ValueError where no kind of item takes a value."""
+    wrong: ValueError | None = None
+    for maker in makers:
+        try:
+            maker.known[word](value, f"{word!r} of 'defaults'")
+            return
+        except ValueError as error:
+            wrong = error
+    if wrong is not None:
+        raise wrong
+
+
+def check_records(records: Any) -> None:
+    """Check how a job keeps its outputs together.
+
+    Args:
+        records: "records" of the header.
+
+    Raises:
+        ValueError: For words that are not known.
+    """
+    from . import words
+
+    if not isinstance(records, dict):
+        raise ValueError(f"'records' must be an object with a kind, got {shown(records)}")
+    if not records:
+        return
+    known = {
+        "kind": one_of("folder", "webdataset"),
+        "items_per_shard": words.whole(1, 1_000_000),
+        "image": one_of("png", "jpg"),
+        "depth": words.truth,
+        "alpha": words.truth,
+    }
+    if "kind" not in checked_words(records, known, "'records'"):
+        raise ValueError("'records' needs a 'kind': folder or webdataset")
+
+
+def write_jobs(
+    path: PathLike,
+    items: Iterable[Item | Mapping[str, Any]],
+    *,
+    defaults: Mapping[str, Any] | None = None,
+    records: Mapping[str, Any] | None = None,
+    extra: Any = None,
+) -> int:
+    """Write a job file, whole or not at all. Every item is checked first.
+
+    Args:
+        path: The file, usually .jsonl.
+        items: Items, or objects as `Item.from_json` takes them; they may come one by one.
+        defaults: What holds where an item says nothing. None is nothing.
+        records: How outputs are kept together. None is each file for itself.
+        extra: Any JSON that is kept in the header.
+
+    Returns:
+        Number of items.
+
+    Raises:
+        ValueError: For an item, defaults or records that cannot be; the file is as it was then.
+    """
+    header: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    usual = dict(defaults or {})
+    _check_defaults(usual)
+    check_records(dict(records or {}))
+    header |= {name: value for name, value in (("defaults", usual), ("records", records), ("extra", extra)) if value}
+    count = 0
+    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(_line(header))
+        for count, item in enumerate(items, 1):
+            entry = item.to_json() if isinstance(item, Item) else dict(item)
+            try:
+                Item.from_json(entry, usual)
+                file.write(_line(entry))
+            except ValueError as error:
+                raise ValueError(f"item {count} ({shown(entry.get('id'))}): {error}") from None
+    return count
+
+
+def _line(entry: Mapping[str, Any]) -> str:
+    return json.dumps(entry, separators=(", ", ": "), allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def is_job_file(path: PathLike) -> bool:
+    """Whether a file begins as job files do.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Whether its first line is the header of a job file, of any version.
+    """
+    try:
+        with pathlib.Path(path).open("rb") as file:
+            header = json.loads(file.readline(CHUNK))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(header, dict) and header.get("format") == FORMAT

@@ -1,0 +1,278 @@
+"""What words of items refer to: arrays, cages, poses and cameras, in files or in the words themselves."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import re
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..cage.motion import gltf_poses
+from ..cage.pose_file import PoseFile
+from ..cage.upright import load_standing
+from ..core.checks import shown
+from ..core.files import file_stamp, require_file
+from ..core.json_files import DAMAGED
+from ..core.npy_files import NpyFile
+from ..core.recent import Recent
+from ..scene.transforms_camera import TransformsCameras
+from ..splats.load import AnyField
+from ..view.camera import Camera
+from ..view.camera_file import CameraFile, camera_from_json
+from ..view.fitted import fitted
+from .items import EditWords, FrameItem, canonical
+
+Thing = TypeVar("Thing")
+
+#: A file, and what is meant of what it holds.
+_PLACE = re.compile(r"(.+\.(npy|json|glb|gltf))#(.+)", re.IGNORECASE | re.DOTALL)
+
+#: Files that are kept open to view: their headers, keyframes and cameras.
+MOST_FILES = 32
+
+
+def split_reference(reference: str) -> tuple[str, str]:
+    """The file that a word refers to, and what of it.
+
+    Args:
+        reference: "file", or "file#place" of a .npy, .json or glTF file.
+
+    Returns:
+        The file, and the place; "" for all of it.
+    """
+    found = _PLACE.fullmatch(reference)
+    return (found[1], found[3]) if found else (reference, "")
+
+
+class RestCage(NamedTuple):
+    """A cage at rest, and the axis that points up in cage files by their ending, as it was found for its own."""
+
+    cage: Cage
+    ups: dict[str, str]
+
+
+class References:
+    """Reads what items refer to. What was read from a file is kept while the file stays as it is.
+
+    Args:
+        base: Folder that paths are relative to.
+    """
+
+    def __init__(self, base: str | os.PathLike):
+        self.base = pathlib.Path(base)
+        self._files: Recent[Any] = Recent(MOST_FILES)
+
+    def path(self, name: str) -> pathlib.Path:
+        """The path of a file."""
+        return self.base / name
+
+    def stamped(self, name: str, what: str) -> tuple[str, tuple[int, int]]:
+        """A file and its stamp, by which what was made of it is known. Raises FileNotFoundError."""
+        path = require_file(self.path(name), what)
+        return str(path), file_stamp(path)
+
+    def array(self, value: Any, what: str) -> np.ndarray:
+        """An array.
+
+        Args:
+            value: "file.npy", "file.npy#17" (its row 17), or nested lists.
+            what: How messages call it.
+
+        Returns:
+            The numbers, as they are in the file.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: For what is no array of numbers.
+        """
+        if not isinstance(value, str):
+            try:
+                found = np.asarray(value)
+            except ValueError:
+                found = np.empty(0, object)
+            if found.dtype.kind not in "fiu":
+                raise ValueError(f"{what} must hold numbers, in lists of equal length, got {shown(value)}")
+            return found
+        name, place = split_reference(value)
+        if not name.lower().endswith(".npy"):
+            raise ValueError(f"{what} must be an .npy file, a row of one (file.npy#17) or nested lists, got {value!r}")
+        file = self._kept(name, "array file", NpyFile)
+        if not place:
+            return file.read()
+        if not place.isdigit():
+            raise ValueError(f"{what}: {value!r} names no row: write {name}#17")
+        return file.row(int(place))
+
+    # -- cages
+
+    def rest_cage(self, edit: EditWords, field: AnyField) -> RestCage:
+        """The cage at rest of an edit, usable.
+
+        Args:
+            edit: The edit.
+            field: The field that it stands in, by which the axis of its file is found.
+
+        Returns:
+            The cage, and the axis that points up in files of its ending.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: For a file that cannot be read, or a cage that cannot be used.
+        """
+        if isinstance(edit.cage, str):
+            path = self.path(edit.cage)
+            cage, standing = load_standing(Cage, require_file(path, "cage file"), up=edit.up, reference=field)
+            ups = {path.suffix.lower(): standing.up}
+        else:
+            vertices = self.array(edit.cage["vertices"], "'vertices' of 'cage'")
+            faces = self.array(edit.cage["faces"], "'faces' of 'cage'")
+            cage, ups = Cage(vertices, faces), {}
+        cage.require_usable(f"cage {edit.cage!r}" if isinstance(edit.cage, str) else "'cage'")
+        return RestCage(cage, ups)
+
+    def posed_cage(self, edit: EditWords, rest_cage: RestCage) -> Cage | None:
+        """The posed cage of an edit, in the order of the cage at rest.
+
+        Args:
+            edit: The edit.
+            rest_cage: Its cage at rest.
+
+        Returns:
+            The cage; None for an edit that removes.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: For a file that cannot be read, or a pose that does not fit.
+        """
+        if edit.remove:
+            return None
+        value, (rest, ups) = edit.posed, rest_cage
+        if not isinstance(value, str) or split_reference(value)[0].lower().endswith(".npy"):
+            vertices = self.array(value, "'posed'")
+            if vertices.shape != rest.vertices.shape:
+                raise ValueError(
+                    f"'posed' must be {rest.vertices.shape} as the cage at rest, got {vertices.shape} of "
+                    f"{shown(value)}{_row_hint(value, vertices, rest)}"
+                )
+            return rest.with_vertices(vertices)
+        name, place = split_reference(value)
+        if name.lower().endswith(".json"):
+            file = self._kept(name, "pose file", lambda path: PoseFile.load(path, rest), canonical(edit.rest))
+            return _keyframe(file, name, place)
+        if place:
+            moving = self._kept(
+                name, "cage file", lambda path: gltf_poses(path, rest, up=edit.up), canonical(edit.rest)
+            )
+            if moving is None:
+                raise ValueError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
+            return _keyframe(moving, name, place)
+        path = require_file(self.path(name), "cage file")
+        posed = load_standing(Cage, path, up=edit.up, reference=rest, expected=ups.get(path.suffix.lower()))[0]
+        try:
+            return rest.match(posed)
+        except ValueError as error:
+            raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
+
+    # -- cameras
+
+    def camera(self, item: FrameItem, field: AnyField) -> Camera:
+        """The camera of a frame, at its size and in the world of its field.
+
+        Args:
+            item: The frame.
+            field: Its field, which may have been straightened: cameras of scenes are turned with it.
+
+        Returns:
+            The camera.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: For a camera that is not there or cannot be.
+        """
+        try:
+            camera = self._camera(item, field)
+            return fitted(camera, item.size, "'size'")
+        except DAMAGED as error:
+            raise ValueError(f"'camera' cannot be used: {error}") from None
+
+    def _camera(self, item: FrameItem, field: AnyField) -> Camera:
+        value = item.camera
+        if isinstance(value, dict):
+            return inline_camera(value)
+        name, place = split_reference(value)
+        size = (item.size[0], item.size[1]) if len(item.size) == 2 else None
+        if not name.lower().endswith(".json"):
+            cameras = self._kept(name, "camera file", lambda path: CameraFile.load(path, size=size), size)
+            return _named(cameras, place, name)
+        cameras = self._kept(name, "camera file", _read_cameras)
+        if isinstance(cameras, CameraFile):
+            return _named(cameras, place, name)
+        if not place:
+            raise ValueError(f"{name} holds {len(cameras)} cameras: name one, {name}#0")
+        camera = cameras.camera(place, size)
+        return camera if field.straightening is None else camera.moved(field.straightening)
+
+    def _kept(self, name: str, what: str, read: Callable[[pathlib.Path], Thing], more: Hashable = None) -> Thing:
+        """What was read from a file, read again where the file has changed."""
+        path, stamp = self.stamped(name, what)
+        return self._files.get((path, stamp, what, more), lambda: read(pathlib.Path(path)))
+
+
+def inline_camera(value: dict[str, Any]) -> Camera:
+    """A camera of an object of numbers.
+
+    Args:
+        value: fx, fy, cx, cy, width, height and camera_to_world, as camera files have them; or eye, target, width and
+            height, and up and fov_degrees if they are not usual.
+
+    Returns:
+        The camera.
+
+    Raises:
+        ValueError: For numbers that are missing or cannot be.
+    """
+    if "eye" in value:
+        return Camera.look_at(**value)
+    try:
+        return camera_from_json(value, 0).camera
+    except KeyError as error:
+        raise ValueError(f"'camera' lacks {error.args[0]!r}") from None
+    except DAMAGED as error:
+        raise ValueError(f"'camera' cannot be used: {error}") from None
+
+
+def _read_cameras(path: pathlib.Path) -> CameraFile | TransformsCameras:
+    """The cameras of a JSON file of ours, or of a scene."""
+    with path.open("rb") as file:
+        is_ours = b'"warpcage cameras"' in file.read(1 << 12)
+    return CameraFile.load(path) if is_ours else TransformsCameras(path)
+
+
+def _named(cameras: CameraFile, place: str, name: str) -> Camera:
+    try:
+        return cameras.named(place)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _keyframe(file: PoseFile, name: str, place: str) -> Cage:
+    if place.isdigit() and place not in file and int(place) < len(file):
+        return file[file.names[int(place)]]
+    if not place and len(file) == 1:
+        return file[file.names[0]]
+    if not place:
+        raise ValueError(f"pose file {name!r} holds {len(file)} keyframes: name one, {name}#{file.names[0]}")
+    try:
+        return file[place]
+    except ValueError as error:
+        raise ValueError(f"pose file {name!r}: {error}") from None
+
+
+def _row_hint(value: Any, vertices: np.ndarray, rest: Cage) -> str:
+    if isinstance(value, str) and vertices.ndim == 3 and vertices.shape[1:] == rest.vertices.shape:
+        return f": it holds {len(vertices)} poses, write {value}#0 for the first"
+    return ""

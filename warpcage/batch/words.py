@@ -1,0 +1,126 @@
+"""Words of items: what each may be, checked before any work begins."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from ..core.checks import checked_number, checked_positive, checked_whole, listed, shown
+
+#: Takes a value of JSON and the word that it stands at, and returns it as items have it.
+Checker = Callable[[Any, str], Any]
+
+#: Names that items and outputs have: parts between slashes, none of which is hidden or leads up.
+_PART = re.compile(r"\w[\w.\-]*")
+
+#: Bytes that a part of such a name has at most, so that there is room for a temporary name beside it.
+MAX_PART, MAX_SAFE_NAME = 200, 1000
+
+
+def safe_name(value: Any, word: str) -> str:
+    """A name below a folder: letters, digits, `_`, `-` and `.` between slashes.
+
+    Args:
+        value: What was given.
+        word: How the message calls it.
+
+    Returns:
+        The name.
+
+    Raises:
+        ValueError: For a name that is hidden, too long, or leads out of the folder.
+    """
+    parts = value.split("/") if isinstance(value, str) else [""]
+    good = all(_PART.fullmatch(part) and len(part.encode("utf-8", "replace")) <= MAX_PART for part in parts)
+    if not good or len(value) > MAX_SAFE_NAME:
+        raise ValueError(
+            f'{word} must be a relative name of letters, digits, "_", "-" and ".", with "/" between folders, '
+            f'such as "shot/frame_0001", got {shown(value)}'
+        )
+    return value
+
+
+def text(value: Any, word: str) -> str:
+    """A text that can name a file."""
+    try:
+        if isinstance(value, str) and value.strip() and "\0" not in value and value.encode():
+            return value
+    except UnicodeEncodeError:
+        pass
+    raise ValueError(f"{word} must be a text, got {shown(value)}")
+
+
+def truth(value: Any, word: str) -> bool:
+    """True or false."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{word} must be true or false, got {shown(value)}")
+    return value
+
+
+def number(value: Any, word: str) -> float:
+    """A finite number."""
+    if isinstance(value, bool):
+        raise ValueError(f"{word} must be one finite number, got {value!r}")
+    return checked_number(value, word)
+
+
+def not_negative(value: Any, word: str) -> float:
+    """A finite number of at least 0."""
+    found = number(value, word)
+    if found < 0.0:
+        raise ValueError(f"{word} must be 0 or more, got {found:g}")
+    return found
+
+
+def positive(value: Any, word: str) -> float:
+    """A finite number above 0."""
+    return checked_positive(number(value, word), word)
+
+
+def numbers(value: Any, word: str, count: int) -> tuple[float, ...]:
+    """As many finite numbers."""
+    if not isinstance(value, list | tuple) or len(value) != count:
+        raise ValueError(f"{word} must be {count} numbers, got {shown(value)}")
+    return tuple(number(each, word) for each in value)
+
+
+def one_of(*names: str) -> Checker:
+    """A checker of names."""
+
+    def check(value: Any, word: str) -> str:
+        if not isinstance(value, str) or value not in names:
+            raise ValueError(f"{word} must be one of {', '.join(names)}, got {shown(value)}")
+        return value
+
+    return check
+
+
+def whole(least: int, most: int | None = None) -> Checker:
+    """A checker of whole numbers."""
+    return lambda value, word: checked_whole(value, word, least, most)
+
+
+def anything(value: Any, word: str) -> Any:
+    """Any JSON."""
+    return value
+
+
+def checked_words(entry: Mapping[str, Any], known: Mapping[str, Checker], what: str) -> dict[str, Any]:
+    """The words of an object, each checked; null is a word that was left out.
+
+    Args:
+        entry: The object.
+        known: Checkers by word.
+        what: How messages call the object.
+
+    Returns:
+        What was given, as the checkers return it.
+
+    Raises:
+        ValueError: For a word that is not known, or a value that it cannot have.
+    """
+    unknown = next((word for word in entry if word not in known), None)
+    if unknown is not None:
+        raise ValueError(f"{what} has no {shown(unknown)}, only {listed(known, most=40)}")
+    return {word: known[word](value, repr(word)) for word, value in entry.items() if value is not None}

@@ -1,0 +1,92 @@
+"""What was used last is kept, within a number of things and of bytes."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any, Generic, TypeVar
+
+Thing = TypeVar("Thing")
+
+
+class Recent(Generic[Thing]):
+    """Things by key, of which those that were not used for longest are let go.
+
+    Args:
+        most: Most things that are kept, at least 1.
+        most_bytes: Most bytes that they take together; the one that is used last stays whatever it takes. None is no
+            limit.
+        measure: How many bytes a thing takes. None counts none.
+        dropped: Called with each thing that is let go. None calls nothing.
+    """
+
+    def __init__(
+        self,
+        most: int,
+        most_bytes: int | None = None,
+        measure: Callable[[Thing], int] | None = None,
+        dropped: Callable[[Thing], Any] | None = None,
+    ):
+        self.most, self.most_bytes, self.measure, self._dropped = most, most_bytes, measure, dropped
+        self._things: OrderedDict[Hashable, tuple[Thing, int]] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._things)
+
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._things
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of all things together, as they were measured last."""
+        return sum(size for _, size in self._things.values())
+
+    def get(self, key: Hashable, make: Callable[[], Thing]) -> Thing:
+        """The thing of a key, made where it is not kept.
+
+        Args:
+            key: The key.
+            make: Makes it.
+
+        Returns:
+            The thing, which is now the one that was used last.
+        """
+        if key in self._things:
+            self._things.move_to_end(key)
+            return self._things[key][0]
+        while len(self._things) >= self.most:  # before the new one is made, which needs the room
+            self._drop_oldest()
+        thing = make()
+        self._things[key] = thing, 0
+        self.settle(key)
+        return thing
+
+    def settle(self, key: Hashable) -> None:
+        """Measure a thing anew, which may have grown since it was made, and let go of what is too much.
+
+        Args:
+            key: Its key; nothing is done where it is not kept.
+        """
+        if key not in self._things or self.measure is None:
+            return
+        thing = self._things[key][0]
+        self._things[key] = thing, self.measure(thing)
+        while self.most_bytes is not None and len(self._things) > 1 and self.held_bytes > self.most_bytes:
+            self._drop_oldest()
+
+    def drop(self, key: Hashable) -> None:
+        """Let go of a thing, if it is kept."""
+        if key in self._things:
+            self._let_go(self._things.pop(key)[0])
+
+    def clear(self) -> None:
+        """Let go of all things."""
+        while self._things:
+            self._drop_oldest()
+
+    def _drop_oldest(self) -> None:
+        self._let_go(self._things.popitem(last=False)[1][0])
+
+    def _let_go(self, thing: Thing) -> None:
+        if self._dropped is not None:
+            self._dropped(thing)
