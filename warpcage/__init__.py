@@ -34,6 +34,7 @@ _HOMES = {
     "NodeSelection": "field.selection",
     "PoseFile": "cage.pose_file",
     "PositionMap": "lattice.position_map",
+    "RandomPoses": "cage.random_poses",
     "Scene": "scene.scene",
     "SplatDeformer": "deform.splat_deformer",
     "SplatField": "splats.splat_field",

@@ -2,6 +2,7 @@
 
 from .cage.cage import Cage as Cage
 from .cage.pose_file import PoseFile as PoseFile
+from .cage.random_poses import RandomPoses as RandomPoses
 from .cage.report import CageReport as CageReport
 from .captures.capture import capture as capture
 from .captures.report import CaptureReport as CaptureReport
@@ -52,6 +53,7 @@ __all__ = [
     "NodeSelection",
     "PoseFile",
     "PositionMap",
+    "RandomPoses",
     "Scene",
     "SplatDeformer",
     "SplatField",

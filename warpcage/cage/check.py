@@ -199,7 +199,7 @@ def sample_pose(
         Number of samples, share of them where the map folds over, share of them that it sends out of the rest cage, and
         least and largest stretch. Shares are 0 and stretches 1 where no sample fits into the cage.
     """
-    points, step = _grid(pose, samples), _DIFFERENCE * pose.size
+    (points, _), step = grid_points(pose, samples), _DIFFERENCE * pose.size
     points = points[inside_mesh(points, pose)]
     offsets: np.ndarray = np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
     stencil = points[:, None] + offsets
@@ -217,11 +217,19 @@ def sample_pose(
     return len(stencil), float(inverted.mean()), outside, (float(stretch.min()), float(stretch.max()))
 
 
-def _grid(cage: ClosedMesh, samples: int) -> np.ndarray:
-    """Points (n, 3) of a grid over the cage's bounding box, off its planes of symmetry, about `samples` in the cage."""
+def grid_points(cage: ClosedMesh, samples: int) -> tuple[np.ndarray, float]:
+    """Points of a grid over a cage's bounding box, off its planes of symmetry.
+
+    Args:
+        cage: The cage.
+        samples: About how many of them are in the cage.
+
+    Returns:
+        (n, 3) points and their distance from each other, world units.
+    """
     lower, upper = cage.bounds
     spacing = (cage.volume / samples) ** (1.0 / 3.0)
     axes = [
         np.arange(low + 0.37 * min(spacing, high - low), high, spacing) for low, high in zip(lower, upper, strict=True)
     ]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), spacing

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.principal import own_axis, principal_axes
-from . import poses
+from . import poses, random_poses
 
 Posed = TypeVar("Posed", bound="PosableMesh")
 
@@ -200,6 +200,35 @@ class PosableMesh(ClosedMesh):
                 not positive, or numbers of no vertices.
         """
         return self.with_vertices(poses.move(self.vertices, offset, group=group, centre=centre, radius=radius))
+
+    def random_pose(
+        self: Posed,
+        seed: int = 0,
+        number: int = 0,
+        *,
+        stretch: Sequence[float] = random_poses.USUAL_STRETCH,
+        reach: Sequence[float] = random_poses.USUAL_REACH,
+        modes: Sequence[str] = random_poses.POSE_MODES,
+    ) -> Posed:
+        """A random plausible pose: smooth, without folds, within bounds of stretch; see `warpcage.RandomPoses`.
+
+        That class makes many poses sooner.
+
+        Args:
+            seed: Another one gives other poses.
+            number: The pose's number among those of the seed, from 0.
+            stretch: (2,) least and largest length in the pose over the length at rest.
+            reach: (2,) shares between which the pose's share of the farthest that the bounds allow lies.
+            modes: Which of "bend", "twist", "stretch", "taper", "wave" and "bump" may act.
+
+        Returns:
+            The pose.
+
+        Raises:
+            ValueError: For a mesh that is not usable, and for options that cannot be.
+        """
+        made = random_poses.RandomPoses(self, seed=seed, stretch=stretch, reach=reach, modes=modes)
+        return made.pose(number)
 
     @property
     def principal_axes(self) -> np.ndarray:

@@ -1,0 +1,106 @@
+"""Mean value weights in float64 on the host, for a few points: what kernels compute in float32 has too few digits for
+small differences, and differs a little from device to device."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from ..mesh.closed_mesh import ClosedMesh
+
+#: Numbers that are worked on at once: edges or faces times points.
+CHUNK = 1 << 13
+
+#: A face whose corners, seen from a point, span less than this (the sine of a solid corner) lies in one plane with it.
+FLAT = 1e-10
+
+
+def host_mean_value_weights(points: np.ndarray, mesh: ClosedMesh) -> np.ndarray:
+    """Mean value coordinates of points off the surface, in float64.
+
+    With u_i the unit vectors to the corners of a face, theta_ij the angles between them and n_ij the unit normals of
+    the planes that they span, the mean vector of the face's spherical triangle is m = sum_ij theta_ij n_ij / 2, and its
+    corner i gets the weight m . (u_j x u_k) / (det(u_i, u_j, u_k) |v_i - x|) (Ju, Schaefer and Warren 2005; Floater,
+    Kos and Reimers 2005). A face in one plane with the point, off the point, gets none.
+
+    Args:
+        points: (n, 3) world units, none on the surface.
+        mesh: A usable mesh.
+
+    Returns:
+        (n, v) float64, each row with the sum 1.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    edges, of_face, sign = _face_edges(mesh)
+    faces = mesh.faces.astype(np.int64)
+    corner = np.arange(3 * len(faces))
+    gather = sparse.csr_matrix(
+        (np.ones(len(corner)), (faces.T.reshape(-1), corner)), shape=(len(mesh.vertices), len(corner))
+    )
+    weights = np.empty((len(points), len(mesh.vertices)))
+    step = max(1, CHUNK // len(edges))
+    for first in range(0, len(points), step):
+        part = points[first : first + step]
+        found = gather @ _corner_weights(part, mesh.vertices, faces, edges, of_face, sign)
+        weights[first : first + step] = (found / found.sum(axis=0)).T
+    return weights
+
+
+def mean_value_gradients(points: np.ndarray, mesh: ClosedMesh, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean value coordinates and their gradients, by forward differences.
+
+    Args:
+        points: (n, 3) world units, farther than `step` from the surface.
+        mesh: A usable mesh.
+        step: Length of the differences, world units.
+
+    Returns:
+        (n, v) weights, and (n, 3, v) gradients, one row for each axis, per world unit.
+    """
+    stencil = points[:, None] + np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
+    weights = host_mean_value_weights(stencil.reshape(-1, 3), mesh).reshape(len(points), 4, -1)
+    return weights[:, 0], (weights[:, 1:] - weights[:, :1]) / step
+
+
+def _face_edges(mesh: ClosedMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges (e, 2); of each face those from corner k on, (3, f); and whether they run so, (3, f, 1) 1 or -1."""
+    faces = mesh.faces.astype(np.int64)
+    directed = np.stack([faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    ends = np.sort(directed, axis=2)
+    keys = ends[..., 0] * len(mesh.vertices) + ends[..., 1]
+    unique, number = np.unique(keys, return_inverse=True)
+    edges = np.stack(np.divmod(unique, len(mesh.vertices)), axis=1)
+    sign = np.where(directed[..., 0] == ends[..., 0], 1.0, -1.0)
+    return edges, number.reshape(keys.shape), sign[..., None]
+
+
+def _corner_weights(
+    points: np.ndarray,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    edges: np.ndarray,
+    of_face: np.ndarray,
+    sign: np.ndarray,
+) -> np.ndarray:
+    """(3 f, n) weights of the corners of all faces, first corners first; see `host_mean_value_weights`."""
+    ray = vertices.T[:, :, None] - points.T[:, None, :]  # (3, v, n)
+    length = np.sqrt(_dot(ray, ray))
+    ray /= length
+    a, b = ray[:, edges[:, 0]], ray[:, edges[:, 1]]
+    cross = np.stack(_cross(a, b))  # (3, e, n)
+    sine, cosine = np.sqrt(_dot(cross, cross)), _dot(a, b)
+    share = 0.5 * np.arctan2(sine, cosine) / np.maximum(sine, 1e-300)
+    planes = [sign[k] * cross[:, of_face[k]] for k in range(3)]
+    mean = share[of_face[0]] * planes[0] + share[of_face[1]] * planes[1] + share[of_face[2]] * planes[2]
+    determinant = _dot(ray[:, faces[:, 0]], planes[1])
+    flat = np.abs(determinant) < FLAT
+    inverse = np.where(flat, 0.0, 1.0 / np.where(flat, 1.0, determinant))
+    return np.concatenate([_dot(mean, planes[(k + 1) % 3]) * inverse / length[faces[:, k]] for k in range(3)])
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
