@@ -1,0 +1,183 @@
+"""Who makes what: lots, deaths, retries and stragglers, under a virtual clock. The code is that of real runs."""
+
+import collections
+
+import numpy as np
+import pytest
+
+from warpcage.batch.dispatcher import Dispatcher, LotReport
+from warpcage.batch.loop import drive
+from warpcage.batch.lots import Lots
+from warpcage.batch.simulated_engine import Conditions, SimulatedEngine
+
+
+def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, **words):
+    """A run; returns dispatcher, engine and the seconds that it took."""
+    groups = np.sort(np.random.default_rng(3).integers(0, group_count, count))
+    words.setdefault("item_seconds", np.full(count, 0.5))
+    words.setdefault("speeds", np.ones(workers))
+    engine = SimulatedEngine(Conditions(groups=groups, **words))
+    dispatcher = Dispatcher(Lots(np.arange(count), groups, aim=aim), retries=retries)
+    for number in range(workers):
+        dispatcher.add_worker(str(number))
+    drive(dispatcher, engine)
+    return dispatcher, engine, engine.now()
+
+
+def test_every_item_is_made_once():
+    dispatcher, engine, seconds = simulated()
+    assert (engine.made == 1).all() and dispatcher.done == 2000 and not dispatcher.left
+    assert seconds < 1.1 * (2000 * 0.5 / 8) + 2  # all are at work nearly all of the time
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_nothing_is_lost_or_made_twice_whatever_happens(seed):
+    random = np.random.default_rng(seed)
+    count, workers = int(random.integers(1, 3000)), int(random.integers(2, 40))
+    some = random.permutation(count)
+    poison, bad = frozenset(some[:3].tolist()), frozenset(some[3:9].tolist())
+    dispatcher, engine, _ = simulated(
+        count,
+        workers,
+        int(random.integers(1, count + 1)),
+        item_seconds=random.gamma(2.0, 0.5, count),
+        speeds=random.choice([1.0, 1.0, 1.0, 12.0], workers),
+        load_seconds=random.choice([0.0, 3.0]),
+        deaths_per_hour=60.0,
+        flaky=0.05,
+        stalls=(0.05, 50.0),
+        poison=poison,
+        bad=bad,
+        seed=seed,
+        retries=6,
+    )
+    failed = set(dispatcher.failures)
+    assert poison | bad <= failed and len(failed - poison - bad) <= 2
+    others = np.ones(count, bool)
+    others[list(failed)] = False
+    assert (engine.made[others] == 1).all() and not engine.made[~others].any()
+    assert dispatcher.done + dispatcher.failed == count and not dispatcher.left
+    assert all("bad input" in dispatcher.failures[item] for item in bad)
+    assert all("7 times" in dispatcher.failures[item] for item in poison)
+
+
+def test_workers_stay_with_what_they_have_loaded():
+    loads = []
+    for group_count in (8, 80):
+        _, engine, _ = simulated(4000, 8, group_count, load_seconds=1.0)
+        loads.append(engine.worked - 0.5 * 4000)
+    assert loads[0] < 2.5 * 8 and loads[1] < 1.3 * 80  # seconds, one a load
+
+
+def test_small_groups_go_together():
+    dispatcher, engine, _ = simulated(20_000, 4, 20_000, item_seconds=np.full(20_000, 0.001))
+    assert engine.lots < 400 and (engine.made == 1).all()
+
+
+def test_lots_follow_what_items_take():
+    """Ten seconds a lot: a few slow items, or many quick ones, at most 256; and small ones at the end."""
+    sizes = {}
+    for seconds in (0.01, 1.0, 30.0):
+        taken = []
+        lots = Lots(np.arange(100_000), np.zeros(100_000))
+        for _ in range(50):
+            taken.append(len(lots.take(0, 10)[0]))
+            lots.note(0, seconds)
+        sizes[seconds] = taken
+    assert sizes[0.01][0] == 1 and set(sizes[0.01][1:]) == {256}
+    assert set(sizes[1.0][1:]) == {10} and set(sizes[30.0]) == {1}
+    lots = Lots(np.arange(100), np.zeros(100))
+    lots.note(0, 0.001)
+    taken = []
+    while lots.left:
+        taken.append(len(lots.take(0, 2)[0]))
+    assert taken[0] == 13 and taken[-1] == 1 and sum(taken) == 100 and taken == sorted(taken, reverse=True)
+
+
+def test_a_straggler_gives_back_what_it_has_not_begun():
+    """One of eight becomes two hundred times slower in the middle: it costs the items that it has begun."""
+    count = 800
+    seconds = np.full(count, 1.0)
+    _, engine, alone = simulated(count, 8, 1, item_seconds=seconds)
+    speeds = np.ones(8)
+    dispatcher, engine, _ = simulated(count, 8, 1, item_seconds=seconds)
+    speeds[0] = 60.0  # from the beginning: nobody knows until its first item is made
+    dispatcher, engine, slow = simulated(count, 8, 1, item_seconds=seconds, speeds=speeds)
+    assert (engine.made == 1).all() and dispatcher.done == count
+    assert slow < 60 + 1.25 * count / 7 and alone < 1.1 * count / 8 + 2
+
+
+def test_a_failed_item_is_tried_elsewhere():
+    lots = Lots(np.arange(6), np.zeros(6))
+    dispatcher = Dispatcher(lots, retries=1)
+    for name in "ab":
+        dispatcher.add_worker(name)
+    first = dispatcher.next_lot("a", 0.0)
+    dispatcher.reported("a", LotReport(errors=[(first.items[0], "out of memory")]), 1.0)
+    tried = []
+    while (lot := dispatcher.next_lot("a", 2.0)) is not None:
+        tried += lot.items
+        dispatcher.reported("a", LotReport(done=list(lot.items), seconds=[1.0] * len(lot.items)), 3.0)
+    assert first.items[0] not in tried and len(tried) == 5 and dispatcher.left == 1
+    again = dispatcher.next_lot("b", 4.0)
+    assert (again.items, again.attempts) == ([first.items[0]], [1])
+    dispatcher.reported("b", LotReport(failed=[(again.items[0], "out of memory")]), 5.0)
+    assert dispatcher.finished and dispatcher.failures == {first.items[0]: "out of memory"}
+
+
+def test_the_item_that_was_begun_last_is_charged_and_the_others_are_made_alone():
+    dispatcher = Dispatcher(Lots(np.arange(100), np.zeros(100)), retries=2)
+    for name in "ab":
+        dispatcher.add_worker(name)
+    lot = dispatcher.next_lot("a", 0.0)
+    dispatcher.reported("a", LotReport(done=list(lot.items), seconds=[0.01]), 0.01)
+    lot = dispatcher.next_lot("a", 0.1)
+    begun = lot.items[2:5]
+    assert dispatcher.died("a", LotReport(done=lot.items[:2], seconds=[0.01] * 2), begun, "killed") == []
+    assert [dispatcher.attempts(item) for item in begun] == [0, 0, 1]
+    alone = collections.Counter()
+    while (lot := dispatcher.next_lot("b", 1.0)) is not None:
+        alone.update({item: len(lot.items) for item in lot.items})
+        dispatcher.reported("b", LotReport(done=list(lot.items), seconds=[0.01] * len(lot.items)), 2.0)
+    assert [alone[item] for item in begun] == [1, 1, 1] and dispatcher.done == 100
+
+
+def test_a_place_whose_workers_die_before_they_begin_is_given_up():
+    dispatcher = Dispatcher(Lots(np.arange(3), np.zeros(3)))
+    dispatcher.add_worker("a")
+    for _ in range(2):
+        dispatcher.died("a", LotReport(), [], "no module named warpcage")
+        assert not dispatcher.given_up("a")
+    dispatcher.died("a", LotReport(), [], "no module named warpcage")
+    assert dispatcher.given_up("a") and dispatcher.workers == 0 and dispatcher.left == 3
+
+
+def test_a_lot_that_ends_while_it_is_asked_back_is_counted_once():
+    for report_first in (True, False):
+        dispatcher = Dispatcher(Lots(np.arange(40), np.zeros(40), aim=100.0))
+        dispatcher.lots.note(0, 1.0)
+        for name in "ab":
+            dispatcher.add_worker(name)
+        lot = dispatcher.next_lot("a", 0.0)
+        made, back = lot.items[:2], lot.items[2:]
+        answers = [
+            lambda d=dispatcher, made=made, back=back: d.reported(
+                "a", LotReport(done=made, seconds=[1, 1], left=back), 5.0
+            ),
+            lambda d=dispatcher, lot=lot, back=back: d.returned("a", lot.number, back),
+        ]
+        for answer in answers if report_first else reversed(answers):
+            answer()
+        assert dispatcher.left == 38 == dispatcher.lots.left
+
+
+def test_after_a_full_disk_nothing_is_handed_out():
+    dispatcher = Dispatcher(Lots(np.arange(10), np.zeros(10)))
+    for name in "ab":
+        dispatcher.add_worker(name)
+    lot = dispatcher.next_lot("a", 0.0)
+    dispatcher.next_lot("b", 0.0)
+    dispatcher.reported("a", LotReport(left=list(lot.items), halt="no space left on device"), 1.0)
+    assert dispatcher.next_lot("a", 2.0) is None and not dispatcher.finished
+    dispatcher.reported("b", LotReport(done=[1], seconds=[1.0]), 3.0)
+    assert dispatcher.finished and dispatcher.left == 9 and not dispatcher.failures

@@ -1,0 +1,360 @@
+"""Which worker makes what: lots, deaths, retries and stragglers, as pure logic without clock, files or processes.
+
+Times are handed in, so that a simulation under a virtual clock runs the very same code (benchmarks/batch_scale.py).
+"""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+from collections.abc import Sequence
+
+from .lots import NEWEST, Lot, Lots
+
+#: Deaths of a worker in a row, none of which made an item, after which its place is given up.
+MOST_BARREN = 3
+
+#: A lot is shortened for the sake of a worker that has nothing to do where it would take this many more seconds.
+LEAST_SHARED = 2.0
+
+#: A worker that takes this many times what its lot should have taken gives back all that it has not begun.
+STRAGGLING = 3.0
+
+
+@dataclasses.dataclass
+class LotReport:
+    """What became of a lot.
+
+    Attributes:
+        done: Items that were made.
+        seconds: How long each of those took.
+        failed: Items that will not be tried again, with one line each.
+        errors: Items that may be tried again, with one line each.
+        left: Items that were not begun, or whose making ended without blame.
+        loading: Whether the first item loaded what the others found there: its seconds are not usual.
+        halt: Why nothing can be written any more, one line; None else.
+        broken: Why the worker can make no more, one line; None else.
+        pack_error: Why the lot's shard was not packed, one line; None else.
+    """
+
+    done: list[int] = dataclasses.field(default_factory=list)
+    seconds: list[float] = dataclasses.field(default_factory=list)
+    failed: list[tuple[int, str]] = dataclasses.field(default_factory=list)
+    errors: list[tuple[int, str]] = dataclasses.field(default_factory=list)
+    left: list[int] = dataclasses.field(default_factory=list)
+    loading: bool = False
+    halt: str | None = None
+    broken: str | None = None
+    pack_error: str | None = None
+
+
+@dataclasses.dataclass
+class _Worker:
+    """A place where a process works; when that dies, another takes its place."""
+
+    lot: Lot | None = None
+    began: float = 0.0
+    group: int | None = None
+    speed: float = 1.0
+    barren: int = 0  # deaths in a row without an item
+    recalled: bool = False  # whether its lot was asked back
+
+
+class Dispatcher:
+    """Hands out lots, and knows when all is settled.
+
+    Args:
+        lots: What is to be made.
+        retries: How often an item may be tried again.
+        shards: Items that are open of each shard, by its number, where lots are shards; None else.
+
+    Attributes:
+        done: Items that were made.
+        failures: Items that will not be tried again, with one line each.
+        stopped: Whether no more are handed out.
+    """
+
+    def __init__(self, lots: Lots, *, retries: int = 2, shards: dict[int, int] | None = None):
+        self.lots, self.retries = lots, retries
+        self.done = 0
+        self.failures: dict[int, str] = {}
+        self.stopped = False
+        self._workers: dict[str, _Worker] = {}
+        self._sharers: collections.Counter[int] = collections.Counter()  # workers at each group
+        self._attempts: dict[int, int] = {}  # items that failed before
+        self._retries: collections.deque[tuple[int, int, str]] = collections.deque()  # item, group, where it failed
+        self._shards = None if shards is None else dict(shards)
+        self._packs: collections.deque[tuple[int, int]] = collections.deque()  # shard, attempts
+        self.unpacked: list[tuple[int, str]] = []  # shards that could not be packed
+        self._number = 0
+        self._busy: set[str] = set()
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is nothing left to be handed out or waited for."""
+        return not self._busy and (self.stopped or not self.open)
+
+    @property
+    def open(self) -> bool:
+        """Whether there is something that nobody has."""
+        return bool(self.lots.left or self._retries or self._packs)
+
+    @property
+    def names(self) -> list[str]:
+        """The places where work is done."""
+        return list(self._workers)
+
+    @property
+    def left(self) -> int:
+        """Items that are neither made nor failed."""
+        held = sum(len(worker.lot.items) for name in self._busy if (worker := self._workers[name]).lot)
+        return self.lots.left + len(self._retries) + held
+
+    @property
+    def failed(self) -> int:
+        """How many items will not be tried again."""
+        return len(self.failures)
+
+    @property
+    def workers(self) -> int:
+        """Places where work is done."""
+        return len(self._workers)
+
+    def attempts(self, item: int) -> int:
+        """How often an item was begun and failed."""
+        return self._attempts.get(item, 0)
+
+    def lot_of(self, name: str) -> Lot | None:
+        """What a worker works at."""
+        return self._workers[name].lot
+
+    def add_worker(self, name: str) -> None:
+        """A place where work can be done; its process may start later."""
+        self._workers[name] = _Worker()
+
+    def next_lot(self, name: str, now: float) -> Lot | None:
+        """The next lot of a worker that has none.
+
+        Args:
+            name: The worker.
+            now: Seconds of any clock that never goes back.
+
+        Returns:
+            The lot; None where there is nothing for it at present.
+        """
+        worker = self._workers[name]
+        if self.stopped:
+            return None
+        lot = self._pack(worker) or self._retry(name, worker, loaded_only=True) or self._cut(worker)
+        lot = lot or self._retry(name, worker, loaded_only=False)
+        if lot is None:
+            return None
+        worker.lot, worker.began, worker.recalled = lot, now, False
+        self._busy.add(name)
+        return lot
+
+    def reported(self, name: str, report: LotReport, now: float) -> None:
+        """A worker is done with its lot.
+
+        Args:
+            name: The worker.
+            report: What became of it.
+            now: Seconds.
+        """
+        worker = self._workers[name]
+        lot = self._settle(name, report)
+        if lot.shard is not None and report.pack_error is not None:
+            self._pack_again(lot, report.pack_error)
+        if report.done:
+            worker.barren = 0
+            usual = report.seconds[1:] if report.loading and len(report.seconds) > 1 else report.seconds
+            mean = sum(usual) / len(usual)
+            expected = self.lots.seconds(lot.group)
+            if expected and not (report.loading and len(report.seconds) == 1):
+                worker.speed += NEWEST * (mean / expected - worker.speed)
+            self.lots.note(lot.group, mean / max(worker.speed, 1e-9))
+        elif report.broken is not None:
+            worker.barren += 1
+        if report.halt is not None:
+            self.stop()
+
+    def died(self, name: str, report: LotReport, begun: Sequence[int], reason: str) -> list[tuple[int, str]]:
+        """A worker died.
+
+        The item that it began last is charged an attempt. Others that it had begun, whose files were being written,
+        are made again alone, so that one that kills its worker is known by that.
+
+        Args:
+            name: The worker.
+            report: What it had settled of its lot.
+            begun: The items that it had begun and not settled, the newest last.
+            reason: One line.
+
+        Returns:
+            The item that it began last, with its error, where that is not tried again.
+        """
+        worker = self._workers[name]
+        self._move(worker, None)  # what takes its place has nothing loaded
+        worker.barren = 0 if report.done else worker.barren + (not begun)
+        lot = worker.lot
+        if lot is None:
+            return []
+        lost: list[tuple[int, str]] = []
+        charged = begun[-1] if begun else None
+        if charged is not None and self._attempts.get(charged, 0) >= self.retries:
+            lost = [(charged, f"{reason}, {self._attempts.get(charged, 0) + 1} times while it was made")]
+            report.failed.extend(lost)
+        elif charged is not None:
+            report.errors.append((charged, reason))
+        settled = {*report.done, *(item for item, _ in [*report.failed, *report.errors]), *begun}
+        report.left = [item for item in lot.items if item not in settled]
+        self._settle(name, report)
+        self._retries.extend((item, lot.group, "") for item in begun[:-1])
+        if lot.shard is not None:
+            self._pack_again(lot, reason)
+        return lost
+
+    def given_up(self, name: str) -> bool:
+        """Whether a worker's place is not filled again, as it dies before it makes anything.
+
+        Args:
+            name: The worker.
+
+        Returns:
+            True from the third death on; the worker is forgotten then.
+        """
+        if self._workers[name].barren < MOST_BARREN:
+            return False
+        del self._workers[name]
+        return True
+
+    def recalls(self, idle: int, now: float) -> list[tuple[str, int, float]]:
+        """Lots that are to be shortened, so that workers that have nothing to do get some of them.
+
+        Args:
+            idle: How many workers have nothing to do.
+            now: Seconds.
+
+        Returns:
+            Workers, the numbers of their lots, and the share of what each has not begun that it should give back.
+        """
+        if self.stopped or not idle or self.lots.left:
+            return []
+        late = []
+        for name in self._busy:
+            worker = self._workers[name]
+            lot = worker.lot
+            if lot is None or worker.recalled or len(lot.items) < 2:
+                continue
+            seconds = self.lots.seconds(lot.group)
+            passed = now - worker.began
+            expected = (seconds or 0.0) * worker.speed * len(lot.items)
+            if passed > STRAGGLING * max(expected, LEAST_SHARED):
+                late.append((passed, name, lot.number, 1.0))
+            elif expected - passed > LEAST_SHARED:
+                late.append((expected - passed, name, lot.number, 0.5))
+        late.sort(reverse=True)
+        for _, name, _, _ in late[:idle]:
+            self._workers[name].recalled = True
+        return [(name, number, share) for _, name, number, share in late[:idle]]
+
+    def returned(self, name: str, number: int, items: Sequence[int]) -> None:
+        """A worker gave back items of its lot that it had not begun.
+
+        Args:
+            name: The worker.
+            number: Of the lot.
+            items: Those items.
+        """
+        worker = self._workers.get(name)
+        if worker is None or worker.lot is None or worker.lot.number != number or not items:
+            return  # the lot ended meanwhile: its report says what was left
+        back = set(items)
+        kept = [k for k, item in enumerate(worker.lot.items) if item not in back]
+        lot = worker.lot
+        worker.lot = dataclasses.replace(
+            lot, items=[lot.items[k] for k in kept], attempts=[lot.attempts[k] for k in kept]
+        )
+        worker.recalled = False  # what it still holds may be asked for later
+        self.lots.put_back(lot.group, items)
+
+    def stop(self) -> None:
+        """Hand out no more."""
+        self.stopped = True
+
+    def _settle(self, name: str, report: LotReport) -> Lot:
+        """Count what a report says, and put the rest where it is handed out again."""
+        worker = self._workers[name]
+        lot = worker.lot
+        assert lot is not None
+        worker.lot = None
+        self._busy.discard(name)
+        self.done += len(report.done)
+        self.failures.update(report.failed)
+        settled = [*report.done, *(item for item, _ in report.failed)]
+        for item in settled:
+            self._attempts.pop(item, None)
+        for item, _ in report.errors:
+            self._attempts[item] = self._attempts.get(item, 0) + 1
+            self._retries.append((item, lot.group, name))
+        held = set(lot.items)  # without what it gave back meanwhile
+        self.lots.put_back(lot.group, [item for item in report.left if item in held])
+        if self._shards is not None and settled:
+            shard = self.lots.name(lot.group)
+            self._shards[shard] -= len(settled)
+            if not self._shards[shard]:
+                del self._shards[shard]
+                self._packs.append((shard, 0))
+        return lot
+
+    def _cut(self, worker: _Worker) -> Lot | None:
+        if not self.lots.left:
+            return None
+        group = self.lots.choose(worker.group, self._sharers)
+        if group is None:
+            return None
+        items, group = self.lots.take(group, len(self._workers), worker.speed)
+        self._move(worker, group)
+        return self._lot(items, group)
+
+    def _retry(self, name: str, worker: _Worker, loaded_only: bool) -> Lot | None:
+        """An item that failed, alone and elsewhere where there is an elsewhere."""
+        for _ in range(len(self._retries)):
+            item, group, failed_at = self._retries.popleft()
+            elsewhere = failed_at != name or len(self._workers) == 1 or failed_at not in self._workers
+            if elsewhere and (group == worker.group or not loaded_only):
+                self._move(worker, group)
+                return self._lot([item], group)
+            self._retries.append((item, group, failed_at))
+        return None
+
+    def _pack(self, worker: _Worker) -> Lot | None:
+        if not self._packs:
+            return None
+        shard, attempts = self._packs.popleft()
+        group = self.lots.group_of(shard)
+        self._number += 1
+        return Lot(self._number, [], [attempts], group, shard)
+
+    def _pack_again(self, lot: Lot, reason: str) -> None:
+        assert lot.shard is not None
+        if lot.attempts[0] < self.retries:
+            self._packs.append((lot.shard, lot.attempts[0] + 1))
+        else:
+            self.unpacked.append((lot.shard, reason))
+
+    def _lot(self, items: list[int], group: int) -> Lot:
+        self._number += 1
+        return Lot(self._number, items, [self._attempts.get(item, 0) for item in items], group)
+
+    def _move(self, worker: _Worker, group: int | None) -> None:
+        """Note what a worker has loaded."""
+        if worker.group == group:
+            return
+        if worker.group is not None:
+            self._sharers[worker.group] -= 1
+            if not self._sharers[worker.group]:
+                del self._sharers[worker.group]
+        if group is not None:
+            self._sharers[group] += 1
+        worker.group = group

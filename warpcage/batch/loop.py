@@ -1,0 +1,160 @@
+"""The loop of a driver: what workers tell goes to the dispatcher, and its lots go to them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from .dispatcher import Dispatcher, LotReport
+from .lots import Lot
+
+#: Seconds after which the loop looks for stragglers even where nothing happened.
+TICK = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Ready:
+    """A worker has started."""
+
+    worker: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Finished:
+    """A worker is done with its lot."""
+
+    worker: str
+    report: LotReport
+
+
+@dataclasses.dataclass(frozen=True)
+class Returned:
+    """A worker gave back items of its lot."""
+
+    worker: str
+    number: int
+    items: Sequence[int]
+
+
+@dataclasses.dataclass(frozen=True)
+class Died:
+    """A worker died: what it had settled of its lot, what it had begun besides, the newest last, and why, one line."""
+
+    worker: str
+    report: LotReport
+    begun: Sequence[int]
+    reason: str
+
+
+Event = Ready | Finished | Returned | Died
+
+
+class Engine(Protocol):
+    """Where workers live: in this process, in others, or under a virtual clock."""
+
+    def now(self) -> float:
+        """Seconds of a clock that never goes back."""
+        ...
+
+    def launch(self, worker: str) -> None:
+        """Start the process of a worker, the first one or another after its death; `Ready` or `Died` tells the end."""
+        ...
+
+    def give(self, worker: str, lot: Lot) -> None:
+        """Let a worker make a lot."""
+        ...
+
+    def recall(self, worker: str, number: int, share: float) -> None:
+        """Ask for a share of what a worker has not begun of its lot; `Returned` brings it."""
+        ...
+
+    def lost(self, item: int, error: str, attempts: int) -> None:
+        """Note that an item failed for good because its workers died."""
+        ...
+
+    def stop(self) -> None:
+        """Let workers begin no more items."""
+        ...
+
+    def wait(self, timeout: float) -> list[Event]:
+        """What happened since, at least one event unless the time passes."""
+        ...
+
+
+def drive(
+    dispatcher: Dispatcher,
+    engine: Engine,
+    *,
+    progress: Callable[[], None] = lambda: None,
+    warn: Callable[[str], None] = lambda line: None,
+) -> str | None:
+    """Make all that a dispatcher has.
+
+    Args:
+        dispatcher: With its workers.
+        engine: Where they live; they are started here.
+        progress: Called after each event.
+        warn: Takes a line about a worker that died.
+
+    Returns:
+        Why the run ended before its end, one line; None where all is settled.
+
+    Raises:
+        RuntimeError: Where no worker is left.
+    """
+    idle: dict[str, None] = {}
+    halt: str | None = None
+    for name in dispatcher.names:
+        engine.launch(name)
+    while not dispatcher.finished:
+        for event in engine.wait(TICK):
+            if isinstance(event, Ready):
+                idle[event.worker] = None
+            elif isinstance(event, Finished):
+                dispatcher.reported(event.worker, event.report, engine.now())
+                if event.report.halt is not None and halt is None:
+                    halt = event.report.halt
+                    engine.stop()
+                if event.report.broken is not None:
+                    warn(f"worker {event.worker}: {event.report.broken}: it is started again")
+                    _replace(dispatcher, engine, event.worker, event.report.broken, warn)
+                else:
+                    idle[event.worker] = None
+            elif isinstance(event, Returned):
+                dispatcher.returned(event.worker, event.number, event.items)
+            else:
+                idle.pop(event.worker, None)
+                warn(f"worker {event.worker}: {event.reason}: it is started again")
+                for item, error in dispatcher.died(event.worker, event.report, event.begun, event.reason):
+                    engine.lost(item, error, dispatcher.retries + 1)
+                _replace(dispatcher, engine, event.worker, event.reason, warn)
+            progress()
+        _hand_out(dispatcher, engine, idle)
+    return halt
+
+
+def _hand_out(dispatcher: Dispatcher, engine: Engine, idle: dict[str, None]) -> None:
+    """Give work to workers that have none; where there is none, ask those that are late for some of theirs."""
+    if dispatcher.stopped:
+        return
+    for name in list(idle):
+        if not dispatcher.open:
+            break
+        lot = dispatcher.next_lot(name, engine.now())
+        if lot is not None:
+            del idle[name]
+            engine.give(name, lot)
+    for name, number, share in dispatcher.recalls(len(idle), engine.now()):
+        engine.recall(name, number, share)
+
+
+def _replace(dispatcher: Dispatcher, engine: Engine, name: str, reason: str, warn: Callable[[str], None]) -> None:
+    """Start another process in the place of one that died, unless that dies again and again."""
+    if not dispatcher.given_up(name):
+        if not dispatcher.finished:
+            engine.launch(name)
+        return
+    warn(f"worker {name} is given up: it died before it made anything, again and again")
+    if not dispatcher.workers and not dispatcher.finished:
+        raise RuntimeError(f"no worker is left: {reason}")

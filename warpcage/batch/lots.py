@@ -1,0 +1,192 @@
+"""Lots: the items that a worker takes at once. They are cut from the list of what is to be made as workers ask."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+#: Seconds that a lot should take, and most items that it holds.
+AIM, LARGEST = 10.0, 256
+
+#: Lots that each worker should still get of what is left: towards the end they become small, so that all end together.
+LOTS_PER_WORKER = 4
+
+#: Weight of the newest lot in the seconds that an item of a group is taken for.
+NEWEST = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Lot:
+    """Items that one worker takes at once.
+
+    Attributes:
+        number: Of this lot in its run.
+        items: Numbers of the items in the job file, in the order in which they are made.
+        attempts: How often each was begun before and failed.
+        group: What the worker has loaded afterwards.
+        shard: The shard that is to be packed, in a lot without items; None else.
+    """
+
+    number: int
+    items: Sequence[int]
+    attempts: Sequence[int]
+    group: int
+    shard: int | None = None
+
+
+class Lots:
+    """What is left to be made, in groups of items that share what a worker loads.
+
+    Args:
+        items: (n,) numbers of the items to be made, those of a group together.
+        groups: (n,) which group each is of, any whole numbers.
+        kinds: (n,) what kind each is of, whole numbers: where nothing is known of a group, its items are taken to last
+            as long as others of their kind.
+        aim: Seconds that a lot should take.
+        largest: Most items of a lot.
+        whole: Whether a lot is all that is left of a group (a shard), however long it takes.
+
+    Attributes:
+        left: Items that nobody has.
+    """
+
+    def __init__(
+        self,
+        items: np.ndarray,
+        groups: np.ndarray,
+        kinds: np.ndarray | None = None,
+        *,
+        aim: float = AIM,
+        largest: int = LARGEST,
+        whole: bool = False,
+    ):
+        self._items = np.asarray(items, np.int64)
+        groups = np.asarray(groups, np.int64)
+        starts = np.flatnonzero(np.diff(groups, prepend=groups[:1] - 1)) if len(groups) else np.zeros(0, np.int64)
+        self._names = groups[starts]
+        if len(np.unique(self._names)) < len(self._names):
+            raise ValueError("items of a group must follow each other")
+        self._begin = starts.copy()  # the first item of each group that nobody has taken
+        self._end = np.append(starts[1:], len(groups))
+        self._kinds = np.zeros(len(starts), np.int64) if kinds is None else np.asarray(kinds, np.int64)[starts]
+        self._index = {int(name): index for index, name in enumerate(self._names)}
+        self._back: dict[int, list[int]] = {}  # what was taken and came back, by group
+        self._by_size = np.argsort(
+            self._begin - self._end, kind="stable"
+        )  # the largest first: none is left for the end
+        self._unclaimed = 0  # index into those
+        self._open: set[int] = set()  # groups that were claimed and have items left
+        self._seconds: dict[int, float] = {}  # an item of a group takes
+        self._kind_seconds: dict[int, float] = {}
+        self._aim, self._largest, self._whole = aim, largest, whole
+        self.left = len(self._items)
+
+    @property
+    def group_count(self) -> int:
+        """Groups in all."""
+        return len(self._names)
+
+    def name(self, group: int) -> int:
+        """What callers call a group."""
+        return int(self._names[group])
+
+    def group_of(self, name: int) -> int:
+        """The group that callers call so."""
+        return self._index[name]
+
+    def left_in(self, group: int) -> int:
+        """Items of a group that nobody has."""
+        return int(self._end[group] - self._begin[group]) + len(self._back.get(group, ()))
+
+    def seconds(self, group: int) -> float | None:
+        """Seconds that an item of a group takes; None where nobody knows."""
+        return self._seconds.get(group, self._kind_seconds.get(int(self._kinds[group])))
+
+    def note(self, group: int, seconds: float) -> None:
+        """Keep how long an item of a group took, as a mean over a lot."""
+        kind = int(self._kinds[group])
+        tables = [(self._kind_seconds, kind), *([(self._seconds, group)] if self.left_in(group) else [])]
+        for table, key in tables:
+            table[key] = seconds if key not in table else NEWEST * seconds + (1 - NEWEST) * table[key]
+
+    def choose(self, loaded: int | None, sharers: dict[int, int]) -> int | None:
+        """The group of which a worker should take its next lot.
+
+        Args:
+            loaded: The group that it has loaded.
+            sharers: How many workers are at each group.
+
+        Returns:
+            That group as long as there is some of it; else one that nobody has begun, the largest first; else the one
+            with the most left for each worker at it. None where nothing is left.
+        """
+        if loaded is not None and self.left_in(loaded):
+            return loaded
+        while self._unclaimed < len(self._by_size):
+            group = int(self._by_size[self._unclaimed])
+            self._unclaimed += 1
+            if group not in self._open and self.left_in(group):
+                self._open.add(group)
+                return group
+        return max(self._open, key=lambda group: self.left_in(group) / (1 + sharers.get(group, 0)), default=None)
+
+    def take(self, group: int, workers: int, speed: float = 1.0) -> tuple[list[int], int]:
+        """Cut a lot.
+
+        Args:
+            group: Of which group. Where that has too few, the next groups that nobody has begun are taken with it, as
+                far as they are of its kind and taken whole.
+            workers: How many workers there are.
+            speed: Seconds that the worker takes for what takes others one.
+
+        Returns:
+            The items, and the group of the last of them.
+        """
+        size = self._size(group, workers, speed)
+        taken = self._cut(group, size)
+        while not self._whole and len(taken) < size and self._unclaimed < len(self._by_size):
+            following = int(self._by_size[self._unclaimed])
+            fits = self.left_in(following) <= size - len(taken) and self._kinds[following] == self._kinds[group]
+            if not fits or following in self._open:
+                break
+            self._unclaimed += 1
+            taken += self._cut(following, size - len(taken))
+            group = following
+        return taken, group
+
+    def put_back(self, group: int, items: Iterable[int]) -> None:
+        """Items that were taken and not made."""
+        items = list(items)
+        if items:
+            self._back.setdefault(group, []).extend(items)
+            self._open.add(group)
+            self.left += len(items)
+
+    def _size(self, group: int, workers: int, speed: float) -> int:
+        if self._whole:
+            return self.left_in(group)
+        seconds = self.seconds(group)
+        aimed = 1 if seconds is None else int(self._aim / max(seconds * speed, 1e-9))
+        fair = -(-self.left // (LOTS_PER_WORKER * max(workers, 1)))
+        return max(1, min(aimed, fair, self._largest))
+
+    def _cut(self, group: int, size: int) -> list[int]:
+        back = self._back.get(group, [])
+        taken = back[:size]
+        if taken:
+            del back[:size]
+            if not back:
+                del self._back[group]
+        begin = int(self._begin[group])
+        end = min(begin + size - len(taken), int(self._end[group]))
+        self._begin[group] = end
+        taken += self._items[begin:end].tolist()
+        self.left -= len(taken)
+        if self.left_in(group):
+            self._open.add(group)
+        else:
+            self._open.discard(group)
+            self._seconds.pop(group, None)  # that of the kind stays
+        return taken

@@ -1,0 +1,232 @@
+"""Workers under a virtual clock: the dispatcher's own code runs over thousands of them in seconds."""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+
+import numpy as np
+
+from .dispatcher import LotReport
+from .loop import Died, Event, Finished, Ready, Returned
+from .lots import Lot
+
+
+@dataclasses.dataclass
+class Conditions:
+    """What a simulated run meets.
+
+    Attributes:
+        item_seconds: (n,) what each item takes on a usual worker.
+        groups: (n,) which items share what is loaded.
+        speeds: (workers,) what each worker takes for a second's work.
+        load_seconds: What loading another group takes.
+        start_seconds: What starting a worker's process takes.
+        latency: Seconds on the way of a message.
+        send_cost: Seconds of the driver for a lot, and for each of its items.
+        receive_cost: Seconds of the driver for a report, and for each of its items.
+        deaths_per_hour: Of each worker at work, by chance.
+        poison: Items that kill every worker that makes them.
+        bad: Items whose input is bad.
+        flaky: Share of the tries that fail by chance.
+        stalls: Share of the lots during which a worker becomes slow, and how much.
+        seed: Of chance.
+    """
+
+    item_seconds: np.ndarray
+    groups: np.ndarray
+    speeds: np.ndarray
+    load_seconds: float = 0.0
+    start_seconds: float = 2.0
+    latency: float = 0.0005
+    send_cost: tuple[float, float] = (0.0, 0.0)
+    receive_cost: tuple[float, float] = (0.0, 0.0)
+    deaths_per_hour: float = 0.0
+    poison: frozenset[int] = frozenset()
+    bad: frozenset[int] = frozenset()
+    flaky: float = 0.0
+    stalls: tuple[float, float] = (0.0, 10.0)
+    seed: int = 0
+
+
+@dataclasses.dataclass
+class _Work:
+    """A lot that a worker has."""
+
+    number: int
+    items: list[int]
+    starts: np.ndarray
+    ends: np.ndarray
+    death: float  # when the worker dies, infinity where it does not
+    loading: bool
+    version: int
+
+
+class SimulatedEngine:
+    """What `RayEngine` does, under a virtual clock. The driver is one more worker, which messages keep busy.
+
+    Args:
+        conditions: What it meets.
+
+    Attributes:
+        made: (n,) how often each item was made.
+        busy: Seconds that the driver worked.
+        worked: Seconds that workers made items, and loaded what those need.
+        deaths: How many workers died.
+        messages: Lots, reports and recalls.
+    """
+
+    def __init__(self, conditions: Conditions):
+        self.conditions = conditions
+        self.made = np.zeros(len(conditions.item_seconds), np.int16)
+        self.busy = self.worked = 0.0
+        self.deaths = self.messages = self.lots = 0
+        self._random = np.random.default_rng(conditions.seed)
+        self._time = 0.0
+        self._queue: list[tuple[float, int, str, str, int]] = []  # when, order, what, worker, version
+        self._count = 0
+        self._work: dict[str, _Work] = {}
+        self._loaded: dict[str, int] = {}
+        self._replies: dict[int, Event] = {}
+
+    def now(self) -> float:
+        """The virtual time of the driver, seconds."""
+        return self._time
+
+    def launch(self, worker: str) -> None:
+        """A process starts."""
+        self._loaded.pop(worker, None)
+        self._later(self._time + self.conditions.start_seconds, "ready", worker, 0)
+
+    def give(self, worker: str, lot: Lot) -> None:
+        """A worker gets a lot."""
+        self._spend(self.conditions.send_cost, len(lot.items))
+        self.lots += 1
+        self._set_out(worker, lot)
+
+    def recall(self, worker: str, number: int, share: float) -> None:
+        """A worker is asked for items."""
+        self._spend(self.conditions.send_cost, 0)
+        work, back = self._work.get(worker), []
+        there = self._time + self.conditions.latency
+        if work is not None and work.number == number and there < work.death:
+            waiting = int(np.count_nonzero(work.starts > there))
+            keep = len(work.items) - int(share * waiting)
+            back = work.items[keep:]
+            if back:
+                work.items, work.starts, work.ends = work.items[:keep], work.starts[:keep], work.ends[:keep]
+                self._schedule(worker, work)
+        self._count += 1
+        self._replies[self._count] = Returned(worker, number, back)
+        heapq.heappush(self._queue, (there + self.conditions.latency, self._count, "reply", worker, self._count))
+
+    def lost(self, item: int, error: str, attempts: int) -> None:
+        """Nothing is noted."""
+
+    def stop(self) -> None:
+        """Not simulated."""
+        raise NotImplementedError
+
+    def wait(self, timeout: float) -> list[Event]:
+        """What happens next; the clock goes on to it, or by the time that passes."""
+        end = self._time + timeout
+        events: list[Event] = []
+        while self._queue and not events:
+            when, _, what, worker, version = heapq.heappop(self._queue)
+            if when > end:
+                heapq.heappush(self._queue, (when, self._count + 1, what, worker, version))
+                self._count += 1
+                break
+            event = self._event(what, worker, version)
+            if event is not None:
+                self._time = max(self._time, when)
+                if isinstance(event, Finished | Died):
+                    self._spend(self.conditions.receive_cost, len(event.report.done))
+                events.append(event)
+        if not events:
+            self._time = end
+        return events
+
+    def _event(self, what: str, worker: str, version: int) -> Event | None:
+        if what == "ready":
+            return Ready(worker)
+        if what == "reply":
+            return self._replies.pop(version)
+        work = self._work.get(worker)
+        if work is None or work.version != version:
+            return None
+        del self._work[worker]
+        return self._died(worker, work) if what == "death" else self._finished(worker, work)
+
+    def _set_out(self, worker: str, lot: Lot) -> None:
+        """Decide what will happen to a lot."""
+        given, number = self.conditions, int(worker)
+        items = np.asarray(lot.items, np.int64)
+        stalled = given.stalls[1] if self._random.random() < given.stalls[0] else 1.0
+        seconds = given.item_seconds[items] * given.speeds[number] * stalled
+        seconds[[item in given.bad for item in lot.items] if given.bad else []] = 0.001
+        groups = given.groups[items]
+        changes = np.diff(groups, prepend=self._loaded.get(worker, -1)) != 0
+        self._loaded[worker] = int(groups[-1])
+        ends = self._time + given.latency + np.cumsum(seconds + changes * given.load_seconds)
+        starts = np.concatenate([[self._time + given.latency], ends[:-1]])
+        death = np.inf
+        if given.deaths_per_hour:
+            death = starts[0] + self._random.exponential(3600.0 / given.deaths_per_hour)
+        for place, item in enumerate(lot.items if given.poison else ()):
+            if item in given.poison:
+                death = min(death, 0.5 * (starts[place] + ends[place]))
+        self._work[worker] = work = _Work(lot.number, list(lot.items), starts, ends, death, bool(changes[0]), 0)
+        self._schedule(worker, work)
+
+    def _schedule(self, worker: str, work: _Work) -> None:
+        self._count += 1
+        work.version = self._count
+        end = float(work.ends[-1]) if len(work.ends) else self._time
+        if work.death < end:
+            self._later(work.death + self.conditions.latency, "death", worker, work.version)
+        else:
+            self._later(end + self.conditions.latency, "end", worker, work.version)
+
+    def _finished(self, worker: str, work: _Work) -> Finished:
+        return Finished(worker, self._report(work, len(work.items)))
+
+    def _died(self, worker: str, work: _Work) -> Died:
+        self.deaths += 1
+        settled = int(np.count_nonzero(work.ends <= work.death))
+        report = self._report(work, settled)
+        begun = work.items[settled : settled + 1]
+        self.worked += work.death - work.starts[settled] if begun else 0.0
+        return Died(worker, report, begun, "killed")
+
+    def _report(self, work: _Work, settled: int) -> LotReport:
+        """What becomes of the first items of a lot."""
+        report, given = LotReport(loading=work.loading), self.conditions
+        taken = (work.ends - work.starts)[:settled]
+        self.worked += float(taken.sum())
+        flaky = self._random.random(settled) < given.flaky if given.flaky else np.zeros(settled, bool)
+        if not given.bad and not flaky.any():
+            report.done, report.seconds = work.items[:settled], taken.tolist()
+            self.made[report.done] += 1
+            return report
+        for item, seconds, fails in zip(work.items[:settled], taken.tolist(), flaky, strict=True):
+            if item in given.bad:
+                report.failed.append((item, "bad input"))
+            elif fails:
+                report.errors.append((item, "by chance"))
+            else:
+                report.done.append(item)
+                report.seconds.append(seconds)
+                self.made[item] += 1
+        return report
+
+    def _spend(self, cost: tuple[float, float], items: int) -> None:
+        """Time of the driver for a message."""
+        seconds = cost[0] + cost[1] * items
+        self._time += seconds
+        self.busy += seconds
+        self.messages += 1
+
+    def _later(self, when: float, what: str, worker: str, version: int) -> None:
+        self._count += 1
+        heapq.heappush(self._queue, (when, self._count, what, worker, version))
