@@ -156,6 +156,7 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
         "fits_page": ["--results", out, "--page", out / "fits.md"],
         "captures_page": ["--results", out, "--page", out / "captures.md"],
         "soak": ["--poses", 20, "--fits", 4, "--refused", 200, "--json", out / "soak.json"],
+        "film_memory": ["--frames", 200, "--timed", 8, "--size", 320, 180, "--json", out / "film_memory.json"],
         "page": ["--results", out, "--page", out / "page.md"],
     }
 

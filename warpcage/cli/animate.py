@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> None:
             write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
         else:
             settings = _settings(args, cameras, deformation)
-            kept = write_folder(output, frames, cameras, shot.rendered, settings, overwrite=bool(args.overwrite))
+            kept = write_folder(output, frames, cameras, shot.task, settings, overwrite=bool(args.overwrite))
     if not output.suffix:
         print(f"wrote {output}: {counted(args.frames - kept, 'frame')}, {kept} were there already")
         shot.warn()
@@ -183,14 +183,13 @@ class _Shot:
         return frame, self.deformation.drawn(self.deformer.deformed or cages)
 
     def picture(self, index: int) -> np.ndarray:
-        """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4)."""
-        return self._shown(*self.frame(index), self.cameras[index])
+        """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4); not to be written to."""
+        return outputs.finished(self._shown(*self.frame(index), self.cameras[index]))
 
-    def rendered(self, index: int) -> Callable[[pathlib.Path], None]:
-        """Render a frame; what is returned writes its picture to a file."""
+    def task(self, index: int, path: pathlib.Path) -> tuple[Callable[[], None], int]:
+        """Render a frame. Returns what writes its picture to a file, in any thread, and the bytes that it holds."""
         (frame, cages), camera = self.frame(index), self.cameras[index]
-        picture = self._shown(frame, cages, camera)
-        return lambda path: outputs.write_picture(path, picture, frame, camera)
+        return outputs.picture_task(path, self._shown(frame, cages, camera), frame, camera)
 
     def _shown(self, frame: Frame, cages: Sequence[Cage], camera: Camera) -> np.ndarray:
         if self.args.show == "masks":

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from ..core.overlap import Beside
 from ..core.words import counted
 from ..view.camera import Camera
 from ..view.camera_path import path_cameras
@@ -82,7 +83,8 @@ def _checked_output(text: str) -> pathlib.Path:
 def _write(output: pathlib.Path, pictures: Iterable[tuple[np.ndarray, Frame, Camera]], kind: str) -> None:
     if output.suffix:
         rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
-        write_film(output, (image for image, _, _ in pictures), rate)
+        write_film(output, (outputs.finished(image) for image, _, _ in pictures), rate)
         return
-    for index, (image, frame, camera) in enumerate(pictures):
-        outputs.write_picture(output / f"view_{index:04d}.{kind}", image, frame, camera)
+    with Beside() as beside:
+        for index, (image, frame, camera) in enumerate(pictures):
+            beside.run(*outputs.picture_task(output / f"view_{index:04d}.{kind}", image, frame, camera))

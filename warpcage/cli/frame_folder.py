@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 
 from ..core.files import atomic_path
+from ..core.overlap import Beside
 from ..view.camera import Camera
 from ..view.exr import read_exr
 from ..view.pictures import read_image
@@ -24,7 +25,7 @@ def write_folder(
     folder: pathlib.Path,
     frames: Iterable[int],
     cameras: list[Camera],
-    render: Callable[[int], Callable[[pathlib.Path], None]],
+    render: Callable[[int, pathlib.Path], tuple[Callable[[], None], int]],
     settings: dict,
     *,
     overwrite: bool = False,
@@ -38,7 +39,8 @@ def write_folder(
         folder: The folder; it is made if it is not there.
         frames: Numbers of the frames.
         cameras: Their cameras.
-        render: Renders a frame, and returns what writes its picture to a file.
+        render: Renders a frame for a file. Returns what writes its picture, which other threads do while the next
+            frames are rendered, and the bytes that it holds.
         settings: All that decides how frames look, as JSON has it. Its "format" is the ending of the frames.
         overwrite: Whether frames of another film are replaced, as soon as the first of this one is rendered.
 
@@ -55,19 +57,20 @@ def write_folder(
             "with the options of that film it is continued"
         )
     kept, begun = 0, False
-    with _nothing_left_without_frames(folder):
+    with _nothing_left_without_frames(folder), Beside() as beside:
         for index in frames:
             path = folder / f"frame_{index:04d}.{settings['format']}"
             if not (foreign and not begun) and _holds_picture(path, cameras[index]):
                 kept += 1
                 continue
-            save = render(index)
+            task = render(index, path)
             if not begun:
                 for other in frame_files(folder) if foreign else ():
                     other.unlink()
                 _write_note(folder / SETTINGS_NAME, settings)
                 begun = True
-            save(path)
+            beside.run(*task)
+            del task  # what is rendered next may take its place
     return kept
 
 

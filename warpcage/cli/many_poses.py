@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import pathlib
 
+from ..core.overlap import Beside
 from ..core.words import counted
 from . import inputs, options, outputs, view
 from .deformation import read_deformation
@@ -31,16 +32,18 @@ def run(args: argparse.Namespace) -> None:
     deformer = inputs.make_deformer(field, deformation, args)
     count = max(1, deformation.pose_count - 1)
     digits = max(4, len(str(count)))
-    for number in range(1, count + 1):
-        cages = deformation.at(float(min(number, deformation.pose_count - 1)))
-        try:
-            deformer.pose(cages)
-        except ValueError as error:
-            raise ValueError(f"pose {number} of {count}: {error}") from error
-        frame = inputs.render_view(deformer, camera, args)
-        drawn = inputs.drawn_cages(deformer, deformation) if args.overlay else ()
-        picture = outputs.colours(frame, camera, drawn, transparent)
-        outputs.write_picture(folder / f"pose_{number:0{digits}d}.{kind}", picture, frame, camera)
+    with Beside() as beside:
+        for number in range(1, count + 1):
+            cages = deformation.at(float(min(number, deformation.pose_count - 1)))
+            try:
+                deformer.pose(cages)
+            except ValueError as error:
+                raise ValueError(f"pose {number} of {count}: {error}") from error
+            frame = inputs.render_view(deformer, camera, args)
+            drawn = inputs.drawn_cages(deformer, deformation) if args.overlay else ()
+            picture = outputs.colours(frame, camera, drawn, transparent)
+            path = folder / f"pose_{number:0{digits}d}.{kind}"
+            beside.run(*outputs.picture_task(path, picture, frame, camera))
     view.save_cameras(args, [camera])
     print(f"wrote {folder}: {counted(count, 'picture')} of {camera.width}x{camera.height}")
 

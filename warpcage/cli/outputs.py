@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import os
 import pathlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -31,6 +32,12 @@ def colours(frame: Frame, camera: Camera, cages: Sequence[ClosedMesh], transpare
     return picture(frame, "rgb", camera, cages)
 
 
+def finished(image: np.ndarray) -> np.ndarray:
+    """A picture that nobody changes any more: a film takes it without a copy."""
+    image.flags.writeable = False
+    return image
+
+
 def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
     """Whether many pictures have opacity. Raises ValueError where their film or folder cannot hold what was asked."""
     if output.suffix and args.format is not None:
@@ -48,12 +55,23 @@ def require_format(path: str | os.PathLike) -> None:
         require_openexr()
 
 
-def write_picture(path: str | os.PathLike, image: np.ndarray, frame: Frame, camera: Camera) -> None:
-    """Write a picture of a frame, .png, or .exr with its depth."""
-    if os.fspath(path).lower().endswith(".exr"):
-        write_exr(path, image, depth_along_view(frame, camera))
-    else:
+def picture_task(
+    path: str | os.PathLike, image: np.ndarray, frame: Frame, camera: Camera
+) -> tuple[Callable[[], None], int]:
+    """What writes a picture of a frame, .png, or .exr with its depth, and the bytes that it holds.
+
+    Any thread may call it: it needs neither the frame any more, nor what that has on a device.
+    """
+    depth = depth_along_view(frame, camera) if os.fspath(path).lower().endswith(".exr") else None
+    return functools.partial(write_picture, path, image, depth), image.nbytes + (0 if depth is None else depth.nbytes)
+
+
+def write_picture(path: str | os.PathLike, image: np.ndarray, depth: np.ndarray | None) -> None:
+    """Write a picture, .exr where it comes with its depth along the view, else .png."""
+    if depth is None:
         write_png(path, image)
+    else:
+        write_exr(path, image, depth)
 
 
 def size_text(width: int, height: int, output: pathlib.Path) -> str:

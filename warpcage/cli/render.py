@@ -46,7 +46,8 @@ def run(args: argparse.Namespace) -> None:
     renderer = inputs.posed_renderer(field, deformation, args)
     frame = inputs.render_view(renderer, camera, args)
     drawn = inputs.drawn_cages(renderer, deformation) if args.overlay else ()
-    outputs.write_picture(output, outputs.colours(frame, camera, drawn, transparent), frame, camera)
+    write, _ = outputs.picture_task(output, outputs.colours(frame, camera, drawn, transparent), frame, camera)
+    write()
     for kind, path in extra.items():
         write_png(path, outputs.picture(frame, kind))
     view.save_cameras(args, [camera])

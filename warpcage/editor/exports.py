@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import os
 import pathlib
 import shlex
@@ -15,6 +16,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.checks import checked_whole
 from ..core.files import PathLike
+from ..core.overlap import Beside
 from ..deform.bake import bake
 from ..splats.files.files import splat_ending
 from ..splats.load import AnyField, field_size
@@ -97,10 +99,11 @@ def export_film(
     if rate is not None:
         write_film(target, pictures, rate, loop=document.timeline.loop != "once")
     else:
-        with atomic_folder(target) as folder:
+        with atomic_folder(target) as folder, Beside() as beside:
             digits = max(4, len(str(len(times) - 1)))
             for index, picture in enumerate(pictures):
-                write_png(folder / f"frame_{index:0{digits}d}.png", picture)
+                path = folder / f"frame_{index:0{digits}d}.png"
+                beside.run(functools.partial(write_png, path, picture), picture.nbytes)
     return len(times)
 
 
@@ -115,6 +118,7 @@ def film_pictures(document: Document, field: AnyField, film: Film, report: Repor
 
     Yields:
         (height, width, 3) or, with opacity, (height, width, 4) float32 in [0, 1], colours not multiplied by opacity.
+        They cannot be written to: a moment that looks like the one before is the same array.
 
     Raises:
         ValueError: For a pose that cannot be used, with its time.
@@ -133,6 +137,7 @@ def film_pictures(document: Document, field: AnyField, film: Film, report: Repor
                 picture = _picture(scene, moment, film)
             except ValueError as error:
                 raise ValueError(f"at {time:.3f} s of the film: {error}") from error
+            picture.flags.writeable = False
             shown = moment
         yield picture
     report(1.0, "writes the end")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import os
+import pathlib
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from typing import Any
@@ -14,6 +16,8 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_positive, checked_whole
 from ..core.files import atomic_path
+from ..core.memory import require_host_memory
+from ..core.overlap import stream
 from .opacity import with_spread_colours
 from .pictures import as_rgb, path_with_ending, to_uint8
 
@@ -35,6 +39,10 @@ MIN_COLOURS, MAX_COLOURS = 2, 256
 
 #: Frames that a GIF's palette is chosen from.
 PALETTE_FRAMES = 12
+
+#: Bytes of frames of a GIF between looks at the memory, and bytes a pixel that it takes beside its frames until it is
+#: written: one as it is indexed, and two more in Pillow, which compares each with the one before.
+GIF_LOOK, GIF_COPIES = 1 << 27, 3
 
 
 def checked_rate(fps: float | Fraction, ending: str) -> Fraction:
@@ -89,7 +97,8 @@ def write_film(
 
     Args:
         path: The file; it must end in one of FILM_ENDINGS.
-        frames: Images (h, w, 3) of one size; for .mov and .webm also (h, w, 4). They are taken one by one.
+        frames: Images (h, w, 3) of one size; for .mov and .webm also (h, w, 4). They are taken one by one, in this
+            thread, and encoded by others while the next are made. Those that can be written to are copied first.
         fps: Frames per second.
         loop: Whether a GIF starts again at its end.
 
@@ -122,31 +131,35 @@ def write_clear_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps:
     Raises:
         ValueError: For no frames, sizes that differ, a rate out of range, or another ending.
     """
-    import av
-
     ending = os.path.splitext(path)[1].lower()
     if ending not in CLEAR_ENDINGS:
         raise ValueError(f"{str(path)!r} must end in {' or '.join(CLEAR_ENDINGS)}")
     rate = checked_rate(fps, ending)
-    images = _deep_frames(frames)
-    first = next(images, None)
-    if first is None:
-        raise ValueError("a film needs at least one frame")
+    with atomic_path(path) as temporary:
+        stream(_own(frames), _deep_pixels, functools.partial(_encode_clear, temporary, ending, rate))
+
+
+def _encode_clear(path: pathlib.Path, ending: str, rate: Fraction, images: Iterable[np.ndarray]) -> None:
+    """Write images (h, w, 3 or 4) uint16 as a video with opacity."""
+    import av
+
+    images = _of_one_size(images)
+    first = next(images)
     height, width, channels = first.shape
     pixel_format, codec, options = _clear_codec(ending, channels == 4)
     # threads of the conversion, which PyAV 17 brought, race: now and then a part of a plane is not written (FFmpeg 8)
     alone: dict[str, Any] = {"threads": 1} if int(av.__version__.split(".")[0]) >= 17 else {}
-    with atomic_path(path) as temporary, av.open(str(temporary), "w", format=ending[1:]) as container:
-        stream = container.add_stream(codec, rate=rate, options=options)
-        stream.width, stream.height, stream.pix_fmt = width, height, pixel_format
-        stream.color_range, stream.color_primaries, stream.color_trc, stream.colorspace = _LIMITED, 1, 1, 1
+    with av.open(str(path), "w", format=ending[1:]) as container:
+        video = container.add_stream(codec, rate=rate, options=options)
+        video.width, video.height, video.pix_fmt = width, height, pixel_format
+        video.color_range, video.color_primaries, video.color_trc, video.colorspace = _LIMITED, 1, 1, 1
         if ending == ".webm" and channels == 4:
-            stream.metadata["alpha_mode"] = "1"
+            video.metadata["alpha_mode"] = "1"
         for image in itertools.chain([first], images):
             frame = av.VideoFrame.from_ndarray(image, format="rgba64le" if channels == 4 else "rgb48le")
             converted = frame.reformat(format=pixel_format, dst_colorspace="ITU709", dst_color_range="MPEG", **alone)
-            container.mux(stream.encode(converted))
-        container.mux(stream.encode(None))
+            container.mux(video.encode(converted))
+        container.mux(video.encode(None))
 
 
 #: Limited range (AVCOL_RANGE_MPEG), and BT.709, which is number 1 of primaries, transfer and matrix.
@@ -161,22 +174,28 @@ def _clear_codec(ending: str, clear: bool) -> tuple[str, str, dict[str, str]]:
     return ("yuva420p" if clear else "yuv420p"), "libvpx-vp9", {"crf": "18", "b": "0", "auto-alt-ref": "0"}
 
 
-def _deep_frames(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
-    """The frames as (h, w, 3 or 4) uint16, colours spread beyond edges; refused where their sizes differ."""
-    shape = None
-    for index, given in enumerate(frames):
-        pixels = np.asarray(given)
-        if pixels.ndim == 3 and pixels.shape[-1] == 4:
-            scale = np.float32(255.0) if pixels.dtype == np.uint8 else np.float32(1.0)
-            image = with_spread_colours(pixels / scale)
-        else:
-            image = as_rgb(pixels)
-        if not np.isfinite(image).all():
-            raise ValueError("an image holds values that are not finite")
-        shape = image.shape if shape is None else shape
-        if image.shape != shape:
-            raise ValueError(f"frames must have one size: frame 0 is {shape}, frame {index} is {image.shape}")
-        yield np.round(np.clip(image, 0.0, 1.0) * 65535.0).astype(np.uint16)
+def _own(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
+    """The frames as arrays that stay as they are while the next ones are made: copies of those that can be written."""
+    for frame in frames:
+        pixels = np.asarray(frame)
+        yield pixels.copy() if pixels.flags.writeable else pixels
+
+
+def _deep_pixels(pixels: np.ndarray) -> np.ndarray:
+    """A frame as (h, w, 3 or 4) uint16, colours spread beyond edges."""
+    if pixels.ndim == 3 and pixels.shape[-1] == 4:
+        scale = np.float32(255.0) if pixels.dtype == np.uint8 else np.float32(1.0)
+        image = with_spread_colours(pixels / scale)
+    else:
+        image = as_rgb(pixels)
+    if not np.isfinite(image).all():
+        raise ValueError("an image holds values that are not finite")
+    return np.round(np.clip(image, 0.0, 1.0) * 65535.0).astype(np.uint16)
+
+
+def _byte_pixels(pixels: np.ndarray) -> np.ndarray:
+    """A frame as (h, w, 3) uint8."""
+    return to_uint8(as_rgb(pixels))
 
 
 def write_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
@@ -193,15 +212,21 @@ def write_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float
     """
     path = path_with_ending(path, ".mp4")
     rate = checked_rate(fps, ".mp4")
-    with atomic_path(path) as temporary, open(temporary, "w+b") as file:  # by name, some names are taken for addresses
-        with iio.imopen(file, "w", plugin="pyav", extension=".mp4") as video:
-            started = False
-            for frame in _even_frames(frames):
-                if not started:
-                    # imageio takes floats alone, and finds the fraction again
-                    video.init_video_stream("libx264", fps=float(rate), pixel_format="yuv420p")
-                    started = True
-                video.write_frame(frame)
+    with atomic_path(path) as temporary:
+        stream(_own(frames), _byte_pixels, functools.partial(_encode_video, temporary, rate))
+
+
+def _encode_video(path: pathlib.Path, rate: Fraction, images: Iterable[np.ndarray]) -> None:
+    """Write images (h, w, 3) uint8 as H.264."""
+    # opened here: by name, some names are taken for addresses
+    with open(path, "w+b") as file, iio.imopen(file, "w", plugin="pyav", extension=".mp4") as video:
+        started = False
+        for frame in map(_even, _of_one_size(images)):
+            if not started:
+                # imageio takes floats alone, and finds the fraction again
+                video.init_video_stream("libx264", fps=float(rate), pixel_format="yuv420p")
+                started = True
+            video.write_frame(frame)
 
 
 def write_gif(
@@ -214,6 +239,8 @@ def write_gif(
 ) -> None:
     """Write an animated GIF with one palette, kept small, whole or not at all.
 
+    All frames are held in memory until the last one is there: the palette is of all of them.
+
     Args:
         path: The file; it must end in .gif.
         frames: Images (h, w, 3) of one size, values in [0, 1] or uint8.
@@ -223,14 +250,16 @@ def write_gif(
         loop: Whether the film starts again at its end.
 
     Raises:
-        ValueError: For no frames, sizes that differ, a rate or palette out of range, or another ending.
+        ValueError: For no frames, sizes that differ, a rate or palette out of range, another ending, or more frames
+            than there is memory for.
     """
     from PIL import Image
 
     path = path_with_ending(path, ".gif")
     rate = checked_rate(fps, ".gif")
     colours = checked_whole(colours, "colours", MIN_COLOURS, MAX_COLOURS)
-    images = list(_same_size(frames))
+    images: list[np.ndarray] = []
+    stream(_own(frames), _byte_pixels, lambda ready: images.extend(_that_fit(_of_one_size(ready))))
     # one palette for all frames, from a thinned strip of them, so that still regions stay still
     strip = np.concatenate(images[:: max(1, len(images) // PALETTE_FRAMES)])
     palette = Image.fromarray(strip).quantize(colours - 1, method=Image.Quantize.MEDIANCUT)
@@ -274,23 +303,36 @@ def _most_frequent_colour(pixels: np.ndarray) -> np.ndarray:
     return np.array([code >> 16, code >> 8 & 255, code & 255], np.uint8)
 
 
-def _same_size(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
-    """The frames as (h, w, 3) uint8; refused where their sizes differ or there are none."""
+def _of_one_size(images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """The images; refused where their sizes differ or there are none."""
     first = None
-    for index, frame in enumerate(frames):
-        pixels = to_uint8(as_rgb(frame))
+    for index, pixels in enumerate(images):
         first = pixels.shape if first is None else first
         if pixels.shape != first:
-            raise ValueError(f"frames must have one size: frame 0 is {first[:2]}, frame {index} is {pixels.shape[:2]}")
+            sides = 2 if pixels.shape[:2] != first[:2] else 3  # or one has opacity
+            raise ValueError(
+                f"frames must have one size: frame 0 is {first[:sides]}, frame {index} is {pixels.shape[:sides]}"
+            )
         yield pixels
     if first is None:
         raise ValueError("a film needs at least one frame")
 
 
-def _even_frames(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
-    """The frames cut to even sizes, as yuv420p has half as many colours along each axis."""
-    for frame in _same_size(frames):
-        height, width = (side // 2 * 2 for side in frame.shape[:2])
-        if height == 0 or width == 0:
-            raise ValueError(f"a video needs frames of at least 2x2 pixels, got {frame.shape[:2]}")
-        yield np.ascontiguousarray(frame[:height, :width])
+def _that_fit(images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """The images of a GIF, as long as there is memory for what becomes of them."""
+    since = 0
+    for index, pixels in enumerate(images):
+        since += pixels.nbytes
+        if since > GIF_LOOK:
+            need = GIF_COPIES * (index + 1) * pixels.nbytes // pixels.shape[-1]
+            require_host_memory(need, f"{index + 1} frames of a GIF, which are all held (.mp4 holds few), need")
+            since = 0
+        yield pixels
+
+
+def _even(frame: np.ndarray) -> np.ndarray:
+    """A frame cut to even sizes, as yuv420p has half as many colours along each axis."""
+    height, width = (side // 2 * 2 for side in frame.shape[:2])
+    if height == 0 or width == 0:
+        raise ValueError(f"a video needs frames of at least 2x2 pixels, got {frame.shape[:2]}")
+    return np.ascontiguousarray(frame[:height, :width])

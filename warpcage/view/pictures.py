@@ -246,7 +246,8 @@ def to_uint8(image: ArrayLike) -> np.ndarray:
         return pixels
     if not np.isfinite(pixels).all():
         raise ValueError("an image holds values that are not finite")
-    return np.round(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)
+    scaled = np.asarray(np.clip(pixels, 0.0, 1.0) * 255.0)
+    return np.rint(scaled, out=scaled).astype(np.uint8)
 
 
 def as_rgb(image: ArrayLike) -> np.ndarray:
@@ -262,8 +263,7 @@ def as_rgb(image: ArrayLike) -> np.ndarray:
         ValueError: For another shape.
     """
     given = np.asarray(image)
-    scale = np.float32(255.0) if given.dtype == np.uint8 else np.float32(1.0)
-    pixels = given.astype(np.float32) / scale
+    pixels = given.astype(np.float32) / np.float32(255.0) if given.dtype == np.uint8 else given.astype(np.float32)
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[..., None], 3, axis=-1)
     if pixels.ndim != 3 or pixels.shape[-1] != 3 or 0 in pixels.shape:
