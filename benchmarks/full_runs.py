@@ -102,6 +102,7 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     ):
         files = ("--json", out / f"{name}.json", *(("--figures", out) if name == "ground_truth" else ()))
         add(name, name, seconds, "--device", "cuda:0", *files)
+    add("film_memory", "film_memory", 400, "--json", out / "film_memory.json")
     if cage is not None:
         figure = ("--figure", out / "table1.jpg")
         options = ("--data", lego, "--cage", cage, "--device", "cuda:0", "--json", out / "table1.json", *figure)

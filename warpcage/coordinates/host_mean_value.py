@@ -4,7 +4,6 @@ small differences, and differs a little from device to device."""
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
 
 from ..mesh.closed_mesh import ClosedMesh
 
@@ -30,6 +29,8 @@ def host_mean_value_weights(points: np.ndarray, mesh: ClosedMesh) -> np.ndarray:
     Returns:
         (n, v) float64, each row with the sum 1.
     """
+    from scipy import sparse
+
     points = np.asarray(points, dtype=np.float64)
     edges, of_face, sign = _face_edges(mesh)
     faces = mesh.faces.astype(np.int64)
