@@ -15,7 +15,6 @@ import json
 import pathlib
 import time
 
-import imageio.v3 as iio
 import numpy as np
 import warp as wp
 
@@ -25,7 +24,7 @@ from warpcage.core.files import atomic_path
 from warpcage.reference.cage_scenes import scene_field
 from warpcage.view.camera import framing_orbit
 from warpcage.view.overlay import draw_cage
-from warpcage.view.pictures import contact_sheet, to_uint8
+from warpcage.view.pictures import contact_sheet, write_jpeg
 
 
 def main() -> None:
@@ -114,7 +113,7 @@ def draw(args, rest) -> None:
     for cage in (rest, *poses):
         frame = deformer.pose(cage).render(camera, supersampling=2, background="white")
         panels.append(draw_cage(frame.rgb, camera, cage) if args.overlay else frame.rgb)
-    iio.imwrite(args.sheet, to_uint8(contact_sheet(panels, columns=args.columns)), quality=88)
+    write_jpeg(args.sheet, contact_sheet(panels, columns=args.columns))
     print(f"wrote {args.sheet}: {pathlib.Path(args.sheet).stat().st_size} bytes")
 
 
@@ -124,7 +123,7 @@ def parse_arguments():
     parser.add_argument("--carried", type=int, default=5, help="poses that points are carried by (default: 5)")
     parser.add_argument("--kinds", nargs="*", default=["mean_value", "harmonic", "green"])
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--stretch", type=float, nargs=2, default=(0.6, 1.6))
+    parser.add_argument("--stretch", type=float, nargs=2, default=(0.5, 2.0))
     parser.add_argument("--cage", help="a cage file instead of the usual cages")
     parser.add_argument("--field", help="field that --sheet draws")
     parser.add_argument("--sheet", help="contact sheet to write (.jpg)")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import json
 import pathlib
 from collections.abc import Callable, Hashable
 from typing import Any
@@ -28,13 +29,17 @@ from ..view.frame_parts import picture
 from ..view.opacity import rgba_picture
 from ..view.pictures import write_jpeg, write_png
 from .items import TRANSPARENT, FrameItem, canonical
+from .records import frame_record, pose_array
 from .references import References, RestCage
 
 #: Writes an output to a temporary file. It holds main memory alone, so that any thread may call it.
-Writer = Callable[[pathlib.Path], None]
+Writer = Callable[[pathlib.Path], object]
 
 #: Fields and deformers that stay loaded, and the share of the memory that is free for them.
 MOST_FIELDS, MOST_DEFORMERS, MEMORY_SHARE = 8, 4, 0.5
+
+#: Parts of a frame that no picture is needed for.
+_OF_RECORDS = ("pose", "record")
 
 
 @dataclasses.dataclass
@@ -106,9 +111,10 @@ class FrameMaker:
         """
         field_key, field = self._field(item)
         camera = self.references.camera(item, field)
+        posed: list[Cage | None] = []
         if item.edits:
             bound_key, bound = self._deformer(item, field_key, field, camera)
-            self._pose(bound, item)
+            posed = self._pose(bound, item)
             renderer, drawn = bound.deformer, _drawn(bound) if item.overlay else []
         else:
             bound_key, renderer, drawn = None, field, []
@@ -116,7 +122,7 @@ class FrameMaker:
         if item.fill:
             frame = _filled(frame, field, camera)
         self.counts.frames += 1
-        writers = frame_writers(item, frame, camera, drawn)
+        writers = frame_writers(item, frame, camera, drawn) | _record_writers(item, camera, posed)
         self._fields.settle(field_key)
         self._bound.settle(bound_key)
         return writers
@@ -152,16 +158,17 @@ class FrameMaker:
 
         return key, self._bound.get(key, bind)
 
-    def _pose(self, bound: Bound, item: FrameItem) -> None:
-        """Move the cages of a Deformer, if they are not there."""
+    def _pose(self, bound: Bound, item: FrameItem) -> list[Cage | None]:
+        """Move the cages of a Deformer, if they are not there; returns them."""
         cages = [self.references.posed_cage(edit, rest) for edit, rest in zip(item.edits, bound.rests, strict=True)]
         pose = tuple(None if cage is None else cage.vertices.tobytes() for cage in cages)
         if pose == bound.pose:
-            return
+            return cages
         bound.pose = None  # should this fail, the next frame poses anew
         bound.deformer.pose(cages)
         bound.pose = pose
         self.counts.poses += 1
+        return cages
 
 
 def _bound_bytes(bound: Bound) -> int:
@@ -206,7 +213,21 @@ def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cag
     """
     for name in frame.arrays:
         getattr(frame, name)
-    return {path: _writer(part, path, item, frame, camera, drawn) for part, path in item.outputs.items()}
+    pictures = {part: path for part, path in item.outputs.items() if part not in _OF_RECORDS}
+    return {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures.items()}
+
+
+def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -> dict[str, Writer]:
+    """What writes the parts of a record that are no pictures."""
+    contents: dict[str, Callable[[], bytes | memoryview]] = {
+        "pose": lambda: array_data(pose_array(posed)),
+        "record": lambda: (json.dumps(frame_record(item, camera, posed), ensure_ascii=False) + "\n").encode(),
+    }
+
+    def writer(part: str) -> Writer:
+        return lambda temporary: temporary.write_bytes(contents[part]())
+
+    return {item.outputs[part]: writer(part) for part in _OF_RECORDS if part in item.outputs}
 
 
 def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> Writer:
@@ -238,6 +259,11 @@ def write_array(path: pathlib.Path, array: np.ndarray) -> None:
         path: The file, which is not yet in its place.
         array: The numbers.
     """
+    path.write_bytes(array_data(array))  # np.save's own way tells of a full disk without its error number
+
+
+def array_data(array: np.ndarray) -> memoryview:
+    """The bytes of a .npy file; array: the numbers."""
     data = io.BytesIO()
     np.save(data, np.ascontiguousarray(array), allow_pickle=False)
-    path.write_bytes(data.getbuffer())  # np.save's own way tells of a full disk without its error number
+    return data.getbuffer()

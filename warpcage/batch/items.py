@@ -27,6 +27,8 @@ PART_ENDINGS = {
     "reveal": (".png", ".npy"),
     "fold": (".png", ".npy"),
     "outside": (".npy",),
+    "pose": (".npy",),
+    "record": (".json",),
 }
 
 #: Names in the folder of a run that no output may have, in any case of letters.
@@ -341,7 +343,8 @@ class FrameItem(Item):
 
     Args:
         id: As for `Item`.
-        outputs: Files by part: rgb, alpha, depth, disparity, masks, reveal, fold, outside.
+        outputs: Files by part: rgb, alpha, depth, disparity, masks, reveal, fold, outside; pose, the vertices of
+            its posed cages; record, what `batch.records.frame_record` says of it.
         extra: As for `Item`.
         field: The field file, voxels or splats.
         camera: The camera: an object, or a reference.

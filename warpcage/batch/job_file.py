@@ -14,6 +14,7 @@ from ..core.checks import listed, shown
 from ..core.files import JSON_ROOM, PathLike, atomic_path, require_file
 from ..core.memory import require_host_memory
 from .items import KINDS, Item
+from .records import record_outputs, require_frame, require_recordable
 from .words import checked_words, one_of
 
 FORMAT, VERSION = "warpcage jobs", 1
@@ -62,6 +63,8 @@ class JobFile:
             raise
         self.defaults: dict[str, Any] = self.header.get("defaults") or {}
         self.records: dict[str, Any] = self.header.get("records") or {}
+        if self.records:
+            self.defaults = self.defaults | {"outputs": record_outputs(self.records)}
 
     def __enter__(self) -> JobFile:
         return self
@@ -107,7 +110,7 @@ class JobFile:
         line = int(self._lines[index + 1])
         entry = self._object(line)
         try:
-            return Item.from_json(entry, self.defaults)
+            return _checked_item(entry, self.defaults, self.records)
         except ValueError as error:
             name = f" ({shown(entry['id'])})" if isinstance(entry.get("id"), str) else ""
             raise ValueError(f"{self.path}, line {line + 1}{name}: {error}") from None
@@ -184,7 +187,7 @@ class JobFile:
             raise ValueError(f"{where}: its version is {version}, this warpcage reads up to {VERSION}: upgrade")
         try:
             _check_defaults(header.get("defaults") or {})
-            check_records(header.get("records") or {})
+            check_records(header.get("records") or {}, header.get("defaults") or {})
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from None
         return header
@@ -227,14 +230,25 @@ def _check_for_some(word: str, value: Any, makers: list[type[Item]]) -> None:
         raise wrong
 
 
-def check_records(records: Any) -> None:
+def _checked_item(entry: Mapping[str, Any], defaults: Mapping[str, Any], records: Mapping[str, Any]) -> Item:
+    """An item of a job; ValueError for one that cannot be, or is no record where the job is of records."""
+    if records:
+        require_frame(entry, defaults)
+    item = Item.from_json(entry, defaults)
+    if records:
+        require_recordable(entry, item, records)
+    return item
+
+
+def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
     """Check how a job keeps its outputs together.
 
     Args:
         records: "records" of the header.
+        defaults: "defaults" of the header.
 
     Raises:
-        ValueError: For words that are not known.
+        ValueError: For words that are not known, and for outputs beside them.
     """
     from . import words
 
@@ -251,6 +265,8 @@ def check_records(records: Any) -> None:
     }
     if "kind" not in checked_words(records, known, "'records'"):
         raise ValueError("'records' needs a 'kind': folder or webdataset")
+    if defaults.get("outputs") is not None:
+        raise ValueError("'records' say what is written: leave 'outputs' of 'defaults' out")
 
 
 def write_jobs(
@@ -279,7 +295,8 @@ def write_jobs(
     header: dict[str, Any] = {"format": FORMAT, "version": VERSION}
     usual = dict(defaults or {})
     _check_defaults(usual)
-    check_records(dict(records or {}))
+    check_records(dict(records or {}), usual)
+    complete = usual | ({"outputs": record_outputs(records)} if records else {})
     header |= {name: value for name, value in (("defaults", usual), ("records", records), ("extra", extra)) if value}
     count = 0
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
@@ -287,7 +304,7 @@ def write_jobs(
         for count, item in enumerate(items, 1):
             entry = item.to_json() if isinstance(item, Item) else dict(item)
             try:
-                Item.from_json(entry, usual)
+                _checked_item(entry, complete, records or {})
                 file.write(_line(entry))
             except ValueError as error:
                 raise ValueError(f"item {count} ({shown(entry.get('id'))}): {error}") from None

@@ -83,8 +83,9 @@ class RandomNumbers:
 class PoseWay:
     """A random way of a cage's vertices away from rest.
 
-    At least one mode acts, each with a probability of one half. Amounts lie evenly between nothing and the ends of
-    their modes, in both senses. First come bumps and waves, then what changes widths and lengths, then what turns.
+    At least one mode acts, each with a probability of one half. Amounts are drawn evenly between nothing and the ends
+    of their modes, in both senses, and then made larger together, so that one of them gets to its end. First come bumps
+    and waves, then what changes widths and lengths, then what turns.
 
     Args:
         vertices: (v, 3) float64, world units.
@@ -101,20 +102,30 @@ class PoseWay:
         chosen = random.whole(len(modes))
         kinds = {kind for kind, acts in zip(POSE_MODES, acting, strict=True) if acts and kind in modes}
         self.kinds = tuple(kind for kind in POSE_MODES if kind in (kinds or {modes[chosen]}))
-        self._bend = (*_frame(random), random.number(-_BEND, _BEND))
-        self._twist = (random.direction(), random.number(-_TWIST, _TWIST))
-        self._stretch = (random.direction(), random.number(-_STRETCH, _STRETCH))
-        self._taper = (random.direction(), random.number(-_TAPER, _TAPER))
+        self._bend = (*_frame(random), random.number(-1.0, 1.0))
+        self._twist = (random.direction(), random.number(-1.0, 1.0))
+        self._stretch = (random.direction(), random.number(-1.0, 1.0))
+        self._taper = (random.direction(), random.number(-1.0, 1.0))
         self._waves = [
-            (_times(random.number(*_WAVE_NUMBERS), random.direction()), random.number(), random.direction(),
-             random.number(0.0, _WAVE))
+            (
+                _times(random.number(*_WAVE_NUMBERS), random.direction()),
+                random.number(),
+                random.direction(),
+                random.number(),
+            )
             for _ in range(_WAVES)
-        ]  # fmt: skip
+        ]
         self._bumps = [
-            (random.whole(len(vertices)), random.number(*_BUMP_RADII), random.direction(), random.number(0.0, _BUMP))
+            (random.whole(len(vertices)), random.number(*_BUMP_RADII), random.direction(), random.number())
             for _ in range(_BUMPS)
         ]
         self._bumps = self._bumps[: 1 + random.whole(_BUMPS)]
+        self._scale = 1.0 / max(abs(mode[-1]) for kind in self.kinds for mode in self._of(kind))
+
+    def _of(self, kind: str) -> list[tuple]:
+        """The modes of a kind: what each needs, and its amount last."""
+        found = {"wave": self._waves, "bump": self._bumps}
+        return found[kind] if kind in found else [getattr(self, f"_{kind}")]
 
     def at(self, t: float) -> np.ndarray:
         """The vertices at a place of the way; their mean stays where it is.
@@ -129,7 +140,7 @@ class PoseWay:
         for kind, act in (("bump", self._bumped), ("wave", self._waved), ("stretch", self._stretched),
                           ("taper", self._tapered), ("twist", self._twisted), ("bend", self._bent)):  # fmt: skip
             if kind in self.kinds:
-                x = act(x, t)
+                x = act(x, t * self._scale)
         # math.fsum rounds the exact sum: it has no order
         shifts = [math.fsum((new - old).tolist()) / len(old) for new, old in zip(x, rest, strict=True)]
         moved = np.stack([new - shift for new, shift in zip(x, shifts, strict=True)], axis=1)
@@ -140,20 +151,21 @@ class PoseWay:
         for vertex, radius, direction, amount in self._bumps:
             offset = [place - place[vertex] for place in self._places]
             s = np.minimum(np.sqrt(_dot(offset, offset)) / radius, 1.0)
-            x = _moved(x, t * amount * ((1.0 - s) * (1.0 - s) * (1.0 + 2.0 * s)), direction)
+            x = _moved(x, t * _BUMP * amount * ((1.0 - s) * (1.0 - s) * (1.0 + 2.0 * s)), direction)
         return x
 
     def _waved(self, x: Columns, t: float) -> Columns:
         """x + a sin(2 pi (k . x + phase)) e."""
         for wave, phase, direction, amount in self._waves:
             turns = _dot(self._places, wave) + phase
-            x = _moved(x, t * amount * _sine_of_turns(turns), direction)
+            x = _moved(x, t * _WAVE * amount * _sine_of_turns(turns), direction)
         return x
 
     def _stretched(self, x: Columns, t: float) -> Columns:
         """Longer along an axis and thinner across it, or shorter and thicker: volume stays."""
         axis, amount = self._stretch
-        factor = (1.0 + t * amount) / (1.0 - t * amount)
+        change = t * _STRETCH * amount
+        factor = (1.0 + change) / (1.0 - change)
         across = 1.0 / math.sqrt(factor)
         return _moved(tuple(across * part for part in x), (factor - across) * _dot(x, axis), axis)
 
@@ -161,14 +173,14 @@ class PoseWay:
         """Wider and wider across an axis, along it."""
         axis, amount = self._taper
         along = _dot(x, axis)
-        factor = 1.0 + t * amount * along / _reach(along)
+        factor = 1.0 + t * _TAPER * amount * along / _reach(along)
         return _moved(tuple(factor * part for part in x), (1.0 - factor) * along, axis)
 
     def _twisted(self, x: Columns, t: float) -> Columns:
         """Turned about an axis through the middle, by an angle that grows along it (Rodrigues' formula)."""
         axis, amount = self._twist
         along = _dot(x, axis)
-        angle = t * amount * 0.5 * along / _reach(along)
+        angle = t * _TWIST * amount * 0.5 * along / _reach(along)
         sine, versed = _sine_and_versed(angle)
         turned = _cross(axis, x)
         across = tuple(part - along * e for part, e in zip(x, axis, strict=True))
@@ -180,7 +192,7 @@ class PoseWay:
         middle stays."""
         axis, towards, amount = self._bend
         along, side = _dot(x, axis), _dot(x, towards)
-        rate = t * amount * 0.5 / _reach(along)
+        rate = t * _BEND * amount * 0.5 / _reach(along)
         angle = rate * along
         square = angle * angle
         sinc, arch = _polynomial(_SINE, square), _polynomial(_VERSED, square)

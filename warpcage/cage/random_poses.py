@@ -17,7 +17,7 @@ from .pose_modes import POSE_MODES, PoseWay, RandomNumbers
 Posed = TypeVar("Posed", bound=ClosedMesh)
 
 #: Least and largest stretch of random poses.
-USUAL_STRETCH = (0.6, 1.6)
+USUAL_STRETCH = (0.5, 2.0)
 
 #: How far a pose goes, as shares of the farthest that the bounds allow.
 USUAL_REACH = (0.3, 1.0)
@@ -77,7 +77,7 @@ class RandomPoses(Generic[Posed]):
         self.modes = tuple(require_name(mode, POSE_MODES, "a mode of random poses") for mode in modes)
         if not 0.0 < self.stretch[0] < 1.0 < self.stretch[1]:
             raise ValueError(
-                f"stretch must hold 1 between two positive bounds, such as 0.6 and 1.6, got {shown(stretch)}"
+                f"stretch must hold 1 between two positive bounds, such as 0.5 and 2, got {shown(stretch)}"
             )
         if not 0.0 < self.reach[0] <= self.reach[1] <= 1.0:
             raise ValueError(f"reach must be two shares above 0 and up to 1, the lower first, got {shown(reach)}")

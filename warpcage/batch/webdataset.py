@@ -1,0 +1,228 @@
+"""Shards of a WebDataset: tar files of records, whole or not at all.
+
+A job's items belong to shards by their places in the job file, so many to a shard. While a shard is made its records
+are loose files in a folder of its own; when the last of its items is settled they are packed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import pathlib
+import re
+import shutil
+import tarfile
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from ..core.files import PathLike, atomic_path
+
+#: Folder of a run in which shards are made.
+STAGES = ".warpcage/shards"
+
+_STAGE = re.compile(r"shard-(\d{6,})")
+
+#: Bytes that are copied at once.
+CHUNK = 1 << 20
+
+
+def shard_path(out: PathLike, shard: int) -> pathlib.Path:
+    """The tar file of a shard.
+
+    Args:
+        out: Folder of the run.
+        shard: Number of the shard, from 0.
+
+    Returns:
+        Its path, whether it is there or not.
+    """
+    return pathlib.Path(out) / f"{_stem(shard)}.tar"
+
+
+def shard_stage(out: PathLike, shard: int) -> pathlib.Path:
+    """The folder in which the records of a shard stand until they are packed.
+
+    Args:
+        out: Folder of the run.
+        shard: Number of the shard, from 0.
+
+    Returns:
+        Its path, whether it is there or not.
+    """
+    return pathlib.Path(out) / STAGES / _stem(shard)
+
+
+def staged_shards(out: PathLike) -> list[int]:
+    """The shards that have loose files: under way, or interrupted before they were packed.
+
+    Args:
+        out: Folder of the run.
+
+    Returns:
+        Their numbers, ascending.
+    """
+    folder = pathlib.Path(out) / STAGES
+    names = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
+    return sorted(int(found[1]) for name in names if (found := _STAGE.fullmatch(name)))
+
+
+def shard_holds(out: PathLike, shard: int, outputs: Any) -> bool:
+    """Whether all files of an item are in its shard, loose or packed, in the size that its record says.
+
+    Args:
+        out: Folder of the run.
+        shard: Number of the shard.
+        outputs: Bytes by path, as the manifest has them.
+
+    Returns:
+        Whether they are.
+    """
+    if not isinstance(outputs, dict) or not outputs:
+        return False
+    stage, packed = shard_stage(out, shard), _sizes(shard_path(out, shard))
+    return all(_loose_size(stage / name, packed.get(name)) == size for name, size in outputs.items())
+
+
+def _loose_size(path: pathlib.Path, otherwise: int | None) -> int | None:
+    """The size of a loose file, which counts before a packed one."""
+    try:
+        return path.stat().st_size
+    except (OSError, ValueError):
+        return otherwise
+
+
+def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) -> pathlib.Path | None:
+    """Pack a shard: the loose files of its records, and of the shard as it was before what was not made anew.
+
+    The tar file is replaced at once, and then the loose files are deleted: an interrupt or a kill at any moment leaves
+    either the loose files, to be packed again, or a whole shard. Records come in the order given, the files of each
+    beside each other; dates and owners are left out, so that equal records make equal bytes.
+
+    Args:
+        out: Folder of the run.
+        shard: Number of the shard, from 0.
+        records: The items of the shard that are done, in the order of the job, each with its `outputs`: bytes by path.
+            Those that failed are left out: a later call with them packs them too.
+
+    Returns:
+        The tar file. None where there is no record, and then no tar file either.
+
+    Raises:
+        FileNotFoundError: For an output that is neither loose nor in the shard as it was; nothing is changed then.
+        OSError: Where the shard cannot be written; the loose files stay.
+    """
+    target, stage = shard_path(out, shard), shard_stage(out, shard)
+    names = [name for record in records for name in _ordered(record["outputs"])]
+    if names:
+        with contextlib.ExitStack() as held:
+            before = held.enter_context(_Members(target))
+            temporary = held.enter_context(atomic_path(target))
+            with temporary.open("wb") as file, tarfile.open(fileobj=file, mode="w", format=tarfile.PAX_FORMAT) as tar:
+                for name in names:
+                    _add(tar, name, stage, before)
+    else:
+        target.unlink(missing_ok=True)
+    _sizes_of.cache_clear()
+    shutil.rmtree(stage, ignore_errors=True)
+    return target if names else None
+
+
+def read_shard(path: PathLike) -> Iterator[dict[str, bytes]]:
+    """The records of a shard, as the `webdataset` package groups them.
+
+    Args:
+        path: A tar file.
+
+    Yields:
+        "__key__", and the bytes of each file by its ending: "png" or "jpg", "depth.npy", "alpha.png", "pose.npy",
+        "json".
+    """
+    record: dict[str, Any] = {}
+    with tarfile.open(path) as tar:
+        for member in tar:
+            key, ending = split_key(member.name)
+            if record and record["__key__"] != key:
+                yield record
+                record = {}
+            opened = tar.extractfile(member)
+            assert opened is not None
+            record |= {"__key__": key, ending: opened.read()}
+    if record:
+        yield record
+
+
+def split_key(name: str) -> tuple[str, str]:
+    """Key and ending of a file in a shard: what is before and after the first dot behind its folders."""
+    folder, slash, last = name.rpartition("/")
+    stem, _, ending = last.partition(".")
+    return folder + slash + stem, ending
+
+
+def _stem(shard: int) -> str:
+    return f"shard-{shard:06d}"
+
+
+def _ordered(outputs: Mapping[str, Any]) -> list[str]:
+    """The files of a record: its picture first, so that readers show what they have soon."""
+    return sorted(outputs, key=lambda name: (not name.endswith((".png", ".jpg")) or ".alpha." in name, name))
+
+
+def _add(tar: tarfile.TarFile, name: str, stage: pathlib.Path, before: _Members) -> None:
+    """Add a loose file, or a packed one."""
+    info = tarfile.TarInfo(name)
+    info.mode = 0o644
+    try:
+        file = (stage / name).open("rb")
+    except FileNotFoundError:
+        packed = before.find(name)
+        if packed is None:
+            raise FileNotFoundError(f"{name!r} is not there, neither in {str(stage)!r} nor packed") from None
+        info.size, opened = packed.size, before.open(packed)
+        tar.addfile(info, opened)
+        return
+    with file:
+        info.size = os.fstat(file.fileno()).st_size
+        tar.addfile(info, file)
+
+
+class _Members:
+    """What a tar file holds; nothing where there is none."""
+
+    def __init__(self, path: pathlib.Path):
+        self._tar = tarfile.open(path) if path.exists() else None
+        self._members = {} if self._tar is None else {member.name: member for member in self._tar}
+
+    def __enter__(self) -> _Members:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._tar is not None:
+            self._tar.close()
+
+    def find(self, name: str) -> tarfile.TarInfo | None:
+        """A file in it."""
+        return self._members.get(name)
+
+    def open(self, member: tarfile.TarInfo) -> Any:
+        """Its bytes."""
+        assert self._tar is not None
+        return self._tar.extractfile(member)
+
+
+def _sizes(path: pathlib.Path) -> Mapping[str, int]:
+    """Bytes of each file in a tar file; empty where there is none, or it cannot be read."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return {}
+    return _sizes_of(str(path), stat.st_size, stat.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=4)
+def _sizes_of(path: str, size: int, time: int) -> Mapping[str, int]:
+    try:
+        with tarfile.open(path) as tar:
+            return {member.name: member.size for member in tar}
+    except (OSError, tarfile.TarError):
+        return {}
