@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
 import pathlib
 from collections.abc import Callable, Hashable
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from ..cage.cage import Cage
 from ..core.arrays import array_bytes
@@ -21,25 +19,24 @@ from ..deform.edits import CageEdit
 from ..deform.fill import fill_unseen
 from ..deform.picture_cells import picture_cells
 from ..field.voxel_field import VoxelField
-from ..splats.load import AnyField, load_field
+from ..splats.load import AnyField
 from ..view.camera import Camera
 from ..view.exr import depth_along_view, write_exr
 from ..view.frame import Frame
 from ..view.frame_parts import picture
 from ..view.opacity import rgba_picture
 from ..view.pictures import write_jpeg, write_png
+from .fields import MEMORY_SHARE, LoadedFields
 from .items import TRANSPARENT, FrameItem, canonical
+from .outputs import Writer, array_data, write_array
 from .records import frame_record, pose_array
 from .references import References, RestCage
 
-#: Writes an output to a temporary file. It holds main memory alone, so that any thread may call it.
-Writer = Callable[[pathlib.Path], object]
-
-#: Fields and deformers that stay loaded, and the share of the memory that is free for them.
-MOST_FIELDS, MOST_DEFORMERS, MEMORY_SHARE = 8, 4, 0.5
+#: Most deformers that stay bound to a field.
+MOST_DEFORMERS = 4
 
 #: Parts of a frame that no picture is needed for.
-_OF_RECORDS = ("pose", "record")
+OF_RECORDS = ("pose", "record")
 
 
 @dataclasses.dataclass
@@ -47,13 +44,11 @@ class Counts:
     """How often something was made, by which reuse is seen.
 
     Attributes:
-        fields: Fields read from files.
         deformers: Cages at rest that were bound to a field.
         poses: Maps of poses.
         frames: Pictures rendered.
     """
 
-    fields: int = 0
     deformers: int = 0
     poses: int = 0
     frames: int = 0
@@ -73,28 +68,34 @@ class FrameMaker:
 
     Args:
         references: What items refer to.
-        device: Warp device.
-        memory: Bytes that fields and deformers may take together. None is half of what is free on the device.
+        fields: Fields that stay loaded.
+        memory: Bytes that deformers may take together beside their fields; one stays whatever it takes. None is a
+            quarter of what is free on the device.
 
     Attributes:
         counts: How often something was made.
     """
 
-    def __init__(self, references: References, device: wp.Device, memory: int | None = None):
-        self.references, self.device, self.counts = references, device, Counts()
-        limit = int(MEMORY_SHARE * free_bytes(device)) if memory is None else memory
-        self._fields: Recent[AnyField] = Recent(MOST_FIELDS, limit // 2, array_bytes)
-        self._bound: Recent[Bound] = Recent(MOST_DEFORMERS, limit // 2, _bound_bytes)
+    def __init__(self, references: References, fields: LoadedFields, memory: int | None = None):
+        self.references, self.fields, self.counts = references, fields, Counts()
+        limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
+        self._bound: Recent[Bound] = Recent(MOST_DEFORMERS, limit, _bound_bytes)
+        fields.dropped = self._drop_bound_to
 
     @property
     def held_bytes(self) -> int:
-        """Bytes that fields and deformers take."""
-        return self._fields.held_bytes + self._bound.held_bytes
+        """Bytes that deformers take, beside their fields."""
+        return self._bound.held_bytes
 
     def forget(self) -> None:
-        """Let go of all that is loaded."""
+        """Let go of all that is bound to fields."""
         self._bound.clear()
-        self._fields.clear()
+
+    def _drop_bound_to(self, field: AnyField) -> None:
+        """Let go of what is bound to a field, which would keep it loaded."""
+        for key, bound in self._bound.items():
+            if bound.deformer.field is field:
+                self._bound.drop(key)
 
     def make(self, item: FrameItem) -> dict[str, Writer]:
         """Render a frame.
@@ -109,7 +110,7 @@ class FrameMaker:
             FileNotFoundError: For a file that is not there.
             ValueError: For what cannot be used, with its name.
         """
-        field_key, field = self._field(item)
+        field_key, field = self.fields.get(item.field, item.scene_scale)
         camera = self.references.camera(item, field)
         posed: list[Cage | None] = []
         if item.edits:
@@ -123,19 +124,9 @@ class FrameMaker:
             frame = _filled(frame, field, camera)
         self.counts.frames += 1
         writers = frame_writers(item, frame, camera, drawn) | _record_writers(item, camera, posed)
-        self._fields.settle(field_key)
+        self.fields.settle(field_key)
         self._bound.settle(bound_key)
         return writers
-
-    def _field(self, item: FrameItem) -> tuple[Hashable, AnyField]:
-        path, stamp = self.references.stamped(item.field, "field file")
-
-        def load() -> AnyField:
-            self.counts.fields += 1
-            return load_field(path, scene_scale=item.scene_scale, device=self.device)
-
-        key = path, stamp, item.scene_scale
-        return key, self._fields.get(key, load)
 
     def _deformer(
         self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
@@ -148,8 +139,8 @@ class FrameMaker:
         def bind() -> Bound:
             rests = [self.references.rest_cage(edit, field) for edit in item.edits]
             edits = [
-                CageEdit(cage, edit.keep, edit.remove, edit.falloff, edit.held, edit.crumbs)
-                for (cage, _), edit in zip(rests, item.edits, strict=True)
+                CageEdit(cage.cage, edit.keep, edit.remove, edit.falloff, edit.held, edit.crumbs)
+                for cage, edit in zip(rests, item.edits, strict=True)
             ]
             self.counts.deformers += 1
             resolution = None if cells == "precise" else int(cells)
@@ -160,7 +151,8 @@ class FrameMaker:
 
     def _pose(self, bound: Bound, item: FrameItem) -> list[Cage | None]:
         """Move the cages of a Deformer, if they are not there; returns them."""
-        cages = [self.references.posed_cage(edit, rest) for edit, rest in zip(item.edits, bound.rests, strict=True)]
+        field, edits = bound.deformer.field, zip(item.edits, bound.rests, strict=True)
+        cages = [self.references.posed_cage(edit, rest, field) for edit, rest in edits]
         pose = tuple(None if cage is None else cage.vertices.tobytes() for cage in cages)
         if pose == bound.pose:
             return cages
@@ -178,7 +170,7 @@ def _bound_bytes(bound: Bound) -> int:
 def _drawn(bound: Bound) -> list[Cage]:
     """The cages that an overlay shows: posed ones, and at rest those whose content is removed."""
     posed = bound.deformer.deformed or []
-    return [rest if cage is None else cage for (rest, _), cage in zip(bound.rests, posed, strict=True)]
+    return [rest.cage if cage is None else cage for rest, cage in zip(bound.rests, posed, strict=True)]
 
 
 def _render_options(item: FrameItem) -> dict[str, Any]:
@@ -213,7 +205,7 @@ def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cag
     """
     for name in frame.arrays:
         getattr(frame, name)
-    pictures = {part: path for part, path in item.outputs.items() if part not in _OF_RECORDS}
+    pictures = {part: path for part, path in item.outputs.items() if part not in OF_RECORDS}
     return {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures.items()}
 
 
@@ -227,7 +219,7 @@ def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -
     def writer(part: str) -> Writer:
         return lambda temporary: temporary.write_bytes(contents[part]())
 
-    return {item.outputs[part]: writer(part) for part in _OF_RECORDS if part in item.outputs}
+    return {item.outputs[part]: writer(part) for part in OF_RECORDS if part in item.outputs}
 
 
 def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> Writer:
@@ -250,20 +242,3 @@ def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera,
         return lambda temporary: write_exr(temporary, shown(), depth_along_view(frame, camera))
     write = write_jpeg if ending in (".jpg", ".jpeg") else write_png
     return lambda temporary: write(temporary, image())
-
-
-def write_array(path: pathlib.Path, array: np.ndarray) -> None:
-    """Write a .npy file.
-
-    Args:
-        path: The file, which is not yet in its place.
-        array: The numbers.
-    """
-    path.write_bytes(array_data(array))  # np.save's own way tells of a full disk without its error number
-
-
-def array_data(array: np.ndarray) -> memoryview:
-    """The bytes of a .npy file; array: the numbers."""
-    data = io.BytesIO()
-    np.save(data, np.ascontiguousarray(array), allow_pickle=False)
-    return data.getbuffer()

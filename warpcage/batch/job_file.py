@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import array
+import hashlib
 import json
 import pathlib
 import threading
@@ -13,7 +15,7 @@ import numpy as np
 from ..core.checks import listed, shown
 from ..core.files import JSON_ROOM, PathLike, atomic_path, require_file
 from ..core.memory import require_host_memory
-from .items import KINDS, Item
+from .items import KINDS, Defaults, Item
 from .records import record_outputs, require_frame, require_recordable
 from .words import checked_words, one_of
 
@@ -65,6 +67,7 @@ class JobFile:
         self.records: dict[str, Any] = self.header.get("records") or {}
         if self.records:
             self.defaults = self.defaults | {"outputs": record_outputs(self.records)}
+        self._usual = Defaults(self.defaults)
 
     def __enter__(self) -> JobFile:
         return self
@@ -110,7 +113,7 @@ class JobFile:
         line = int(self._lines[index + 1])
         entry = self._object(line)
         try:
-            return _checked_item(entry, self.defaults, self.records)
+            return _checked_item(entry, self._usual, self.records)
         except ValueError as error:
             name = f" ({shown(entry['id'])})" if isinstance(entry.get("id"), str) else ""
             raise ValueError(f"{self.path}, line {line + 1}{name}: {error}") from None
@@ -119,6 +122,40 @@ class JobFile:
         """All items in their order. Raises ValueError at the first that cannot be read."""
         for index in range(len(self)):
             yield self.item(index)
+
+    def check(self) -> None:
+        """Check all lines, and that no two items have one id or write one file.
+
+        8 bytes are held for each item and each output.
+
+        Raises:
+            ValueError: File and line of what is wrong. File systems that do not tell capitals apart are thought of.
+        """
+        names = array.array("Q")
+        for item in self.items():
+            names.extend(_marks(item))
+        values = np.sort(np.frombuffer(names, np.uint64)) if names else np.zeros(0, np.uint64)
+        twice = set(values[1:][values[1:] == values[:-1]].tolist())
+        met: dict[int, int] = {}
+        for index in range(len(self)) if twice else ():
+            for mark in twice.intersection(_marks(self.item(index))):
+                self._require_apart(met.setdefault(mark, index), index)
+
+    def _require_apart(self, one: int, two: int) -> None:
+        """Raise ValueError where two items have an id or an output in common."""
+        if one == two:
+            return
+        first, second = self.item(one), self.item(two)
+        where = f"{self.path}, line {self.line(two)}"
+        if first.id.lower() == second.id.lower():
+            raise ValueError(f"{where}: the id {second.id!r} is that of line {self.line(one)}: ids must differ")
+        paths = {path.lower() for path in first.outputs.values()}
+        for path in second.outputs.values():
+            if path.lower() in paths:
+                raise ValueError(
+                    f"{where} ({second.id!r}): it writes {path!r}, as line {self.line(one)} does ({first.id!r}): "
+                    "outputs must differ"
+                )
 
     # -- lines
 
@@ -156,7 +193,7 @@ class JobFile:
             data = self._file.read(end - start)
         try:
             text = data.decode("utf-8-sig" if line == 0 else "utf-8")
-            content = json.loads(text, parse_constant=_no_constant)
+            content = _DECODER.decode(text)
         except UnicodeDecodeError:
             raise ValueError(f"{where}: it holds no text (UTF-8)") from None
         except RecursionError:
@@ -196,8 +233,18 @@ class JobFile:
 _HEADER_SHAPE = f'{{"format": "{FORMAT}", "version": {VERSION}}}'
 
 
+def _marks(item: Item) -> list[int]:
+    """64 bits for an item's id, and for each of its outputs. Letters in capitals are the same."""
+    names = [f"id {item.id}", *(f"file {path}" for path in item.outputs.values())]
+    hashes = (hashlib.blake2b(name.lower().encode(), digest_size=8).digest() for name in names)
+    return [int.from_bytes(each, "little") for each in hashes]
+
+
 def _no_constant(name: str) -> Any:
     raise ValueError(f"{name} is no number of JSON")
+
+
+_DECODER = json.JSONDecoder(parse_constant=_no_constant)
 
 
 def _check_defaults(defaults: Any) -> None:
@@ -230,10 +277,10 @@ def _check_for_some(word: str, value: Any, makers: list[type[Item]]) -> None:
         raise wrong
 
 
-def _checked_item(entry: Mapping[str, Any], defaults: Mapping[str, Any], records: Mapping[str, Any]) -> Item:
+def _checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[str, Any]) -> Item:
     """An item of a job; ValueError for one that cannot be, or is no record where the job is of records."""
     if records:
-        require_frame(entry, defaults)
+        require_frame(entry, defaults.words)
     item = Item.from_json(entry, defaults)
     if records:
         require_recordable(entry, item, records)
@@ -296,8 +343,9 @@ def write_jobs(
     usual = dict(defaults or {})
     _check_defaults(usual)
     check_records(dict(records or {}), usual)
-    complete = usual | ({"outputs": record_outputs(records)} if records else {})
-    header |= {name: value for name, value in (("defaults", usual), ("records", records), ("extra", extra)) if value}
+    complete = Defaults(usual | ({"outputs": record_outputs(records)} if records else {}))
+    parts = {"defaults": usual, "records": records, "extra": extra}
+    header |= {name: value for name, value in parts.items() if value}
     count = 0
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(_line(header))

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from ..cage.axis_words import with_up
 from ..cage.cage import Cage
-from ..cage.motion import gltf_poses
-from ..cage.pose_file import PoseFile
+from ..cage.motion import gltf_poses, gltf_shown
+from ..cage.pose_file import PoseFile, cage_hash
+from ..cage.presets import Preset, is_preset
 from ..cage.upright import load_standing
 from ..core.checks import shown
 from ..core.files import file_stamp, require_file
@@ -24,7 +26,7 @@ from ..splats.load import AnyField
 from ..view.camera import Camera
 from ..view.camera_file import CameraFile, camera_from_json
 from ..view.fitted import fitted
-from .items import EditWords, FrameItem, canonical
+from .items import EditWords, FrameItem
 
 Thing = TypeVar("Thing")
 
@@ -49,9 +51,10 @@ def split_reference(reference: str) -> tuple[str, str]:
 
 
 class RestCage(NamedTuple):
-    """A cage at rest, and the axis that points up in cage files by their ending, as it was found for its own."""
+    """A cage at rest, its hash, and the axis that points up in files of its ending, as it was found for its own."""
 
     cage: Cage
+    hash: str
     ups: dict[str, str]
 
 
@@ -132,14 +135,15 @@ class References:
             faces = self.array(edit.cage["faces"], "'faces' of 'cage'")
             cage, ups = Cage(vertices, faces), {}
         cage.require_usable(f"cage {edit.cage!r}" if isinstance(edit.cage, str) else "'cage'")
-        return RestCage(cage, ups)
+        return RestCage(cage, cage_hash(cage), ups)
 
-    def posed_cage(self, edit: EditWords, rest_cage: RestCage) -> Cage | None:
+    def posed_cage(self, edit: EditWords, rest_cage: RestCage, field: AnyField) -> Cage | None:
         """The posed cage of an edit, in the order of the cage at rest.
 
         Args:
             edit: The edit.
             rest_cage: Its cage at rest.
+            field: The field, which says what is up in the words of a preset.
 
         Returns:
             The cage; None for an edit that removes.
@@ -150,7 +154,7 @@ class References:
         """
         if edit.remove:
             return None
-        value, (rest, ups) = edit.posed, rest_cage
+        value, rest = edit.posed, rest_cage.cage
         if not isinstance(value, str) or split_reference(value)[0].lower().endswith(".npy"):
             vertices = self.array(value, "'posed'")
             if vertices.shape != rest.vertices.shape:
@@ -159,23 +163,38 @@ class References:
                     f"{shown(value)}{_row_hint(value, vertices, rest)}"
                 )
             return rest.with_vertices(vertices)
+        if is_preset(value, self.base):
+            preset = Preset(with_up(value, field.up.tolist()))
+            return preset.at(rest, preset.amount)
         name, place = split_reference(value)
         if name.lower().endswith(".json"):
-            file = self._kept(name, "pose file", lambda path: PoseFile.load(path, rest), canonical(edit.rest))
+            file = self._kept(name, "pose file", lambda path: PoseFile.load(path, rest), rest_cage.hash)
             return _keyframe(file, name, place)
-        if place:
-            moving = self._kept(
-                name, "cage file", lambda path: gltf_poses(path, rest, up=edit.up), canonical(edit.rest)
-            )
-            if moving is None:
-                raise ValueError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
-            return _keyframe(moving, name, place)
+        if name.lower().endswith((".glb", ".gltf")):
+            if (moving := self._moving(name, place, edit, rest_cage)) is not None:
+                return moving
         path = require_file(self.path(name), "cage file")
-        posed = load_standing(Cage, path, up=edit.up, reference=rest, expected=ups.get(path.suffix.lower()))[0]
+        posed = load_standing(Cage, path, up=edit.up, reference=rest, expected=rest_cage.ups.get(path.suffix.lower()))[
+            0
+        ]
         try:
             return rest.match(posed)
         except ValueError as error:
             raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
+
+    def _moving(self, name: str, place: str, edit: EditWords, rest_cage: RestCage) -> Cage | None:
+        """The keyframe or shape that is named of a glTF file, or what its shapes show. None where nothing moves."""
+
+        def read(path: pathlib.Path) -> tuple[PoseFile | None, Cage | None]:
+            rest = rest_cage.cage
+            return gltf_poses(path, rest, up=edit.up), gltf_shown(path, rest, up=edit.up)
+
+        moving, shown_pose = self._kept(name, "cage file", read, (rest_cage.hash, edit.up))
+        if moving is None:
+            if place:
+                raise ValueError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
+            return None
+        return shown_pose if shown_pose is not None and not place else _keyframe(moving, name, place)
 
     # -- cameras
 
@@ -265,11 +284,11 @@ def _keyframe(file: PoseFile, name: str, place: str) -> Cage:
     if not place and len(file) == 1:
         return file[file.names[0]]
     if not place:
-        raise ValueError(f"pose file {name!r} holds {len(file)} keyframes: name one, {name}#{file.names[0]}")
+        raise ValueError(f"{name} holds {len(file)} poses: name one, {name}#{file.names[0]}")
     try:
         return file[place]
     except ValueError as error:
-        raise ValueError(f"pose file {name!r}: {error}") from None
+        raise ValueError(f"{name}: {error}") from None
 
 
 def _row_hint(value: Any, vertices: np.ndarray, rest: Cage) -> str:

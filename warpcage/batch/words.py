@@ -7,12 +7,17 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..core.checks import checked_number, checked_positive, checked_whole, listed, shown
+from ..core.names import BACKGROUNDS
+
+#: What stands behind a picture with opacity.
+TRANSPARENT = "transparent"
 
 #: Takes a value of JSON and the word that it stands at, and returns it as items have it.
 Checker = Callable[[Any, str], Any]
 
 #: Names that items and outputs have: parts between slashes, none of which is hidden or leads up.
 _PART = re.compile(r"\w[\w.\-]*")
+_NAME = re.compile(r"\w[\w.\-]*(?:/\w[\w.\-]*)*", re.ASCII)
 
 #: Bytes that a part of such a name has at most, so that there is room for a temporary name beside it.
 MAX_PART, MAX_SAFE_NAME = 200, 1000
@@ -31,6 +36,8 @@ def safe_name(value: Any, word: str) -> str:
     Raises:
         ValueError: For a name that is hidden, too long, or leads out of the folder.
     """
+    if isinstance(value, str) and len(value) <= MAX_PART and _NAME.fullmatch(value):
+        return value  # as nearly all are
     parts = value.split("/") if isinstance(value, str) else [""]
     good = all(_PART.fullmatch(part) and len(part.encode("utf-8", "replace")) <= MAX_PART for part in parts)
     if not good or len(value) > MAX_SAFE_NAME:
@@ -83,6 +90,25 @@ def numbers(value: Any, word: str, count: int) -> tuple[float, ...]:
     if not isinstance(value, list | tuple) or len(value) != count:
         raise ValueError(f"{word} must be {count} numbers, got {shown(value)}")
     return tuple(number(each, word) for each in value)
+
+
+def background(value: Any, word: str) -> Any:
+    """The colour behind a picture, or none."""
+    if isinstance(value, str) and value in (*BACKGROUNDS, TRANSPARENT):
+        return value
+    if isinstance(value, list | tuple):
+        colour = numbers(value, word, 3)
+        if min(colour) >= 0.0 and max(colour) <= 1.0:
+            return colour
+    known = ", ".join((*BACKGROUNDS, TRANSPARENT))
+    raise ValueError(f"{word} must be one of {known}, or three numbers in [0, 1], got {shown(value)}")
+
+
+def colour(value: Any, word: str) -> Any:
+    """A colour."""
+    if value == TRANSPARENT:
+        raise ValueError(f"{word} must be a colour, got {value!r}")
+    return background(value, word)
 
 
 def one_of(*names: str) -> Checker:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
+import gc
 import os
 import pathlib
-import uuid
-from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import warp as wp
 
+from .. import __version__
 from ..core.devices import resolve_device
-from .frames import FrameMaker, Writer
-from .items import EvaluateItem, FitItem, FrameItem, Item
+from ..core.memory import is_shortage
+from .evaluations import make_evaluation
+from .fields import LoadedFields
+from .fingerprints import Fingerprints
+from .fits import make_fit
+from .frames import FrameMaker
+from .items import EvaluateItem, FitItem, FrameItem, Item, digest
+from .outputs import Writer, write_outputs
 from .references import References
 
-#: Folder of a run in which files stand until they are whole. What is left there belongs to nobody once no worker runs.
-PARTS = ".warpcage/parts"
+#: Folders of a run: files stand in the first until they are whole, and what is left there belongs to nobody once no
+#: worker runs; the second holds the progress of fits, from which they go on.
+PARTS, CHECKPOINTS = ".warpcage/parts", ".warpcage/checkpoints"
 
 #: Threads that encode pictures, and frames that may wait for them: so many frames are in main memory at most.
 ENCODERS, MOST_WAITING = 4, 8
@@ -30,12 +36,14 @@ class Worker:
         base: Folder that paths in items are relative to.
         out: Folder that outputs are relative to; it is made.
         device: Warp device. None is CUDA where there is one.
-        memory: Bytes that fields and deformers may take. None is half of what is free on the device.
+        memory: Bytes that fields, and deformers beside them, may take; the ones in use stay whatever they take. None is
+            half of what is free on the device.
         encoders: Threads that encode pictures while the next ones are rendered.
 
     Attributes:
         out: The folder of outputs.
         device: The device.
+        fields: Fields that are loaded; `read_count` says how often one was read.
         frames: What renders frames; its `counts` say how often something was made anew.
     """
 
@@ -50,7 +58,9 @@ class Worker:
     ):
         self.out, self.device = pathlib.Path(out), resolve_device(device)
         self.references = References(base)
-        self.frames = FrameMaker(self.references, self.device, memory)
+        half = None if memory is None else memory // 2
+        self.fields = LoadedFields(self.references, self.device, half)
+        self.frames = FrameMaker(self.references, self.fields, half)
         self._pool = ThreadPoolExecutor(encoders, "encoder")
         self._waiting: list[Future[dict[str, int]]] = []
 
@@ -63,7 +73,18 @@ class Worker:
     def close(self) -> None:
         """Finish what is being written, and let go of all that is loaded."""
         self._pool.shutdown()
+        self.forget()
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes that all takes that is loaded."""
+        return self.fields.held_bytes + self.frames.held_bytes
+
+    def forget(self) -> None:
+        """Let go of all that is loaded."""
         self.frames.forget()
+        self.fields.forget()
+        gc.collect()
 
     def run(self, item: Item, out: str | os.PathLike | None = None) -> dict[str, int]:
         """Make an item.
@@ -109,49 +130,26 @@ class Worker:
         return done
 
     def _made(self, item: Item) -> dict[str, Writer]:
+        """Make an item; where memory is short, once more with nothing else loaded."""
+        try:
+            return self._made_once(item)
+        except Exception as error:
+            if not is_shortage(error) or not self.held_bytes:
+                raise
+        self.forget()
+        return self._made_once(item)
+
+    def _made_once(self, item: Item) -> dict[str, Writer]:
         if isinstance(item, FrameItem):
             return self.frames.make(item)
-        assert isinstance(item, FitItem | EvaluateItem)
-        raise NotImplementedError(f"items of kind {item.kind!r}")
+        if isinstance(item, EvaluateItem):
+            return make_evaluation(item, self.references, self.fields)
+        if isinstance(item, FitItem):
+            self.forget()  # a fit plans with the memory that is free
+            return make_fit(item, self.references, self.device, self._checkpoint(item))
+        raise ValueError(f"a worker makes no {type(item).__name__}")
 
-
-def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathlib.Path) -> dict[str, int]:
-    """Write files, all of them or none.
-
-    They are written in a folder of their own, and put into their places when all are whole.
-
-    Args:
-        writers: What writes each, by its path below `out`.
-        out: The folder.
-        parts: Folder for files that are not whole yet, on the same file system.
-
-    Returns:
-        Bytes of the files, by their paths.
-
-    Raises:
-        OSError: Where they cannot be written.
-    """
-    sizes: dict[str, int] = {}
-    with _part_names(writers, parts) as names:
-        for path, write in writers.items():
-            write(names[path])
-            sizes[path] = names[path].stat().st_size
-        for path in writers:
-            (out / path).parent.mkdir(parents=True, exist_ok=True)
-        for path in writers:
-            os.replace(names[path], out / path)
-    return sizes
-
-
-@contextlib.contextmanager
-def _part_names(paths: Mapping[str, Writer], parts: pathlib.Path) -> Iterator[dict[str, pathlib.Path]]:
-    """A file's name in `parts` for each path, with its ending; what is still there at the end is removed."""
-    parts.mkdir(parents=True, exist_ok=True)
-    stem = uuid.uuid4().hex
-    names = {path: parts / f"{stem}-{number}{pathlib.PurePosixPath(path).suffix}" for number, path in enumerate(paths)}
-    try:
-        yield names
-    finally:
-        for name in names.values():
-            with contextlib.suppress(OSError):
-                name.unlink()
+    def _checkpoint(self, item: FitItem) -> pathlib.Path:
+        """Where the progress of a fit is kept: another place for other inputs, and for another version."""
+        name = digest([Fingerprints(self.references.base, self.out).of(item), __version__])
+        return self.out / CHECKPOINTS / f"{name}.npz"

@@ -1,23 +1,10 @@
-"""Words for directions: world axes, a scene's up, a cage's own axes, and vectors."""
+"""Words for directions as arguments."""
 
 from __future__ import annotations
 
 import argparse
-import re
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from ..cage.cage import Cage
-
-#: What the words may be.
-AXIS_WORDS = "x, y, z, up, long, middle, short, or a direction such as 0,0.2,1"
-
-_NAMED = re.compile("[-+]?([xyz]|up|long|middle|short)")
-
-#: An axis as the methods of Cage take it.
-Axis = str | tuple[float, float, float]
+from ..cage.axis_words import AXIS_WORDS, is_axis
 
 
 def axis_word(text: str) -> str:
@@ -25,59 +12,3 @@ def axis_word(text: str) -> str:
     if not is_axis(text):
         raise argparse.ArgumentTypeError(f"must be {AXIS_WORDS}, got {text!r}")
     return text
-
-
-def is_axis(text: str) -> bool:
-    """Whether a text is a word for a direction."""
-    return bool(_NAMED.fullmatch(text)) or _vector(text) is not None
-
-
-def with_up(text: str, up: Sequence[float] | None) -> str:
-    """A word of --posed, or for a direction, with "up" as numbers.
-
-    Args:
-        text: Words between colons, such as "twist:40:up".
-        up: (3,) what is up, None where nobody said.
-
-    Returns:
-        The text.
-
-    Raises:
-        ValueError: If it says "up" and nobody said what that is.
-    """
-    words = text.split(":")
-    if not {"up", "-up", "+up"} & set(words):
-        return text
-    if up is None:
-        raise ValueError(f"{text!r} needs --up or --object: they say what is up")
-
-    def said(word: str) -> str:
-        sign = -1.0 if word[0] == "-" else 1.0
-        return ",".join(repr(sign * float(value)) for value in up) if word.lstrip("+-") == "up" else word
-
-    return ":".join(map(said, words))
-
-
-def axis_of(text: str) -> Axis:
-    """A direction as the methods of Cage take it: its name, or a vector."""
-    found = _vector(text)
-    return text if found is None else found
-
-
-def default_towards(cage: Cage, axis: Axis) -> str:
-    """Where a bend along an axis goes unless something else is said: to x, or to z where the axis lies along x."""
-    from ..cage.directions import direction
-    from ..mesh.principal import own_axis
-
-    along = direction(own_axis(cage, axis) if isinstance(axis, str) else axis)
-    return "z" if abs(along[0]) > 0.9 else "x"
-
-
-def _vector(text: str) -> tuple[float, float, float] | None:
-    """Three finite numbers between commas, not all zero; None for other texts."""
-    try:
-        x, y, z = (float(word) for word in text.split(","))
-    except ValueError:
-        return None
-    finite = all(abs(value) < float("inf") for value in (x, y, z))
-    return (x, y, z) if finite and (x, y, z) != (0.0, 0.0, 0.0) else None

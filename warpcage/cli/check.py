@@ -6,10 +6,11 @@ import argparse
 import json
 
 from ..cage.cage import Cage
+from ..cage.presets import is_preset
 from ..cage.upright import load_standing
 from . import inputs, options
 from .cage import read_mesh
-from .keyframes import is_preset, pose_file, read_pose
+from .keyframes import pose_file, read_pose
 from .standing import ending, posed_up, say_standing
 
 

@@ -10,17 +10,18 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..cage.axis_words import with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, cage_hash
+from ..cage.presets import is_preset
 from ..core.files import require_file
 from ..deform.edits import MAX_EDITS, CageEdit
 from ..editor.session_file import FORMAT as SESSION_FORMAT
 from ..editor.session_file import read_session
 from ..field.voxel_field import VoxelField
 from ..splats.splat_field import SplatField
-from .axes import with_up
 from .edit_words import EditWords, parse_edit, read_edits_file, read_edits_json
-from .keyframes import Keyframes, is_preset, only_pose
+from .keyframes import Keyframes, only_pose
 from .standing import posed_up, read_rest
 
 

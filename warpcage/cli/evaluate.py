@@ -6,7 +6,8 @@ import argparse
 import json
 
 from ..core.files import atomic_path
-from ..fitting.evaluation import comparison, error_image, evaluate, in_world_of, mean_psnr
+from ..fitting.evaluation import comparison, error_image, in_world_of
+from ..fitting.report import evaluation_report
 from ..fitting.tuning import tuned_scene
 from ..view.pictures import side_by_side, write_png
 from . import inputs, options
@@ -24,21 +25,18 @@ def run(args: argparse.Namespace) -> None:
     if args.tune_cameras:
         scene = tuned_scene(field, scene)
         print("the poses of these views were fitted to the field: the figures say how good it is, not where they are")
-    rows = evaluate(field, scene, similarity=min(scene.images.shape[1:3]) >= 11, progress=not args.quiet)
-    mean = mean_psnr(rows)
+    found = evaluation_report(field, scene, progress=not args.quiet)
+    rows, index = found.rows, found.worst
     width = max(len("view"), *(len(row["view"]) for row in rows))
-    similarities = [row["ssim"] for row in rows if "ssim" in row]
-    mean_ssim = sum(similarities) / len(similarities) if similarities else None
-    masked = [row["masked_psnr"] for row in rows if "masked_psnr" in row]
-    mean_masked = sum(masked) / len(masked) if masked else None
+    similarities, masked = found.mean_ssim is not None, found.mean_masked_psnr is not None
+    means = {"view": "mean", "psnr": found.mean_psnr, "ssim": found.mean_ssim, "masked_psnr": found.mean_masked_psnr}
     print(f"{'view':{width}}  PSNR dB" + ("    SSIM" if similarities else "") + ("  in mask dB" if masked else ""))
-    for row in [*rows, {"view": "mean", "psnr": mean, "ssim": mean_ssim, "masked_psnr": mean_masked}]:
+    for row in [*rows, means]:
         print(
             f"{row['view']:{width}}  {row['psnr']:7.2f}"
             + (f"  {row['ssim']:6.4f}" if similarities else "")
             + (f"  {row['masked_psnr']:10.2f}" if row.get("masked_psnr") is not None else "")
         )
-    index = min(range(len(rows)), key=lambda i: rows[i]["psnr"])
     if worst is not None:
         behind, images = comparison(field, scene)
         image, rgb = images[index], field.render(scene.cameras[index], background=behind).rgb
@@ -51,18 +49,7 @@ def run(args: argparse.Namespace) -> None:
             "split": args.split,
             "downscale": args.downscale,
             "tuned_cameras": args.tune_cameras,
-            "mean_psnr": finite(mean),
-            "mean_ssim": mean_ssim,
-            "mean_masked_psnr": finite(mean_masked),
-            "worst_view": rows[index]["view"],
-            "views": [
-                {name: finite(value) if name.endswith("psnr") else value for name, value in row.items()} for row in rows
-            ],
+            **found.to_json(),
         }
         with atomic_path(report) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-
-
-def finite(decibels: float | None) -> float | None:
-    """The same number, or None for infinity (the PSNR of equal pictures), which JSON does not have."""
-    return decibels if decibels is not None and decibels < float("inf") else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pathlib
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
@@ -13,73 +12,14 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.motion import gltf_poses, gltf_shown, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
+from ..cage.presets import Preset, is_preset
 from ..cage.upright import load_standing
 from ..core.checks import listed
 from ..view.motion import pose_along, value_along
-from .axes import AXIS_WORDS, axis_of, default_towards, is_axis
 from .film_keys import gltf_file as gltf_file
 from .film_keys import pose_file as pose_file
 from .film_keys import read_film
 from .standing import ending, say_standing
-
-#: Preset -> the amount that changes nothing, and how many axes it may name.
-PRESETS = {"rest": (0.0, 0), "bend": (0.0, 2), "twist": (0.0, 1), "taper": (1.0, 1), "stretch": (1.0, 1),
-           "scale": (1.0, 0), "rotate": (0.0, 1), "translate": (0.0, 0)}  # fmt: skip
-PRESET_HELP = (
-    "rest, bend:DEGREES[:AXIS[:TOWARDS]], twist:DEGREES[:AXIS], taper:FACTOR[:AXIS], "
-    "stretch:FACTOR[:AXIS], scale:FACTOR, rotate:DEGREES[:AXIS] or translate:X:Y:Z; "
-    f"an AXIS is {AXIS_WORDS}"
-)
-
-
-class Preset:
-    """A pose by its name.
-
-    Args:
-        text: The preset, such as "bend:40:x:z".
-
-    Attributes:
-        kind: Its first word.
-        amount: Its numbers.
-        family: Its kind and axes: presets of one family differ in the amount alone.
-        neutral: The number that changes nothing.
-
-    Raises:
-        ValueError: For words that are not a preset.
-    """
-
-    def __init__(self, text: str):
-        kind, *words = text.split(":")
-        neutral, axis_count = PRESETS[kind]
-        number_count = {"rest": 0, "translate": 3}.get(kind, 1)
-        try:
-            amount = [float(word) for word in words[:number_count]]
-        except ValueError:
-            amount = []
-        axes = words[number_count:]
-        good = len(amount) == number_count and all(abs(number) < float("inf") for number in amount)
-        good = good and len(axes) <= axis_count and all(map(is_axis, axes))
-        good = good and not any(re.fullmatch("[-+][xyz]", axis) for axis in axes[:1])
-        if not good:
-            raise ValueError(f"pose {text!r} is not a preset: {PRESET_HELP}")
-        self.kind, self.amount = kind, tuple(amount)
-        self.family = (kind, *axes)
-        self.neutral = neutral
-
-    def at(self, rest: Cage, amount: Sequence[float]) -> Cage:
-        """A cage posed by this preset with another amount."""
-        kind, *axes = self.family
-        named = dict(zip(("axis", "towards"), map(axis_of, axes), strict=False))
-        if kind == "rest":
-            return rest
-        if kind == "bend" and "axis" in named and "towards" not in named:
-            named["towards"] = default_towards(rest, named["axis"])
-        return getattr(rest, kind)(tuple(amount) if kind == "translate" else float(amount[0]), **named)
-
-
-def is_preset(text: str) -> bool:
-    """Whether a word of --posed names a preset rather than a file."""
-    return text.split(":")[0] in PRESETS and not pathlib.Path(text).exists()
 
 
 def read_poses(

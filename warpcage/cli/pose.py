@@ -6,11 +6,11 @@ import argparse
 import pathlib
 from typing import Any
 
+from ..cage.axis_words import axis_of, default_towards, with_up
 from ..cage.cage import Cage
 from ..core.files import require_file
 from ..splats.load import load_field
 from . import inputs, options, pose_keys
-from .axes import axis_of, default_towards, with_up
 from .standing import ending, read_rest
 
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import pathlib
 
+from ..cage.axis_words import with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
+from ..cage.presets import is_preset
 from ..core.words import counted
 from ..view.camera_path import CameraKey
 from . import inputs, pose, view
-from .axes import with_up
 from .film_keys import note_jumps, pose_file, read_film
-from .keyframes import is_preset, read_pose, read_poses
+from .keyframes import read_pose, read_poses
 from .standing import posed_up
 
 #: Options for pose files alone.

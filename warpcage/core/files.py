@@ -14,7 +14,7 @@ from typing import IO
 
 import numpy as np
 
-from .memory import free_host_bytes, require_host_memory
+from .memory import MemoryShortage, free_host_bytes, require_host_memory
 
 #: A path as callers give it.
 PathLike = str | os.PathLike[str]
@@ -175,7 +175,7 @@ def _check_sizes(archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], room:
     total, free = sum(info.file_size for info in members), free_host_bytes()
     if room * total > free:
         need = f" and need {room * total / 2**30:.1f}" if room > 1 else ""
-        raise ValueError(f"its arrays claim {total / 2**30:.1f} GiB{need}, {free / 2**30:.1f} GiB are free")
+        raise MemoryShortage(f"its arrays claim {total / 2**30:.1f} GiB{need}, {free / 2**30:.1f} GiB are free")
 
 
 def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:

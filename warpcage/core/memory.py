@@ -22,6 +22,28 @@ _GROUP_FILES = (
 )
 
 
+class MemoryShortage(ValueError):
+    """Work that was refused before it began, as there is not enough memory free."""
+
+
+def is_shortage(error: BaseException | None) -> bool:
+    """Whether an error says that there was not enough memory, or came of one that did.
+
+    Args:
+        error: The error.
+
+    Returns:
+        Whether it did. Warp has no class of its own for it, but words.
+    """
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        if isinstance(error, MemoryError | MemoryShortage) or "Failed to allocate" in str(error):
+            return True
+        seen.add(id(error))
+        error = error.__cause__ or error.__context__
+    return False
+
+
 def free_bytes(device: wp.Device) -> int:
     """Memory that can still be allocated on a device.
 
@@ -64,7 +86,7 @@ def require_memory(size: int, device: wp.Device, message: str, *, held: int = 0)
     free = free_bytes(device) + held
     if size > free:
         figures = f"{size / 2**30:.2f} GiB, {device.alias} has {free / 2**30:.2f} GiB free"
-        raise ValueError(message.format(size=figures))
+        raise MemoryShortage(message.format(size=figures))
 
 
 def require_host_memory(size: int, what: str) -> None:
@@ -79,7 +101,7 @@ def require_host_memory(size: int, what: str) -> None:
     """
     free = free_host_bytes()
     if size > free:
-        raise ValueError(f"{what} {size / 2**30:.2f} GiB of memory, {free / 2**30:.2f} GiB are free")
+        raise MemoryShortage(f"{what} {size / 2**30:.2f} GiB of memory, {free / 2**30:.2f} GiB are free")
 
 
 def _system_bytes(base: pathlib.Path) -> int:

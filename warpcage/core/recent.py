@@ -74,6 +74,10 @@ class Recent(Generic[Thing]):
         while self.most_bytes is not None and len(self._things) > 1 and self.held_bytes > self.most_bytes:
             self._drop_oldest()
 
+    def items(self) -> list[tuple[Hashable, Thing]]:
+        """Keys and things, from the one that was not used for longest."""
+        return [(key, thing) for key, (thing, _) in self._things.items()]
+
     def drop(self, key: Hashable) -> None:
         """Let go of a thing, if it is kept."""
         if key in self._things:

@@ -1,0 +1,75 @@
+"""Fields that stay loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import warp as wp
+
+from ..core.arrays import array_bytes
+from ..core.memory import free_bytes
+from ..core.recent import Recent
+from ..splats.load import AnyField, load_field
+from .references import References
+
+#: Most fields that stay loaded, and the share of the memory that is free at first for them and what is bound to them.
+MOST_FIELDS, MEMORY_SHARE = 8, 0.5
+
+
+class LoadedFields:
+    """Fields by their files, of which those stay loaded that were used last.
+
+    Args:
+        references: What items refer to.
+        device: Warp device.
+        memory: Bytes that fields may take together; one stays whatever it takes. None is a quarter of what is free on
+            the device.
+
+    Attributes:
+        device: As given.
+        read_count: Fields that were read from files.
+        dropped: Called with a field that is let go, before it is.
+    """
+
+    def __init__(self, references: References, device: wp.Device, memory: int | None = None):
+        self.references, self.device, self.read_count = references, device, 0
+        self.dropped: Callable[[AnyField], Any] = lambda field: None
+        limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
+        self._fields: Recent[AnyField] = Recent(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes that the fields take."""
+        return self._fields.held_bytes
+
+    def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
+        """A field.
+
+        Args:
+            name: Its file.
+            scene_scale: As `VoxelField.load` has it.
+
+        Returns:
+            A key that is another where the file has changed, and the field.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: If it cannot be read.
+        """
+        path, stamp = self.references.stamped(name, "field file")
+
+        def load() -> AnyField:
+            self.read_count += 1
+            return load_field(path, scene_scale=scene_scale, device=self.device)
+
+        key = path, stamp, scene_scale
+        return key, self._fields.get(key, load)
+
+    def settle(self, key: Hashable) -> None:
+        """Measure a field anew, once it was rendered, and let go of others where it has grown too large."""
+        self._fields.settle(key)
+
+    def forget(self) -> None:
+        """Let go of all fields."""
+        self._fields.clear()

@@ -1,0 +1,139 @@
+"""Fingerprints of items: hashes of what they say and of all that they read, by which a changed input is known."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
+from ..core.files import PathLike, file_stamp
+from ..core.npy_files import NpyFile
+from ..core.recent import Recent
+from .items import EvaluateItem, FitItem, FrameItem, Item, canonical
+from .references import split_reference
+
+#: Bytes that are hashed at once, and files whose hashes are kept.
+CHUNK, MOST_FILES = 1 << 20, 200_000
+
+#: Bytes of a hash.
+HASH_BYTES = 16
+
+
+class Fingerprints:
+    """Hashes of items and their inputs. A file is read once while its size and its time stay the same.
+
+    What is hashed is the item's own JSON, with all that it takes from its file's defaults, and the contents of all
+    files that it names: of a row of a .npy file that row alone, of a scene the names and contents of its files.
+
+    Args:
+        base: Folder that paths in items are relative to.
+        out: Folder of a run, which is left out where it lies in a scene. None leaves out nothing.
+    """
+
+    def __init__(self, base: PathLike, out: PathLike | None = None):
+        self.base = pathlib.Path(base)
+        self._out = None if out is None else os.path.realpath(out)
+        self._hashes: Recent[str] = Recent(MOST_FILES)
+        self._arrays: Recent[NpyFile] = Recent(32)
+
+    def of(self, item: Item) -> str:
+        """The fingerprint of an item.
+
+        Args:
+            item: The item.
+
+        Returns:
+            Hexadecimal digits. A file that is not there or cannot be read counts as such: the item itself will say so.
+        """
+        parts = [canonical(item.to_json()), *(self._of_reference(each) for each in references_of(item))]
+        return hashlib.blake2b("\n".join(parts).encode(), digest_size=HASH_BYTES).hexdigest()
+
+    def _of_reference(self, reference: str) -> str:
+        name, place = split_reference(reference)
+        try:
+            path = self.base / name
+            if path.is_dir():
+                return self._of_folder(path)
+            if place.isdigit() and name.lower().endswith(".npy"):
+                return self._of_row(path, int(place))
+            return self._of_file(path)
+        except (OSError, ValueError) as error:
+            return f"cannot be read: {type(error).__name__}"
+
+    def _of_file(self, path: pathlib.Path) -> str:
+        """The hash of a file, and of the files beside it that a .gltf keeps its numbers in."""
+        found = self._hashes.get((os.fspath(path), file_stamp(path)), lambda: _file_hash(path))
+        if path.suffix.lower() == ".gltf":
+            return " ".join([found, *(self._of_file(each) for each in _gltf_files(path))])
+        return found
+
+    def _of_row(self, path: pathlib.Path, index: int) -> str:
+        array = self._arrays.get((os.fspath(path), file_stamp(path)), lambda: NpyFile(path))
+        row = hashlib.blake2b(array.row_data(index), digest_size=HASH_BYTES).hexdigest()
+        return f"{array.dtype.str} {array.shape[1:]} {row}"
+
+    def _of_folder(self, folder: pathlib.Path) -> str:
+        """The hash of a folder: names and contents of what is in it, hidden files and the run's own left out."""
+        lines = [f"{path.relative_to(folder).as_posix()} {self._of_file(path)}" for path in self._files_in(folder)]
+        return hashlib.blake2b("\n".join(lines).encode("utf-8", "surrogateescape"), digest_size=HASH_BYTES).hexdigest()
+
+    def _files_in(self, folder: pathlib.Path) -> Iterator[pathlib.Path]:
+        seen: set[str] = set()
+        for place, folders, files in os.walk(folder, followlinks=True):
+            real = os.path.realpath(place)
+            if real in seen or real == self._out:  # a link that leads back
+                folders.clear()
+                continue
+            seen.add(real)
+            folders[:] = sorted(name for name in folders if not name.startswith("."))
+            for name in sorted(files):
+                path = pathlib.Path(place, name)
+                if not name.startswith(".") and path.is_file():
+                    yield path
+
+
+def references_of(item: Item) -> list[str]:
+    """What an item reads: files, rows of arrays ("poses.npy#17"), and folders of scenes.
+
+    Args:
+        item: The item.
+
+    Returns:
+        References, relative to the folder of its file.
+    """
+    if isinstance(item, FrameItem):
+        return [item.field, *_files_of_frame(item)]
+    if isinstance(item, FitItem):
+        return [item.scene, *([item.cameras] if item.cameras else [])]
+    if isinstance(item, EvaluateItem):
+        return [item.field, item.scene, *([item.cameras] if item.cameras else [])]
+    return []
+
+
+def _files_of_frame(item: FrameItem) -> Iterator[str]:
+    values: list[Any] = [item.camera] if isinstance(item.camera, str) else []
+    for edit in item.edits:
+        values += edit.cage.values() if isinstance(edit.cage, dict) else [edit.cage]
+        values.append(edit.posed)
+    yield from (value for value in values if isinstance(value, str))
+
+
+def _file_hash(path: pathlib.Path) -> str:
+    found = hashlib.blake2b(digest_size=HASH_BYTES)
+    with path.open("rb") as file:
+        while chunk := file.read(CHUNK):
+            found.update(chunk)
+    return found.hexdigest()
+
+
+def _gltf_files(path: pathlib.Path) -> list[pathlib.Path]:
+    """The files that a .gltf names beside it."""
+    try:
+        buffers = json.loads(path.read_bytes()).get("buffers", [])
+        names = [each["uri"] for each in buffers if not each.get("uri", "data:").startswith("data:")]
+    except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
+        return []
+    return [path.parent / name for name in names if (path.parent / name).is_file()]

@@ -1,0 +1,82 @@
+"""Outputs of items: all files of one are written, or none."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import pathlib
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+
+#: Writes an output to a file that is not yet in its place. Any thread may call it: it uses main memory alone, or takes
+#: the turn of its device.
+Writer = Callable[[pathlib.Path], object]
+
+
+def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathlib.Path) -> dict[str, int]:
+    """Write files, all of them or none.
+
+    They are written in a folder of their own, and put into their places when all are whole.
+
+    Args:
+        writers: What writes each, by its path below `out`.
+        out: The folder.
+        parts: Folder for files that are not whole yet, on the same file system.
+
+    Returns:
+        Bytes of the files, by their paths.
+
+    Raises:
+        OSError: Where they cannot be written.
+    """
+    sizes: dict[str, int] = {}
+    with _part_names(writers, parts) as names:
+        for path, write in writers.items():
+            write(names[path])
+            sizes[path] = names[path].stat().st_size
+        for path in writers:
+            (out / path).parent.mkdir(parents=True, exist_ok=True)
+        for path in writers:
+            os.replace(names[path], out / path)
+    return sizes
+
+
+@contextlib.contextmanager
+def _part_names(paths: Mapping[str, Writer], parts: pathlib.Path) -> Iterator[dict[str, pathlib.Path]]:
+    """A file's name in `parts` for each path, with its ending; what is still there at the end is removed."""
+    parts.mkdir(parents=True, exist_ok=True)
+    stem = uuid.uuid4().hex
+    names = {path: parts / f"{stem}-{number}{pathlib.PurePosixPath(path).suffix}" for number, path in enumerate(paths)}
+    try:
+        yield names
+    finally:
+        for name in names.values():
+            with contextlib.suppress(OSError):
+                name.unlink()
+
+
+def write_array(path: pathlib.Path, array: np.ndarray) -> None:
+    """Write a .npy file.
+
+    Args:
+        path: The file, which is not yet in its place.
+        array: The numbers.
+    """
+    path.write_bytes(array_data(array))  # np.save's own way tells of a full disk without its error number
+
+
+def array_data(array: np.ndarray) -> memoryview:
+    """The bytes of a .npy file.
+
+    Args:
+        array: The numbers.
+
+    Returns:
+        The bytes.
+    """
+    data = io.BytesIO()
+    np.save(data, np.ascontiguousarray(array), allow_pickle=False)
+    return data.getbuffer()
