@@ -10,6 +10,8 @@ import pytest
 from cli_runs import write_files
 from deformed_scenes import BOX, shiny_field
 
+from warpcage.batch.job_file import JobFile
+from warpcage.batch.worker import Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.cli import main
@@ -353,6 +355,19 @@ def test_the_command_makes_the_film_of_the_editor_to_the_bit(saved, device, tmp_
     assert f"wrote {output}: 3 frames of 36x24" in capsys.readouterr().out
     for one, two in zip(pictures_of(tmp_path / "of the editor"), pictures_of(tmp_path / "of a command"), strict=True):
         assert one.tobytes() == two.tobytes() and one.shape == (24, 36, 4 if transparent else 3)
+
+
+@pytest.mark.parametrize("transparent", [False, True])
+def test_a_job_file_of_a_session_makes_its_frames_to_the_bit(saved, tmp_path, transparent):
+    words = ["animate", str(saved / "ball.npz"), "--session", str(saved / "ball.session.json"), "--device", "cpu"]
+    words += ["--size", "36", "24", "--quiet", *(["--transparent"] * transparent)]
+    assert main([*words, "-o", str(tmp_path / "frames")]) == 0
+    assert main([*words, "--jobs", str(saved / "film.jsonl")]) == 0
+    with JobFile(saved / "film.jsonl") as job, Worker(job.folder, tmp_path / "out", "cpu") as worker:
+        for item in job:
+            worker.run(item)
+    frames, made = ({p.name: p.read_bytes() for p in (tmp_path / name).glob("*.png")} for name in ("frames", "out"))
+    assert frames == made and len(frames) > 2
 
 
 def test_words_of_the_command_are_safe_for_a_shell():

@@ -6,35 +6,40 @@ import argparse
 import hashlib
 import json
 import pathlib
-from collections.abc import Callable, Sequence
+import shlex
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..core.files import require_file
 from ..core.words import counted
-from ..deform.deformer import Deformer
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
+from ..editor.scene import camera
 from ..editor.session_file import read_session
 from ..editor.timeline import frame_times
 from ..view.camera import Camera
 from ..view.camera_path import camera_at, path_cameras
 from ..view.film import FILM_ENDINGS, checked_rate, write_film
-from ..view.frame import Frame
-from ..view.motion import axis_rotation, cameras_along, frame_places
+from ..view.motion import axis_rotation, cameras_along
 from . import inputs, options, outputs, view
 from .arguments.animate import OF_SESSIONS, Default
 from .deformation import Deformation, read_deformation
+from .film_jobs import FilmJob, checked_jobs_path, film_words
 from .film_keys import set_frames
 from .frame_folder import write_folder
+from .session_jobs import session_job
+from .shot import Shot
+
+#: Stands for the folder of frames that a job file leaves to `warpcage run`.
+FRAMES = pathlib.Path("frames")
 
 #: Options that go with --session.
 WITH_SESSION = (
     "command",
     "field",
     "output",
+    "jobs",
     "session",
     "transparent",
     "background",
@@ -56,7 +61,8 @@ def run(args: argparse.Namespace) -> None:
     for name in OF_SESSIONS:
         default = getattr(args, name)
         setattr(args, name, default.value if isinstance(default, Default) else default)
-    output = _checked_output(args.output)
+    output = FRAMES if args.jobs is not None else _checked_output(args.output)
+    jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
     view.check_saved(args)
     if outputs.checked_opacity(args, output) and args.show != "rgb":
         raise ValueError(f"--show {args.show} has no opacity: leave out --background transparent")
@@ -68,6 +74,9 @@ def run(args: argparse.Namespace) -> None:
         inputs.require_deformation(args, "--overlay")
     if args.show == "masks":
         inputs.require_deformation(args, "--show masks")
+    scaled = args.show in ("depth", "disparity")  # by a few frames, which are rendered
+    if jobs is not None and not scaled:
+        args.device = "cpu"  # nothing is rendered
     field = inputs.read_field(args)
     if args.show == "masks":
         inputs.require_voxels(field, "--show masks")
@@ -79,19 +88,30 @@ def run(args: argparse.Namespace) -> None:
     cameras = _chosen_cameras(args, inputs.visible_points(field, deformation, args.frame), film, times or [])
     view.warn_of_edges(args, cameras[0], deformation)
     inputs.set_lattice(args, cameras[0])
-    deformer = None if deformation is None else inputs.make_deformer(field, deformation, args)
-    shot = _Shot(field, deformer, deformation, cameras, args, times)
+    here = jobs is None or scaled
+    deformer = None if deformation is None or not here else inputs.make_deformer(field, deformation, args)
+    shot = Shot(field, deformer, deformation, cameras, args, times)
 
     view.save_cameras(args, cameras, args.fps)
+    if jobs is not None:
+        words = film_words(args, scale=shot.scale, deformed=deformation is not None)
+        rate = {"frames": args.frames, "fps": str(args.fps)}
+        job = FilmJob(args.field, words, [] if deformation is None else deformation.edits, {"film": rate})
+        _say_jobs(jobs, job.write(jobs, shot.described()), cameras[0])
+        return
+    _render(shot, output)
 
+
+def _render(shot: Shot, output: pathlib.Path) -> None:
+    """Render the film or the folder here."""
     from tqdm import tqdm
 
-    kept = 0
+    args, cameras, kept = shot.args, shot.cameras, 0
     with tqdm(range(args.frames), desc="animate", disable=args.quiet) as frames:  # ends before an error is said
         if output.suffix:
             write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
         else:
-            settings = _settings(args, cameras, deformation)
+            settings = _settings(args, cameras, shot.deformation)
             kept = write_folder(output, frames, cameras, shot.task, settings, overwrite=bool(args.overwrite))
     if not output.suffix:
         print(f"wrote {output}: {counted(args.frames - kept, 'frame')}, {kept} were there already")
@@ -102,11 +122,17 @@ def run(args: argparse.Namespace) -> None:
     shot.warn()
 
 
+def _say_jobs(path: pathlib.Path, count: int, camera: Camera) -> None:
+    make = shlex.join(["warpcage", "run", str(path), "-o", "frames"])
+    print(f"wrote {path}: {counted(count, 'frame')} of {camera.width}x{camera.height}, made by: {make}")
+
+
 def _run_session(args: argparse.Namespace) -> None:
     """The film of a session of the editor."""
     if given := _given_besides(args):
         raise ValueError(f"--session cannot be combined with --{given[0].replace('_', '-')}: the session decides that")
-    output = checked_film_path(args.output)
+    jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
+    output = FRAMES if jobs is not None else checked_film_path(args.output)
     options.check_parent(output)
     require_file(args.session, "session file")  # before a field is read, which takes a while
     width, height = view.image_size(args) or DEFAULT_SIZE
@@ -116,8 +142,14 @@ def _run_session(args: argparse.Namespace) -> None:
     if args.background is not None and not transparent:
         raise ValueError("--session cannot be combined with --background: the session decides that")
     film = Film(width, height, args.overlay, transparent)
+    if jobs is not None:
+        args.device = "cpu"  # nothing is rendered
     field = inputs.require_voxels(inputs.read_field(args), "--session")
     document = read_session(args.session, field)
+    if jobs is not None:
+        job, frames = session_job(document, field, film, args.field, args.scene_scale)
+        _say_jobs(jobs, job.write(jobs, frames), camera(document.view, width, height))
+        return
 
     from tqdm import tqdm
 
@@ -138,76 +170,6 @@ def _given_besides(args: argparse.Namespace) -> list[str]:
         for name, value in values.items()
         if (not isinstance(value, Default) if name in OF_SESSIONS else value is not None)
     ]
-
-
-class _Shot:
-    """Renders frames by index, so that a folder can be continued anywhere.
-
-    deformer and deformation are None where the field is shown as it is; times are those of the frames, where there are
-    keys at times.
-    """
-
-    def __init__(
-        self,
-        field: inputs.AnyField,
-        deformer: Deformer | None,
-        deformation: Deformation | None,
-        cameras: list[Camera],
-        args: argparse.Namespace,
-        times: list[float] | None = None,
-    ):
-        self.times = times
-        self.field, self.deformer, self.deformation = field, deformer, deformation
-        self.cameras, self.args = cameras, args
-        count = 1 if deformation is None else deformation.pose_count
-        places = frame_places(args.frames, count, args.motion, args.interpolation) if times is None else times
-        self.places = [float(place) for place in places]
-        self.held: float | None = None  # the place that the deformer is posed at
-        self.shares: dict[str, list[float]] = {}
-        self.scale = self._scale() if args.show in ("depth", "disparity") else None
-
-    def frame(self, index: int) -> tuple[Frame, list[Cage]]:
-        """The frame, and the cages that it shows."""
-        camera = self.cameras[index]
-        if self.deformer is None or self.deformation is None:
-            return self.field.render(camera, **inputs.background_option(self.args)), []
-        place = self.places[index]
-        try:
-            cages = self.deformation.at(place) if self.times is None else self.deformation.at_time(place)
-            if place != self.held:
-                self.deformer.pose(cages)
-                self.held = place
-        except ValueError as error:
-            raise ValueError(f"frame {index}, between the poses: {error}") from error
-        frame = inputs.render_view(self.deformer, camera, self.args)
-        return frame, self.deformation.drawn(self.deformer.deformed or cages)
-
-    def picture(self, index: int) -> np.ndarray:
-        """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4); not to be written to."""
-        return outputs.finished(self._shown(*self.frame(index), self.cameras[index]))
-
-    def task(self, index: int, path: pathlib.Path) -> tuple[Callable[[], None], int]:
-        """Render a frame. Returns what writes its picture to a file, in any thread, and the bytes that it holds."""
-        (frame, cages), camera = self.frame(index), self.cameras[index]
-        return outputs.picture_task(path, self._shown(frame, cages, camera), frame, camera)
-
-    def _shown(self, frame: Frame, cages: Sequence[Cage], camera: Camera) -> np.ndarray:
-        if self.args.show == "masks":
-            for name, share in outputs.mask_shares(frame).items():
-                self.shares.setdefault(name, []).append(share)
-        drawn = cages if self.args.overlay else ()
-        if self.args.show == "rgb":
-            return outputs.colours(frame, camera, drawn, inputs.is_transparent(self.args))
-        return outputs.picture(frame, self.args.show, camera, drawn, self.scale)
-
-    def _scale(self) -> tuple[float, float]:
-        """From a few frames, always the same ones, so that a folder that is continued keeps its colours."""
-        probes = sorted({round(share * (self.args.frames - 1)) for share in (0.0, 0.25, 0.5, 0.75)})
-        return outputs.disparity_scale([self.frame(index)[0] for index in probes])
-
-    def warn(self) -> None:
-        """Print what the masks marked on average, if they were asked for."""
-        outputs.warn_of_masks({name: sum(shares) / len(shares) for name, shares in self.shares.items()}, "the film")
 
 
 def _chosen_cameras(

@@ -22,6 +22,8 @@ EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mov --background transparent
   warpcage animate lego.npz --edits lego.edits.json -o parts.mp4
   warpcage animate lego.npz --session lego.session.json -o film.mp4 --size 800 600
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj --frames 240 --jobs film.jsonl
+  warpcage run film.jsonl -o frames
 
 An output without an ending is a folder of pictures, PNG or EXR (--format). Opacity is kept by those, .mov (ProRes 4444)
 and .webm (VP9); colours are straight, but in EXR files multiplied by opacity. If the command is interrupted, run it
@@ -58,8 +60,13 @@ class Default:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="FILM", help="film (.mp4, .gif, .mov, .webm) or folder of pictures"
+    goal = parser.add_mutually_exclusive_group(required=True)
+    goal.add_argument("-o", "--output", metavar="FILM", help="film (.mp4, .gif, .mov, .webm) or folder of pictures")
+    goal.add_argument(
+        "--jobs",
+        metavar="FILE",
+        help="render nothing, but write a job file (.jsonl) of the frames: warpcage run makes them, over GPUs and "
+        "machines",
     )
     parser.add_argument(
         "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"

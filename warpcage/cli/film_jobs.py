@@ -1,0 +1,220 @@
+"""A film as a job file: each frame an item, cages and poses in arrays beside it; `warpcage run` makes the frames."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import hashlib
+import os
+import pathlib
+from collections.abc import Iterable, Iterator, Sequence
+from typing import IO, Any
+
+import numpy as np
+
+from ..batch.items import ID, TRANSPARENT
+from ..batch.job_file import write_jobs
+from ..core.files import PathLike, atomic_path
+from ..deform.edits import CageEdit
+from ..view.camera import Camera
+from ..view.camera_file import camera_json
+from ..view.camera_path import CameraKey
+from . import inputs, options
+
+#: Endings of job files.
+JOB_ENDINGS = (".jsonl", ".json")
+
+
+@dataclasses.dataclass(frozen=True)
+class FilmFrame:
+    """A frame of a film.
+
+    Args:
+        index: Its number.
+        camera: Its camera.
+        poses: For each edit the vertices of its posed cage, (v, 3) world units; None for one that removes.
+    """
+
+    index: int
+    camera: Camera
+    poses: Sequence[np.ndarray | None] = ()
+
+    @property
+    def name(self) -> str:
+        """The id of its item, and the name of its picture without an ending."""
+        return f"frame_{self.index:04d}"
+
+
+@dataclasses.dataclass(frozen=True)
+class FilmJob:
+    """What all frames of a film share.
+
+    Args:
+        field: The field's file.
+        words: Words of items that hold for all frames: how they are rendered, and "outputs".
+        edits: The edits of the scene, as a Deformer takes them.
+        extra: Any JSON that is kept in the header of the job file.
+    """
+
+    field: PathLike
+    words: dict[str, Any]
+    edits: Sequence[CageEdit] = ()
+    extra: Any = None
+
+    def write(self, path: PathLike, frames: Iterable[FilmFrame]) -> int:
+        """Write the job file, and beside it an array file for each cage at rest, its faces and its poses.
+
+        Args:
+            path: The job file. A field in its folder, or below it, is named from there, another by its whole path.
+            frames: The frames, taken one by one. Equal poses are written once.
+
+        Returns:
+            Number of frames.
+
+        Raises:
+            ValueError: For frames that an item cannot describe; nothing is written then.
+        """
+        path = pathlib.Path(path)
+        with contextlib.ExitStack() as files:  # arrays take their places after the job file, or not at all
+            cages = [
+                _EditArrays(edit, path.with_name(f"{path.stem}{number}"), files)
+                for edit, number in zip(self.edits, _numbers(len(self.edits)), strict=True)
+            ]
+            usual = {"kind": "frame", "field": _reference(self.field, path.parent), **self.words}
+            alone = len(cages) == 1
+            defaults = usual | (cages[0].words if alone else {})
+
+            def items() -> Iterator[dict[str, Any]]:
+                for frame in frames:
+                    posed = [cage.posed(pose) for cage, pose in zip(cages, frame.poses, strict=True)]
+                    edits = {"edits": [cage.words | pose for cage, pose in zip(cages, posed, strict=True)]}
+                    yield {
+                        "id": frame.name,
+                        **((posed[0] if alone else edits) if posed else {}),
+                        "camera": camera_json(CameraKey(frame.camera)),
+                        "extra": {"frame": frame.index},
+                    }
+                for cage in cages:
+                    cage.close()
+
+            return write_jobs(path, items(), defaults=defaults, extra=self.extra)
+
+
+def film_words(args: argparse.Namespace, *, scale: tuple[float, float] | None, deformed: bool) -> dict[str, Any]:
+    """The words of items for the options of `warpcage animate`.
+
+    Args:
+        args: What was given; its lattice is chosen.
+        scale: Low and high disparity of pictures of depth and disparity.
+        deformed: Whether there are edits.
+
+    Returns:
+        The words by name, those that say nothing left out.
+
+    Raises:
+        ValueError: For options that items do not have.
+    """
+    if args.overlay and args.show != "rgb":
+        raise ValueError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
+    words: dict[str, Any] = {
+        "background": TRANSPARENT if inputs.is_transparent(args) else args.background,
+        "disparity_scale": scale,
+        "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,
+        "outputs": {args.show: f"{ID}.{args.format or 'png'}"},
+    }
+    if deformed:
+        cells = inputs.lattice_cells(args)
+        words |= {
+            "coordinates": args.coordinates,
+            "resolution": "precise" if cells is None else cells,
+            "density": args.density,
+            "map": args.map,
+            "fill": args.fill or None,
+            "overlay": args.overlay or None,
+        }
+    return {name: value for name, value in words.items() if value is not None}
+
+
+def checked_jobs_path(text: str) -> pathlib.Path:
+    """The path of a job file, once it is clear that one can be written there. Raises ValueError otherwise."""
+    return options.check_output(text, JOB_ENDINGS, "job file")
+
+
+def _numbers(count: int) -> list[str]:
+    return [""] if count == 1 else [f".{number}" for number in range(1, count + 1)]
+
+
+def _reference(file: PathLike, folder: pathlib.Path) -> str:
+    """A file as a job file in a folder names it: both can be moved together where one is below the other."""
+    path, base = (pathlib.Path(os.path.abspath(each)) for each in (file, folder))
+    return str(path.relative_to(base)) if path.is_relative_to(base) else str(path)
+
+
+class _EditArrays:
+    """The arrays of an edit: its cage at rest, and its poses, each of which is written once."""
+
+    def __init__(self, edit: CageEdit, stem: pathlib.Path, files: contextlib.ExitStack):
+        rest, faces, poses = (stem.with_name(f"{stem.name}.{part}.npy") for part in ("rest", "faces", "poses"))
+        for path, array in ((rest, edit.cage.vertices), (faces, edit.cage.faces)):
+            np.save(files.enter_context(atomic_path(path)), array, allow_pickle=False)
+        self._poses = poses.name
+        self._rows = None if edit.remove else _Rows(files.enter_context(atomic_path(poses)), edit.cage.vertices.shape)
+        if self._rows is not None:
+            files.callback(self._rows.close)
+        self._known: dict[bytes, int] = {}
+        self.words = {"cage": {"vertices": rest.name, "faces": faces.name}} | _edit_words(edit)
+
+    def posed(self, vertices: np.ndarray | None) -> dict[str, str]:
+        """The words of a pose."""
+        if self._rows is None:
+            return {}
+        assert vertices is not None
+        row = np.ascontiguousarray(vertices, np.float64)
+        key = hashlib.blake2b(row.tobytes(), digest_size=16).digest()
+        if key not in self._known:
+            self._known[key] = self._rows.append(row)
+        return {"posed": f"{self._poses}#{self._known[key]}"}
+
+    def close(self) -> None:
+        """Finish the file of poses."""
+        if self._rows is not None:
+            self._rows.close()
+
+
+def _edit_words(edit: CageEdit) -> dict[str, Any]:
+    """The words of an edit besides its cage and its pose, those that say nothing left out."""
+    walls = edit.held if isinstance(edit.held, str) else list(edit.held)
+    fading = {} if edit.remove or not edit.falloff else {"falloff": edit.falloff, "held": walls}
+    words = {"keep": edit.keep_source, "remove": edit.remove, "crumbs": edit.crumbs, **fading}
+    return {name: value for name, value in words.items() if value and value != "cut"}
+
+
+class _Rows:
+    """An .npy file of float64 that grows by a row at a time; its header is written again at the end."""
+
+    def __init__(self, path: pathlib.Path, shape: tuple[int, ...]):
+        self._shape, self._count = shape, 0
+        self._file: IO[bytes] = path.open("r+b")
+        self._start = self._write_header()
+
+    def append(self, row: np.ndarray) -> int:
+        """Write a row. Returns its number."""
+        self._file.write(row.tobytes())
+        self._count += 1
+        return self._count - 1
+
+    def close(self) -> None:
+        """Say in the header how many rows there are."""
+        if self._file.closed:
+            return
+        with self._file:
+            self._file.seek(0)
+            if self._write_header() != self._start:
+                raise RuntimeError("NumPy wrote a header of another length")
+
+    def _write_header(self) -> int:
+        # with room for the digits of a first axis that grows
+        header = {"descr": "<f8", "fortran_order": False, "shape": (self._count, *self._shape)}
+        np.lib.format.write_array_header_1_0(self._file, header)
+        return self._file.tell()
