@@ -21,11 +21,29 @@ from .arguments import (
     pose,
     render,
     select,
+    sweep,
 )
 from .options import package_version
 
 #: The commands in the order of their help.
-COMMANDS = (capture, fit, select, mesh, cage, check, edit, pose, edits, render, animate, bake, evaluate, info, kernels)
+COMMANDS = (
+    capture,
+    fit,
+    select,
+    mesh,
+    cage,
+    check,
+    edit,
+    pose,
+    edits,
+    render,
+    animate,
+    bake,
+    sweep,
+    evaluate,
+    info,
+    kernels,
+)
 EXAMPLE = """\
 example, from pictures to a bent object:
   warpcage fit data/lego --downscale 2 -o lego.npz

@@ -1,0 +1,211 @@
+"""Sweeps: job files of poses x cameras x coordinates, what their pictures show, and how deep it lies."""
+
+import json
+
+import numpy as np
+import pytest
+from cli_runs import run, succeed, write_files
+
+from warpcage.batch.job_file import JobFile
+from warpcage.batch.sweeps import GivenSource, RandomViews, write_sweep
+from warpcage.batch.transforms import finish_folder
+from warpcage.batch.worker import Worker
+from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
+from warpcage.cage.random_poses import RandomPoses
+from warpcage.field.voxel_field import VoxelField
+from warpcage.scene.load import load_scene
+from warpcage.view.camera import Camera, turntable
+from warpcage.view.camera_file import CameraFile
+
+SWEEP = ("sweep", "@ball.npz", "--cage", "@cage.obj", "--device", "cpu", "--quiet")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = write_files(tmp_path_factory.mktemp("sweeps"))
+    CameraFile(turntable((0, 0, 0), 3.0, 20.0, 4, width=40, height=30)).save(folder / "cameras.json")
+    rest = Cage.load(folder / "cage.obj")
+    file = PoseFile(rest)
+    for name in ("low", "high"):
+        file[name] = rest.bend(10 if name == "low" else 30).vertices
+    file.save(folder / "poses.json")
+    np.save(folder / "moved.npy", np.stack([rest.vertices + 0.1 * k for k in range(3)]))
+    return folder
+
+
+def items_of(path):
+    with JobFile(path) as job:
+        return list(job.items())
+
+
+def test_every_pose_is_seen_by_every_camera_with_every_kind_of_coordinates(files, tmp_path, capsys):
+    words = ["--poses", "random:2", "--seeds", 4, 7, "--cameras", "@cameras.json", "--coordinates", "green", "harmonic"]
+    succeed(files, *SWEEP, *words, "--stretch", 0.8, 1.25, "--modes", "bend", "-o", tmp_path / "sweep.jsonl")
+    assert "32 pictures of 4 poses" in capsys.readouterr().out
+    items = items_of(tmp_path / "sweep.jsonl")
+    assert len(items) == len({item.id for item in items}) == 4 * 4 * 2
+    assert items[0].id == "pose_000000_green/camera_000" and items[-1].id == "pose_000003_harmonic/camera_003"
+    assert [item.extra for item in items[8:10]] == [
+        {"pose": 1, "camera": camera, "seed": 4, "number": 1} for camera in (0, 1)
+    ]
+    assert {(item.extra["pose"], item.extra["camera"], item.coordinates) for item in items} == {
+        (pose, camera, kind) for pose in range(4) for camera in range(4) for kind in ("green", "harmonic")
+    }
+    poses, rest = np.load(tmp_path / "sweep.poses.npy", mmap_mode="r"), Cage.load(files / "cage.obj")
+    for pose in range(4):
+        source = RandomPoses(rest, seed=(4, 7)[pose // 2], stretch=(0.8, 1.25), modes=["bend"])
+        assert np.array_equal(poses[pose], source.vertices(pose % 2))
+    for item in items:
+        assert item.edits[0].posed == f"sweep.poses.npy#{item.extra['pose']}"
+        assert item.camera == f"sweep.cameras.json#{item.extra['camera']}"
+    found, given = (CameraFile.load(path) for path in (tmp_path / "sweep.cameras.json", files / "cameras.json"))
+    for one, two in zip(found, given, strict=True):
+        assert np.array_equal(one.camera.camera_to_world, two.camera.camera_to_world)
+
+
+def test_poses_come_from_files_arrays_presets_and_rest(files, tmp_path):
+    words = ["rest", "@poses.json", "@posed.obj", "@moved.npy", "twist:30", "random:1"]
+    succeed(files, *SWEEP, "--poses", *words, "--cameras", "orbit:1", "-o", tmp_path / "sweep.jsonl")
+    rest, poses = Cage.load(files / "cage.obj"), np.load(tmp_path / "sweep.poses.npy")
+    expected = [rest, rest.bend(10), rest.bend(30), Cage.load(files / "posed.obj")]
+    expected += [rest.translate([0.1 * k] * 3) for k in range(3)] + [rest.twist(30), rest.random_pose()]
+    assert len(poses) == 9 and poses.dtype == np.float64
+    for pose, cage in zip(poses, expected, strict=True):
+        np.testing.assert_allclose(pose, cage.vertices, atol=1e-12)
+    origins = [item.extra for item in items_of(tmp_path / "sweep.jsonl")]
+    assert [origin.get("source", "")[-10:] for origin in origins] == [
+        "rest", "poses.json", "poses.json", "/posed.obj", *3 * ["/moved.npy"], "twist:30", ""
+    ]  # fmt: skip
+    assert [origin.get("number") for origin in origins] == [None, 0, 1, None, 0, 1, 2, None, 0]
+
+
+@pytest.mark.parametrize("cameras", ["orbit:3:35", "random:3"])
+def test_cameras_that_are_made_see_all_poses_whole(files, tmp_path, cameras):
+    words = ["--poses", "stretch:2.5:x", "translate:0:0:2", "--cameras", cameras, "--size", 60, 40, "--fov", 50]
+    succeed(files, *SWEEP, *words, "-o", tmp_path / "sweep.jsonl")
+    items, poses = items_of(tmp_path / "sweep.jsonl"), np.load(tmp_path / "sweep.poses.npy")
+    made = [
+        Camera.look_at(**item.camera)
+        if isinstance(item.camera, dict)
+        else CameraFile.load(tmp_path / "sweep.cameras.json").named(item.camera.split("#")[1])
+        for item in items
+    ]
+    for item, camera in zip(items, made, strict=True):
+        assert (camera.width, camera.height) == (60, 40)
+        pixels, depth = camera.project(poses[item.extra["pose"]])
+        assert (depth > 0).all() and (pixels >= 0).all() and (pixels <= (60, 40)).all()
+    centres = {tuple(camera.centre) for camera in made}
+    assert len(centres) == (3 if "orbit" in cameras else 6)  # random ones are others for each pose
+    again = tmp_path / "again.jsonl"
+    succeed(files, *SWEEP, *words, "-o", again)
+    assert [item.camera for item in items_of(again)] == [
+        item.camera if isinstance(item.camera, dict) else item.camera.replace("sweep.", "again.") for item in items
+    ]
+
+
+def test_cameras_of_scenes_are_those_of_their_pictures(files, tmp_path):
+    for name, cameras in {"a": "@scene:test", "b": "@scene/transforms_test.json"}.items():
+        succeed(files, *SWEEP, "--poses", "rest", "--cameras", cameras, "--size", 12, "-o", tmp_path / f"{name}.jsonl")
+        found = CameraFile.load(tmp_path / f"{name}.cameras.json")
+        for key, camera in zip(found, load_scene(files / "scene", split="test").cameras, strict=True):
+            np.testing.assert_allclose(key.camera.camera_to_world, camera.camera_to_world, atol=1e-12)
+            assert (key.camera.width, key.camera.height) == (12, 12) and key.camera.fx == pytest.approx(camera.fx / 2)
+
+
+def test_each_pose_may_be_seen_from_some_of_the_cameras(files, tmp_path):
+    words = ["--poses", *["rest"] * 30, "--cameras", "@cameras.json", "--views", 2]
+    succeed(files, *SWEEP, *words, "-o", tmp_path / "sweep.jsonl")
+    chosen = {}
+    for item in items_of(tmp_path / "sweep.jsonl"):
+        chosen.setdefault(item.extra["pose"], []).append(item.extra["camera"])
+    assert len(chosen) == 30 and all(len(set(cameras)) == 2 for cameras in chosen.values())
+    assert {tuple(cameras) for cameras in chosen.values()} == {(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)}
+
+
+def test_a_sweep_is_made_and_loads_as_scenes(files, tmp_path):
+    words = ["--poses", "bend:30", "--cameras", "orbit:3", "--size", 32, "--resolution", 24]
+    succeed(files, *SWEEP, *words, "--coordinates", "mean_value", "-o", tmp_path / "jobs/sweep.jsonl")
+    done = {}
+    with JobFile(tmp_path / "jobs/sweep.jsonl") as job, Worker(job.folder, tmp_path / "out", "cpu") as worker:
+        for item in job.items():
+            done[item.id] = {"id": item.id, "state": "done", "outputs": worker.run(item)}
+        finish_folder(tmp_path / "out", job, type("Manifest", (), {"find": staticmethod(done.get)}))
+        assert worker.frames.counts.poses == 1
+    scene = load_scene(tmp_path / "out/pose_000000", split="all")
+    cameras = CameraFile.load(tmp_path / "jobs/sweep.cameras.json")
+    for camera, key in zip(scene.cameras, cameras, strict=True):
+        np.testing.assert_allclose(camera.camera_to_world, key.camera.camera_to_world, atol=1e-12)
+        assert camera.fx == pytest.approx(key.camera.fx)
+    assert scene.alphas is not None and 0.05 < scene.alphas.mean() < 0.9
+
+
+def test_the_depth_of_a_record_is_that_of_the_posed_surface(tmp_path):
+    """A ball in a box that is stretched and moved is an ellipsoid, which rays meet where a quadratic equation says."""
+    count, radius = 64, 0.6
+    axis = (np.arange(count) + 0.5) * 2.0 / count - 1.0
+    distance = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1), axis=-1)
+    density = 300.0 * np.clip(0.5 - (distance - radius) * 0.5 * count, 0.0, 1.0)
+    VoxelField.from_dense(density, np.zeros((count,) * 3 + (9, 3)), [[-1] * 3, [1] * 3]).save(tmp_path / "ball.npz")
+    rest = Cage.box([-0.8] * 3, [0.8] * 3, segments=2)
+    rest.save(tmp_path / "cage.obj")
+    matrix, shift = np.array([[1.2, 0.3, 0.0], [0.0, 0.7, 0.1], [0.0, 0.0, 1.1]]), np.array([0.1, 0.2, -0.1])
+    made = write_sweep(
+        tmp_path / "sweep.jsonl",
+        field=tmp_path / "ball.npz",
+        cage=tmp_path / "cage.obj",
+        rest=rest,
+        sources=[GivenSource([rest.vertices @ matrix.T + shift], "affine")],
+        cameras=lambda bounds: RandomViews(3, bounds, seed=1, width=56, height=56),
+        defaults={"resolution": 32, "background": "black"},
+        coordinates=["mean_value"],
+    )
+    assert made.items == 3 and made.cameras is None
+    with JobFile(made.jobs) as job, Worker(job.folder, tmp_path / "out", "cpu") as worker:
+        for item in job.items():
+            worker.run(item)
+            record = json.loads((tmp_path / "out" / item.outputs["record"]).read_text())
+            depth = np.load(tmp_path / "out" / item.outputs["depth"])
+            words = {word: record["camera"][word] for word in ("fx", "fy", "cx", "cy", "width", "height")}
+            pose = np.array(record["transform_matrix"]) @ np.diag([1.0, -1.0, -1.0, 1.0])
+            origins, directions = Camera(**words, camera_to_world=pose).rays()
+            inverse = np.linalg.inv(matrix)
+            o, d = (origins - shift) @ inverse.T, directions @ inverse.T
+            a, b, c = (d * d).sum(-1), (o * d).sum(-1), (o * o).sum(-1) - radius**2
+            root = b * b - a * c
+            truth = (-b - np.sqrt(np.maximum(root, 0.0))) / a
+            steep = root > 0.3 * root.max()  # rays that meet the surface squarely
+            assert steep.sum() > 60
+            assert np.abs(depth - truth)[steep].max() < 1.5 * 2.0 / count
+            assert np.median((depth - truth)[steep]) < 0.5 * 2.0 / count
+            missed = root < -0.2 * root.max()
+            assert missed.sum() > 80 and np.isinf(depth[missed]).all()
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["--poses", "random"], "--poses 'random' must be random:N"),
+        (["--poses", "random:0"], "--poses 'random:0' must be random:N"),
+        (["--cameras", "orbit:8:95"], "must be orbit:N or orbit:N:ELEVATION"),
+        (["--cameras", "nowhere"], "scene folder 'nowhere' is not there"),
+        (["--cameras", "nowhere.json"], "camera file 'nowhere.json' is not there"),
+        (["--cameras", "random:4", "--views", 2], "--views chooses among cameras that all poses share"),
+        (["--cameras", "orbit:2", "--views", 3], "views must be a whole number from 1 to 2"),
+        (["--seeds", 1, 1], "--seeds names one twice"),
+        (["--poses", "@ball.npz"], "cage"),
+        (["--poses", "@other.npy"], "must hold (poses, 26, 3) vertices"),
+        (["--stretch", 1.5, 2], "stretch must hold 1 between"),
+        (["--resolution", "precise"], "harmonic coordinates have no closed form"),
+        (["--image", "jpg", "--background", "transparent"], "a JPEG has no opacity"),
+        (["--background", "pink"], "--background 'pink' is not known: white"),
+        (["--cage", "@open.obj"], "is open"),
+    ],
+)
+def test_bad_words_are_one_line_and_leave_nothing(files, tmp_path, capsys, words, message):
+    np.save(files / "other.npy", np.zeros((2, 5, 3)))
+    usual = ["--poses", "rest"] if "--poses" not in words and "--stretch" not in words else []
+    assert run(files, *SWEEP, *usual, *words, "-o", tmp_path / "sweep.jsonl") == 2
+    error = capsys.readouterr().err
+    assert message in error and error.startswith("warpcage: error: ") and error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

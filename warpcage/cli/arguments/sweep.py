@@ -1,0 +1,171 @@
+"""Arguments of `warpcage sweep`."""
+
+from __future__ import annotations
+
+import argparse
+
+from ...core.names import COORDINATES, DENSITIES
+from .. import options
+
+NAME = "sweep"
+HELP = "write a job file of many poses of a field from many cameras, for data sets"
+EXAMPLE = """\
+  warpcage sweep lego.npz --cage cage.obj --poses random:100 --cameras orbit:8 -o sweep.jsonl
+  warpcage sweep lego.npz --cage cage.obj --poses random:5000 --cameras random:4 --size 800 \\
+      --records webdataset --image jpg -o augmented.jsonl
+  warpcage sweep lego.npz --cage cage.obj --poses rest poses.json twist:60 --cameras data/lego:test \\
+      --coordinates mean_value harmonic green -o compared.jsonl
+  warpcage run sweep.jsonl -o dataset --workers 2
+"""
+
+#: What stands behind pictures where --background is not given: of PNG files, and of JPEG files, which have no opacity.
+USUAL_BACKGROUNDS = {"png": options.TRANSPARENT, "jpg": "white"}
+
+#: The word of --background for that of the field.
+OWN = "own"
+
+#: Modes of random poses, as `cage.pose_modes` has them, which needs NumPy.
+MODES = ("bend", "twist", "stretch", "taper", "wave", "bump")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="JOBS",
+        help="job file to write (.jsonl); poses and cameras go beside it",
+    )
+    _add_poses(parser)
+    _add_cameras(parser)
+    group = parser.add_argument_group("pictures")
+    group.add_argument(
+        "--coordinates",
+        nargs="+",
+        choices=COORDINATES,
+        default=["harmonic"],
+        metavar="KIND",
+        help=f"kinds of coordinates, each of which makes all pictures: {', '.join(COORDINATES)} (default: harmonic)",
+    )
+    group.add_argument(
+        "--resolution",
+        type=options.lattice_resolution,
+        default=options.BY_SIZE,
+        metavar="N",
+        help='lattice cells along the longest side of the cage, or "precise" (default: by the size of the picture)',
+    )
+    group.add_argument("--density", choices=DENSITIES, default="opacity", help="as for render (default: %(default)s)")
+    options.add_background(
+        group,
+        f"{options.TRANSPARENT}; of JPEG files white",
+        f"; {options.TRANSPARENT}: opacity in the picture; {OWN}: what the field has behind it",
+    )
+    _add_records(parser)
+    options.add_scene_scale(parser)
+    options.add_device(parser)
+    options.add_quiet(parser)
+
+
+def _add_poses(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("poses")
+    group.add_argument(
+        "--cage",
+        required=True,
+        metavar="REST",
+        help=f"cage around the undeformed object ({' '.join(options.CAGE_ENDINGS)})",
+    )
+    group.add_argument(
+        "--poses",
+        nargs="+",
+        default=["random:100"],
+        metavar="POSES",
+        help="random:N for each seed; posed cage files, pose files (all keyframes of poses.json, or poses.json:NAME), "
+        "animated glTF files, numbered files (walk_####.obj); arrays of vertices (.npy, (poses, vertices, 3)); rest; "
+        "and presets such as bend:40:x:z (default: random:100)",
+    )
+    group.add_argument(
+        "--seeds",
+        nargs="+",
+        type=options.whole_number,
+        default=[0],
+        metavar="SEED",
+        help="seeds of random poses; the first is that of random cameras too (default: 0)",
+    )
+    group.add_argument(
+        "--stretch",
+        nargs=2,
+        type=options.positive_float,
+        default=(0.5, 2.0),
+        metavar=("LEAST", "LARGEST"),
+        help="bounds of random poses: lengths in the pose over lengths at rest, everywhere (default: 0.5 2)",
+    )
+    group.add_argument(
+        "--reach",
+        nargs=2,
+        type=options.positive_float,
+        default=(0.3, 1.0),
+        metavar=("LEAST", "MOST"),
+        help="how far random poses go, as shares of the farthest that the bounds allow (default: 0.3 1)",
+    )
+    group.add_argument(
+        "--modes",
+        nargs="+",
+        choices=MODES,
+        default=list(MODES),
+        metavar="MODE",
+        help=f"what random poses are made of: {', '.join(MODES)} (default: all)",
+    )
+    options.add_cage_up(group, found=True, posed=True)
+
+
+def _add_cameras(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("cameras")
+    group.add_argument(
+        "--cameras",
+        default="orbit:8",
+        metavar="CAMERAS",
+        help="orbit:N[:ELEVATION]: a circle around all poses; random:N: N places above the horizon, others for each "
+        "pose; a camera file (.json, .glb); a transforms.json; or a scene, SCENE[:SPLIT] (default: orbit:8)",
+    )
+    group.add_argument(
+        "--views",
+        type=options.positive_int,
+        metavar="N",
+        help="see each pose from N of the cameras, chosen at random (default: from all)",
+    )
+    group.add_argument(
+        "--fov",
+        type=options.field_of_view,
+        default=40.0,
+        metavar="DEGREES",
+        help="horizontal field of view of orbit and random (default: %(default)s)",
+    )
+    group.add_argument(
+        "--size",
+        type=options.positive_int,
+        nargs="+",
+        metavar="PIXELS",
+        help="width, or width and height (default: 400, or the size of the cameras' pictures)",
+    )
+
+
+def _add_records(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("records (docs/sweeps.md)")
+    group.add_argument(
+        "--records",
+        choices=("folder", "webdataset"),
+        default="folder",
+        help="folder: files, with transforms.json for each pose and for all; webdataset: tar shards (default: "
+        "%(default)s)",
+    )
+    group.add_argument("--image", choices=("png", "jpg"), default="png", help="pictures (default: %(default)s)")
+    group.add_argument(
+        "--items-per-shard",
+        type=options.positive_int,
+        default=1000,
+        metavar="N",
+        help="pictures of a shard (default: 1000)",
+    )
+    group.add_argument("--no-depth", dest="depth", action="store_false", help="leave depth out")
+    group.add_argument("--no-alpha", dest="alpha", action="store_false", help="leave opacity out")

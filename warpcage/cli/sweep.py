@@ -1,0 +1,208 @@
+"""`warpcage sweep`: a job file of many poses from many cameras."""
+
+from __future__ import annotations
+
+import argparse
+import pathlib
+import re
+import sys
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from tqdm import tqdm
+
+from ..batch.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
+from ..cage.cage import Cage
+from ..cage.random_poses import RandomPoses
+from ..core.names import BACKGROUNDS
+from ..core.npy_files import NpyFile
+from ..core.words import counted
+from ..scene.transforms_camera import TransformsCameras
+from ..view.camera import Camera, framing_orbit
+from ..view.camera_file import CameraFile
+from . import inputs, options, view
+from .arguments.sweep import OWN, USUAL_BACKGROUNDS
+from .keyframes import expected_ups, read_poses
+from .standing import posed_up, read_rest
+
+#: Degrees above the horizon of the cameras of orbit:N.
+ELEVATION = 20.0
+
+
+def run(args: argparse.Namespace) -> None:
+    output = options.check_output(args.output, (".jsonl", ".json"), "job file")
+    view.image_size(args)
+    background = _background(args)
+    _check_words(args)
+    field = inputs.read_field(args)
+    rest, expected = read_rest(args.cage, args.cage_up, field)
+    sources = _pose_sources(args, rest, expected)
+    shown, up = inputs.visible_points(field, None, None), tuple(field.up.tolist())
+    given = _given_cameras(args)
+    defaults = {
+        "density": args.density,
+        "background": background,
+        "resolution": None if args.resolution == options.BY_SIZE else args.resolution or "precise",
+        "up": args.cage_up,
+        "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,
+    }
+    records = {"kind": args.records, "image": args.image, "depth": args.depth, "alpha": args.alpha}
+    if args.records == "webdataset":
+        records["items_per_shard"] = args.items_per_shard
+    made = write_sweep(
+        output,
+        field=args.field,
+        cage=args.cage,
+        rest=rest,
+        sources=[_Told(source, args.quiet) for source in sources],
+        cameras=given or (lambda bounds: _made_cameras(args, _box_corners(np.concatenate([shown, bounds])), up)),
+        coordinates=args.coordinates,
+        views=args.views,
+        seed=args.seeds[0],
+        records=records,
+        defaults={word: value for word, value in defaults.items() if value is not None},
+    )
+    files = ", ".join(str(path) for path in (made.poses, made.cameras) if path is not None)
+    poses = counted(sum(map(len, sources)), "pose")
+    print(f"wrote {made.jobs}: {counted(made.items, 'picture')} of {poses}; beside it {files}")
+    print(f"warpcage run {made.jobs} -o FOLDER makes them")
+
+
+class _Told:
+    """Poses, with a bar of how many are made."""
+
+    def __init__(self, source: PoseSource, quiet: bool):
+        self.source, self._quiet = source, quiet or not isinstance(source, RandomSource)
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def rows(self) -> Iterator[np.ndarray]:
+        """The vertices of each."""
+        rows = tqdm(self.source.rows(), "poses", len(self), file=sys.stderr, disable=self._quiet, leave=False)
+        yield from rows
+
+    def origin(self, number: int) -> dict:
+        """Where a pose comes from."""
+        return self.source.origin(number)
+
+
+def _check_words(args: argparse.Namespace) -> None:
+    """Refuse what cannot be before anything is loaded."""
+    for text in args.poses:
+        _random_count(text, "--poses")
+    if re.match(r"orbit(:|$)", args.cameras):
+        _orbit_words(args.cameras)
+    if _random_count(args.cameras, "--cameras") is not None and args.views is not None:
+        raise ValueError("--views chooses among cameras that all poses share: random:N makes N for each pose anew")
+    if len(set(args.seeds)) < len(args.seeds):
+        raise ValueError(f"--seeds names one twice: {' '.join(map(str, args.seeds))}")
+    if args.resolution is None and "harmonic" in args.coordinates:
+        raise ValueError("harmonic coordinates have no closed form: --resolution precise is for mean_value and green")
+
+
+def _background(args: argparse.Namespace) -> str | list[float] | None:
+    """What stands behind pictures, as items have it; None is the field's own."""
+    given = USUAL_BACKGROUNDS[args.image] if args.background is None else args.background
+    known = (*BACKGROUNDS, options.TRANSPARENT, OWN)
+    if isinstance(given, str) and given not in known:
+        raise ValueError(
+            f"--background {given!r} is not known: {', '.join(known)}, or three numbers in [0, 1] such as 0.2,0.3,0.4"
+        )
+    if given == OWN:
+        return None
+    if given == options.TRANSPARENT and args.image == "jpg":
+        raise ValueError("a JPEG has no opacity: take --image png, or another --background")
+    return given if isinstance(given, str) else list(given)
+
+
+def _random_count(text: str, option: str) -> int | None:
+    """N of random:N, None for other words."""
+    if not re.match(r"random(:|$)", text):
+        return None
+    found = re.fullmatch(r"random:(\d{1,9})", text)
+    if found is None or int(found[1]) < 1:
+        raise ValueError(f"{option} {text!r} must be random:N, N at least 1")
+    return int(found[1])
+
+
+def _pose_sources(args: argparse.Namespace, rest: Cage, expected: dict[str, str]) -> list[PoseSource]:
+    """The poses of --poses in their order."""
+    up, sources = posed_up(args), []
+    files = [text for text in args.poses if _random_count(text, "--poses") is None and not _is_array(text)]
+    likely = expected_ups(rest, files, expected) if up is None else None
+    for text in args.poses:
+        count = _random_count(text, "--poses")
+        if count is not None:
+            options_ = {"stretch": args.stretch, "reach": args.reach, "modes": args.modes}
+            sources += [RandomSource(RandomPoses(rest, seed=seed, **options_), count) for seed in args.seeds]
+        elif _is_array(text):
+            sources.append(_array_source(text, rest))
+        else:
+            cages = read_poses(rest, text, up, expected=likely)
+            sources.append(GivenSource([cage.vertices for cage in cages], text))
+    return sources
+
+
+def _is_array(text: str) -> bool:
+    return text.lower().endswith(".npy")
+
+
+def _array_source(text: str, rest: Cage) -> GivenSource:
+    """The poses of a file of vertices."""
+    file = NpyFile(text)
+    shape = file.shape if len(file.shape) == 3 else (1, *file.shape)
+    if shape[1:] != rest.vertices.shape:
+        raise ValueError(f"{text} must hold (poses, {len(rest.vertices)}, 3) vertices of the cage, got {file.shape}")
+    return GivenSource(file.read().reshape(shape), text)
+
+
+def _box_corners(points: np.ndarray) -> np.ndarray:
+    """(8, 3) corners of the bounding box of points (n, 3)."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
+
+
+def _given_cameras(args: argparse.Namespace) -> list[Camera] | None:
+    """The cameras of files that --cameras names; None for those that are made."""
+    text = args.cameras
+    if re.match(r"(random|orbit)(:|$)", text):
+        return None
+    if pathlib.Path(text).name.startswith("transforms") and text.lower().endswith(".json"):
+        file = TransformsCameras(text)
+        found = [file.camera(str(index), view.file_size(args)) for index in range(len(file))]
+        return [view.fitted_to(view.moved_to_field(args, camera), args) for camera in found]
+    named = view.camera_file(text)
+    if named is None:
+        options.require_folder(text if pathlib.Path(text).exists() else text.rpartition(":")[0] or text)
+        return view.sized_cameras(args, text)
+    path, name = named
+    cameras = CameraFile.load(path, size=view.file_size(args))
+    chosen = [cameras.named(name)] if name else [key.camera for key in cameras]
+    return [view.fitted_to(camera, args) for camera in chosen]
+
+
+def _made_cameras(
+    args: argparse.Namespace, points: np.ndarray, up: tuple[float, ...]
+) -> Sequence[Camera] | RandomViews:
+    """The cameras of orbit:N and random:N, which see all points (n, 3)."""
+    width, height = view.image_size(args) or view.DEFAULT_SIZE
+    count = _random_count(args.cameras, "--cameras")
+    if count is not None:
+        return RandomViews(count, points, args.seeds[0], up, args.fov, width, height)
+    number, elevation = _orbit_words(args.cameras)
+    return framing_orbit(
+        points, number, elevation_degrees=elevation, up=up, fov_degrees=args.fov, width=width, height=height
+    )
+
+
+def _orbit_words(text: str) -> tuple[int, float]:
+    """Number and elevation of orbit:N[:ELEVATION]."""
+    found = re.fullmatch(r"orbit:(\d{1,6})(?::(-?\d+(?:\.\d+)?))?", text)
+    elevation = ELEVATION if found is None or found[2] is None else float(found[2])
+    if found is None or int(found[1]) < 1 or not -90.0 < elevation < 90.0:
+        raise ValueError(
+            f"--cameras {text!r} must be orbit:N or orbit:N:ELEVATION, N at least 1, the elevation in degrees between "
+            "-90 and 90"
+        )
+    return int(found[1]), elevation
