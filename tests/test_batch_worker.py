@@ -1,21 +1,36 @@
 """Workers of jobs: their pictures are those of `warpcage render`, and what items share is loaded once."""
 
+import gc
 import json
+import shutil
+import threading
+import weakref
 
 import numpy as np
 import pytest
 from cli_runs import run, write_files
+from splat_scenes import splats_in_box
 
+from warpcage.batch import frames
+from warpcage.batch.fingerprints import Fingerprints
+from warpcage.batch.frames import MOST_DEFORMERS
 from warpcage.batch.items import Item
-from warpcage.batch.worker import PARTS, Worker
+from warpcage.batch.worker import CHECKPOINTS, MOST_WAITING, PARTS, Worker
 from warpcage.cage.cage import Cage
+from warpcage.cage.pose_file import PoseFile
 from warpcage.deform.deformer import Deformer
+from warpcage.deform.edits import CageEdit
 from warpcage.field.voxel_field import VoxelField
+from warpcage.fitting.checkpoint import save_progress
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.scene.load import load_scene
+from warpcage.splats.splat_field import SplatField
 from warpcage.view.camera import Camera
 from warpcage.view.camera_file import CameraFile
 from warpcage.view.pictures import read_image
 
 CAMERAS = [Camera.look_at((2.5, 1.2 * side, 1.0), (0, 0, 0), width=40, height=32) for side in (-1, 1)]
+SKEW = {"fx": 40, "fy": 40, "cx": 20, "cy": 16, "width": 40, "height": 32, "camera_to_world": [[2, 0, 0, 0]] * 4}
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +111,306 @@ def test_an_inline_camera_and_cage_are_those_of_files(files, tmp_path):
         worker.run(frame("a"))
         worker.run(frame("b", **inline))
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+# -- the same as commands make
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"posed": "twist:30:up"}, ["--posed", "twist:30:up"]),
+        ({"posed": "poses.json#wave", "size": 20}, ["--posed", "@poses.json:wave", "--size", 20]),
+        ({"background": "transparent", "overlay": True}, ["--background", "transparent", "--overlay"]),
+        ({"background": [0.2, 0.3, 0.4], "falloff": 0.2, "held": "still"}, None),
+    ],
+    ids=["preset", "keyframe", "transparent", "colour"],
+)
+def test_words_mean_what_the_options_of_render_mean(files, tmp_path, more, words):
+    rest = Cage.load(files / "cage.obj")
+    PoseFile(rest, {"wave": rest.bend(30, axis="x", towards="z"), "other": rest}).save(files / "poses.json")
+    with Worker(files, tmp_path, "cpu") as worker:
+        worker.run(frame(**({"posed": "posed.obj"} | more)))
+    given = ["--camera", "@cameras.json:0", "--coordinates", "mean_value", "--resolution", 24, "--device", "cpu"]
+    if words is None:
+        words = ["--edit", f"{files}/cage.obj:{files}/posed.obj:falloff=0.2:held=still", "--background", "0.2,0.3,0.4"]
+    else:
+        words = ["--cage", "@cage.obj", *([] if "--posed" in words else ["--posed", "@posed.obj"]), *words]
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *given, *words) == 0
+    assert (tmp_path / "x.png").read_bytes() == (tmp_path / "frame_0001.png").read_bytes()
+
+
+def test_the_lattice_follows_the_size_of_the_picture_as_it_does_for_render(files, tmp_path):
+    with Worker(files, tmp_path, "cpu") as worker:
+        worker.run(frame(resolution=None, posed="posed.obj"))
+        ((_, bound),) = worker.frames._bound.items()
+        assert bound.deformer.resolution == 64
+    words = ["--cage", "@cage.obj", "--posed", "@posed.obj", "--camera", "@cameras.json:0", "--device", "cpu"]
+    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *words, "--coordinates", "mean_value") == 0
+    assert (tmp_path / "x.png").read_bytes() == (tmp_path / "frame_0001.png").read_bytes()
+
+
+def test_several_edits_and_a_field_as_it_is(files, tmp_path):
+    rest = Cage.load(files / "cage.obj")
+    front = Cage.box((-0.7, -0.7, -0.7), (0.7, 0.0, 0.7))
+    front.save(files / "front.obj")
+    edits = [{"cage": "cage.obj", "posed": "posed.obj"}, {"cage": "front.obj", "remove": True}]
+    plain = {"id": "plain", "field": "ball.npz", "camera": "cameras.json#1", "outputs": {"rgb": "plain.npy"}}
+    outputs = {"rgb": "two.npy", "masks": "two.png", "reveal": "reveal.png"}
+    with Worker(files, tmp_path, "cpu") as worker:
+        worker.run(Item.from_json(plain))
+        worker.run(frame(cage=None, posed=None, edits=edits, outputs=outputs))
+    field = VoxelField.load(files / "ball.npz", device="cpu")
+    np.testing.assert_array_equal(np.load(tmp_path / "plain.npy"), field.render(CAMERAS[1]).rgb)
+    deformer = Deformer(field, [rest, CageEdit(front, remove=True)], coordinates="mean_value", resolution=24)
+    expected = deformer.pose([Cage.load(files / "posed.obj"), None]).render(CAMERAS[0])
+    np.testing.assert_array_equal(np.load(tmp_path / "two.npy"), expected.rgb)
+
+
+def test_splats(files, tmp_path):
+    splats = splats_in_box("cpu")
+    splats.save(files / "splats.ply")
+    rest, camera = Cage.load(files / "cage.obj"), CAMERAS[0]
+    with Worker(files, tmp_path, "cpu") as worker:
+        worker.run(frame(field="splats.ply", outputs={"rgb": "rgb.npy"}))
+        with pytest.raises(ValueError, match="'masks' is for fields of voxels"):
+            worker.run(frame(field="splats.ply", outputs={"masks": "masks.png"}))
+        with pytest.raises(ValueError, match="splats"):
+            worker.run(frame(field="splats.ply", scene_scale=0.5))
+    deformer = Deformer(SplatField.load(files / "splats.ply", device="cpu"), rest, coordinates="mean_value")
+    posed = rest.with_vertices(np.load(files / "poses.npy")[1])
+    np.testing.assert_array_equal(np.load(tmp_path / "rgb.npy"), deformer.pose(posed).render(camera).rgb)
+
+
+def test_cameras_of_scenes_are_in_the_world_of_the_field(files, tmp_path):
+    turn = np.eye(4)
+    turn[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    field = VoxelField.load(files / "ball.npz", device="cpu")
+    field.straightening = turn
+    field.save(files / "turned.npz")
+    scene = load_scene(files / "scene", split="test")
+    outputs = {"rgb": "rgb.npy"}
+    with Worker(files, tmp_path, "cpu") as worker:
+        for camera in ("scene/transforms_test.json#1", f"scene/transforms_test.json#{scene.names[1]}"):
+            worker.run(frame(field="turned.npz", camera=camera, cage=None, posed=None, outputs=outputs))
+            expected = field.render(scene.cameras[1].moved(turn)).rgb
+            np.testing.assert_array_equal(np.load(tmp_path / "rgb.npy"), expected)
+        with pytest.raises(ValueError, match="has no frame '7', only 0 to 1"):
+            worker.run(frame(camera="scene/transforms_test.json#7"))
+
+
+def test_a_fit_and_an_evaluation_are_those_of_the_commands(files, tmp_path):
+    options = {"resolution": 16, "epochs": 0.5}
+    fit = Item.from_json({"id": "ball", "kind": "fit", "scene": "scene", "options": options, "output": "f/{id}.npz"})
+    with Worker(files, tmp_path / "out", "cpu") as worker:
+        assert list(worker.run(fit)) == ["f/ball.npz"]
+    words = ["fit", "@scene", "-o", tmp_path / "f.npz", "--resolution", 16, "--epochs", "0.5", "--quiet"]
+    assert run(files, *words, "--device", "cpu") == 0
+    made, expected = (VoxelField.load(path, device="cpu") for path in (tmp_path / "out/f/ball.npz", tmp_path / "f.npz"))
+    np.testing.assert_array_equal(made.grid.density.numpy(), expected.grid.density.numpy())
+    np.testing.assert_array_equal(made.render(CAMERAS[0]).rgb, expected.render(CAMERAS[0]).rgb)
+
+    entry = {"id": "psnr", "kind": "evaluate", "field": "out/f/ball.npz", "scene": f"{files}/scene"}
+    with Worker(tmp_path, tmp_path / "out", "cpu") as worker:
+        worker.run(Item.from_json(entry))
+        assert worker.fields.read_count == 1
+    words = ["evaluate", tmp_path / "out/f/ball.npz", "@scene", "--json", tmp_path / "psnr.json", "--quiet"]
+    assert run(files, *words, "--device", "cpu") == 0
+    made, expected = (json.loads(path.read_text()) for path in (tmp_path / "out/psnr.json", tmp_path / "psnr.json"))
+    assert made["views"] == expected["views"] and len(made["views"]) == 2
+    assert without(made, "field") == without(expected, "field")
+
+
+def without(entry, *names):
+    return {name: value for name, value in entry.items() if name not in names}
+
+
+def test_a_fit_that_died_goes_on_from_its_progress(files, tmp_path, monkeypatch):
+    entry = {"id": "ball", "kind": "fit", "scene": "scene", "options": {"resolution": 16, "epochs": 0.5}}
+    whole = Worker(files, tmp_path / "whole", "cpu")
+    whole.run(Item.from_json(entry))
+    steps = []
+
+    def step(optimizer):
+        steps.append(optimizer.step_count)
+        if len(steps) == 3:
+            save_progress(optimizer, worker._checkpoint(item))
+            raise OSError("the node is gone")
+        return ordinary(optimizer)
+
+    ordinary, item = FieldOptimizer.step, Item.from_json(entry)
+    worker = Worker(files, tmp_path / "out", "cpu")
+    monkeypatch.setattr(FieldOptimizer, "step", step)
+    with pytest.raises(OSError, match="the node is gone"):
+        worker.run(item)
+    worker.run(item)
+    assert steps[3] == steps[2] == 2
+    assert list((tmp_path / "out" / CHECKPOINTS).iterdir()) == []
+    one, two = (VoxelField.load(tmp_path / place / "ball.npz", device="cpu") for place in ("whole", "out"))
+    np.testing.assert_array_equal(one.grid.density.numpy(), two.grid.density.numpy())
+
+
+# -- what stays loaded
+
+
+def test_what_was_loaded_is_bounded_by_bytes_and_by_number(files, tmp_path):
+    for name in "abc":
+        (files / f"{name}.npz").write_bytes((files / "ball.npz").read_bytes())
+    with Worker(files, tmp_path, "cpu", memory=1) as worker:
+        for name in "abcab":
+            worker.run(frame(field=f"{name}.npz"))
+            assert len(worker.fields._fields) == 1 and len(worker.frames._bound) == 1
+        assert worker.fields.read_count == 5
+        gone = weakref.ref(worker.fields._fields.items()[0][1])
+        worker.run(frame(field="c.npz"))
+        gc.collect()
+        assert gone() is None
+    with Worker(files, tmp_path, "cpu") as worker:
+        for resolution in (8, 9, 10, 11, 12, 13, 8):
+            worker.run(frame(resolution=resolution))
+        assert worker.frames.counts.deformers == 7 and len(worker.frames._bound) == MOST_DEFORMERS
+        for name in "abcab":
+            worker.run(frame(field=f"{name}.npz", resolution=8))
+        assert worker.fields.read_count == 4
+
+
+def test_files_that_change_are_read_again(files, tmp_path):
+    (files / "x.npz").write_bytes((files / "ball.npz").read_bytes())
+    cage, pose = Cage.load(files / "cage.obj"), np.load(files / "poses.npy")
+    cage.save(files / "x.obj")
+    np.save(files / "x.npy", pose)
+    words = {"field": "x.npz", "cage": "x.obj", "posed": "x.npy#1", "outputs": {"rgb": "rgb.npy"}}
+    pictures = []
+    with Worker(files, tmp_path, "cpu") as worker:
+        for change in (
+            lambda: None,
+            lambda: np.save(files / "x.npy", np.stack([pose[2]] * 4)),
+            lambda: Cage(1.05 * cage.vertices, cage.faces).save(files / "x.obj"),
+            lambda: VoxelField.load(files / "x.npz", device="cpu").save(files / "x.npz"),
+        ):
+            change()
+            worker.run(frame(**words))
+            pictures.append(np.load(tmp_path / "rgb.npy"))
+        assert worker.fields.read_count == 2
+    assert not any(np.array_equal(one, two) for one, two in zip(pictures[:3], pictures[1:3], strict=False))
+
+
+def test_where_memory_is_short_all_else_is_let_go(files, tmp_path, monkeypatch):
+    with Worker(files, tmp_path, "cpu") as worker:
+        worker.run(frame("a"))
+        ordinary, tries = Deformer.render, []
+
+        def short(deformer, *args, **options):
+            tries.append(worker.fields.read_count)
+            if len(tries) == 1:
+                raise RuntimeError("Failed to allocate 1073741824 bytes on device 'cuda:0'")
+            return ordinary(deformer, *args, **options)
+
+        monkeypatch.setattr(Deformer, "render", short)
+        worker.run(frame("b"))
+        assert tries == [1, 2] and (tmp_path / "b.png").exists()
+        monkeypatch.setattr(Deformer, "render", lambda *args, **options: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            worker.run(frame("c"))
+        assert worker.fields.read_count == 2
+
+
+def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
+    """The next frames are rendered while the first is written, and no more than a few wait."""
+    go, ordinary = threading.Event(), frames.write_png
+    monkeypatch.setattr(frames, "write_png", lambda path, image: go.wait(60) and ordinary(path, image))
+    with Worker(files, tmp_path, "cpu", encoders=1) as worker:
+        waiting = [worker.submit(frame(f"f{index}")) for index in range(MOST_WAITING)]
+        assert worker.frames.counts.frames == MOST_WAITING and not any(each.done() for each in waiting)
+        blocked = threading.Thread(target=lambda: waiting.append(worker.submit(frame("last"))))
+        blocked.start()
+        blocked.join(0.2)
+        assert len(waiting) == MOST_WAITING
+        go.set()
+        blocked.join(60)
+        assert [list(each.result()) for each in waiting] == [*([f"f{i}.png"] for i in range(8)), ["last.png"]]
+
+
+# -- what is wrong with an item
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    {
+        "no field": ({"field": "no.npz"}, "field file '.*no.npz' is not there"),
+        "a broken field": ({"field": "broken.npz"}, "broken.npz is not an .npz field file"),
+        "no cage": ({"cage": "no.obj"}, "cage file '.*no.obj' is not there"),
+        "a broken cage": ({"cage": "broken.obj"}, "broken.obj"),
+        "an open cage": ({"cage": "open.obj"}, "cage 'open.obj'.*edge"),
+        "no pose": ({"posed": "no.npy#1"}, "array file '.*no.npy' is not there"),
+        "no row": ({"posed": "poses.npy#99"}, "poses.npy has rows 0 to 2, got 99"),
+        "all rows": ({"posed": "poses.npy"}, "it holds 3 poses, write poses.npy#0 for the first"),
+        "a word for a row": ({"posed": "poses.npy#x"}, "names no row: write poses.npy#17"),
+        "a pose of another cage": ({"posed": "other.obj"}, "cage 'other.obj' does not fit its rest cage"),
+        "few vertices": ({"posed": [[0, 0, 0]]}, r"'posed' must be \(26, 3\) as the cage at rest, got \(1, 3\)"),
+        "ragged vertices": ({"posed": [[0, 0, 0], [1]]}, "'posed' must hold numbers, in lists of equal length"),
+        "no preset": ({"posed": "bend:far"}, "pose 'bend:far' is not a preset"),
+        "an inverted pose": ({"posed": "inward.obj"}, "deformed cage|does not fit"),
+        "no cameras": ({"camera": "no.json#1"}, "camera file '.*no.json' is not there"),
+        "no such camera": ({"camera": "cameras.json#9"}, "cameras.json: it holds no camera '9'"),
+        "several cameras": ({"camera": "cameras.json"}, "it holds 2 cameras: name one"),
+        "no file of cameras": ({"camera": "text.json#1"}, "text.json"),
+        "a skew camera": ({"camera": SKEW}, "rigid|rotation"),
+        "a squeezed picture": ({"size": [40, 40]}, "'size' 40 40 would squeeze a 40x32 picture: give 40 32"),
+        "nothing to fill": ({"fill": True}, "'fill': behind this field there is one colour"),
+    }.values(),
+)
+def test_what_is_wrong_takes_one_line_and_leaves_nothing(files, tmp_path, words, message):
+    (files / "text.json").write_text("text")
+    with Worker(files, tmp_path, "cpu") as worker:
+        with pytest.raises((ValueError, FileNotFoundError), match=message) as wrong:
+            worker.run(frame(**words))
+        assert "\n" not in str(wrong.value)
+        assert not any(path.is_file() for path in tmp_path.rglob("*"))
+        worker.run(frame())  # the next item is made
+
+
+# -- fingerprints
+
+
+def test_a_fingerprint_changes_with_what_an_item_reads_and_with_nothing_else(files, tmp_path):
+    for name in ("ball.npz", "cage.obj", "cameras.json", "poses.npy"):
+        (tmp_path / name).write_bytes((files / name).read_bytes())
+    poses = np.load(tmp_path / "poses.npy")
+
+    def found(**words):
+        return Fingerprints(tmp_path).of(frame(**words))
+
+    before, kept = found(), Fingerprints(tmp_path)
+    assert before == found() == kept.of(frame()) and found(coordinates="green") != before
+    poses[2] += 0.01  # another row than the one that is read
+    np.save(tmp_path / "poses.npy", poses)
+    assert found() == before
+    poses[1] += 0.01
+    np.save(tmp_path / "poses.npy", poses)
+    assert found() != before and kept.of(frame()) == found()
+    for name in ("ball.npz", "cage.obj", "cameras.json"):
+        before = found()
+        data = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_bytes(data + b"\n")
+        assert found() != before and kept.of(frame()) == found()
+        (tmp_path / name).unlink()
+        assert found() not in (before, "") and kept.of(frame()) == found()
+        (tmp_path / name).write_bytes(data)
+        assert found() == before == kept.of(frame())
+
+
+def test_the_fingerprint_of_a_scene_is_of_all_of_its_files(files, tmp_path):
+    shutil.copytree(files / "scene", tmp_path / "scene")
+    item = Item.from_json({"id": "f", "kind": "fit", "scene": "scene"})
+    base = Fingerprints(tmp_path).of(item)
+    (tmp_path / "scene" / ".hidden").write_text("x")
+    assert Fingerprints(tmp_path).of(item) == base
+    (tmp_path / "scene" / "loop").symlink_to(tmp_path / "scene")
+    (tmp_path / "scene" / "out").mkdir()
+    (tmp_path / "scene" / "out" / "f.npz").write_text("made by the run")
+    assert Fingerprints(tmp_path, tmp_path / "scene" / "out").of(item) == base != Fingerprints(tmp_path).of(item)
+    shutil.rmtree(tmp_path / "scene" / "out")
+    picture = next((tmp_path / "scene").rglob("*.png"))
+    picture.rename(picture.with_name("other.png"))
+    assert Fingerprints(tmp_path).of(item) != base

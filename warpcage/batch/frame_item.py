@@ -11,7 +11,7 @@ from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS
 from . import words
 from .edit_words import EDIT_WORDS, EditWords
 from .item import ID, Item, digest, output_path
-from .words import TRANSPARENT, Checker, one_of, safe_name, text
+from .words import TRANSPARENT, Checker, checked_words, one_of, safe_name, text
 
 #: Endings of the files that each part of a frame may be written to.
 PART_ENDINGS = {
@@ -46,21 +46,55 @@ def _resolution(value: Any, word: str) -> int | str:
 
 
 def _camera(value: Any, word: str) -> Any:
-    if isinstance(value, dict) and value:
-        return value
     if isinstance(value, str) and value:
         return text(value, word)
-    raise ValueError(
-        f"{word} must be an object with fx, fy, cx, cy, width, height and camera_to_world, one with eye, target, width "
-        f'and height, "cameras.json#NAME" or "transforms.json#3", got {shown(value)}'
-    )
+    if not isinstance(value, dict) or not value:
+        raise ValueError(
+            f"{word} must be an object with {', '.join(_PINHOLE)}, or one with eye, target, width and height; or "
+            f'"cameras.json#NAME" or "transforms.json#3", got {shown(value)}'
+        )
+    if "eye" in value or "target" in value and "camera_to_world" not in value:
+        checked_words(value, _LOOKING, word)
+    needed = {name: each for name, each in _LOOKING.items() if name not in _USUAL} if "eye" in value else _PINHOLE
+    for name, check in needed.items():
+        if value.get(name) is None:
+            raise ValueError(f"{word} lacks {name!r}")
+        check(value[name], f"{name!r} of {word}")
+    return value
+
+
+def _vector(value: Any, word: str) -> tuple[float, ...]:
+    return words.numbers(value, word, 3)
+
+
+def _pose(value: Any, word: str) -> Any:
+    if not isinstance(value, list) or len(value) != 4:
+        raise ValueError(f"{word} must be four rows of four numbers, got {shown(value)}")
+    return [words.numbers(row, f"a row of {word}", 4) for row in value]
+
+
+_SIDE = words.whole(1, 65_536)
+
+#: A camera as files of cameras have it, and one that looks from a place to another, of which two words may be left out.
+_PINHOLE: dict[str, Checker] = {
+    **dict.fromkeys(("fx", "fy"), words.positive),
+    **dict.fromkeys(("cx", "cy"), words.number),
+    **dict.fromkeys(("width", "height"), _SIDE),
+    "camera_to_world": _pose,
+}
+_LOOKING: dict[str, Checker] = {
+    **dict.fromkeys(("eye", "target", "up"), _vector),
+    "fov_degrees": words.positive,
+    **dict.fromkeys(("width", "height"), _SIDE),
+}
+_USUAL = ("up", "fov_degrees")
 
 
 def _size(value: Any, word: str) -> tuple[int, ...]:
     sides = value if isinstance(value, list | tuple) else [value]
-    if not 1 <= len(sides) <= 2 or not all(type(side) is int and 1 <= side <= 65_536 for side in sides):
+    if not 1 <= len(sides) <= 2:
         raise ValueError(f"{word} must be a width, or [width, height], in pixels, got {shown(value)}")
-    return tuple(sides)
+    return tuple(_SIDE(side, word) for side in sides)
 
 
 def _scale(value: Any, word: str) -> tuple[float, float]:
