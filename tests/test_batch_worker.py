@@ -15,9 +15,10 @@ from warpcage.batch import frames
 from warpcage.batch.fingerprints import Fingerprints
 from warpcage.batch.frames import MOST_DEFORMERS
 from warpcage.batch.items import Item
-from warpcage.batch.worker import CHECKPOINTS, MOST_WAITING, PARTS, Worker
+from warpcage.batch.worker import CHECKPOINTS, PARTS, Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
+from warpcage.core.overlap import SPARE
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field.voxel_field import VoxelField
@@ -320,15 +321,15 @@ def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
     go, ordinary = threading.Event(), frames.write_png
     monkeypatch.setattr(frames, "write_png", lambda path, image: go.wait(60) and ordinary(path, image))
     with Worker(files, tmp_path, "cpu", encoders=1) as worker:
-        waiting = [worker.submit(frame(f"f{index}")) for index in range(MOST_WAITING)]
-        assert worker.frames.counts.frames == MOST_WAITING and not any(each.done() for each in waiting)
+        waiting = [worker.submit(frame(f"f{index}")) for index in range(1 + SPARE)]
+        assert worker.frames.counts.frames == 1 + SPARE and not any(each.done() for each in waiting)
         blocked = threading.Thread(target=lambda: waiting.append(worker.submit(frame("last"))))
         blocked.start()
         blocked.join(0.2)
-        assert len(waiting) == MOST_WAITING
+        assert len(waiting) == 1 + SPARE
         go.set()
         blocked.join(60)
-        assert [list(each.result()) for each in waiting] == [*([f"f{i}.png"] for i in range(8)), ["last.png"]]
+        assert [list(each.result()) for each in waiting] == [["f0.png"], ["f1.png"], ["f2.png"], ["last.png"]]
 
 
 # -- what is wrong with an item

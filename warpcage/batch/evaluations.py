@@ -10,12 +10,12 @@ from ..fitting.report import evaluation_report
 from ..fitting.tuning import tuned_scene
 from ..scene.load import load_scene
 from .fields import LoadedFields
-from .outputs import Writer
+from .outputs import Made
 from .references import References
 from .scene_items import EvaluateItem
 
 
-def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> dict[str, Writer]:
+def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> Made:
     """Compare a field with pictures of a scene, as `warpcage evaluate` does.
 
     Args:
@@ -24,7 +24,7 @@ def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFi
         fields: Fields that are loaded.
 
     Returns:
-        What writes its report, by its path.
+        The item, made: what writes its report.
 
     Raises:
         FileNotFoundError: For a file that is not there.
@@ -56,4 +56,4 @@ def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFi
         **found.to_json(),
     }
     text = json.dumps(content, indent=2) + "\n"
-    return {item.outputs["report"]: lambda path: path.write_bytes(text.encode())}
+    return Made({item.outputs["report"]: lambda path: path.write_bytes(text.encode())})

@@ -8,14 +8,12 @@ import warp as wp
 
 from ..fitting.optimizer import fit
 from ..scene.load import load_scene
-from .outputs import Writer
+from .outputs import Made, Writer
 from .references import References
 from .scene_items import FitItem
 
 
-def make_fit(
-    item: FitItem, references: References, device: wp.Device, checkpoint: pathlib.Path | None = None
-) -> dict[str, Writer]:
+def make_fit(item: FitItem, references: References, device: wp.Device, checkpoint: pathlib.Path | None = None) -> Made:
     """Fit a field to the pictures of a scene, as `warpcage fit` does.
 
     Args:
@@ -25,7 +23,7 @@ def make_fit(
         checkpoint: File (.npz) that holds the progress, from which a fit goes on whose worker died. None keeps none.
 
     Returns:
-        What writes its outputs, by their paths.
+        The item, made: what writes its outputs.
 
     Raises:
         FileNotFoundError: For a file that is not there.
@@ -48,4 +46,4 @@ def make_fit(
     refined = field.refined_cameras
     if refined is not None:
         writers[item.outputs["cameras"]] = refined.save
-    return writers
+    return Made(writers)

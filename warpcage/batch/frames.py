@@ -28,7 +28,7 @@ from ..view.opacity import rgba_picture
 from ..view.pictures import write_jpeg, write_png
 from .fields import MEMORY_SHARE, LoadedFields
 from .items import TRANSPARENT, FrameItem, canonical
-from .outputs import Writer, array_data, write_array
+from .outputs import Made, Writer, array_data, write_array
 from .records import frame_record, pose_array
 from .references import References, RestCage
 
@@ -97,14 +97,14 @@ class FrameMaker:
             if bound.deformer.field is field:
                 self._bound.drop(key)
 
-    def make(self, item: FrameItem) -> dict[str, Writer]:
+    def make(self, item: FrameItem) -> Made:
         """Render a frame.
 
         Args:
             item: The item.
 
         Returns:
-            What writes its outputs, by their paths.
+            The item, made: what writes its outputs.
 
         Raises:
             FileNotFoundError: For a file that is not there.
@@ -126,7 +126,7 @@ class FrameMaker:
         writers = frame_writers(item, frame, camera, drawn) | _record_writers(item, camera, posed)
         self.fields.settle(field_key)
         self._bound.settle(bound_key)
-        return writers
+        return Made(writers, sum(getattr(frame, name).nbytes for name in frame.arrays))
 
     def _deformer(
         self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import os
 import pathlib
@@ -14,6 +15,19 @@ import numpy as np
 #: Writes an output to a file that is not yet in its place. Any thread may call it: it uses main memory alone, or takes
 #: the turn of its device.
 Writer = Callable[[pathlib.Path], object]
+
+
+@dataclasses.dataclass(frozen=True)
+class Made:
+    """An item that is made, and not yet written.
+
+    Args:
+        writers: What writes its outputs, by their paths.
+        held_bytes: Bytes of main memory that they hold.
+    """
+
+    writers: Mapping[str, Writer]
+    held_bytes: int = 0
 
 
 def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathlib.Path) -> dict[str, int]:

@@ -12,21 +12,20 @@ import warp as wp
 from .. import __version__
 from ..core.devices import resolve_device
 from ..core.memory import is_shortage
+from ..core.overlap import SPARE, TASK_THREADS, Gate
+from ..core.threads import cpu_threads
 from .evaluations import make_evaluation
 from .fields import LoadedFields
 from .fingerprints import Fingerprints
 from .fits import make_fit
 from .frames import FrameMaker
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
-from .outputs import Writer, write_outputs
+from .outputs import Made, write_outputs
 from .references import References
 
 #: Folders of a run: files stand in the first until they are whole, and what is left there belongs to nobody once no
 #: worker runs; the second holds the progress of fits, from which they go on.
 PARTS, CHECKPOINTS = ".warpcage/parts", ".warpcage/checkpoints"
-
-#: Threads that encode pictures, and frames that may wait for them: so many frames are in main memory at most.
-ENCODERS, MOST_WAITING = 4, 8
 
 
 class Worker:
@@ -38,7 +37,8 @@ class Worker:
         device: Warp device. None is CUDA where there is one.
         memory: Bytes that fields, and deformers beside them, may take; the ones in use stay whatever they take. None is
             half of what is free on the device.
-        encoders: Threads that encode pictures while the next ones are rendered.
+        encoders: Threads that encode pictures while the next ones are rendered. None is one for each CPU thread, 16 at
+            most.
 
     Attributes:
         out: The folder of outputs.
@@ -54,15 +54,16 @@ class Worker:
         device: wp.DeviceLike = None,
         *,
         memory: int | None = None,
-        encoders: int = ENCODERS,
+        encoders: int | None = None,
     ):
         self.out, self.device = pathlib.Path(out), resolve_device(device)
         self.references = References(base)
         half = None if memory is None else memory // 2
         self.fields = LoadedFields(self.references, self.device, half)
         self.frames = FrameMaker(self.references, self.fields, half)
-        self._pool = ThreadPoolExecutor(encoders, "encoder")
-        self._waiting: list[Future[dict[str, int]]] = []
+        threads = min(TASK_THREADS, cpu_threads()) if encoders is None else encoders
+        self._pool = ThreadPoolExecutor(threads, "warpcage-outputs")
+        self._gate = Gate(threads + SPARE)
 
     def __enter__(self) -> Worker:
         return self
@@ -106,7 +107,7 @@ class Worker:
     def submit(self, item: Item, out: str | os.PathLike | None = None) -> Future[dict[str, int]]:
         """Make an item; its outputs are encoded and written in another thread, while the next item is rendered.
 
-        At most MOST_WAITING items wait for that: this waits where there are more.
+        Where there are two more of them than threads, or ROOM bytes of pictures, this waits until one is written.
 
         Args:
             item: The item.
@@ -115,21 +116,24 @@ class Worker:
         Returns:
             Becomes the bytes of its outputs by their paths once they are in their places, or its error.
         """
-        self._waiting = [each for each in self._waiting if not each.done()]
-        while len(self._waiting) >= MOST_WAITING:
-            self._waiting.pop(0).exception()
-        done: Future[dict[str, int]] = Future()
         try:
-            writers = self._made(item)
+            made = self._made(item)
         except Exception as error:
-            done.set_exception(error)
-            return done
+            failed: Future[dict[str, int]] = Future()
+            failed.set_exception(error)
+            return failed
         folder = self.out if out is None else pathlib.Path(out)
-        done = self._pool.submit(write_outputs, writers, folder, self.out / PARTS)
-        self._waiting.append(done)
-        return done
+        self._gate.enter(made.held_bytes)
+        return self._pool.submit(self._write, made, folder)
 
-    def _made(self, item: Item) -> dict[str, Writer]:
+    def _write(self, made: Made, folder: pathlib.Path) -> dict[str, int]:
+        """Write the outputs of an item, in a thread of the pool."""
+        try:
+            return write_outputs(made.writers, folder, self.out / PARTS)
+        finally:
+            self._gate.leave(made.held_bytes)
+
+    def _made(self, item: Item) -> Made:
         """Make an item; where memory is short, once more with nothing else loaded."""
         try:
             return self._made_once(item)
@@ -139,7 +143,7 @@ class Worker:
         self.forget()
         return self._made_once(item)
 
-    def _made_once(self, item: Item) -> dict[str, Writer]:
+    def _made_once(self, item: Item) -> Made:
         if isinstance(item, FrameItem):
             return self.frames.make(item)
         if isinstance(item, EvaluateItem):

@@ -46,7 +46,7 @@ class Beside:
     def __init__(self, threads: int | None = None, room: int = ROOM):
         count = min(TASK_THREADS, cpu_threads()) if threads is None else threads
         self._pool = ThreadPoolExecutor(count, thread_name_prefix="warpcage-beside")
-        self._gate = _Gate(count + SPARE, room)
+        self._gate = Gate(count + SPARE, room)
         self._error: BaseException | None = None
 
     def run(self, task: Callable[[], Any], size: int = 0) -> None:
@@ -120,7 +120,7 @@ def stream(
         BaseException: The first error.
     """
     count = min(PREPARING_THREADS, cpu_threads()) if threads is None else threads
-    gate, line = _Gate(count + SPARE, room), queue.SimpleQueue[tuple[Future[_Prepared], int] | None]()
+    gate, line = Gate(count + SPARE, room), queue.SimpleQueue[tuple[Future[_Prepared], int] | None]()
     abandoned, ended = threading.Event(), threading.Event()
     failed: list[BaseException] = []
 
@@ -171,17 +171,32 @@ class _Abandoned(Exception):
     """What a consumer gets where the items end in an error."""
 
 
-class _Gate:
-    """Lets in what there is room for."""
+class Gate:
+    """Lets in what there is room for.
 
-    def __init__(self, most: int, room: int):
+    Args:
+        most: Most things that are in.
+        room: Most bytes that they hold; one thing is let in whatever it holds.
+
+    Attributes:
+        closed: Whether nothing is let in any more.
+    """
+
+    def __init__(self, most: int, room: int = ROOM):
         self._changed = threading.Condition()
         self._most, self._room = most, room
         self._count = self._bytes = 0
         self.closed = False
 
     def enter(self, size: int) -> bool:
-        """Wait for room, and take it; False where the gate is closed."""
+        """Wait for room, and take it.
+
+        Args:
+            size: Bytes.
+
+        Returns:
+            False where the gate is closed.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self.closed or self._fits(size))
             if self.closed:
@@ -191,7 +206,11 @@ class _Gate:
             return True
 
     def leave(self, size: int) -> None:
-        """Give room back."""
+        """Give room back.
+
+        Args:
+            size: Bytes, as it came in.
+        """
         with self._changed:
             self._count -= 1
             self._bytes -= size
