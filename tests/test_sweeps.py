@@ -80,6 +80,26 @@ def test_poses_come_from_files_arrays_presets_and_rest(files, tmp_path):
     assert [origin.get("number") for origin in origins] == [None, 0, 1, None, 0, 1, 2, None, 0]
 
 
+def test_options_of_pictures_are_those_of_all_items(files, tmp_path):
+    words = ["--poses", "rest", "--cameras", "orbit:2", "--coordinates", "green", "--resolution", "precise"]
+    words += ["--density", "paper", "--falloff", 0.2, "--supersampling", 2, "--background", "0.1,0.2,0.3"]
+    succeed(files, *SWEEP, *words, "--records", "webdataset", "--items-per-shard", 7, "--no-depth", "--no-alpha",
+            "-o", tmp_path / "sweep.jsonl")  # fmt: skip
+    with JobFile(tmp_path / "sweep.jsonl") as job:
+        assert job.records == {
+            "kind": "webdataset", "image": "png", "depth": False, "alpha": False, "items_per_shard": 7
+        }  # fmt: skip
+        for item in job.items():
+            found = item.coordinates, item.resolution, item.density, item.edits[0].falloff, item.supersampling
+            assert found == ("green", "precise", "paper", 0.2, 2) and item.background == (0.1, 0.2, 0.3)
+            assert sorted(item.outputs) == ["pose", "record", "rgb"]
+    succeed(files, *SWEEP, "--poses", "rest", "--image", "jpg", "-o", tmp_path / "jpg.jsonl")
+    succeed(files, *SWEEP, "--poses", "rest", "--background", "own", "-o", tmp_path / "own.jsonl")
+    jpg, own = (items_of(tmp_path / f"{name}.jsonl") for name in ("jpg", "own"))
+    assert len(jpg) == 8 and jpg[0].background == "white" and own[0].background is None
+    assert items_of(tmp_path / "jpg.jsonl")[0].outputs["rgb"] == "pose_000000/camera_000.jpg"
+
+
 @pytest.mark.parametrize("cameras", ["orbit:3:35", "random:3"])
 def test_cameras_that_are_made_see_all_poses_whole(files, tmp_path, cameras):
     words = ["--poses", "stretch:2.5:x", "translate:0:0:2", "--cameras", cameras, "--size", 60, 40, "--fov", 50]

@@ -44,6 +44,8 @@ def run(args: argparse.Namespace) -> None:
         "background": background,
         "resolution": None if args.resolution == options.BY_SIZE else args.resolution or "precise",
         "up": args.cage_up,
+        "falloff": args.falloff,
+        "supersampling": args.supersampling,
         "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,
     }
     records = {"kind": args.records, "image": args.image, "depth": args.depth, "alpha": args.alpha}

@@ -61,6 +61,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"{options.TRANSPARENT}; of JPEG files white",
         f"; {options.TRANSPARENT}: opacity in the picture; {OWN}: what the field has behind it",
     )
+    group.add_argument(
+        "--supersampling",
+        type=options.positive_int,
+        metavar="N",
+        help="rays along each side of a pixel (default: that of the field)",
+    )
     _add_records(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)
@@ -115,6 +121,13 @@ def _add_poses(parser: argparse.ArgumentParser) -> None:
         default=list(MODES),
         metavar="MODE",
         help=f"what random poses are made of: {', '.join(MODES)} (default: all)",
+    )
+    group.add_argument(
+        "--falloff",
+        type=options.positive_float,
+        metavar="WIDTH",
+        help="for a cage around a part: hold the walls that cut through matter, and let poses fade to rest in a band "
+        "of this width inside them, world units (default: no wall is held)",
     )
     options.add_cage_up(group, found=True, posed=True)
 
