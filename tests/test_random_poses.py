@@ -128,6 +128,15 @@ def test_poses_are_of_all_strengths_and_none_is_at_rest(made):
     assert len({pose.vertices.tobytes() for pose in posed}) == len(posed)
 
 
+def test_a_thin_leaf_has_poses_that_do_not_fold():
+    rest = Cage.box([-1, -1, -0.005], [1, 1, 0.005], segments=(4, 4, 1))
+    source = RandomPoses(rest, seed=2)
+    assert len(source.probe.places) > 100
+    for number in range(2):
+        report = check_pose(rest, source.pose(number))
+        assert report.inverted_share == 0.0 and not report.intersecting_faces and report.largest_stretch < 2.5
+
+
 def test_weaker_bounds_and_shorter_reaches_give_weaker_poses():
     rest = CAGES["cylinder"]()
 

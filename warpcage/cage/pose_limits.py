@@ -19,8 +19,12 @@ SAMPLES = 300
 #: Length of finite differences, as a share of the size. In float64 they are right to six digits.
 DIFFERENCE = 1e-6
 
-#: Samples are this far from the surface, as a share of their distance from each other.
-CLEARANCE = 0.15
+#: Samples are this far from the surface, as a share of their distance from each other; nearer where a cage is so thin
+#: that few are left.
+CLEARANCES = (0.15, 0.01, 0.001)
+
+#: As many are enough, as a share of those that were asked for.
+ENOUGH = 0.3
 
 
 @dataclass(frozen=True)
@@ -59,10 +63,7 @@ class PoseProbe:
     def __init__(self, rest: ClosedMesh, samples: int = SAMPLES):
         self.rest = rest
         self._step = DIFFERENCE * rest.size
-        places, spacing = grid_points(rest, samples)
-        clear = CLEARANCE * spacing * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-        inside = _inside((places[:, None] + clear).reshape(-1, 3), rest).reshape(-1, 7).all(axis=1)
-        self.places = places[inside]
+        self.places = _places(rest, samples)
         self._weights, gradients = mean_value_gradients(self.places, rest, self._step)
         self._gradients = gradients.reshape(-1, len(rest.vertices))
         self._crossing = {tuple(pair) for pair in intersecting_faces(rest.vertices, rest.faces).tolist()}
@@ -132,6 +133,19 @@ class PoseProbe:
             return True
         found = intersecting_faces(posed.vertices, posed.faces).tolist()
         return any(tuple(pair) not in self._crossing for pair in found)
+
+
+def _places(rest: ClosedMesh, samples: int) -> np.ndarray:
+    """About so many places (n, 3) inside a cage, clear of its surface; none where it is too thin for any."""
+    points, spacing = grid_points(rest, samples)
+    places = points[:0]
+    for clearance in CLEARANCES:
+        around = clearance * spacing * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+        inside = _inside((points[:, None] + around).reshape(-1, 3), rest).reshape(-1, 7).all(axis=1)
+        places = points[inside]
+        if len(places) >= ENOUGH * samples:
+            break
+    return places
 
 
 def _inside(points: np.ndarray, mesh: ClosedMesh) -> np.ndarray:
