@@ -55,7 +55,7 @@ def test_too_few_pictures(tmp_path, glances, count):
 
 def test_a_video_that_does_not_move(tmp_path):
     video = write_video(tmp_path / "still.mp4", moving_pictures([0] * 8))
-    assert "shows 1 different views: cameras are found where the view moves" in refused(video, tmp_path)
+    assert "shows 1 different view: cameras are found where the view moves" in refused(video, tmp_path)
 
 
 def test_pictures_without_texture(tmp_path):

@@ -5,6 +5,8 @@ import pytest
 from splat_scenes import splats_in_box
 
 import warpcage
+from warpcage.batch.job_file import JobFile
+from warpcage.batch.worker import Worker
 from warpcage.cli import main
 
 
@@ -40,6 +42,8 @@ def test_a_cage_is_made_and_checked(folder, capsys):
     assert "visible matter enclosed" in said(capsys)
     assert main(["cage", "scene.ply", "-o", "part.obj", "--box", "--in-box", "0", "-1", "-1", "1", "1", "1"]) == 0
     assert warpcage.Cage.load("part.obj").bounds[0][0] > -0.2
+    text = said(capsys)
+    assert "visible cells outside the box" in text and "voxel" not in text
 
 
 @pytest.mark.parametrize("ending", ["ply", "compressed.ply", "splat", "spz"])
@@ -66,6 +70,55 @@ def test_a_sequence_of_files(folder, capsys):
     expected = warpcage.Deformer(field, cage, coordinates="mean_value").pose(cage.twist(40)).baked()
     last = warpcage.SplatField.load("walk_03.ply", device="cpu")
     np.testing.assert_allclose(last.contents.centres, expected.contents.centres, atol=1e-6)
+
+
+def test_a_shorter_sequence_says_what_is_left_of_a_longer_one(folder, capsys):
+    order = ["bake", "scene.ply", "--cage", "cage.obj", "--posed", "twist:40", "--coordinates", "mean_value"]
+    assert main([*order, "-o", "walk_##.ply", "--frames", "4"]) == 0
+    assert "warning" not in said(capsys)
+    for name in ("walk_1.ply", "walk_02.ply.bak", "walk_2b.ply", "old_walk_03.ply"):  # of no such sequence
+        (folder / name).write_bytes(b"")
+    before = (folder / "walk_04.ply").read_bytes()
+    assert main([*order, "-o", "walk_##.ply", "--frames", "2"]) == 0
+    text = said(capsys)
+    assert "beside the 2 files of this sequence lie 2 of another one" in text
+    assert "walk_03.ply, walk_04.ply" in text and "walk_1" not in text and "walk_2b" not in text
+    assert (folder / "walk_04.ply").read_bytes() == before
+
+
+def test_small_splats_can_be_drawn_as_they_were_fitted(folder, capsys):
+    """In pictures, flights, films and of each pose: as the library draws them."""
+    from warpcage.view.pictures import read_image
+
+    size = ["--size", "64", "48"]
+    moved = ["--cage", "cage.obj", "--posed", "twist:30", "--coordinates", "mean_value"]
+    camera = warpcage.turntable((0, 0, 0), 8.0, 20, 1, width=64, height=48)[0]
+    warpcage.CameraFile([camera]).save("eye.json")
+    field = warpcage.SplatField.load("scene.ply", device="cpu")
+    cage = warpcage.Cage.load("cage.obj")
+    deformer = warpcage.Deformer(field, cage, coordinates="mean_value")
+    for name, order in {"plain": [], "weak": ["--antialias"]}.items():
+        assert main(["render", "scene.ply", "-o", f"{name}.png", "--camera", "eye.json", *order]) == 0
+        assert main(["render", "scene.ply", "-o", f"{name}_bent.png", "--camera", "eye.json", *moved, *order]) == 0
+        expected = field.render(camera, antialias=bool(order)).rgb
+        np.testing.assert_allclose(read_image(f"{name}.png")[..., :3], np.clip(expected, 0, 1), atol=3e-3)
+        posed = deformer.pose(cage.twist(30))
+        expected = posed.render(camera, antialias=bool(order)).rgb
+        np.testing.assert_allclose(read_image(f"{name}_bent.png")[..., :3], np.clip(expected, 0, 1), atol=3e-3)
+        own = deformer.posed(cage.twist(30)).render(camera, antialias=bool(order)).rgb
+        np.testing.assert_array_equal(own, expected)
+    assert np.abs(read_image("weak_bent.png") - read_image("plain_bent.png")).max() > 0.05
+    film = ["animate", "scene.ply", "-o", "film", *size, *moved, "--frames", "2", "--quiet"]
+    assert main([*film, "--antialias"]) == 0
+    assert main(film) == 2 and "antialias" in said(capsys)  # the frames there are of another film
+    assert main(["animate", "scene.ply", "-o", "still", *size, "--frames", "1", "--quiet", "--antialias"]) == 0
+    assert main([*film[:2], "--jobs", "film.jsonl", *film[4:], "--antialias"]) == 0
+    with JobFile("film.jsonl") as job, Worker(job.folder, "made", "cpu") as worker:
+        for item in job:
+            worker.run(item)
+            name = f"{item.id}.png"
+            assert (folder / "made" / name).read_bytes() == (folder / "film" / name).read_bytes()
+        assert len(job) == 2
 
 
 def test_pictures_and_films(folder, capsys):
@@ -95,6 +148,14 @@ def test_pictures_and_films(folder, capsys):
             "the pose at rest alone",
         ),
         (["info", "scene.ply", "--scene-scale", "2"], "--scene-scale is for fields"),
+        (["render", "scene.ply", "-o", "a.png", "--scene-scale", "2"], "--scene-scale is for fields"),
+        (["render", "scene.npz", "-o", "a.png", "--antialias"], "--antialias is for files of splats"),
+        (["cage", "scene.ply", "-o", "a.ply", "--vertices", "2"], "--vertices must be a whole number, 8 to 2000"),
+        (["cage", "scene.ply", "-o", "a.ply", "--in-box", "7", "7", "7", "8", "8", "8"], "visible cells are outside"),
+        (
+            [*"bake scene.ply -o a.ply --cage around.obj --posed twist:9 --falloff 0.1".split()],
+            "or say which walls are held: still (",
+        ),
         (["info", "cut.splat"], "32 bytes a splat"),
         (
             ["bake", "scene.ply", "-o", "a_##.ply", "--cage", "cage.obj", "--posed", "twist:9"],
@@ -109,6 +170,8 @@ def test_pictures_and_films(folder, capsys):
 )
 def test_what_does_not_fit_is_said_in_one_line(order, words, folder, capsys):
     (folder / "cut.splat").write_bytes(bytes(33))
+    (folder / "scene.npz").write_bytes(b"")
+    warpcage.Cage.box((-9, -9, -9), (9, 9, 9)).save("around.obj")
     (folder / "header.ply").write_bytes((folder / "scene.ply").read_bytes()[:60])
     warpcage.SplatField.load("scene.ply", device="cpu").save("scene.compressed.ply")
     assert main(order) == 2

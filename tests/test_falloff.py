@@ -173,5 +173,6 @@ def test_bad_bands_are_refused(options, message):
 
 def test_a_cage_that_cuts_nothing_needs_no_band(field):
     around = Cage.box([-0.97, -0.6, -0.6], [0.97, 0.6, 0.6])
-    with pytest.raises(ValueError, match="no wall of the cage cuts matter"):
+    with pytest.raises(ValueError, match="no wall of the cage cuts matter") as caught:
         Deformer(field, CageEdit(around, falloff=0.1))
+    assert '"' not in str(caught.value) and "are held: still" in str(caught.value)  # as a command says it, too

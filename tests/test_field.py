@@ -260,3 +260,5 @@ def test_a_field_keeps_its_supersampling(device, tmp_path):
     for wrong in (0, 9, 1.5, True):
         with pytest.raises(ValueError, match="supersampling"):
             field.render(camera, supersampling=wrong)
+    with pytest.raises(ValueError, match="antialias is for splats"):
+        warpcage.Deformer(field, cage, resolution=16).render(camera, antialias=True)

@@ -34,7 +34,7 @@ def test_box_seed_parts_and_floaters():
     assert near.any() and (near & truth["block"]).sum() == near.sum() < truth["block"].sum()
     clean = select_nodes(field, floaters=0.01)
     assert np.array_equal(clean.mask, truth["ball"] | truth["block"] | truth["floor"])
-    assert clean.notes == ("left out 3 visible voxels in 3 floaters of up to 1 voxels",)
+    assert clean.notes == ("left out 3 visible voxels in 3 floaters of up to 1 voxel",)
     everything = select_nodes(field)
     assert everything.notes == () and len(everything.points) == np.count_nonzero(field.densities)
 

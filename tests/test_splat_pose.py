@@ -269,12 +269,13 @@ def test_a_rigid_pose_is_what_the_counter_moved_camera_sees(kind, device):
     camera = warpcage.Camera.look_at((0.5, 1.0, 4.0), (0, 0, 0), width=96, height=96)
     deformer = Deformer(field, ROOM, coordinates=kind, resolution=16)
     posed = deformer.pose(ROOM.with_vertices(ROOM.vertices @ TURN.T + motion[:3, 3]))
-    seen = posed.render(camera).rgb
+    seen, weak = (posed.render(camera, antialias=antialias).rgb for antialias in (False, True))
     lens = camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
     counter = warpcage.Camera(*lens, np.linalg.inv(motion) @ camera.camera_to_world)
     expected = field.render(counter).rgb
     assert np.abs(expected - field.background).max() > 0.3
     assert warpcage.psnr(seen, expected) > 45.0
+    assert warpcage.psnr(weak, field.render(counter, antialias=True).rgb) > 45.0 > warpcage.psnr(weak, expected)
     splats = posed.posed_splats()
     splats.turns = wp.empty(0, dtype=wp.quat, device=device)
     unturned = field.renderer.render(splats, camera, origin=field.center, near=field.near)

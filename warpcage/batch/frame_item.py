@@ -141,6 +141,7 @@ class FrameItem(Item):
         fill: Whether what was uncovered is filled.
         overlay: Whether the cages are drawn into the picture.
         supersampling: Rays along each side of a pixel. None is the field's.
+        antialias: Of splats only: whether those that are smaller than a pixel are weakened; see `SplatField.render`.
         disparity_scale: Low and high disparity of pictures of depth and disparity. None is the range of the frame.
         scene_scale: As `VoxelField.load` has it.
     """
@@ -157,6 +158,7 @@ class FrameItem(Item):
     fill: bool = False
     overlay: bool = False
     supersampling: int | None = None
+    antialias: bool = False
     disparity_scale: tuple[float, float] | None = None
     scene_scale: float = 1.0
 
@@ -177,6 +179,7 @@ class FrameItem(Item):
         "fill": words.truth,
         "overlay": words.truth,
         "supersampling": words.whole(1, 8),
+        "antialias": words.truth,
         "disparity_scale": _scale,
         "scene_scale": words.positive,
         "outputs": _frame_outputs,

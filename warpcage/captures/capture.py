@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.checks import checked_whole, listed
 from ..core.files import atomic_path
+from ..core.words import counted
 from ..view.pictures import write_png
 from .found import Found, found_of
 from .placing import placed
@@ -154,10 +155,11 @@ def _require_several(count: int, source: pathlib.Path, video: bool) -> None:
         return
     if video:
         raise ValueError(
-            f"video {str(source)!r} shows {count} different views: cameras are found where the view moves; {HOW_TO}"
+            f"video {str(source)!r} shows {counted(count, 'different view')}: cameras are found where the view moves; "
+            f"{HOW_TO}"
         )
     raise ValueError(
-        f"{str(source)!r} holds {count} picture{'s' * (count != 1)}: cameras are found of at least {LEAST_PICTURES}, "
+        f"{str(source)!r} holds {counted(count, 'picture')}: cameras are found of at least {LEAST_PICTURES}, "
         f"and 30 or more are better; {HOW_TO}"
     )
 

@@ -244,6 +244,8 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
         "coordinates",
         "resolution",
         "density",
+        "map",
+        "antialias",
         "fill",
         "cage_up",
         "scene_scale",

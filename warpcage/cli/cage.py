@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..cage.cage import Cage
+from ..cage.generate.points import checked_count
 from ..cage.snap import cut_matter, snap_to_gaps
 from ..core.files import require_file
 from ..field.selection import NodeSelection, select_nodes
@@ -84,6 +85,8 @@ def _check_combination(args: argparse.Namespace) -> None:
         raise ValueError(
             "--vertices is for a cage wrapped around the object: a box takes --segments, a cylinder --sides and --rings"
         )
+    if args.vertices is not None:
+        checked_count(args.vertices, "--vertices")
     for name in ("method", "symmetry"):
         if getattr(args, name) is not None and (args.box or args.cylinder):
             raise ValueError(f"--{name} is for a cage wrapped around the object")

@@ -119,6 +119,7 @@ def film_words(args: argparse.Namespace, *, scale: tuple[float, float] | None, d
         raise ValueError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
     words: dict[str, Any] = {
         "background": TRANSPARENT if inputs.is_transparent(args) else args.background,
+        "antialias": args.antialias,
         "disparity_scale": scale,
         "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,
         "outputs": {args.show: f"{ID}.{args.format or 'png'}"},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from typing import TypeAlias
 
 import numpy as np
 import warp as wp
@@ -20,14 +19,12 @@ from ..field.voxel_field import VoxelField
 from ..scene.load import load_scene
 from ..scene.scene import Scene
 from ..splats.files.files import is_splat_file
+from ..splats.load import AnyField, load_field
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import Frame
 from . import options, verbosity
 from .deformation import Deformation, is_deformed
-
-#: What commands show: voxels or splats.
-AnyField: TypeAlias = VoxelField | SplatField
 
 
 def quiet_warp() -> None:
@@ -51,9 +48,9 @@ def read_field(args: argparse.Namespace) -> AnyField:
     require_file(args.field, "field file")  # before Warp starts, which takes a while
     if is_splat_file(args.field):
         require_field_scale(args)
-        field: AnyField = SplatField.load(args.field, device=chosen_device(args))
-    else:
-        field = VoxelField.load(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
+    elif getattr(args, "antialias", None):
+        raise ValueError(f"--antialias is for files of splats, got {args.field!r}")
+    field = load_field(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
     if getattr(args, "up", field) is None:  # a command with a view
         args.up = tuple(field.up)
     args.straightening = field.straightening
@@ -167,7 +164,8 @@ def is_transparent(args: argparse.Namespace) -> bool:
 
 def render_view(renderer: AnyField | Deformer, camera: Camera, args: argparse.Namespace) -> Frame:
     """The view of a camera before the chosen background; what no picture showed is filled where --fill asks for it."""
-    frame = renderer.render(camera, **background_option(args))
+    splats = {"antialias": True} if args.antialias else {}
+    frame = renderer.render(camera, **background_option(args), **splats)
     if not args.fill or frame.reveal is None:
         return frame
     field = renderer.field if isinstance(renderer, Deformer) else renderer

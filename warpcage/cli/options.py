@@ -256,6 +256,17 @@ def add_fill(parser: Arguments) -> None:
     )
 
 
+def add_antialias(parser: Arguments) -> None:
+    """How small splats are drawn."""
+    parser.add_argument(
+        "--antialias",
+        action="store_true",
+        default=None,
+        help="splats only: weaken those that are smaller than a pixel, for files that were fitted in that way "
+        "(Mip-Splatting); others get thinner where they are far away",
+    )
+
+
 def add_edits(parser: Arguments) -> None:
     """Several edits of one scene."""
     parser.add_argument(

@@ -67,7 +67,7 @@ class Shot:
         """The frame, and the cages that it shows."""
         camera = self.cameras[index]
         if self.deformer is None or self.deformation is None:
-            return self.field.render(camera, **inputs.background_option(self.args)), []
+            return inputs.render_view(self.field, camera, self.args), []
         place = self.places[index]
         cages = self.cages(index)
         try:

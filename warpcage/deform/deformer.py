@@ -240,6 +240,7 @@ class Deformer:
         background: str | ArrayLike | None = None,
         step: float | None = None,
         supersampling: int | None = None,
+        antialias: bool = False,
     ) -> Frame:
         """The view of a camera of the deformed scene, with the masks reveal, fold and outside.
 
@@ -249,6 +250,7 @@ class Deformer:
                 stays where it is however the cages move, and shows where they clear.
             step: March step, world units, at least 1e-5 of the field's diagonal. None is the field's.
             supersampling: Rays along each side of a pixel. None is the field's.
+            antialias: Of splats only: weaken those that the blur of the picture makes larger; see `SplatField.render`.
 
         Returns:
             The frame, its arrays on the device.
@@ -256,10 +258,10 @@ class Deformer:
         Raises:
             ValueError: For a background that is not known, a step that is not positive and finite or is too short,
                 a camera so far away that float32 cannot tell steps there, a posed cage so large that a march through it
-                would not end, or supersampling out of range.
+                would not end, supersampling out of range, or antialias with voxels.
         """
         with self.lock:
-            return self._render(self.posed_edits, camera, background, step, supersampling)
+            return self._render(self.posed_edits, camera, background, step, supersampling, antialias)
 
     def _to_canonical(
         self, edits: PosedEdits, points: Any, directions: Any, step: float | None, return_outside: bool
@@ -303,8 +305,11 @@ class Deformer:
         background: str | ArrayLike | None,
         step: float | None,
         supersampling: int | None,
+        antialias: bool,
     ) -> Frame:
         """`render` of a pose, which is worked out once the rest is checked."""
+        if antialias:
+            raise ValueError("antialias is for splats: voxels take more rays a pixel (supersampling)")
         options = MarchOptions()
         options.step, work = self.field.march_step(step, camera)
         options.stop = STOP_TRANSMITTANCE
@@ -375,6 +380,7 @@ class PosedDeformer:
         background: str | ArrayLike | None = None,
         step: float | None = None,
         supersampling: int | None = None,
+        antialias: bool = False,
     ) -> Frame:
         """The view of a camera of the scene in this pose; see `Deformer.render`.
 
@@ -383,6 +389,7 @@ class PosedDeformer:
             background: Colour behind the scene, a name or (3,) in [0, 1]. None is the field's own.
             step: March step, world units. None is the field's.
             supersampling: Rays along each side of a pixel. None is the field's.
+            antialias: Of splats only: weaken those that the blur of the picture makes larger; see `SplatField.render`.
 
         Returns:
             The frame, its arrays on the device.
@@ -390,9 +397,9 @@ class PosedDeformer:
         Raises:
             ValueError: As `Deformer.render`.
         """
-        shared = self.deformer
+        shared, options = self.deformer, (background, step, supersampling, antialias)
         with shared.lock:
-            return shared._render(lambda: shared._hold(self.deformed), camera, background, step, supersampling)
+            return shared._render(lambda: shared._hold(self.deformed), camera, *options)
 
 
 def found_crumbs(edit: CageEdit, field: VoxelField, index: int) -> CarriedCrumbs | None:

@@ -52,7 +52,7 @@ class FalloffBand:
             if not len(self.faces):
                 raise ValueError(
                     "no wall of the cage cuts matter, so that nothing tears there and no falloff is needed: leave it "
-                    'out, or say which walls are held (held="still", or face numbers)'
+                    "out, or say which walls are held: still (those that each pose leaves in place), or face numbers"
                 )
         elif edit.held != "still":
             self.faces = np.asarray(edit.held, dtype=np.int64)

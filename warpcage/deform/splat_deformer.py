@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pathlib
 import re
+import warnings
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -13,10 +14,11 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.checks import require_type
+from ..core.checks import listed, require_type
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
 from ..core.names import DENSITIES, SPLAT_MAPS, require_coordinates, require_name
+from ..core.words import counted
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..splats.density import SplatDensity
 from ..splats.files.contents import SplatContents, logits_of
@@ -159,7 +161,8 @@ class SplatDeformer(Deformer):
     ) -> list[pathlib.Path]:
         """Write a file for each of several poses, for viewers and programs that play such sequences.
 
-        Each file is written whole or not at all; those before a failure stay.
+        Each file is written whole or not at all; those before a failure stay. Files of the same name with other
+        numbers, as a longer sequence before has left them, stay too, with a warning that names them.
 
         Args:
             path: The files, with a run of # where the number goes (`walk_####.ply`), in any format that is saved.
@@ -183,6 +186,7 @@ class SplatDeformer(Deformer):
                 baked = self.pose(cages).baked()
             written.append(pattern.with_name(pattern.name.replace(marks[0], str(number).zfill(len(marks[0])))))
             baked.save(written[-1])
+        _warn_of_others(pattern, marks[0], written)
         return written
 
     def _to_canonical(self, edits: Any, points: Any, directions: Any, step: float | None, return_outside: bool) -> Any:
@@ -198,6 +202,7 @@ class SplatDeformer(Deformer):
         background: str | ArrayLike | None,
         step: float | None,
         supersampling: int | None,
+        antialias: bool,
     ) -> Frame:
         """`render` of a pose."""
         if step is not None:
@@ -211,6 +216,22 @@ class SplatDeformer(Deformer):
             origin=field.center,
             near=field.near,
             supersampling=1 if supersampling is None else supersampling,
+            antialias=antialias,
+        )
+
+
+def _warn_of_others(pattern: pathlib.Path, marks: str, written: list[pathlib.Path]) -> None:
+    """Say which files of another sequence a player would take for this one's."""
+    before, after = (re.escape(part) for part in pattern.name.split(marks))
+    numbered = re.compile(f"{before}[0-9]{{{len(marks)},}}{after}")
+    ours = {path.name for path in written}
+    names = (path.name for path in pattern.parent.iterdir()) if written else ()
+    others = sorted(name for name in names if numbered.fullmatch(name) and name not in ours)
+    if others:
+        warnings.warn(
+            f"beside the {counted(len(written), 'file')} of this sequence lie {len(others)} of another one, which "
+            f"players take for its own: {listed(others, 3)}",
+            stacklevel=3,
         )
 
 

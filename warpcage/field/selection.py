@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, checked_positive, checked_vector, checked_whole, require_type, shown
 from ..core.files import PathLike
+from ..core.words import counted
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.containment import inside_mesh
 from ..view.camera import Camera
@@ -302,7 +303,7 @@ def select_nodes(
         ValueError: For values that make no sense, masks that do not fit their cameras, or where nothing is left.
     """
     mask = visible_mask(field, threshold)
-    notes: list[str] = []
+    notes = _Notes(getattr(root_field(field), "node_name", "voxel"))
     _require_some(mask, "the field shows nothing")
     if box is not None:
         mask = _kept(mask, _in_box(field, mask, box), notes, "outside the box")
@@ -334,18 +335,26 @@ def select_nodes(
         labels, sizes, order = _parts(mask)
         large = order[sizes[order] >= floaters * sizes[order[0]]]
         most = sizes[order[len(large) :]].max(initial=0)
-        where = f"in {len(order) - len(large)} floaters of up to {most} voxels"
+        where = f"in {len(order) - len(large)} floaters of up to {counted(most, notes.node)}"
         mask = _kept(mask, np.isin(labels, large), notes, where)
     return NodeSelection(field, mask, tuple(notes), getattr(field, "floor", None))
 
 
-def _kept(mask: np.ndarray, keep: np.ndarray, notes: list[str], where: str) -> np.ndarray:
+class _Notes(list[str]):
+    """What was left out; node: what one of the field is called, a voxel, or a cell that splats are looked at in."""
+
+    def __init__(self, node: str):
+        super().__init__()
+        self.node = node
+
+
+def _kept(mask: np.ndarray, keep: np.ndarray, notes: _Notes, where: str) -> np.ndarray:
     """The nodes that are left, and a note of how many are not; refused where none is left."""
     left = mask & keep
-    _require_some(left, f"all {np.count_nonzero(mask)} visible voxels are {where}")
+    _require_some(left, f"all {np.count_nonzero(mask)} visible {notes.node}s are {where}")
     dropped = np.count_nonzero(mask) - np.count_nonzero(left)
     if dropped:
-        notes.append(f"left out {dropped} visible voxels {where}")
+        notes.append(f"left out {counted(dropped, f'visible {notes.node}')} {where}")
     return left
 
 

@@ -62,6 +62,9 @@ class SplatField:
 
     straightening = background_model = None
 
+    #: What messages call a node of `node_densities`.
+    node_name = "cell"
+
     def __init__(
         self,
         centres: ArrayLike,

@@ -32,10 +32,10 @@ def surface_points(vertices, faces, spacing) -> np.ndarray:
     return np.concatenate(found) if found else np.zeros((0, 3))
 
 
-def checked_count(vertex_count) -> int:
+def checked_count(vertex_count, name: str = "vertex_count") -> int:
     whole = isinstance(vertex_count, int | np.integer) and not isinstance(vertex_count, bool)
     if not whole or not _LEAST_COUNT <= vertex_count <= _MOST_COUNT:
-        raise ValueError(f"vertex_count must be a whole number, {_LEAST_COUNT} to {_MOST_COUNT}, got {vertex_count!r}")
+        raise ValueError(f"{name} must be a whole number, {_LEAST_COUNT} to {_MOST_COUNT}, got {vertex_count!r}")
     return int(vertex_count)
 
 

@@ -130,6 +130,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the pictures")
     options.add_clear_background(parser)
     options.add_fill(parser)
+    options.add_antialias(parser)
     options.add_deformation(parser, keyframes=True)
     options.add_view(parser)
     options.add_scene_scale(parser)

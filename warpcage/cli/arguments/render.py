@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overlay", action="store_true", help="draw the cage into the picture")
     options.add_clear_background(parser)
     options.add_fill(parser)
+    options.add_antialias(parser)
     options.add_deformation(parser, several=True)
     options.add_view(parser)
     options.add_scene_scale(parser)
