@@ -8,12 +8,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import as_host_points, empty_array
 from ..core.checks import checked_positive, checked_vector
 from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.background import BackgroundLayers, add_background, sample_background
 from ..view.camera import Camera, camera_struct, tile_threads
+from .around import seen_by_rays
 from .files.contents import LayerContents, surface_node_count
 
 
@@ -147,14 +147,7 @@ class LayeredBackground:
         Raises:
             ValueError: For shapes that differ or are not (n, 3).
         """
-        starts, along = as_host_points(origins) - self.center, as_host_points(directions)
-        if starts.shape != along.shape:
-            raise ValueError(f"there must be as many directions as origins, got {len(along)} for {len(starts)}")
-        along = along / np.linalg.norm(along, axis=1, keepdims=True)
-        rays = [wp.array(each.astype(np.float32), dtype=wp.vec3, device=self.device) for each in (starts, along)]
-        rgb = empty_array(len(starts), wp.vec3, self.device)
-        launch(sample_background, len(starts), [self.layers, *rays], [rgb], device=self.device)
-        return rgb.numpy()
+        return seen_by_rays(sample_background, self.layers, self.center, origins, directions, self.device)
 
     def add_around(
         self, camera: Camera, rgb: wp.array, alpha: wp.array, depth: wp.array, masks: Sequence[wp.array] = ()

@@ -10,13 +10,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import as_host_points, empty_array
+from ..core.arrays import empty_array
 from ..core.checks import checked_vector
 from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.background import BackgroundLayers
 from ..kernels.field.outer import OuterGrid, compose_outer, dim_pixels, sample_outer
 from ..view.camera import Camera, camera_struct, tile_threads
+from .around import seen_by_rays
 from .files.contents import OuterContents, surface_node_count
 from .sparse import measure_skip, values_on_device
 
@@ -158,14 +159,7 @@ class OuterField:
         Raises:
             ValueError: For shapes that differ or are not (n, 3).
         """
-        starts, along = as_host_points(origins) - self.center, as_host_points(directions)
-        if starts.shape != along.shape:
-            raise ValueError(f"there must be as many directions as origins, got {len(along)} for {len(starts)}")
-        along = along / np.linalg.norm(along, axis=1, keepdims=True)
-        rays = [wp.array(each.astype(np.float32), dtype=wp.vec3, device=self.device) for each in (starts, along)]
-        rgb = empty_array(len(starts), wp.vec3, self.device)
-        launch(sample_outer, len(starts), [self.grid, *rays], [rgb], device=self.device)
-        return rgb.numpy()
+        return seen_by_rays(sample_outer, self.grid, self.center, origins, directions, self.device)
 
     def add_around(
         self, camera: Camera, rgb: wp.array, alpha: wp.array, depth: wp.array, masks: Sequence[wp.array] = ()
