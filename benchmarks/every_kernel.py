@@ -217,6 +217,7 @@ def references(device) -> None:
     carried = CarriedMesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), 0.5), device=device)
     carried.render([camera()])
     carried.shade([0, 1], [(0.3, 0.3), (0.2, 0.5)], np.full((2, 3, 3), 3**-0.5))
+    carried.signed_distances(POINTS)
     for kind in ("mean_value", "green", "harmonic"):
         inverse = InverseMap(CAGE, POSE, kind, cuts=1, device=device)
         inverse(0.5 * POINTS)

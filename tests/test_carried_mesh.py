@@ -111,3 +111,20 @@ def test_points_are_shaded_as_they_are_seen(device):
     wrong = np.abs(colours[:, 0] - rgba[:, :3])[seen].max(axis=1) > 5e-3
     assert seen.sum() > 40 and wrong.mean() < 0.05  # beside the rim of a shadow, or where faces touch
     assert np.abs(colours[:, 1] - colours[:, 0]).max() > 0.1  # from the other side it is another colour
+
+
+def test_distances_are_those_of_a_union_of_boxes(device):
+    """Two boxes through each other: walls of one in the other are inside."""
+    import trimesh
+
+    boxes = [trimesh.creation.box((2, 1, 1)), trimesh.creation.box((1, 2, 1))]
+    both = trimesh.util.concatenate(boxes)
+    mesh = CarriedMesh(both.vertices + 5.0, both.faces, np.full(both.faces.shape, 0.5), device=device)
+    points = np.random.default_rng(2).uniform(-1.5, 1.5, (400, 3))
+    found = mesh.signed_distances(points + 5.0)
+    sides = np.abs(points)[:, None] - np.array([[1.0, 0.5, 0.5], [0.5, 1.0, 0.5]])
+    beyond = np.linalg.norm(np.maximum(sides, 0), axis=2)
+    nearest = np.abs(beyond + np.minimum(sides.max(axis=2), 0)).min(axis=1)  # of both boxes' walls
+    outside = (beyond > 0).all(axis=1)
+    assert np.abs(found - np.where(outside, nearest, -nearest)).max() < 1e-5
+    assert 50 < outside.sum() < 390

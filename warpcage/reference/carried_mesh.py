@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import empty_array
 from ..core.devices import launch, resolve_device
 from ..kernels.reference.carried_raycast import SolidTexture, cast_carried_rays, shade_surface_points
+from ..kernels.reference.mesh_distance import measure_mesh_distance
 from ..view.camera import Camera, camera_struct
 from .raycast import HIGHLIGHT, SHININESS, checked_mesh, common_size, device_mesh, mesh_lighting, require_samples
 
@@ -134,3 +135,19 @@ class CarriedMesh:
         work = 100 * towards.shape[1]
         launch(shade_surface_points, len(numbers), inputs, [colours], device=self.device, work=work)
         return colours.numpy()
+
+    def signed_distances(self, points: ArrayLike) -> np.ndarray:
+        """How far points are from the mesh at rest.
+
+        Args:
+            points: (n, 3) float, world units.
+
+        Returns:
+            (n,) float32, world units: negative inside; the walls of one solid in another count as walls.
+        """
+        points, middle = np.asarray(points, np.float64), self.vertices.mean(axis=0)
+        mesh = device_mesh(self.vertices, self.faces, middle, self.device, winding=True)
+        local = wp.array((points - middle).astype(np.float32), dtype=wp.vec3, device=self.device)
+        distances = empty_array(len(points), wp.float32, self.device)
+        launch(measure_mesh_distance, len(points), [mesh.id, 1e6, local], [distances], device=self.device, work=1000)
+        return distances.numpy()

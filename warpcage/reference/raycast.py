@@ -87,7 +87,9 @@ def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = 
     return lighting
 
 
-def device_mesh(vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, device: wp.DeviceLike) -> wp.Mesh:
+def device_mesh(
+    vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, device: wp.DeviceLike, *, winding: bool = False
+) -> wp.Mesh:
     """A mesh for ray queries, relative to `origin`, which is subtracted in float64 so that far scenes survive float32.
 
     Args:
@@ -95,12 +97,14 @@ def device_mesh(vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, dev
         faces: (f, 3) int32.
         origin: (3,) float64, world units.
         device: Warp device.
+        winding: Whether queries ask for winding numbers.
 
     Returns:
         The mesh on the device.
     """
     points = wp.array((vertices - origin).astype(np.float32), dtype=wp.vec3, device=device)
-    return wp.Mesh(points=points, indices=wp.array(faces.ravel(), dtype=wp.int32, device=device))
+    indices = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    return wp.Mesh(points=points, indices=indices, support_winding_number=winding)
 
 
 def checked_mesh(
