@@ -7,8 +7,8 @@ Each benchmark is a separate process. Its JSON file and its output go to --out (
 status is 1 if one of them fails. The full ones (`full_runs.py`) go over the GPUs of a machine, one process a GPU at a
 time, the most important first; what would not end within --seconds is left out and named. Left out of --quick are
 blender_round_trip.py, which needs Blender, editor_servers.py, which needs servers that warpcage does not use,
-editor_pictures.py, which makes the pictures of the README, and those whose figures mean nothing at a small size
-(fit_profile.py and fit_split.py: CUDA events).
+editor_pictures.py, which makes the pictures of the README, select_page.py, which needs the fox's pictures, and those
+whose figures mean nothing at a small size (fit_profile.py and fit_split.py: CUDA events).
 """
 
 from __future__ import annotations
@@ -153,6 +153,9 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
             *("--kind", "thin", "--views", 8, "--size", 24, "--option", "least_steps=9"),
             *("--worst", out / "worst", "--json", out / "fits.json"),
         ],
+        "splats": ["--device", "cpu", "--count", 3000, "--sizes", 80, "--json", out / "splats_times.json"],
+        "splats_truth": ["--quick", "--json", out / "splats_truth.json", "--figures", out],
+        "splats_page": ["--results", out, "--page", out / "splats.md"],
         "fits_page": ["--results", out, "--page", out / "fits.md"],
         "captures_page": ["--results", out, "--page", out / "captures.md"],
         "soak": ["--poses", 20, "--fits", 4, "--refused", 200, "--json", out / "soak.json"],

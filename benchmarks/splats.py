@@ -1,7 +1,7 @@
 """Views of Gaussian splats: time, and agreement with gsplat.
 
     python benchmarks/splats.py --device cpu
-    python benchmarks/splats.py --device cuda:0 --peer FOLDER --json docs/results/splats.json
+    python benchmarks/splats.py --device cuda:0 --peer FOLDER --json docs/results/splats_times_cuda.json
 
 Scenes: 300,000 splats of degree 3 on balls, which fill a picture of 800x800; and the real files of the folder that
 WARPCAGE_DATA names, if any. On the CPU what counts is the processor time of all threads, as other programs may run.

@@ -4,27 +4,24 @@
     python benchmarks/splats_truth.py --quick
 
 Splats are placed on the reference models by construction (splat_scenes.py), so that what they show at rest is known,
-and posed by cages. Truth of a pose: the model with its vertices where the same map takes them (deform_points), its
-colours, shadows and highlights carried along and seen in the direction J^-1 d, J the Jacobian of the map; see
-truth_scenes.py.
-Rows of one scene, pose and kind of coordinates:
+and posed by cages. The model goes where the same map takes its vertices: forward ones by deform_points, backward ones
+(`map="backward"`, what voxels do) where Newton's iteration in float64 finds them (truth_scenes.py). Its colours,
+shadows and highlights are carried along, and seen in the direction J^-1 d, J the Jacobian of the map. Rows of one
+scene, pose, kind of coordinates and map:
 
 - deformer: warpcage.Deformer.
-- no turn: harmonics as they are at rest.
-- no split: splats that are large beside the bend stay whole.
-- full opacity: the pieces of a split splat are as opaque as the whole.
-- GSDeformer: seven points of each splat, its centre and one standard deviation along each axis both ways, are moved by
-  mean value coordinates; half the differences are its new axes; where the two halves of an axis turn against each
-  other by more than 15 degrees it is cut in two there, both as opaque as the whole; harmonics as they are (after Huang
-  et al., "GSDeformer", 2024: our own reading of it).
+- truth turned: the same pictures against a truth whose highlights are seen in the direction R^T d, R the rotation
+  nearest to J: what files of splats can hold.
+- no turn, no split, full opacity, GSDeformer: splat_shortcuts.py.
+- forward: splats that went forward, in the place where the voxels of a backward map are.
 
-PSNR is the mean over views; "gloss" scenes have broad and strong highlights, "long" ones few, long splats.
+PSNR is the mean over views; "gloss" scenes have broad and strong highlights, "long" ones few, long splats. "turn" is
+the mean angle of R over the model, "stretch" the range of the singular values of J.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import pathlib
 import time
 
@@ -33,36 +30,40 @@ import warp as wp
 from ground_truth import measure
 from results import write_jpeg, write_results
 from splat_scenes import splats_on_mesh
-from truth_scenes import CAGES, POSES, View, cameras, pose_cages
+from splat_shortcuts import gsdeformer, with_opaque_pieces, without_splits, without_turns
+from truth_scenes import CAGES, POSES, Place, View, cameras, pose_cages
 
 import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.deform import splat_edits
-from warpcage.kernels.splats.splats import Splats
 from warpcage.reference.carried_mesh import CarriedMesh
+from warpcage.reference.inverse_map import InverseMap
 from warpcage.reference.models import subdivided_model
-from warpcage.splats import splitting
-from warpcage.splats.splat_field import SplatField
+from warpcage.view.frame import average_frame, finer_camera
 from warpcage.view.pictures import contact_sheet
 
-#: Scene -> model, splats, and the light: "gloss" is seen from everywhere, and changes with the direction.
-SCENES = {
-    "animal": ("animal", 60_000, {}),
-    "animal, gloss": ("animal", 60_000, {"highlight": 0.8, "shininess": 6.0}),
-    "animal, long": ("animal", 2_500, {}),
-    "chair, gloss": ("chair", 60_000, {"highlight": 0.8, "shininess": 6.0}),
-    "bricks": ("bricks", 60_000, {}),
-}
+#: Light that is seen from everywhere, and changes with the direction.
+GLOSS = {"highlight": 0.8, "shininess": 6.0}
 
-#: How much longer than wide the splats of "long" scenes are, by its square: they are cut where they are bent.
-LONG = 3.0
+#: Scene -> model, discs of a layer, how much longer than wide they are by its square, and light and texture.
+SCENES = {
+    "animal": ("animal", 25_000, 1.0, {}),
+    "animal, gloss": ("animal", 25_000, 1.0, GLOSS),
+    "bricks": ("bricks", 50_000, 1.0, {}),
+    "bricks, gloss": ("bricks", 50_000, 1.0, GLOSS),
+    "chair, gloss": ("chair", 25_000, 1.0, GLOSS),
+    "animal, long": ("animal", 2_500, 3.0, {}),
+    "chair, long": ("chair", 4_000, 12.0, {"texture": (0.0, 1.0)}),
+}
 KINDS = ("mean_value", "harmonic", "green")
+MAPS = ("forward", "backward")
 
 #: Step of the differences that Jacobians are found by, as a share of the cage's size.
 DIFFERENCE = 2e-3
 
-#: Two halves of an axis that turn against each other by more than this are cut apart, degrees.
-CUT_DEGREES = 15.0
+#: Pixels along each side that splats are drawn with for one of a picture: the truth has sharp pixels, and the blur of a
+#: picture is for splats that were fitted with it.
+FINER = 2
 
 
 def main() -> None:
@@ -72,52 +73,16 @@ def main() -> None:
     rows, scenes = [], []
     for name in args.scenes:
         begin = time.perf_counter()
-        model, count, light = SCENES[name]
-        mesh = CarriedMesh(*subdivided_model(model, args.edge), device=device, **light)
-        cage = warpcage.Cage.load(CAGES / f"{model}.obj")
-        aspect = LONG if name.endswith("long") else 1.0
-        field = splats_on_mesh(mesh, min(count, args.most), aspect=aspect, device=device)
-        views = truth_views(mesh, np.zeros(3), None, None, args)
-        ceiling = measure([picture(field, field.splats, view) for view in views], views, cage.size)
-        scenes.append({"scene": name, "splats": len(field), "cage_vertices": len(cage.vertices), **ceiling})
-        print(scenes[-1], flush=True)
-        line = []
-        for pose, posed in pose_cages(model, cage).items():
-            if pose not in args.poses:
-                continue
-            for kind in args.kinds:
-                truth, frames = measure_pose(mesh, cage, posed, kind, field, args)
-                for what, shown in frames.items():
-                    rows.append({"scene": name, "pose": pose, "kind": kind, "what": what})
-                    rows[-1] |= measure(shown, truth, cage.size, similarity=what == "deformer")
-                    rows[-1]["to_ceiling"] = rows[-1]["psnr"] - ceiling["psnr"]
-                    print(rows[-1], flush=True)
-                if pose in args.shown and "GSDeformer" in frames:
-                    line += [view.image for view in truth[:1]]
-                    line += [np.clip(frames[what][0].rgb, 0, 1) for what in ("deformer", "GSDeformer")]
-        if args.figures and line:
+        scene = SplatScene(name, args, device)
+        scenes.append(scene.facts)
+        print(scene.facts, flush=True)
+        pictures = measure_scene(scene, rows, args)
+        if args.figures and pictures:
             path = pathlib.Path(args.figures) / f"splats_truth_{name.replace(', ', '_')}.jpg"
-            write_jpeg(path, contact_sheet(line, columns=3), quality=85)
+            write_jpeg(path, contact_sheet(pictures, columns=3), quality=85)
         print(f"{name}: {time.perf_counter() - begin:.1f} s", flush=True)
-        if args.json:
+        if args.json:  # after each scene, so that an interruption loses little
             write_results(args.json, device, size=args.size, test_views=args.test_views, scenes=scenes, rows=rows)
-    print(table(scenes, rows))
-
-
-def table(scenes, rows) -> str:
-    """The rows in Markdown: PSNR of the deformer, and how far below it each shortcut is, dB."""
-    shortcuts = ["no turn", "no split", "full opacity", "GSDeformer"]
-    ceilings = {scene["scene"]: scene["psnr"] for scene in scenes}
-    lines = ["| scene | at rest | pose | kind | deformer | " + " | ".join(shortcuts) + " |", "| --- " * 9 + "|"]
-    for row in rows:
-        if row["what"] != "deformer":
-            continue
-        place = ("scene", "pose", "kind")
-        beside = {other["what"]: other["psnr"] for other in rows if all(other[key] == row[key] for key in place)}
-        cells = [f"{beside[name] - row['psnr']:+.2f}" if name in beside else "–" for name in shortcuts]
-        names = [row["scene"], f"{ceilings[row['scene']]:.2f}", row["pose"], row["kind"].replace("_", " ")]
-        lines.append("| " + " | ".join([*names, f"{row['psnr']:.2f}", *cells]) + " |")
-    return "\n".join(lines)
 
 
 def parse_arguments():
@@ -126,81 +91,138 @@ def parse_arguments():
     parser.add_argument("--scenes", nargs="*", default=list(SCENES))
     parser.add_argument("--poses", nargs="*", default=list(POSES))
     parser.add_argument("--kinds", nargs="*", default=list(KINDS))
+    parser.add_argument("--maps", nargs="*", default=list(MAPS))
     parser.add_argument("--size", type=int, default=400, help="pixels along each side")
     parser.add_argument("--test-views", type=int, default=6)
     parser.add_argument("--samples", type=int, default=3, help="rays along each side of a pixel, for the ray caster")
     parser.add_argument("--edge", type=float, default=0.08, help="longest edge of the models' triangles")
-    parser.add_argument("--most", type=int, default=1 << 30, help="splats of a scene at most")
+    parser.add_argument("--most", type=int, default=1 << 30, help="discs of a layer at most")
     parser.add_argument("--shown", nargs="*", default=["twist", "bend"], help="poses in the figures")
     parser.add_argument("--json")
     parser.add_argument("--figures", help="folder for pictures: truth, deformer, GSDeformer")
     parser.add_argument("--quick", action="store_true", help="small, on the CPU")
     args = parser.parse_args()
     if args.quick:
-        args.device, args.size, args.test_views, args.samples, args.edge, args.most = "cpu", 160, 2, 2, 0.15, 20_000
-        args.scenes, args.poses, args.kinds = ["animal, gloss", "animal, long"], ["rigid", "bend"], ["mean_value"]
+        args.device, args.size, args.test_views, args.samples, args.edge, args.most = "cpu", 80, 1, 2, 0.2, 3_000
+        args.scenes, args.poses, args.kinds = ["animal, gloss", "chair, long"], ["bend"], ["mean_value"]
     return args
 
 
-def measure_pose(mesh, cage, posed, kind: str, field: SplatField, args):
-    """The truth of a pose, and the frames of each way to show it."""
-    points = warpcage.deform_points(mesh.vertices, cage, posed, kind, device=mesh.device)
-    back = np.linalg.inv(jacobians(mesh.vertices, cage, posed, kind, mesh.device))
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    truth = truth_views(mesh, middle, points, back, args)
+class SplatScene:
+    """A model at rest, the splats on it, its cage, and its views."""
 
-    def deformed(turned=True):
-        splats = warpcage.Deformer(field, cage, coordinates=kind).pose(posed).posed_splats()
-        return [picture(field, splats if turned else without_turns(splats), view) for view in truth]
+    def __init__(self, name: str, args, device):
+        self.name, self.args, self.device = name, args, device
+        self.model, count, aspect, light = SCENES[name]
+        self.mesh = CarriedMesh(*subdivided_model(self.model, args.edge), device=device, **light)
+        self.cage = warpcage.Cage.load(CAGES / f"{self.model}.obj")
+        self.field = splats_on_mesh(self.mesh, min(count, args.most), aspect=aspect, device=device)
+        views = self.views(Place(self.mesh.vertices, None, np.zeros(3)))
+        at_rest = measure(self.pictures(self.field.splats, views), views, self.cage.size)
+        self.facts = {"scene": name, "splats": len(self.field), "cage_vertices": len(self.cage.vertices), **at_rest}
 
-    frames = {"deformer": deformed(), "no turn": deformed(turned=False)}
-    if np.exp(field.contents.log_scales.max()) > 0.5 * splat_edits.LARGE * cage.size:  # some are cut
-        with constants(splat_edits, LARGE=1e30):
-            frames["no split"] = deformed()
-        table = splitting._TABLE.copy()
-        table[:, 1] = table[:, 2] = table[:, 0]
-        with constants(splitting, _TABLE=table):
-            frames["full opacity"] = deformed()
-    if kind == "mean_value":
-        other = gsdeformer(field, cage, posed)
-        frames["GSDeformer"] = [picture(other, other.splats, view) for view in truth]
-    return truth, frames
+    @property
+    def has_pieces(self) -> bool:
+        """Whether some splats are cut."""
+        return bool(np.exp(self.field.contents.log_scales.max()) > 0.5 * splat_edits.LARGE * self.cage.size)
+
+    def place(self, posed, kind: str, map: str) -> Place:
+        """Where a pose takes the model, and the Jacobians there of the map back to rest."""
+        vertices = self.mesh.vertices
+        if map == "backward":
+            found = InverseMap(self.cage, posed, kind, device=self.device).invert(vertices)
+            lost = int((found.residuals > 1e-8 * self.cage.size).sum())
+            if lost:
+                raise ValueError(f"{lost} vertices of {self.name} have no place in the {kind} pose")
+            points, matrices = found.points, found.jacobians
+        else:
+            points = warpcage.deform_points(vertices, self.cage, posed, kind, device=self.device)
+            matrices = np.linalg.inv(jacobians(vertices, self.cage, posed, kind, self.device))
+        return Place(points, matrices, (points.min(axis=0) + points.max(axis=0)) / 2)
+
+    def views(self, place: Place) -> list[View]:
+        args = self.args
+        places = cameras(place.middle, args.test_views, args.size, sphere=False)
+        rgba, depth = self.mesh.render(places, posed=place.points, view_matrices=place.jacobians, samples=args.samples)
+        images = (rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]).astype(np.float32)
+        return [View(*view) for view in zip(places, images, depth, strict=True)]
+
+    def pictures(self, splats, views: list[View], field=None) -> list:
+        """What the views see of splats, before white."""
+        field = self.field if field is None else field
+        options = {"colour": (1, 1, 1), "origin": field.center, "near": field.near, "antialias": True}
+        fine = [field.renderer.render(splats, finer_camera(view.camera, FINER), **options) for view in views]
+        return [average_frame(frame, FINER) for frame in fine]
 
 
-@contextlib.contextmanager
-def constants(module, **values):
-    """Other values of a module's constants, for a while."""
-    before = {name: getattr(module, name) for name in values}
-    vars(module).update(values)
-    yield
-    vars(module).update(before)
+def measure_scene(scene: SplatScene, rows: list[dict], args) -> list[np.ndarray]:
+    """Add the rows of a scene, and return pictures: truth, deformer and GSDeformer of each pose that is shown."""
+    poses = {name: cage for name, cage in pose_cages(scene.model, scene.cage).items() if name in args.poses}
+    shown: dict[str, list] = {}
+    for kind in args.kinds:
+        ways = {map: Way(scene, kind, map=map) for map in dict.fromkeys(("forward", *args.maps))}
+        for pose, posed in poses.items():
+            for map in args.maps:
+                place = scene.place(posed, kind, map)
+                turned, facts = turned_place(place)
+                truth = scene.views(place)
+                measured = {"deformer": (ways[map].frames(posed, truth), truth)}
+                if map == "backward":
+                    measured["forward"] = ways["forward"].frames(posed, truth), truth
+                else:
+                    measured["truth turned"] = measured["deformer"][0], scene.views(turned)
+                    shortcuts = ways[map].shortcuts(posed, truth)
+                    measured |= {what: (frames, truth) for what, frames in shortcuts.items()}
+                    if pose in args.shown and "GSDeformer" in shortcuts:
+                        frames = measured["deformer"][0][0], shortcuts["GSDeformer"][0]
+                        shown[pose] = [truth[0].image, *(np.clip(frame.rgb, 0, 1) for frame in frames)]
+                for what, (frames, against) in measured.items():
+                    row = {"scene": scene.name, "pose": pose, "kind": kind, "map": map, "what": what}
+                    row |= facts | measure(frames, against, scene.cage.size, similarity=what == "deformer")
+                    row["to_ceiling"] = row["psnr"] - scene.facts["psnr"]
+                    rows.append(row)
+                    print(row, flush=True)
+    return [picture for line in shown.values() for picture in line]
 
 
-def truth_views(mesh: CarriedMesh, target, points, back, args) -> list[View]:
-    places = cameras(target, args.test_views, args.size, sphere=False)
-    rgba, depth = mesh.render(places, posed=points, view_matrices=back, samples=args.samples)
-    images = (rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]).astype(np.float32)
-    return [View(*view) for view in zip(places, images, depth, strict=True)]
+class Way:
+    """Deformers of one kind and map, bound once, and the shortcuts beside them."""
+
+    def __init__(self, scene: SplatScene, kind: str, *, map: str):
+        self.scene, self.kind = scene, kind
+        options = {"coordinates": kind, "map": map}
+        self.deformer = warpcage.Deformer(scene.field, scene.cage, **options)
+        self.cut = {}
+        if scene.has_pieces and map == "forward":
+            for name, shortcut in (("no split", without_splits), ("full opacity", with_opaque_pieces)):
+                with shortcut():
+                    self.cut[name] = warpcage.Deformer(scene.field, scene.cage, **options)
+
+    def frames(self, posed, views: list[View]) -> list:
+        return self.scene.pictures(self.deformer.pose(posed).posed_splats(), views)
+
+    def shortcuts(self, posed, views: list[View]) -> dict[str, list]:
+        scene = self.scene
+        frames = {"no turn": scene.pictures(without_turns(self.deformer.pose(posed).posed_splats()), views)}
+        for name, deformer in self.cut.items():
+            frames[name] = scene.pictures(deformer.pose(posed).posed_splats(), views)
+        if self.kind == "mean_value":
+            other = gsdeformer(scene.field, scene.cage, posed)
+            frames["GSDeformer"] = scene.pictures(other.splats, views, other)
+        return frames
 
 
-def picture(field: SplatField, splats, view: View):
-    """These splats were not fitted, so that the blur of a picture must add nothing to them."""
-    return field.renderer.render(
-        splats, view.camera, colour=(1, 1, 1), origin=field.center, near=field.near, antialias=True
-    )
-
-
-def without_turns(splats):
-    """The same splats with harmonics as they are at rest."""
-    plain = Splats()
-    for name in ("centres", "covariances", "opacities", "harmonics", "degree", "rows"):
-        setattr(plain, name, getattr(splats, name))
-    plain.turns = wp.empty(0, dtype=wp.quat, device=splats.centres.device)
-    return plain
+def turned_place(place: Place) -> tuple[Place, dict]:
+    """The same place with directions turned only, and how far the pose turns and stretches the model."""
+    u, back, v = np.linalg.svd(place.jacobians)
+    turns = u @ v
+    angles = np.degrees(np.arccos(np.clip((np.einsum("nii->n", turns) - 1) / 2, -1, 1)))
+    facts = {"turn": float(angles.mean()), "stretch": [float(1 / back.max()), float(1 / back.min())]}
+    return Place(place.points, turns, place.middle), facts
 
 
 def jacobians(points, cage, posed, kind: str, device) -> np.ndarray:
-    """(n, 3, 3) of the map at points, by central differences."""
+    """(n, 3, 3) of the forward map at points, by central differences."""
     step = DIFFERENCE * cage.size
     columns = []
     for axis in np.eye(3):
@@ -209,35 +231,6 @@ def jacobians(points, cage, posed, kind: str, device) -> np.ndarray:
         ]
         columns.append((ends[0] - ends[1]) / (2 * step))
     return np.stack(columns, axis=2)
-
-
-def gsdeformer(field: SplatField, cage, posed) -> SplatField:
-    """The field as seven points of each splat deform it."""
-    held = field.contents
-    centres, axes = held.centres.astype(np.float64), field.rotations * field.scales[:, None, :]
-    rows = np.arange(len(field))
-    for axis in range(3):  # where it is bent it is cut in two
-        low, middle, high = moved_points(cage, posed, centres, axes[:, :, axis])
-        halves = [(ends / np.linalg.norm(ends, axis=1, keepdims=True)) for ends in (middle - low, high - middle)]
-        bent = np.einsum("ij,ij->i", *halves) < np.cos(np.radians(CUT_DEGREES))
-        half = 0.5 * axes[bent, :, axis]
-        pieces = axes[bent].copy()
-        pieces[:, :, axis] = half
-        centres = np.concatenate([centres[~bent], centres[bent] - half, centres[bent] + half])
-        axes = np.concatenate([axes[~bent], pieces, pieces])
-        rows = np.concatenate([rows[~bent], rows[bent], rows[bent]])
-    ends = [moved_points(cage, posed, centres, axes[:, :, axis]) for axis in range(3)]
-    factors = np.stack([(high - low) / 2 for low, _, high in ends], axis=2)
-    u, scales, _ = np.linalg.svd(factors)
-    u[:, :, 2] *= np.sign(np.linalg.det(u))[:, None]
-    quaternions = np.array([wp.quat_from_matrix(wp.mat33(*matrix.ravel())) for matrix in u])[:, [3, 0, 1, 2]]
-    values = (np.log(np.maximum(scales, 1e-12)), quaternions, held.logits[rows], held.harmonics[rows])
-    return SplatField(ends[0][1], *values, background="white", up=field.up, device=field.device)
-
-
-def moved_points(cage, posed, centres, offsets) -> list[np.ndarray]:
-    """Where mean value coordinates take the points before, in and behind each centre."""
-    return [warpcage.deform_points(centres + side * offsets, cage, posed) for side in (-1, 0, 1)]
 
 
 if __name__ == "__main__":

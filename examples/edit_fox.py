@@ -73,7 +73,9 @@ def main(argv=None) -> dict:
         raise ValueError(f"no picture of {args.data!r} has {name!r} in its name: {train.names[0]!r} is one of them")
     camera = train.cameras[number]
     pixel = (int(float(across) * camera.width), int(float(down) * camera.height))
+    start = time.perf_counter()
     fox = warpcage.select_object(field, pixel=pixel, camera=camera, plane="wall")
+    choosing = time.perf_counter() - start
     fox.save(out / "selection.npz")
     print("; ".join(fox.notes), flush=True)
     views = [train.cameras[i] for i in np.linspace(0, len(train) - 1, 6).astype(int)]
@@ -100,6 +102,7 @@ def main(argv=None) -> dict:
         "train_views": len(train),
         "image_size": list(train.images.shape[2:0:-1]),
         "chosen_voxels": int(fox.mask.sum()),
+        "choosing_seconds": choosing,
         "cage_vertices": len(cage.vertices),
         "enclosed": float(cage.contains(fox.points).mean()),
         "still": still,

@@ -1,0 +1,240 @@
+"""Write the page docs/splats_views.md from the JSON files of splats.py and splats_truth.py.
+
+    python benchmarks/splats_page.py --results docs/results --page docs/splats_views.md
+
+Files are those of the folder whose names begin with "splats_times" and "splats_truth"; the text before them is
+splats_text.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pathlib
+
+from page import KINDS, POSES, source, table
+
+TEXT = pathlib.Path(__file__).with_name("splats_text.md")
+
+#: What a Deformer leaves out in each of these rows.
+SHORTCUTS = ("no turn", "no split", "full opacity", "GSDeformer")
+
+#: A shortcut that costs so much is one to speak of, dB.
+CLEAR = 1.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--results", default="docs/results")
+    parser.add_argument("--page", default="docs/splats_views.md")
+    args = parser.parse_args()
+    parts = [TEXT.read_text(encoding="utf-8")]
+    for pattern, section in {"splats_times*.json": times, "splats_truth*.json": truth}.items():
+        paths = sorted(pathlib.Path(args.results).glob(pattern))
+        if paths:
+            files = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+            parts += section(files, pathlib.Path(args.page).parent / "pictures")
+        else:
+            print(f"no {pattern} in {args.results}: section left out")
+    if len(parts) == 1:
+        raise SystemExit(f"no results in {args.results}: run benchmarks/splats_truth.py --json first")
+    pathlib.Path(args.page).write_text("\n".join(parts), encoding="utf-8")
+    print(f"{args.page}: {len(parts)} parts")
+
+
+# Times
+
+
+def times(files: list[dict], pictures: pathlib.Path) -> list[str]:
+    parts = [TIMES]
+    for results in files:
+        rows = results["rows"]
+        on_cpu = "processor_ms" in rows[0]
+        head = ["splats", "picture", "processor time, ms" if on_cpu else "ms (95 %)"]
+        with_peer = any("gsplat_ms" in row for row in rows)
+        head += ["gsplat, ms", "PSNR to gsplat, dB"] if with_peer else []
+        parts += [table(head, [time_row(row, with_peer) for row in rows]), source(results)]
+    return parts
+
+
+def time_row(row: dict, with_peer: bool) -> list[str]:
+    degree = f"of degree {row['degree']}" if row["degree"] else "without harmonics"
+    antialiased = ", antialiased" if row["antialias"] else ""
+    if "processor_ms" in row:
+        took = f"{row['processor_ms']:.0f}"
+    else:
+        took = "{:.3f} ({:.3f})".format(*row["ms"])
+    cells = [f"{row['splats']:,} {degree}{antialiased}", f"{row['size']}x{row['size']}", took]
+    if with_peer:
+        known = "gsplat_ms" in row
+        cells += [f"{row['gsplat_ms'][0]:.3f}", f"{row['psnr_to_gsplat']:.1f}"] if known else ["–", "–"]
+    return cells
+
+
+# Truth
+
+
+def truth(files: list[dict], pictures: pathlib.Path) -> list[str]:
+    scenes = {scene["scene"]: scene for results in files for scene in results["scenes"]}
+    found = Rows([row for results in files for row in results["rows"]])
+    shown = [name for name in scenes if (pictures / file_name(name)).exists()]
+    return [
+        TRUTH,
+        table(
+            ["scene", "splats", "at rest, PSNR", "SSIM"],
+            [
+                [name, f"{scene['splats']:,}", f"{scene['psnr']:.2f} dB", f"{scene['ssim']:.4f}"]
+                for name, scene in scenes.items()
+            ],
+        ),
+        FORWARD,
+        table(
+            ["scene", "pose", "turn", "stretch", *KINDS.values(), *SHORTCUTS],
+            [forward_row(found, name, pose) for name in scenes for pose in POSES if found.has(name, pose)],
+        ),
+        verdict(found, list(scenes)),
+        LIGHT,
+        light(found, list(scenes)),
+        BACKWARD,
+        table(
+            ["scene", "pose", *KINDS.values(), *(f"forward, {kind}" for kind in KINDS.values())],
+            [backward_row(found, name, pose) for name in scenes for pose in POSES if found.has(name, pose, "backward")],
+        ),
+        *(f"![{name}: truth, deformer and GSDeformer](pictures/{file_name(name)})\n" for name in shown),
+        PICTURES if shown else "",
+        *dict.fromkeys(source(results) for results in files),
+    ]
+
+
+class Rows:
+    """Rows by scene, pose, kind, map and what they measure."""
+
+    def __init__(self, rows: list[dict]):
+        names = ("scene", "pose", "kind", "map", "what")
+        self._rows = {tuple(row[name] for name in names): row for row in rows}
+
+    def has(self, scene: str, pose: str, map: str = "forward") -> bool:
+        return any(key[:2] == (scene, pose) and key[3] == map for key in self._rows)
+
+    def get(self, scene: str, pose: str, kind: str, what: str = "deformer", map: str = "forward") -> dict | None:
+        return self._rows.get((scene, pose, kind, map, what))
+
+    def beside(self, scene: str, pose: str, what: str, kind: str = "mean_value") -> float | None:
+        """dB of a shortcut beside the deformer."""
+        one, other = self.get(scene, pose, kind, what), self.get(scene, pose, kind)
+        return None if one is None or other is None else one["psnr"] - other["psnr"]
+
+
+def decibels(value: float | None) -> str:
+    return "–" if value is None else f"{value:+.2f}"
+
+
+def to_rest(row: dict | None) -> str:
+    return decibels(row and row["to_ceiling"])
+
+
+def forward_row(found: Rows, scene: str, pose: str) -> list[str]:
+    facts = next(row for kind in KINDS if (row := found.get(scene, pose, kind)) is not None)
+    return [
+        scene,
+        pose,
+        f"{facts['turn']:.0f}°",
+        "{:.2f}–{:.2f}".format(*facts["stretch"]),
+        *(to_rest(found.get(scene, pose, kind)) for kind in KINDS),
+        *(decibels(found.beside(scene, pose, what)) for what in SHORTCUTS),
+    ]
+
+
+def backward_row(found: Rows, scene: str, pose: str) -> list[str]:
+    rows = [found.get(scene, pose, kind, what, "backward") for what in ("deformer", "forward") for kind in KINDS]
+    return [scene, pose, *map(to_rest, rows)]
+
+
+def verdict(found: Rows, scenes: list[str]) -> str:
+    """Where the GSDeformer way is clearly worse on scenes that change with the direction, and where not."""
+    costs = {
+        (scene, pose): cost
+        for scene in scenes
+        if scene.endswith("gloss")
+        for pose in POSES
+        if (cost := found.beside(scene, pose, "GSDeformer")) is not None
+    }
+    clear = {place: cost for place, cost in costs.items() if cost <= -CLEAR}
+    others = {place: cost for place, cost in costs.items() if cost > -CLEAR}
+    said = [
+        f"On the scenes that change with the direction, the GSDeformer way is {CLEAR:g} dB or more below\n"
+        f"the deformer in {len(clear)} of {len(costs)} poses"
+    ]
+    if clear:
+        said.append(f", by {-max(clear.values()):.1f} to {-min(clear.values()):.1f} dB")
+    if others:
+        said.append(". It is not in:\n")
+        said += [f"\n- {scene}, {pose}: {cost:+.2f} dB" for (scene, pose), cost in others.items()]
+        return "".join(said) + "\n"
+    return "".join(said) + ".\n"
+
+
+def light(found: Rows, scenes: list[str]) -> str:
+    lines = []
+    for scene in scenes:
+        for pose in POSES:
+            gains = [found.beside(scene, pose, "truth turned", kind) for kind in KINDS]
+            if scene.endswith("gloss") and any(gain is not None for gain in gains):
+                lines.append([scene, pose, *map(decibels, gains)])
+    return table(["scene", "pose", *KINDS.values()], lines)
+
+
+def file_name(scene: str) -> str:
+    return f"splats_truth_{scene.replace(', ', '_')}.jpg"
+
+
+TIMES = """## Times
+
+Whole frames, kernels compiled before. On a CPU: the processor time of all threads, as other programs ran beside it.
+What was once measured on an H200 beside gsplat, and which kernels have changed since, is in
+[the notes](../benchmarks/NOTES-splats.md).
+"""
+
+TRUTH = """## Posed splats and ground truth
+
+`benchmarks/splats_truth.py` lays flat splats on the reference models: they reach to their neighbours, or to the next
+edge, and their harmonics are those that best fit the colours of their place from all sides. Cages of 60 vertices pose
+them, and the pictures are compared with the ray cast model where the same map takes its vertices; colours, shadows and
+highlights go along and are seen in the direction J^-1 d, J the Jacobian of the map, as in [results](results.md).
+"gloss" has broad, strong highlights; the splats of "long" are few and long. At rest:
+"""
+
+FORWARD = """### Forward, and what shortcuts cost
+
+"turn" is the mean angle by which the pose turns the model, "stretch" the range of its singular values. Columns of
+coordinates: PSNR beside that of the splats at rest, dB. Columns of shortcuts (mean value coordinates): dB beside the
+deformer; "–" where no splat is cut.
+
+- no turn: harmonics as they are at rest;
+- no split: long splats stay whole where the cage bends;
+- full opacity: the pieces of a splat are as opaque as the whole;
+- GSDeformer: seven points of each splat by mean value coordinates, harmonics unturned, halves as opaque as the whole
+  (Huang et al. 2024, in our own reading).
+"""
+
+LIGHT = """What that way gets wrong in these scenes is the turn of the harmonics: where a pose does not turn the matter,
+but stretches it or moves a small part, there is nothing to turn. Of what the deformer itself loses in a stretch, a part
+is the law of light: files of splats can hold harmonics that are turned, by the rotation nearest to J, but not ones that
+are seen along J^-1 d. So much nearer are the same pictures to a truth whose highlights are turned, dB (the rest: longer
+splats show less of the texture):
+"""
+
+BACKWARD = """### Backward, where voxels are
+
+The same with `map="backward"`, against the model where the voxels' map puts it (Newton's iteration in float64; closed
+forms, or boundary elements for harmonic coordinates): the deformer, and on the right splats that went forward instead,
+both beside the splats at rest, dB.
+"""
+
+PICTURES = """From left to right: truth, the deformer, the GSDeformer way; mean value coordinates, one line for a pose.
+Made by the commands below with `--figures`.
+"""
+
+
+if __name__ == "__main__":
+    main()
