@@ -71,7 +71,7 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     fits("refined_noise", 60, "--kind", "--folder", lego, "--refine-cameras", "--pose-noise", 0.2, needs=(lego,))
     fits("refined_jpeg", 60, "--kind", "--folder", lego, "--refine-cameras", "--jpeg", 90, needs=(lego,))
     # splats
-    files = ("--json", out / "splats.json")
+    files = ("--json", out / "splats_times_cuda.json")
     add("splats", "splats", 90, "--device", "cuda:0", *files)
     add("splat_poses", "splat_poses", 60, "--device", "cuda:0")
     # frames: of a field that a fit of its own makes

@@ -62,7 +62,8 @@ def run_example(args) -> None:
         for name in ("chosen", "edit"):
             picture = read_image(pathlib.Path(out) / f"{name}.png")
             write_jpeg(pathlib.Path(args.figures) / f"select_{name}.jpg", picture[..., :3], quality=90)
-    write_results(args.json, device, words=WORDS, **{name: value for name, value in figures.items() if name != "device"})
+    del figures["device"]  # the machine's is written
+    write_results(args.json, device, words=WORDS, **figures)
 
 
 def page_text(results: dict) -> str:
