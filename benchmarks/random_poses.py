@@ -106,8 +106,8 @@ def draw(args, rest) -> None:
     field = warpcage.VoxelField.load(args.field)
     source = warpcage.RandomPoses(rest, seed=args.seed, stretch=args.stretch)
     poses = [source.pose(number) for number in range(args.count)]
-    points = np.concatenate([pose.vertices for pose in (rest, *poses)])
-    camera = framing_orbit(points, 1, elevation_degrees=25.0, start_degrees=35.0, width=args.size, height=args.size)[0]
+    size = {"width": args.size, "height": round(0.8 * args.size)}
+    camera = framing_orbit(rest.vertices, 1, elevation_degrees=25.0, start_degrees=-60.0, fill=1.0, **size)[0]
     deformer = warpcage.Deformer(field, rest, resolution=64)
     panels = []
     for cage in (rest, *poses):
