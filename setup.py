@@ -19,9 +19,13 @@ CAPTURE = [
     "av>=14.2",  # from there on frames say how a phone was held
 ]
 
+CLUSTER = ["ray>=2.40"]  # several workers of `warpcage run`, and clusters: the core alone, without ray[default]
+
 TEST = [
     *EDIT,
     *EXR,
+    # several workers and clusters; without it those tests are skipped
+    "ray>=2.40; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
     "pytest>=8.0",
     "webdataset>=0.2.100",  # reads the shards that records are packed into
@@ -63,7 +67,7 @@ setup(
         "scipy>=1.11",
         "tqdm>=4.66",
     ],
-    extras_require={"edit": EDIT, "exr": EXR, "capture": CAPTURE, "test": TEST, "dev": DEV},
+    extras_require={"edit": EDIT, "exr": EXR, "capture": CAPTURE, "cluster": CLUSTER, "test": TEST, "dev": DEV},
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[
         "Programming Language :: Python :: 3",

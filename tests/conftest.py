@@ -31,7 +31,7 @@ wp.init()
 MOST_WORKERS, MOST_WORKERS_CUDA, MORE_THAN_CORES = 8, 4, 1
 
 #: Fixtures that take long, and cases that share what they make: one worker runs all tests of each.
-DEAR = {"lego", "rooms", "maps", "page", "window", "wheel", "cached_module", "walk", "shots", "glances"}
+DEAR = {"address", "lego", "rooms", "maps", "page", "window", "wheel", "cached_module", "walk", "shots", "glances"}
 DEAR_CASES = {
     "test_mean_value_weights[bricks]": "cage of bricks",
     "test_green_weights[bricks]": "cage of bricks",
@@ -43,6 +43,7 @@ DEAR_CASES = {
 
 #: Files whose tests take longest come first, so that no worker is left with one of them at the end.
 SLOWEST = (
+    "test_batch_kills.py",
     "test_examples.py",
     "test_background.py",
     "test_deformed_lego.py",

@@ -35,6 +35,7 @@ _HOMES = {
     "PoseFile": "cage.pose_file",
     "PositionMap": "lattice.position_map",
     "RandomPoses": "cage.random_poses",
+    "RunReport": "batch.report",
     "Scene": "scene.scene",
     "SplatDeformer": "deform.splat_deformer",
     "SplatField": "splats.splat_field",
@@ -53,12 +54,14 @@ _HOMES = {
     "mean_psnr": "fitting.evaluation",
     "mean_value_coordinates": "coordinates.weights",
     "psnr": "fitting.evaluation",
+    "run_jobs": "batch.run",
     "select_nodes": "field.selection",
     "select_object": "field.objects",
     "turntable": "view.camera",
 }
 
 _ROOMS = (
+    "batch",
     "cage",
     "captures",
     "cli",

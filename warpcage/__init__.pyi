@@ -1,5 +1,7 @@
 """The public names, for type checkers and editors: `__init__.py` loads each when it is first used."""
 
+from .batch.report import RunReport as RunReport
+from .batch.run import run_jobs as run_jobs
 from .cage.cage import Cage as Cage
 from .cage.pose_file import PoseFile as PoseFile
 from .cage.random_poses import RandomPoses as RandomPoses
@@ -54,6 +56,7 @@ __all__ = [
     "PoseFile",
     "PositionMap",
     "RandomPoses",
+    "RunReport",
     "Scene",
     "SplatDeformer",
     "SplatField",
@@ -72,6 +75,7 @@ __all__ = [
     "mean_psnr",
     "mean_value_coordinates",
     "psnr",
+    "run_jobs",
     "select_nodes",
     "select_object",
     "turntable",

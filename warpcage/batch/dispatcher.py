@@ -66,12 +66,14 @@ class Dispatcher:
     Args:
         lots: What is to be made.
         retries: How often an item may be tried again.
-        shards: Items that are open of each shard, by its number, where lots are shards; None else.
+        shards: Items that are open of each shard, by its number, where lots are shards; 0 where it is only to be
+            packed. None where there are no shards.
 
     Attributes:
         done: Items that were made.
         failures: Items that will not be tried again, with one line each.
         stopped: Whether no more are handed out.
+        unpacked: Shards that could not be packed, with one line each.
     """
 
     def __init__(self, lots: Lots, *, retries: int = 2, shards: dict[int, int] | None = None):
@@ -83,8 +85,9 @@ class Dispatcher:
         self._sharers: collections.Counter[int] = collections.Counter()  # workers at each group
         self._attempts: dict[int, int] = {}  # items that failed before
         self._retries: collections.deque[tuple[int, int, str]] = collections.deque()  # item, group, where it failed
-        self._shards = None if shards is None else dict(shards)
-        self._packs: collections.deque[tuple[int, int]] = collections.deque()  # shard, attempts
+        self._shards = None if shards is None else {shard: count for shard, count in shards.items() if count}
+        ready = [(shard, 0) for shard, count in (shards or {}).items() if not count]
+        self._packs: collections.deque[tuple[int, int]] = collections.deque(ready)  # shard, attempts
         self.unpacked: list[tuple[int, str]] = []  # shards that could not be packed
         self._number = 0
         self._busy: set[str] = set()
@@ -332,9 +335,8 @@ class Dispatcher:
         if not self._packs:
             return None
         shard, attempts = self._packs.popleft()
-        group = self.lots.group_of(shard)
         self._number += 1
-        return Lot(self._number, [], [attempts], group, shard)
+        return Lot(self._number, [], [attempts], worker.group or 0, shard)
 
     def _pack_again(self, lot: Lot, reason: str) -> None:
         assert lot.shard is not None

@@ -13,7 +13,7 @@ from ..core.files import PathLike, file_stamp
 from ..core.npy_files import NpyFile
 from ..core.recent import Recent
 from .items import EvaluateItem, FitItem, FrameItem, Item, canonical
-from .references import split_reference
+from .words import split_reference
 
 #: Bytes that are hashed at once, and files whose hashes are kept.
 CHUNK, MOST_FILES = 1 << 20, 200_000

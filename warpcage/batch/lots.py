@@ -71,7 +71,6 @@ class Lots:
         self._begin = starts.copy()  # the first item of each group that nobody has taken
         self._end = np.append(starts[1:], len(groups))
         self._kinds = np.zeros(len(starts), np.int64) if kinds is None else np.asarray(kinds, np.int64)[starts]
-        self._index = {int(name): index for index, name in enumerate(self._names)}
         self._back: dict[int, list[int]] = {}  # what was taken and came back, by group
         self._by_size = np.argsort(
             self._begin - self._end, kind="stable"
@@ -91,10 +90,6 @@ class Lots:
     def name(self, group: int) -> int:
         """What callers call a group."""
         return int(self._names[group])
-
-    def group_of(self, name: int) -> int:
-        """The group that callers call so."""
-        return self._index[name]
 
     def left_in(self, group: int) -> int:
         """Items of a group that nobody has."""

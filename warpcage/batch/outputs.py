@@ -12,6 +12,10 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
+#: Folders of a run: files stand in the first until they are whole, and what is left there belongs to nobody once no
+#: worker runs; the second holds the progress of fits, from which they go on.
+PARTS, CHECKPOINTS = ".warpcage/parts", ".warpcage/checkpoints"
+
 #: Writes an output to a file that is not yet in its place. Any thread may call it: it uses main memory alone, or takes
 #: the turn of its device.
 Writer = Callable[[pathlib.Path], object]

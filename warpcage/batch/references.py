@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pathlib
-import re
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple, TypeVar
 
@@ -27,27 +26,12 @@ from ..view.camera import Camera
 from ..view.camera_file import CameraFile, camera_from_json
 from ..view.fitted import fitted
 from .items import EditWords, FrameItem
+from .words import split_reference
 
 Thing = TypeVar("Thing")
 
-#: A file, and what is meant of what it holds.
-_PLACE = re.compile(r"(.+\.(npy|json|glb|gltf))#(.+)", re.IGNORECASE | re.DOTALL)
-
 #: Files that are kept open to view: their headers, keyframes and cameras.
 MOST_FILES = 32
-
-
-def split_reference(reference: str) -> tuple[str, str]:
-    """The file that a word refers to, and what of it.
-
-    Args:
-        reference: "file", or "file#place" of a .npy, .json or glTF file.
-
-    Returns:
-        The file, and the place; "" for all of it.
-    """
-    found = _PLACE.fullmatch(reference)
-    return (found[1], found[3]) if found else (reference, "")
 
 
 class RestCage(NamedTuple):

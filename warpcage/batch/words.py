@@ -19,6 +19,9 @@ Checker = Callable[[Any, str], Any]
 _PART = re.compile(r"\w[\w.\-]*")
 _NAME = re.compile(r"\w[\w.\-]*(?:/\w[\w.\-]*)*", re.ASCII)
 
+#: A file, and what is meant of what it holds.
+_PLACE = re.compile(r"(.+\.(npy|json|glb|gltf))#(.+)", re.IGNORECASE | re.DOTALL)
+
 #: Bytes that a part of such a name has at most, so that there is room for a temporary name beside it.
 MAX_PART, MAX_SAFE_NAME = 200, 1000
 
@@ -150,3 +153,16 @@ def checked_words(entry: Mapping[str, Any], known: Mapping[str, Checker], what: 
     if unknown is not None:
         raise ValueError(f"{what} has no {shown(unknown)}, only {listed(known, most=40)}")
     return {word: known[word](value, repr(word)) for word, value in entry.items() if value is not None}
+
+
+def split_reference(reference: str) -> tuple[str, str]:
+    """The file that a word refers to, and what of it.
+
+    Args:
+        reference: "file", or "file#place" of a .npy, .json or glTF file.
+
+    Returns:
+        The file, and the place; "" for all of it.
+    """
+    found = _PLACE.fullmatch(reference)
+    return (found[1], found[3]) if found else (reference, "")

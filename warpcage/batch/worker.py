@@ -20,12 +20,8 @@ from .fingerprints import Fingerprints
 from .fits import make_fit
 from .frames import FrameMaker
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
-from .outputs import Made, write_outputs
+from .outputs import CHECKPOINTS, PARTS, Made, write_outputs
 from .references import References
-
-#: Folders of a run: files stand in the first until they are whole, and what is left there belongs to nobody once no
-#: worker runs; the second holds the progress of fits, from which they go on.
-PARTS, CHECKPOINTS = ".warpcage/parts", ".warpcage/checkpoints"
 
 
 class Worker:

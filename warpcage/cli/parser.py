@@ -20,6 +20,7 @@ from .arguments import (
     mesh,
     pose,
     render,
+    run,
     select,
     sweep,
 )
@@ -38,8 +39,9 @@ COMMANDS = (
     edits,
     render,
     animate,
-    bake,
     sweep,
+    run,
+    bake,
     evaluate,
     info,
     kernels,

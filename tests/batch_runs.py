@@ -1,0 +1,137 @@
+"""Job files of small frames, makers that fail, and what came of a run."""
+
+import concurrent.futures
+import json
+import os
+import pathlib
+import signal
+import sys
+import time
+
+import numpy as np
+from cli_runs import write_files
+
+from warpcage.batch.job_file import write_jobs
+from warpcage.batch.run import Options, _run
+from warpcage.batch.worker import Worker
+from warpcage.cage.cage import Cage
+
+CAMERA = {"eye": [2.5, 1.2, 1.0], "target": [0, 0, 0], "width": 24, "height": 20}
+DEFAULTS = {"field": "ball.npz", "cage": "cage.obj", "camera": CAMERA, "coordinates": "mean_value", "resolution": 12}
+
+
+def write_frames(folder, count, name="jobs.jsonl", *, changes=None, **defaults):
+    """A job of frames, a pose each; changes: other words of some, by their number."""
+    if not (folder / "ball.npz").exists():
+        folder.mkdir(exist_ok=True)
+        write_files(folder)
+    rest = Cage.load(folder / "cage.obj")
+    bends = [rest.bend(40 * place / count, axis="x", towards="z").vertices for place in range(count)]
+    poses = f"{pathlib.Path(name).stem}.npy"
+    np.save(folder / poses, np.stack(bends))
+    items = [{"id": f"shot/f{place:04d}", "posed": f"{poses}#{place}"} for place in range(count)]
+    for place, words in (changes or {}).items():
+        items[place] |= words
+    write_jobs(folder / name, items, defaults=DEFAULTS | defaults)
+    return folder / name
+
+
+def run_with(path, out, maker=None, workers=1, retries=2, **options):
+    """A run, by makers of items that may fail. Without a maker it is that of users."""
+    options = Options(workers, options.pop("cluster", None), "cpu", retries)
+    return _run(path, out, options, lambda state: None, lambda line: None, maker)
+
+
+def records(out):
+    """The records of a manifest, and that each item is there once."""
+    lines = [json.loads(line) for line in (out / "manifest.jsonl").read_text(encoding="utf-8").splitlines()]
+    found = {record["id"]: record for record in lines}
+    assert len(found) == len(lines), "an item is in the manifest twice"
+    return found
+
+
+def pictures(out):
+    """The bytes of all files but the run's own."""
+    files = [path for path in sorted(out.rglob("*")) if path.is_file() and ".warpcage" not in path.parts]
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in files if path.name != "manifest.jsonl"}
+
+
+def left_over(out):
+    """What a run left of its own besides its locks."""
+    own = [path.name for path in (out / ".warpcage").rglob("*") if path.is_file()]
+    return sorted(set(own) - {"driver.lock", "workers.lock"}) + [path.name for path in out.glob(".*-*")]
+
+
+class Making:
+    """A maker of files without rendering, which runs what it is given before each item."""
+
+    def __init__(self, base, out, device):
+        self.out = pathlib.Path(out)
+
+    def before(self, item):
+        """What happens first."""
+
+    def submit(self, item, out=None):
+        out = out or self.out
+        done = concurrent.futures.Future()
+        try:
+            self.before(item)
+            sizes = {}
+            for path in item.outputs.values():
+                (out / path).parent.mkdir(parents=True, exist_ok=True)
+                (out / path).write_text(item.id)
+                sizes[path] = len(item.id)
+            done.set_result(sizes)
+        except Exception as error:
+            done.set_exception(error)
+        return done
+
+    def close(self):
+        pass
+
+
+def number_of(item):
+    return int(item.id[-4:])
+
+
+class Moody(Making):
+    """Items whose number ends in 3 fail twice, in 5 always, in 7 by their input."""
+
+    tried: dict = {}
+
+    def before(self, item):
+        count = self.tried[item.id] = self.tried.get(item.id, 0) + 1
+        if item.id.endswith("7"):
+            raise ValueError("its number ends in 7")
+        if item.id.endswith("5") or (item.id.endswith("3") and count < 3):
+            raise RuntimeError(f"no luck at try {count}")
+
+
+class Deadly(Making):
+    """Item 5 kills its worker, at once or while files of others may be written."""
+
+    def before(self, item):
+        time.sleep(0.01)
+        if number_of(item) == 5:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def command(*words):
+    """A command line of `warpcage`."""
+    return [sys.executable, "-m", "warpcage", *map(str, words)]
+
+
+__all__ = [
+    "CAMERA",
+    "DEFAULTS",
+    "Deadly",
+    "Making",
+    "Moody",
+    "Worker",
+    "command",
+    "left_over",
+    "pictures",
+    "records",
+    "run_with",
+    "write_frames",
+]

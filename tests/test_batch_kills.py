@@ -1,0 +1,277 @@
+"""`warpcage run` by several workers: whatever is killed when, every output is whole, each item once in the manifest,
+and the pictures are those of a run without faults, to the bit."""
+
+import os
+import pathlib
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from batch_runs import Deadly, Making, Moody, left_over, number_of, pictures, records, run_with, write_frames
+
+import warpcage
+from warpcage.batch.ray_engine import RayEngine
+from warpcage.cli import main
+
+ray = pytest.importorskip("ray", reason="several workers need Ray")
+
+FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def address():
+    """Ray, started once for all tests of this file: its address. Makers of tests are sent by their source."""
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    ray.init(address="local", num_cpus=4, include_dashboard=False, log_to_driver=False, object_store_memory=100 * 2**20)
+    import batch_runs
+
+    ray.cloudpickle.register_pickle_by_value(batch_runs)
+    ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    yield ray.get_runtime_context().gcs_address
+    ray.shutdown()
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    return write_frames(tmp_path_factory.mktemp("jobs") / "job", FRAMES)
+
+
+@pytest.fixture(scope="module")
+def whole(job, tmp_path_factory):
+    """The pictures of a run without faults, by one worker."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    assert run_with(job, out).complete
+    return pictures(out)
+
+
+@pytest.fixture
+def engines(monkeypatch):
+    """The engines of the runs of a test."""
+    made = []
+
+    class Seen(RayEngine):
+        def __init__(self, *given):
+            super().__init__(*given)
+            made.append(self)
+
+    monkeypatch.setattr("warpcage.batch.run.RayEngine", Seen)
+    return made
+
+
+def assert_whole(out, whole):
+    assert pictures(out) == whole and left_over(out) == []
+    found = records(out)
+    assert len(found) == len(whole) and {record["state"] for record in found.values()} == {"done"}
+    for record in found.values():
+        assert all((out / name).stat().st_size == size for name, size in record["outputs"].items())
+
+
+def test_two_workers_make_what_one_does(address, job, whole, tmp_path):
+    out = tmp_path / "out"
+    report = run_with(job, out, workers=2)
+    assert report.complete and report.made == FRAMES
+    assert_whole(out, whole)
+    assert {record["worker"] for record in records(out).values()} == {"0", "1"}
+    assert run_with(job, out, workers=2).kept == FRAMES
+
+
+def test_twenty_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines):
+    """kill -9 of one of two workers, in the middle of an item, at random moments."""
+    out, chance, kills, done = tmp_path / "out", random.Random(5), [], threading.Event()
+
+    def kill():
+        while len(kills) < 20 and not done.is_set():
+            time.sleep(chance.uniform(0.0, 0.15))
+            places = list(engines[0].places.items()) if engines else []
+            if places:
+                name, place = chance.choice(places)
+                if engines[0].places.pop(name, None):  # each process once
+                    os.kill(place["pid"], signal.SIGKILL)
+                    kills.append(place["pid"])
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    states = []
+    try:
+        while len(kills) < 20:
+            report = warpcage.run_jobs(job, out, workers=2, device="cpu", retries=20, progress=states.append)
+            assert report.complete
+            if len(kills) < 20:  # there was not enough to do for twenty: once more from the beginning
+                assert_whole(out, whole)
+                for path in [*out.rglob("*.png"), out / "manifest.jsonl"]:
+                    path.unlink()
+                engines.clear()
+    finally:
+        done.set()
+        killer.join()
+    assert_whole(out, whole)
+    assert len(set(kills)) == 20
+
+
+def test_five_kills_of_the_driver_cost_nothing(address, job, whole, tmp_path):
+    out, chance = tmp_path / "out", random.Random(3)
+    words = ["run", job, "-o", out, "--device", "cpu", "--quiet", "--workers", 2, "--cluster", address]
+    notes, made, kills = out / ".warpcage" / "notes", 0, 0
+    while kills < 5:
+        driver = subprocess.Popen([sys.executable, "-m", "warpcage", *map(str, words)], stderr=subprocess.PIPE)
+        here = made + 1
+        while driver.poll() is None and here > (made := count_of(notes, out)):
+            time.sleep(0.01)
+        time.sleep(chance.uniform(0.0, 0.3))
+        assert driver.poll() is None, driver.stderr.read().decode()
+        driver.kill()
+        driver.communicate()
+        kills += 1
+        made = min(count_of(notes, out), FRAMES - 1)
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*.png")}
+    assert main([*map(str, words[:-4]), "--retries", "20"]) == 0
+    assert_whole(out, whole)
+    again = [path for path, when in before.items() if path.stat().st_mtime_ns != when]
+    assert len(again) <= 20  # those that were being written
+
+
+def count_of(notes, out):
+    """Items that are noted as done."""
+    files = [*notes.glob("*.jsonl"), out / "manifest.jsonl"] if notes.exists() else []
+    found = set()
+    for path in files:
+        try:
+            found |= {line.split(b'"')[3] for line in path.read_bytes().splitlines() if b'"done"' in line}
+        except FileNotFoundError:
+            pass
+    return len(found)
+
+
+def test_an_item_that_kills_its_worker_is_failed_and_the_rest_is_made(address, job, tmp_path):
+    path, out = write_frames(tmp_path / "job", 40), tmp_path / "out"
+    lines = []
+    from warpcage.batch.run import Options, _run
+
+    report = _run(path, out, Options(2, None, "cpu", 2), lambda state: None, lines.append, Deadly)
+    assert report.made == 39 and list(report.failed) == ["shot/f0005"]
+    assert report.failed["shot/f0005"].endswith("killed, or a crash of the process, 3 times while it was made")
+    record = records(out)["shot/f0005"]
+    assert (
+        record["state"] == "failed" and record["attempts"] == 3 and len(lines) == 3 == sum("died" in x for x in lines)
+    )
+
+
+def test_errors_are_tried_again_elsewhere(address, tmp_path):
+    path, out = write_frames(tmp_path / "job", 40), tmp_path / "out"
+    report = run_with(path, out, Moody, workers=2, retries=6)
+    found = records(out)
+    assert sorted(report.failed) == [f"shot/f00{tens}{ones}" for tens in range(4) for ones in (5, 7)]
+    assert [found[f"shot/f000{number}"]["attempts"] for number in (2, 7, 5)] == [1, 1, 7]
+    assert 3 <= found["shot/f0003"]["attempts"] <= 6  # it fails twice in each process
+
+
+class Slow(Making):
+    def before(self, item):
+        time.sleep(0.02 if number_of(item) else 2.5)
+
+
+def test_a_straggler_gives_its_rest_to_the_other(address, tmp_path):
+    """The first item takes as long as all others."""
+    path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
+    assert run_with(path, out, Slow, workers=2).complete
+    found = records(out)
+    first = found["shot/f0000"]["worker"]
+    assert sum(record["worker"] != first for record in found.values()) > 50
+
+
+class Full(Making):
+    """A disk that is full from the tenth item on."""
+
+    def before(self, item):
+        if number_of(item) >= 10:
+            os.write(os.open("/dev/full", os.O_WRONLY), b"x")
+
+
+@pytest.mark.skipif(not pathlib.Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_full_disk_ends_the_run(address, tmp_path):
+    path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
+    report = run_with(path, out, Full, workers=2)
+    assert "no space left on device" in report.halt and report.made == 10 and report.left == 50 and not report.failed
+    assert run_with(path, out, Making, workers=2).complete and left_over(out) == []
+
+
+class Hostless(Making):
+    def __init__(self, base, out, device):
+        raise RuntimeError("no driver of the GPU")
+
+
+def test_workers_that_cannot_start_end_the_run_in_one_line(address, tmp_path):
+    path = write_frames(tmp_path / "job", 4)
+    with pytest.raises(RuntimeError, match="^no worker is left: its worker could not start: .*no driver of the GPU$"):
+        run_with(path, tmp_path / "out", Hostless, workers=2)
+    assert run_with(path, tmp_path / "out", Making, workers=2).complete
+
+
+def test_an_interrupt_keeps_what_is_made(address, job, whole, tmp_path):
+    out = tmp_path / "out"
+    program = (
+        "import signal, sys\nfrom warpcage.cli import main\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
+    )
+    words = ["run", job, "-o", out, "--device", "cpu", "--quiet", "--workers", 2, "--cluster", address]
+    line = [sys.executable, "-c", f"{program}\nsys.exit(main(sys.argv[1:]))", *map(str, words)]
+    driver = subprocess.Popen(line, stderr=subprocess.PIPE, text=True)
+    while driver.poll() is None and count_of(out / ".warpcage" / "notes", out) < 5:
+        time.sleep(0.02)
+    driver.send_signal(signal.SIGINT)
+    said = driver.communicate()[1]
+    assert driver.returncode == 130 and said == "warpcage: interrupted\n"
+    found = records(out)
+    assert 5 <= len(found) == len(pictures(out)) < FRAMES and left_over(out) == []
+    assert run_with(job, out, workers=2).kept == len(found)
+    assert_whole(out, whole)
+
+
+def test_clusters_that_do_not_answer_are_refused(job, tmp_path, capsys):
+    """In a process of its own: this one is connected already."""
+    words = ["run", job, "-o", tmp_path / "out", "--cluster", "127.0.0.1:1", "--quiet"]
+    done = subprocess.run([sys.executable, "-m", "warpcage", *map(str, words)], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("warpcage: error: no Ray cluster answers at '127.0.0.1:1'"), done.stderr
+
+
+@pytest.mark.parametrize("device", ["cuda:1", "gpu"])
+def test_devices_that_several_workers_cannot_share_are_refused(address, job, tmp_path, device):
+    with pytest.raises(ValueError, match="--device of several workers is cpu or cuda"):
+        warpcage.run_jobs(job, tmp_path / "out", workers=2, device=device)
+
+
+def test_workers_share_the_cores():
+    from warpcage.batch.ray_engine import shares
+    from warpcage.core.threads import cpu_threads
+
+    class Nodes:
+        def __init__(self, *resources):
+            self.resources = resources
+
+        def nodes(self):
+            return [{"Alive": True, "Resources": each} for each in self.resources]
+
+    here = shares(Nodes({"CPU": 2.0}), 2, False, None)
+    assert (here.workers, here.gpus, here.cpus, here.device) == (2, 0, 0, "cpu")
+    assert here.threads == max(1, cpu_threads() // 2)
+    two = Nodes({"CPU": 8.0}, {"CPU": 6.0})
+    assert [(shares(two, n, True, None).cpus, shares(two, n, True, None).workers) for n in (2, 3, 14, None)] == [
+        (6, 2),
+        (4, 3),
+        (1, 14),
+        (6, 2),
+    ]
+    gpus = Nodes({"CPU": 32.0, "GPU": 2.0})
+    found = shares(gpus, None, False, None)
+    assert (found.workers, found.gpus, found.threads, found.device) == (2, 1, 16, "cuda:0")
+    assert shares(gpus, 4, False, "cpu").gpus == 0
+    with pytest.raises(ValueError, match="4 workers need as many GPUs, this machine has 2"):
+        shares(gpus, 4, False, None)
+    with pytest.raises(ValueError, match="Ray sees no GPU"):
+        shares(two, 2, False, "cuda")
+    assert np.isfinite(found.cpus)

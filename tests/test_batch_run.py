@@ -1,0 +1,450 @@
+"""`warpcage run` by one worker: what is there is kept, what fails is listed, full disks and interrupts lose nothing."""
+
+import json
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from batch_runs import Making, Moody, command, left_over, pictures, records, run_with, write_frames
+
+import warpcage
+from warpcage.batch.output_folder import OutputFolder
+from warpcage.batch.webdataset import pack_shard, read_shard
+from warpcage.cli import main
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_frames(tmp_path_factory.mktemp("jobs") / "job", 12).parent
+
+
+def started(path, out, *words):
+    """`warpcage run` in this process; returns its exit status."""
+    return main(["run", str(path), "-o", str(out), "--device", "cpu", "--quiet", *map(str, words)])
+
+
+def test_a_run_makes_all_and_keeps_what_is_there(files, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert started(files / "jobs.jsonl", out) == 0
+    assert "12 items" in capsys.readouterr().out and left_over(out) == []
+    found, before = records(out), pictures(out)
+    assert sorted(before) == [f"shot/f{place:04d}.png" for place in range(12)]
+    for name, record in found.items():
+        assert record["state"] == "done" and record["attempts"] == 1 and record["version"] == warpcage.__version__
+        assert record["outputs"] == {f"{name}.png": len(before[f"{name}.png"])}
+        assert record["seconds"] > 0 and record["device"] and record["host"] and record["worker"] == "0"
+    times = {path: path.stat().st_mtime_ns for path in (out / "shot").iterdir()}
+    assert started(files / "jobs.jsonl", out) == 0
+    assert "0 items, 12 were there already" in capsys.readouterr().out
+    assert times == {path: path.stat().st_mtime_ns for path in (out / "shot").iterdir()} and records(out) == found
+
+
+def test_what_changed_is_made_again_and_nothing_else(files, tmp_path, capsys):
+    folder, out = tmp_path / "job", tmp_path / "out"
+    shutil.copytree(files, folder)
+    path = folder / "jobs.jsonl"
+    assert started(path, out) == 0
+    whole = pictures(out)
+    (out / "shot" / "f0003.png").unlink()  # lost
+    (out / "shot" / "f0004.png").write_bytes(whole["shot/f0004.png"][:-9])  # cut
+    poses = np.load(folder / "jobs.npy")
+    poses[7] = poses[2]
+    write_frames(folder, 12, changes={9: {"background": "black"}})
+    np.save(folder / "jobs.npy", poses)
+    capsys.readouterr()
+    assert main(["run", str(path), "-o", str(out), "--dry-run", "--device", "cpu"]) == 0
+    said = capsys.readouterr().out
+    assert (
+        "12 items: 8 are there already" in said and "4 would be made: 4 frames, in 1 group, 4 of them changed" in said
+    )
+    assert not (out / "shot" / "f0003.png").exists()
+    before = {path: path.stat().st_mtime_ns for path in (out / "shot").iterdir()}
+    assert started(path, out) == 0
+    made = {each.stem for each in (out / "shot").iterdir() if before.get(each) != each.stat().st_mtime_ns}
+    assert made == {"f0003", "f0004", "f0007", "f0009"}
+    now = pictures(out)
+    assert now["shot/f0007.png"] == whole["shot/f0002.png"] and now["shot/f0009.png"] != whole["shot/f0009.png"]
+    assert all(now[name] == whole[name] for name in whole if name[6:10] not in ("0007", "0009"))
+
+
+def test_bad_items_are_listed_and_the_rest_is_made(files, tmp_path, capsys):
+    """A row that is not there, a field that cannot be read, a cage that is not there."""
+    changes = {2: {"posed": "jobs.npy#99"}, 5: {"field": "broken.npz"}, 6: {"cage": "none.obj"}}
+    path, out = write_frames(files, 12, "bad.jsonl", changes=changes), tmp_path / "out"
+    assert started(path, out) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 4 and said[-1] == "warpcage: error: 3 items failed"
+    assert all(f"shot/f000{place}: " in line for place, line in zip((2, 5, 6), said, strict=False))
+    found = records(out)
+    assert [name for name, each in found.items() if each["state"] == "failed"] == [f"shot/f000{n}" for n in (2, 5, 6)]
+    assert all(found[f"shot/f000{place}"]["attempts"] == 1 for place in changes) and len(pictures(out)) == 9
+    assert "none.obj" in found["shot/f0006"]["error"] and "\n" not in found["shot/f0006"]["error"]
+    write_frames(files, 12, "bad.jsonl")
+    assert started(path, out) == 0 and len(pictures(out)) == 12
+    assert {each["state"] for each in records(out).values()} == {"done"}
+
+
+def test_one_bad_item_of_a_hundred(files, tmp_path):
+    path = write_frames(tmp_path / "job", 100, changes={41: {"posed": "jobs.npy#100"}})
+    report = run_with(path, tmp_path / "out")
+    assert report.made == 99 and list(report.failed) == ["shot/f0041"] and not report.left
+    assert len(pictures(tmp_path / "out")) == 99 and not report.complete
+
+
+def test_errors_are_tried_again_and_bad_input_is_not(files, tmp_path):
+    Moody.tried = {}
+    path, out = write_frames(tmp_path / "job", 20), tmp_path / "out"
+    report = run_with(path, out, Moody)
+    assert sorted(report.failed) == [f"shot/f00{number}" for number in ("05", "07", "15", "17")]
+    assert report.failed["shot/f0005"] == "RuntimeError: no luck at try 3"
+    found = records(out)
+    attempts = {name[-2:]: each["attempts"] for name, each in found.items()}
+    assert [attempts[name] for name in ("02", "03", "05", "07", "13")] == [1, 3, 3, 1, 3]
+    assert report.made == 16 == sum(each["state"] == "done" for each in found.values())
+
+
+@pytest.mark.parametrize("fault", ["two ids", "two outputs", "no item", "a file as folder", "no job"])
+def test_what_cannot_be_run_is_refused_in_one_line(files, tmp_path, capsys, fault):
+    path, out = tmp_path / "jobs.jsonl", tmp_path / "out"
+    shutil.copy(files / "jobs.jsonl", path)
+    lines = path.read_text().splitlines()
+    if fault == "two ids":
+        path.write_text("\n".join([*lines, lines[3]]) + "\n")
+    elif fault == "two outputs":
+        path.write_text(
+            "\n".join([*lines, lines[3].replace('"shot/f0002"', '"x", "outputs": {"rgb": "shot/f0002.png"}')])
+        )
+    elif fault == "no item":
+        path.write_text(lines[0] + '\n{"id": "a", "fields": 3}\n')
+    elif fault == "a file as folder":
+        out.write_text("mine")
+    else:
+        path.unlink()
+    assert started(path, out) == 2
+    said = capsys.readouterr().err.splitlines()
+    expected = {
+        "two ids": "lines 4 and 14: two items have the id 'shot/f0002'",
+        "two outputs": "lines 4 and 14: two items have the output 'shot/f0002.png'",
+        "no item": "line 2",
+        "a file as folder": "is a file",
+        "no job": "is not there",
+    }
+    assert len(said) == 1 and expected[fault] in said[0], said
+    assert out.is_file() or not out.exists() or not pictures(out)
+
+
+def test_a_second_driver_is_refused_and_the_first_one_killed_frees_the_folder(files, tmp_path, capsys):
+    out = tmp_path / "out"
+    OutputFolder(out).prepare()
+    program = (
+        "import sys, time\nfrom warpcage.batch.output_folder import OutputFolder\n"
+        "with OutputFolder(sys.argv[1]).driven():\n    print('here', flush=True)\n    time.sleep(60)"
+    )
+    other = subprocess.Popen([sys.executable, "-c", program, str(out)], stdout=subprocess.PIPE)
+    assert other.stdout.readline() == b"here\n"
+    assert started(files / "jobs.jsonl", out) == 2
+    assert f"error: another run writes to {str(out)!r}" in capsys.readouterr().err
+    assert main(["run", str(files / "jobs.jsonl"), "-o", str(out), "--dry-run", "--device", "cpu"]) == 0
+    other.kill()
+    other.wait()
+    assert started(files / "jobs.jsonl", out) == 0 and len(pictures(out)) == 12
+
+
+def test_workers_of_a_driver_that_was_killed_are_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr("warpcage.batch.output_folder.PATIENCE", 0.2)
+    folder = OutputFolder(tmp_path / "out")
+    folder.prepare()
+    with folder.worked_in():
+        with pytest.raises(ValueError, match="workers of an earlier run still write"), folder.driven():
+            pass
+    with folder.driven(), folder.worked_in(), folder.worked_in():
+        pass
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_an_ended_run_goes_on_where_it_was(files, tmp_path, sign):
+    """By one worker, which is the driver."""
+    path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
+    program = (
+        "import signal, sys\nfrom warpcage.cli import main\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\nsys.exit(main(sys.argv[1:]))"
+    )
+    words = ["run", path, "-o", out, "--device", "cpu", "--quiet"]
+    driver = subprocess.Popen([sys.executable, "-c", program, *map(str, words)], stderr=subprocess.PIPE, text=True)
+    while len(list((out / "shot").glob("*.png") if (out / "shot").exists() else ())) < 10:
+        assert driver.poll() is None, driver.stderr.read()
+        time.sleep(0.02)
+    driver.send_signal(sign)
+    said = driver.communicate()[1]
+    if sign != signal.SIGKILL:
+        assert driver.returncode == 128 + sign and said in ("warpcage: interrupted\n", "warpcage: terminated\n")
+        assert left_over(out) == [] and 10 <= len(records(out)) < 60
+        assert len(records(out)) == len(pictures(out))
+    before = {each: each.stat().st_mtime_ns for each in (out / "shot").iterdir()}
+    assert started(path, out) == 0
+    found = records(out)
+    assert len(found) == len(pictures(out)) == 60 and left_over(out) == []
+    again = [each for each, when in before.items() if each.stat().st_mtime_ns != when]
+    assert len(again) <= (10 if sign == signal.SIGKILL else 0)  # what was under way, and was not noted yet
+
+
+class Touching(Making):
+    """Changes the job file while it runs."""
+
+    path: pathlib.Path
+
+    def before(self, item):
+        with self.path.open("a") as file:
+            file.write("\n")
+
+
+def test_a_job_file_that_changes_while_it_runs_ends_the_run(tmp_path):
+    path, out = write_frames(tmp_path / "job", 30), tmp_path / "out"
+    Touching.path = path
+    with pytest.raises(ValueError, match=r"jobs.jsonl was changed while it ran"):
+        run_with(path, out, Touching)
+    some = len(records(out))
+    assert 0 < some < 30 and left_over(out) == []
+    assert run_with(path, out, Making).made == 30 - some
+
+
+def test_a_field_that_changes_while_it_runs_is_read_again(files, tmp_path):
+    """Or an item would be noted with the new field's hash and show the old one."""
+    folder, out = tmp_path / "job", tmp_path / "out"
+    path = write_frames(folder, 4)
+    from warpcage.batch.fingerprints import Fingerprints
+    from warpcage.batch.job_file import JobFile
+    from warpcage.batch.worker import Worker
+    from warpcage.field.voxel_field import VoxelField
+
+    with JobFile(path) as job, Worker(folder, out, "cpu") as worker:
+        prints, item = Fingerprints(folder), job.item(1)
+        before = prints.of(item)
+        worker.run(item)
+        old = pictures(out)
+        density = np.full((8, 8, 8), 40.0)
+        bounds = [[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]]
+        VoxelField.from_dense(density, np.zeros((8, 8, 8, 9, 3)), bounds).save(folder / "ball.npz")
+        assert prints.of(item) != before
+        worker.run(item)
+        assert pictures(out) != old
+
+
+NO_ROOM = """\
+import os, pathlib, subprocess, sys
+jobs, out = sys.argv[1:3]
+pathlib.Path(out).mkdir()
+subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={sys.argv[3]}", "tmpfs", out], check=True)
+from warpcage.cli import main
+status = main(["run", jobs, "-o", out, "--device", "cpu", "--quiet"])
+files = [path for path in pathlib.Path(out, "shot").iterdir()]
+parts = [path.name for path in pathlib.Path(out).rglob("*") if path.is_file() and "parts" in path.parts]
+print(status, len(files), parts)
+if status == 1:
+    subprocess.run(["mount", "-o", "remount,size=64m", out], check=True)
+    print(main(["run", jobs, "-o", out, "--device", "cpu", "--quiet"]))
+    print(len(list(pathlib.Path(out, "shot").iterdir())), len(open(out + "/manifest.jsonl").readlines()))
+"""
+
+
+def in_a_namespace(program, *words):
+    """Python as root of a user namespace, which may mount; the test is skipped where there are none."""
+    if subprocess.run(["unshare", "-Urm", "true"], capture_output=True).returncode if shutil.which("unshare") else True:
+        pytest.skip("user namespaces are not allowed here")
+    line = ["unshare", "-Urm", sys.executable, "-c", program, *map(str, words)]
+    return subprocess.run(line, capture_output=True, text=True)
+
+
+def test_a_full_disk_ends_the_run_and_loses_nothing(tmp_path):
+    path = write_frames(tmp_path / "job", 30, outputs={"rgb": "{id}.npy"})
+    done = in_a_namespace(NO_ROOM, path, tmp_path / "out", "128k")
+    assert done.returncode == 0, done.stderr
+    first, again, counts = [line for line in done.stdout.splitlines() if not line.startswith("wrote")]
+    status, made, parts = first.split(maxsplit=2)
+    assert status == "1" and 5 < int(made) < 30 and parts == "[]" and again == "0" and counts == "30 30"
+    said = done.stderr.splitlines()
+    assert len(said) == 1 and "no space left on device" in said[0] and "items left" in said[0], done.stderr
+
+
+READ_ONLY = """\
+import pathlib, subprocess, sys
+jobs, out = sys.argv[1:3]
+from warpcage.cli import main
+subprocess.run(["mount", "--bind", out, out], check=True)
+subprocess.run(["mount", "-o", "remount,ro,bind", out], check=True)
+sys.exit(main(["run", jobs, "-o", out, "--device", "cpu", "--quiet"]))
+"""
+
+
+def test_a_folder_that_is_read_only_is_refused(files, tmp_path):
+    (tmp_path / "out").mkdir()
+    done = in_a_namespace(READ_ONLY, files / "jobs.jsonl", tmp_path / "out")
+    assert done.returncode == 2 and done.stderr.startswith("warpcage: error: read-only file system"), done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(not pathlib.Path("/dev/full").exists(), reason="no /dev/full")
+def test_notes_that_cannot_be_written_end_the_run(files, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    OutputFolder(out).prepare()
+    monkeypatch.setattr("warpcage.batch.run.run_name", lambda: "run")
+    monkeypatch.setattr("warpcage.batch.run.OutputFolder.merge", lambda folder: None)
+    (out / ".warpcage" / "notes" / "run-0.jsonl").symlink_to("/dev/full")
+    report = run_with(files / "jobs.jsonl", out)
+    assert "no space left on device" in report.halt and report.left == 12 and not report.failed
+
+
+def test_one_worker_needs_no_ray(files, tmp_path):
+    program = (
+        "import sys\nsys.modules['ray'] = None\nfrom warpcage.cli import main\n"
+        "words = ['run', sys.argv[1], '--device', 'cpu', '--quiet', '-o', sys.argv[2]]\n"
+        "assert main(words) == 0\nassert main([*words, '--workers', '2', '--retries', '0']) == 0\n"
+        "sys.exit(main([*words[:-1], sys.argv[2] + 'x', '--workers', '2']))"
+    )
+    out = tmp_path / "out"
+    line = [sys.executable, "-c", program, str(files / "jobs.jsonl"), str(out)]
+    done = subprocess.run(line, capture_output=True, text=True)
+    assert done.returncode == 2 and len(pictures(out)) == 12
+    assert done.stderr.startswith(
+        "warpcage: error: more than one worker, and --cluster, need Ray: pip install 'warpcage["
+    )
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_dry_run_writes_nothing(files, tmp_path, capsys):
+    words = ["run", str(files / "jobs.jsonl"), "-o", str(tmp_path / "out"), "--dry-run", "--device", "cpu"]
+    assert main([*words, "--workers", "2"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == "12 items: 0 are there already and unchanged"
+    assert said[1] == "12 would be made: 12 frames, in 1 group" and said[3].endswith("by 2 workers")
+    assert "one frame takes" in said[2] and "shot/f0000" in said[2] and not (tmp_path / "out").exists()
+    bad = write_frames(files, 3, "bad.jsonl", changes={0: {"field": "none.npz"}, 1: {"field": "none.npz"}})
+    assert main(["run", str(bad), "-o", str(tmp_path / "out"), "--dry-run", "--device", "cpu"]) in (0, 1)
+
+
+def test_a_dry_run_sees_what_a_killed_run_noted(files, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert started(files / "jobs.jsonl", out) == 0
+    (out / ".warpcage" / "notes").mkdir(exist_ok=True)
+    os.replace(out / "manifest.jsonl", out / ".warpcage" / "notes" / "a.jsonl")
+    capsys.readouterr()
+    assert main(["run", str(files / "jobs.jsonl"), "-o", str(out), "--dry-run", "--device", "cpu"]) == 0
+    assert "12 items: 12 are there already" in capsys.readouterr().out and not (out / "manifest.jsonl").exists()
+
+
+def test_names_in_any_script(tmp_path):
+    path, out = write_frames(tmp_path / "jöb", 3, changes={1: {"id": "ベンチ/ä_01"}}), tmp_path / "öut"
+    assert run_with(path, out).complete
+    assert (out / "ベンチ" / "ä_01.png").is_file() and "ベンチ/ä_01" in records(out)
+    assert "ベンチ" in (out / "manifest.jsonl").read_text(encoding="utf-8")
+    assert run_with(path, out).kept == 3
+
+
+def test_progress_tells_how_far_it_is(files, tmp_path):
+    states = []
+    report = warpcage.batch.run_jobs(files / "jobs.jsonl", tmp_path / "out", device="cpu", progress=states.append)
+    assert report.made == 12 and report.complete and warpcage.run_jobs is warpcage.batch.run_jobs
+    assert states[0].stage == "check" and states[-1].done == 12 and states[-1].total == 12
+    done = [state.done for state in states if state.stage == "make"]
+    assert done == sorted(done) and len(set(done)) > 2
+
+
+@pytest.mark.parametrize("words", [{"workers": 0}, {"workers": "2"}, {"retries": -1}, {"retries": 1.5}])
+def test_options_that_cannot_be_are_refused(files, tmp_path, words):
+    with pytest.raises(ValueError, match=next(iter(words))):
+        warpcage.run_jobs(files / "jobs.jsonl", tmp_path, **words)
+
+
+def test_help_names_the_words():
+    done = subprocess.run(command("run", "--help"), capture_output=True, text=True)
+    assert done.returncode == 0 and "--cluster" in done.stdout and json.dumps(done.stdout)
+
+
+RECORDS = {"kind": "webdataset", "items_per_shard": 5}
+
+
+def write_records(folder, count, records, name="records.jsonl", **words):
+    path = write_frames(folder, count, name, **words)
+    lines = path.read_text().splitlines()
+    lines[0] = json.dumps(json.loads(lines[0]) | {"records": records})
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_shards_are_packed_when_their_items_are_settled(tmp_path):
+    path, out = write_records(tmp_path / "job", 12, RECORDS), tmp_path / "out"
+    report = run_with(path, out)
+    assert report.complete and report.made == 12 and left_over(out) == []
+    shards = pictures(out)
+    assert sorted(shards) == [f"shard-00000{number}.tar" for number in range(3)]
+    keys = [record["__key__"] for name in shards for record in read_shard(out / name)]
+    assert keys == [f"shot/f{number:04d}" for number in range(12)]
+    assert run_with(path, out).kept == 12 and pictures(out) == shards
+    (out / "shard-000001.tar").unlink()
+    assert run_with(path, out).made == 5 and pictures(out) == shards
+
+
+def test_a_shard_is_packed_without_what_failed_and_again_with_it(tmp_path):
+    path, out = write_records(tmp_path / "job", 12, RECORDS), tmp_path / "out"
+    assert run_with(path, out).complete
+    whole = pictures(out)
+    shutil.rmtree(out)
+    write_records(tmp_path / "job", 12, RECORDS, changes={6: {"cage": "none.obj"}})
+    report = run_with(path, out)
+    assert report.made == 11 and list(report.failed) == ["shot/f0006"]
+    assert len(list(read_shard(out / "shard-000001.tar"))) == 4
+    write_records(tmp_path / "job", 12, RECORDS)
+    assert run_with(path, out).made == 1 and pictures(out) == whole
+
+
+@pytest.mark.parametrize("step", ["before it is packed", "while it is packed", "before its files are deleted"])
+def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
+    path, out = write_records(tmp_path / "job", 12, RECORDS), tmp_path / "out"
+    assert run_with(path, out).complete
+    whole = pictures(out)
+    shutil.rmtree(out)
+    place, name = {
+        "before it is packed": ("lot_runner", "pack_shard"),
+        "while it is packed": ("webdataset", "_add"),
+        "before its files are deleted": ("webdataset", "shutil"),
+    }[step]
+    program = (
+        "import os, pathlib, signal, sys, types\nsys.path.insert(0, sys.argv[3])\nfrom batch_runs import run_with\n"
+        f"import warpcage.batch.{place} as place\n"
+        "kill = lambda *given, **words: os.kill(os.getpid(), signal.SIGKILL)\n"
+        f"place.{name} = {'types.SimpleNamespace(rmtree=kill)' if name == 'shutil' else 'kill'}\n"
+        "run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
+    )
+    line = [sys.executable, "-c", program, str(path), str(out), str(pathlib.Path(__file__).parent)]
+    assert subprocess.run(line).returncode == -signal.SIGKILL
+    report = run_with(path, out)
+    assert report.complete and report.kept >= 5 and pictures(out) == whole and left_over(out) == []
+    assert len(records(out)) == 12
+
+
+def test_a_shard_that_cannot_be_packed_is_told(tmp_path, monkeypatch):
+    path, out = write_records(tmp_path / "job", 12, RECORDS), tmp_path / "out"
+    with monkeypatch.context() as patch:
+
+        def fails(folder, shard, records):
+            if shard == 1:
+                raise RuntimeError("no tar today")
+            return pack_shard(folder, shard, records)
+
+        patch.setattr("warpcage.batch.lot_runner.pack_shard", fails)
+        report = run_with(path, out)
+    assert report.failed == {"shard-000001.tar": "RuntimeError: no tar today"} and report.made == 12
+    assert run_with(path, out).complete and len(list(out.glob("*.tar"))) == 3 and left_over(out) == []
+
+
+def test_a_folder_of_records_is_a_scene(tmp_path):
+    path, out = write_records(tmp_path / "job", 6, {"kind": "folder"}), tmp_path / "out"
+    assert run_with(path, out).complete
+    assert len(json.loads((out / "transforms.json").read_text())["frames"]) == 6 == len(records(out))
+    assert len(warpcage.load_scene(out).images) > 4

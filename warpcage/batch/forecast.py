@@ -1,0 +1,144 @@
+"""What a run would do and how long it would take, from items that are made once into a folder that is thrown away."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import dataclasses
+import pathlib
+import tempfile
+import time
+
+import numpy as np
+
+from ..core.devices import resolve_device
+from ..core.files import PathLike
+from ..core.threads import cpu_threads, limit_threads
+from .fingerprints import Fingerprints
+from .job_file import JobFile
+from .manifest import Manifest, merge_notes, newest_seconds
+from .output_folder import OutputFolder
+from .plan import KIND_NUMBERS, Plan, make_plan
+from .worker import Worker
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """What an item of a kind takes.
+
+    Attributes:
+        seconds: An item, where all that it needs is loaded.
+        load_seconds: What the first of a group takes more.
+        source: The id of the item that was made for it, or "earlier runs".
+    """
+
+    seconds: float
+    load_seconds: float
+    source: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Forecast:
+    """What a run would do.
+
+    Attributes:
+        total: Items of the job.
+        kept: Items that are there and whose inputs did not change.
+        changed: Items to be made whose inputs or files changed.
+        failed_before: Items to be made that failed in an earlier run.
+        counts: Items to be made, by their kind.
+        group_count: How often something is loaded for them at least.
+        measured: What items take, by their kind.
+        errors: Why an item of a kind could not be made, by its id.
+        workers: By how many.
+        seconds: How long it would take, without what could not be measured.
+    """
+
+    total: int
+    kept: int
+    changed: int
+    failed_before: int
+    counts: dict[str, int]
+    group_count: int
+    measured: dict[str, Measured]
+    errors: dict[str, str]
+    workers: int
+    seconds: float
+
+
+def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | None = None) -> Forecast:
+    """Look at a job and at what is there of it, and make an item of each kind, or two, to see how long they take.
+
+    Nothing is written to the output folder.
+
+    Args:
+        path: The job file.
+        out: The output folder, which may not be there.
+        workers: By how many it would be made. On the CPU they share the cores.
+        device: Warp device on which is measured. None is CUDA where there is one.
+
+    Returns:
+        What a run would do.
+
+    Raises:
+        FileNotFoundError: If there is no such job file.
+        ValueError: For a job file that cannot be read.
+    """
+    with JobFile(path) as job, tempfile.TemporaryDirectory() as temporary:
+        plan, seconds = _planned(job, OutputFolder(out), pathlib.Path(temporary))
+        numbers = collections.Counter(plan.kinds.tolist())
+        counts = {kind: numbers[number] for kind, number in KIND_NUMBERS.items() if numbers[number]}
+        measured = {kind: Measured(seconds[kind], 0.0, "earlier runs") for kind in counts if kind in seconds}
+        errors: dict[str, str] = {}
+        found = resolve_device(device)
+        threads = max(1, cpu_threads() // workers) if found.is_cpu else cpu_threads()
+        with limit_threads(threads), Worker(job.folder, temporary, found) as worker:
+            for kind in counts:
+                if kind not in measured:
+                    _measure(job, plan, kind, worker, measured, errors)
+    work = sum(counts[kind] * each.seconds for kind, each in measured.items())
+    loads = max((each.load_seconds for each in measured.values()), default=0.0) * max(plan.group_count, 1)
+    workers = max(1, min(workers, len(plan.items)))
+    return Forecast(
+        plan.total,
+        plan.kept,
+        plan.changed,
+        plan.failed_before,
+        counts,
+        plan.group_count,
+        measured,
+        errors,
+        workers,
+        (work + loads) / workers,
+    )
+
+
+def _planned(job: JobFile, folder: OutputFolder, temporary: pathlib.Path) -> tuple[Plan, dict[str, float]]:
+    """The plan, and what items took in earlier runs; the notes of one that was killed count."""
+    merged = temporary / "manifest.jsonl"
+    merge_notes(folder.manifest, folder.notes.glob("*.jsonl"), into=merged)
+    with contextlib.closing(Manifest(merged)) as manifest:
+        return make_plan(job, folder, manifest, Fingerprints(job.folder, folder.path).of), newest_seconds(manifest)
+
+
+def _measure(
+    job: JobFile, plan: Plan, kind: str, worker: Worker, measured: dict[str, Measured], errors: dict[str, str]
+) -> None:
+    """Make the first item of a kind, and the next of its group, for which all is loaded, where there is one."""
+    places = np.flatnonzero(plan.kinds == KIND_NUMBERS[kind])
+    first = job.item(int(plan.items[places[0]]))
+    made = [first]
+    if kind == "frame" and len(places) > 1:
+        second = job.item(int(plan.items[places[1]]))
+        made += [second] if second.group == first.group else []
+    seconds = []
+    for item in made:
+        begin = time.perf_counter()
+        try:
+            worker.run(item)
+        except Exception as error:  # whatever it is, a run would list it
+            errors[item.id] = " ".join(str(error).split()) or type(error).__name__
+            break
+        seconds.append(time.perf_counter() - begin)
+    if seconds:
+        measured[kind] = Measured(seconds[-1], seconds[0] - seconds[-1] if len(seconds) > 1 else 0.0, first.id)

@@ -1,0 +1,143 @@
+"""The folder of a run: its lock, the notes of its workers, and what killed ones leave there."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import pathlib
+import re
+import shutil
+import time
+from collections.abc import Iterator
+from typing import IO, Any
+
+from ..core.checks import warn_caller
+from ..core.files import PathLike
+from .manifest import Manifest, Notes, merge_notes
+from .outputs import PARTS
+
+#: The run's own folder in the output folder, and its manifest.
+OWN_FOLDER, MANIFEST = ".warpcage", "manifest.jsonl"
+
+#: What files of the run itself are called before they are whole.
+_TEMPORARY = re.compile(r"\.(manifest|transforms|shard-\d+)-[0-9a-f]{16}\.(jsonl|json|tar)")
+
+#: Seconds that the workers of a driver that was killed are waited for.
+PATIENCE = 30.0
+
+#: What a file system without locks says.
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
+
+
+class OutputFolder:
+    """Where a run writes.
+
+    Args:
+        path: The folder; `prepare` makes it.
+    """
+
+    def __init__(self, path: PathLike):
+        self.path = pathlib.Path(path).absolute()
+        self.own = self.path / OWN_FOLDER
+        self.notes = self.own / "notes"
+
+    @property
+    def manifest(self) -> pathlib.Path:
+        """The manifest."""
+        return self.path / MANIFEST
+
+    def prepare(self) -> None:
+        """Make the folder.
+
+        Raises:
+            ValueError: Where a file is in its place.
+            OSError: If it cannot be made.
+        """
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"{str(self.path)!r} is a file: -o takes a folder")
+        self.notes.mkdir(parents=True, exist_ok=True)
+
+    def new_notes(self, name: str) -> Notes:
+        """A file of notes of its own.
+
+        Args:
+            name: Which no other file of this run has.
+        """
+        return Notes(self.notes / f"{name}.jsonl")
+
+    @contextlib.contextmanager
+    def driven(self) -> Iterator[None]:
+        """Be the only driver of the folder. The lock frees itself where the driver is killed.
+
+        Raises:
+            ValueError: Where another run is under way, or workers of a driver that was killed do not end.
+        """
+        with contextlib.ExitStack() as held:
+            driver = held.enter_context(open(self.own / "driver.lock", "a+b"))
+            if not _lock(driver, exclusive=True):
+                raise ValueError(f"another run writes to {str(self.path)!r}: wait for its end, or give another folder")
+            workers = held.enter_context(open(self.own / "workers.lock", "a+b"))
+            end = time.monotonic() + PATIENCE
+            while not _lock(workers, exclusive=True):
+                if time.monotonic() > end:
+                    raise ValueError(
+                        f"workers of an earlier run still write to {str(self.path)!r}: end them, or give another folder"
+                    )
+                time.sleep(0.05)
+            workers.close()  # for the workers of this run
+            yield
+
+    def worked_in(self) -> IO[bytes]:
+        """What a worker holds open as long as it may write here."""
+        file = open(self.own / "workers.lock", "a+b")
+        _lock(file, exclusive=False)
+        return file
+
+    def merge(self) -> None:
+        """Merge all notes into the manifest, and remove what workers that were killed left half-written.
+
+        No worker may be at work.
+
+        Raises:
+            OSError: If the manifest cannot be written.
+        """
+        shutil.rmtree(self.path / PARTS, ignore_errors=True)
+        for path in self.path.glob(".*-*"):
+            if _TEMPORARY.fullmatch(path.name):
+                path.unlink(missing_ok=True)
+        merge_notes(self.manifest, self.notes.glob("*.jsonl"))
+
+    def read_manifest(self) -> Manifest:
+        """The records of earlier runs."""
+        return Manifest(self.manifest)
+
+    def holds(self, outputs: Any) -> bool:
+        """Whether all files of a record are there in the size that it says.
+
+        Args:
+            outputs: Bytes by name.
+        """
+        if not isinstance(outputs, dict) or not outputs:
+            return False
+        try:
+            return all(os.stat(self.path / name).st_size == size for name, size in outputs.items())
+        except (OSError, ValueError):
+            return False
+
+
+def _lock(file: IO[bytes], *, exclusive: bool) -> bool:
+    """Lock an open file until it is closed; returns False where another process has it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return True
+    try:
+        fcntl.flock(file, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        warn_caller(f"the file system of {str(file.name)!r} has no locks: nothing keeps a second run away")
+    return True

@@ -1,0 +1,163 @@
+"""What a run has to make: what is there already and as it should be is kept, the rest is put in order."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from .items import KINDS, Item
+from .job_file import JobFile
+from .lots import Lots
+from .manifest import DONE, FAILED, Manifest, id_key
+from .output_folder import OutputFolder
+from .records import ITEMS_PER_SHARD, WEBDATASET
+from .webdataset import shard_holds, staged_shards
+
+#: Numbers of the kinds of items, for `Lots`.
+KIND_NUMBERS = {kind: number for number, kind in enumerate(KINDS)}
+
+
+@dataclasses.dataclass
+class Plan:
+    """What is made, and what is kept.
+
+    Attributes:
+        total: Items of the job.
+        items: (n,) numbers of those to be made, in the order in which workers should take them.
+        groups: (n,) which of them share what a worker loads; of a job with shards, the shard of each.
+        kinds: (n,) their kinds, as `KIND_NUMBERS` has them.
+        kept: Items that are there.
+        changed: Items to be made whose inputs changed, or whose files are not as they were.
+        failed_before: Items to be made that failed in an earlier run.
+        group_count: Groups of those to be made: fields with the cages at rest on them, scenes.
+        keys: (total,) `id_key` of all items.
+    """
+
+    total: int
+    items: np.ndarray
+    groups: np.ndarray
+    kinds: np.ndarray
+    kept: int
+    changed: int
+    failed_before: int
+    group_count: int
+    keys: np.ndarray
+
+    def lots(self, *, aim: float, whole: bool) -> Lots:
+        """What is to be made, as workers take it."""
+        return Lots(self.items, self.groups, self.kinds, aim=aim, whole=whole)
+
+
+def make_plan(
+    job: JobFile,
+    folder: OutputFolder,
+    manifest: Manifest,
+    fingerprint: Callable[[Item], str],
+    progress: Callable[[int], None] = lambda count: None,
+) -> Plan:
+    """Look at all items of a job.
+
+    Args:
+        job: The job file.
+        folder: The output folder.
+        manifest: Its records.
+        fingerprint: The hash of an item's inputs.
+        progress: Called with the number of items that were looked at.
+
+    Returns:
+        The plan.
+
+    Raises:
+        ValueError: For an item that cannot be read, or two that share their id or an output.
+    """
+    count = len(job)
+    shard = shard_size(job)
+    keys, groups, poses = (np.zeros(count, np.int64) for _ in range(3))
+    kinds, wanted = np.zeros(count, np.int8), np.ones(count, bool)
+    names: dict[str, int] = {}
+    paths, owners = [], []
+    changed = failed_before = 0
+    for index, item in enumerate(job.items()):
+        keys[index], kinds[index] = id_key(item.id), KIND_NUMBERS[item.kind]
+        groups[index] = names.setdefault(item.group, len(names))
+        poses[index] = id_key(item.pose)
+        paths += [id_key(path) for path in item.outputs.values()]
+        owners += [index] * len(item.outputs)
+        record = manifest.find(item.id) if len(manifest) else None
+        if record is not None and record["state"] == DONE:
+            outputs = record.get("outputs")
+            there = shard_holds(folder.path, index // shard, outputs) if shard else folder.holds(outputs)
+            wanted[index] = not (there and _unchanged(record, item, fingerprint))
+            changed += int(wanted[index])
+        failed_before += record is not None and record["state"] == FAILED
+        progress(index + 1)
+    _refuse_twins(job, keys, np.arange(count), lambda item: [item.id], "the id")
+    _refuse_twins(job, np.array(paths, np.int64), np.array(owners, np.int64), _paths, "the output")
+    makes = np.flatnonzero(wanted)
+    major = makes // shard if shard else groups[makes]
+    # poses in the order in which they come first
+    _, first, which = np.unique(poses[makes], return_index=True, return_inverse=True)
+    minor = first[which] if len(makes) else which
+    order = np.lexsort((makes, minor, groups[makes], major))
+    group_count = len(np.unique(groups[makes]))
+    return Plan(
+        count,
+        makes[order],
+        major[order],
+        kinds[makes][order],
+        count - len(makes),
+        changed,
+        failed_before,
+        group_count,
+        keys,
+    )
+
+
+def shard_size(job: JobFile) -> int:
+    """Items of a shard of a job; 0 where it has no shards."""
+    if job.records.get("kind") != WEBDATASET:
+        return 0
+    return int(job.records.get("items_per_shard", ITEMS_PER_SHARD))
+
+
+def open_shards(plan: Plan, folder: OutputFolder) -> dict[int, int]:
+    """Items to be made of each shard of a job with shards; 0 where its loose files are only to be packed.
+
+    Args:
+        plan: The plan.
+        folder: The output folder.
+
+    Returns:
+        Counts by shard.
+    """
+    shards, counts = np.unique(plan.groups, return_counts=True)
+    return {shard: 0 for shard in staged_shards(folder.path)} | dict(zip(shards.tolist(), counts.tolist(), strict=True))
+
+
+def _unchanged(record: dict, item: Item, fingerprint: Callable[[Item], str]) -> bool:
+    try:
+        return record.get("inputs") == fingerprint(item)
+    except (OSError, ValueError):  # the worker will say what is wrong with it
+        return False
+
+
+def _paths(item: Item) -> list[str]:
+    return list(item.outputs.values())
+
+
+def _refuse_twins(
+    job: JobFile, keys: np.ndarray, owners: np.ndarray, names: Callable[[Item], list[str]], what: str
+) -> None:
+    """Raise ValueError for the first name that two items have."""
+    order = np.argsort(keys, kind="stable")
+    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
+    for place in same:
+        one, two = sorted((int(owners[order[place]]), int(owners[order[place + 1]])))
+        shared = set(names(job.item(one))) & set(names(job.item(two))) if one != two else set(names(job.item(one)))
+        if shared and (one != two or len(names(job.item(one))) > len(shared)):
+            raise ValueError(
+                f"{job.path}, lines {job.line(one)} and {job.line(two)}: two items have {what} {min(shared)!r}: "
+                "each needs its own"
+            )

@@ -1,0 +1,375 @@
+"""Workers in processes of Ray: on this machine, one a GPU or some a CPU, or on a cluster by its address."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import logging
+import os
+import queue
+import signal
+import socket
+import threading
+import time
+import types
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from ..core.threads import cpu_threads
+from .dispatcher import LotReport
+from .loop import Died, Event, Finished, Ready, Returned
+from .lot_runner import LotOrder, one_line
+from .lots import Lot
+from .manifest import DONE, ERROR, FAILED, notes_of_lot
+from .output_folder import OutputFolder
+from .ray_actor import LotActor
+from .runners import RunnerSettings
+
+#: Seconds that workers get to end the items that they have begun, when a run is interrupted.
+GRACE = 5.0
+
+#: Seconds within which a cluster must answer.
+CONNECT = 10.0
+
+#: Seconds within which the first worker must have started, here and on a cluster, which may have to wait for machines.
+START_HERE, START_THERE = 120.0, 900.0
+
+#: Bytes of Ray's store of objects on this machine: messages are small and do not go through it.
+STORE = 100 * 2**20
+
+
+def load_ray() -> types.ModuleType:
+    """Ray, which only several workers and clusters need.
+
+    Raises:
+        ImportError: Where it is not installed.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nobody is told
+    try:
+        import ray
+    except ImportError:
+        raise ImportError("more than one worker, and --cluster, need Ray: pip install 'warpcage[cluster]'") from None
+    return ray
+
+
+@contextlib.contextmanager
+def ray_session(cluster: str | None) -> Iterator[types.ModuleType]:
+    """Ray, started here or connected to a cluster; one that the program itself has started is used as it is.
+
+    Args:
+        cluster: Address of a cluster, None for this machine.
+
+    Yields:
+        The module.
+
+    Raises:
+        ImportError: Where Ray is not installed.
+        ValueError: Where no cluster answers.
+    """
+    ray = load_ray()
+    if ray.is_initialized():
+        yield ray
+        return
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    if cluster is None:
+        options |= {"address": "local", "include_dashboard": False, "object_store_memory": STORE}
+    else:
+        _require_answer(cluster)
+        options["address"] = cluster
+    with _signals_kept():
+        try:
+            ray.init(**options)
+        except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
+            if cluster is None:
+                raise
+            raise ValueError(f"no Ray cluster answers at {cluster!r}: {one_line(error)}") from error
+    _silence()
+    try:
+        yield ray
+    finally:
+        with _signals_kept():
+            ray.shutdown()
+
+
+def _require_answer(address: str) -> None:
+    """Raise ValueError where nothing listens at an address: Ray itself would try for minutes."""
+    if address == "auto":
+        return
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdigit() or "/" in host:
+        raise ValueError(f"--cluster takes the address of a Ray cluster, such as 10.0.0.1:6379, got {address!r}")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), CONNECT).close()
+    except (OSError, OverflowError) as error:
+        raise ValueError(f"no Ray cluster answers at {address!r}: {one_line(error)}") from None
+
+
+@contextlib.contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Ray puts a handler of its own in the place of that for SIGTERM, which ends the process at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _silence() -> None:
+    """Keep Ray's own paragraphs about workers that died off the output, where this version lets us: we say it too."""
+    with contextlib.suppress(Exception):
+        from ray._private import ray_logging
+
+        ray_logging.global_worker_stdstream_dispatcher.handlers.clear()
+
+
+@dataclasses.dataclass(frozen=True)
+class Share:
+    """What each worker gets of a machine.
+
+    Attributes:
+        workers: How many there are.
+        gpus: GPUs of each, 0 or 1.
+        cpus: Cores that Ray sets aside for each, on clusters.
+        threads: Threads of each for kernels on the CPU.
+        device: Warp device of each.
+    """
+
+    workers: int
+    gpus: int
+    cpus: float
+    threads: int
+    device: str
+
+
+def shares(ray: types.ModuleType, workers: int | None, cluster: bool, device: str | None) -> Share:
+    """How workers share what there is: one a GPU, else the cores in equal parts.
+
+    Args:
+        ray: Ray, connected.
+        workers: How many. None is all GPUs, or one a machine where there are none.
+        cluster: Whether machines are those of a cluster, which may have more of them later.
+        device: "cpu", "cuda" or None: GPUs where there are any.
+
+    Raises:
+        ValueError: For more workers than GPUs on this machine, or a device that none has.
+    """
+    if device not in (None, "cpu", "cuda"):
+        raise ValueError(f"--device of several workers is cpu or cuda, which Ray numbers by itself, got {device!r}")
+    nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+    gpus = int(sum(node.get("GPU", 0) for node in nodes))
+    if device == "cuda" and not gpus and not cluster:
+        raise ValueError("device 'cuda' is not there: Ray sees no GPU")
+    cores = [int(node.get("CPU", 0)) for node in nodes]
+    if device == "cuda" or (gpus and device is None):
+        workers = workers or gpus
+        if workers > gpus and not cluster:
+            raise ValueError(f"{workers} workers need as many GPUs, this machine has {gpus}: give --workers {gpus}")
+        on_one = max((int(node.get("GPU", 0)) for node in nodes), default=1) or 1
+        return Share(workers, 1, 0, max(1, max(cores, default=1) // on_one), "cuda:0")
+    workers = workers or len(nodes)
+    each = max(1, sum(cores) // workers)
+    while each > 1 and sum(count // each for count in cores) < workers:  # so that none waits for a place
+        each -= 1
+    if not cluster:
+        each = max(1, cpu_threads() // workers)
+    return Share(workers, 0, each if cluster else 0, each, "cpu")
+
+
+class RayEngine:
+    """Runs lots in actors of Ray.
+
+    Args:
+        ray: Ray, connected.
+        settings: What every worker needs to begin; its name and notes are filled in.
+        share: What each gets.
+        folder: The output folder.
+        order: The order of a lot, with its items.
+        cluster: Whether they may live on other machines.
+
+    Attributes:
+        places: `pid` and `host` of each worker that is ready.
+    """
+
+    def __init__(
+        self,
+        ray: types.ModuleType,
+        settings: RunnerSettings,
+        share: Share,
+        folder: OutputFolder,
+        order: Callable[[Lot], LotOrder],
+        cluster: bool,
+    ):
+        self._ray, self._settings, self._share, self._folder, self._order = ray, settings, share, folder, order
+        # two threads: one for the lot, and one that may shorten it meanwhile
+        placing = {"scheduling_strategy": "SPREAD"} if cluster else {}
+        self._actor = ray.remote(LotActor).options(
+            num_gpus=share.gpus, num_cpus=share.cpus, max_concurrency=2, max_restarts=0, **placing
+        )
+        self._patience = START_THERE if cluster else START_HERE
+        self._events: queue.SimpleQueue[tuple[str, str, int, Any]] = queue.SimpleQueue()
+        self._actors: dict[str, Any] = {}
+        self._starts: dict[str, int] = {}  # how often each was started
+        self._orders: dict[str, LotOrder] = {}
+        self.places: dict[str, dict[str, Any]] = {}  # pid and host of each
+        self._waiting_since: float | None = None  # when the first of those that start was asked for
+        self._ready: set[str] = set()
+        self._lost_notes = None
+
+    def now(self) -> float:
+        """Seconds of a clock that never goes back."""
+        return time.monotonic()
+
+    def launch(self, worker: str) -> None:
+        """Start an actor."""
+        self._starts[worker] = self._starts.get(worker, 0) + 1
+        settings = dataclasses.replace(self._settings, worker=worker, notes=self._notes_name(worker))
+        actor = self._actors[worker] = self._actor.remote(settings)
+        if not self._ready:
+            self._waiting_since = self.now()
+        self._ask(worker, "ready", actor.facts.remote())
+
+    def give(self, worker: str, lot: Lot) -> None:
+        """Send a lot to an actor."""
+        order = self._orders[worker] = self._order(lot)
+        self._ask(worker, "report", self._actors[worker].run.remote(order))
+
+    def recall(self, worker: str, number: int, share: float) -> None:
+        """Ask an actor for items of its lot."""
+        self._ask(worker, f"recall {number}", self._actors[worker].recall.remote(number, share))
+
+    def lost(self, item: int, error: str, attempts: int) -> None:
+        """Note an item that failed with its workers."""
+        if self._lost_notes is None:
+            self._lost_notes = self._folder.new_notes(f"{self._settings.run}-driver")
+        found = self._order(Lot(0, [item], [0], 0)).items[0]
+        record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
+        self._lost_notes.append(record)
+
+    def stop(self) -> None:
+        """Let all actors begin no more items."""
+        for actor in self._actors.values():
+            actor.stop.remote()
+
+    def wait(self, timeout: float) -> list[Event]:
+        """What actors answered.
+
+        Raises:
+            RuntimeError: Where none could start for a long time.
+        """
+        events: list[Event] = []
+        with contextlib.suppress(queue.Empty):
+            answer = self._events.get(timeout=timeout)
+            while True:
+                event = self._event(*answer)
+                events += [] if event is None else [event]
+                answer = self._events.get_nowait()
+        if not self._ready and self._waiting_since is not None and self.now() - self._waiting_since > self._patience:
+            raise RuntimeError(
+                f"no worker started within {self._patience:.0f} s: Ray has no place for one with "
+                f"{self._share.gpus} GPUs and {self._share.cpus:g} CPUs"
+            )
+        return events
+
+    def close(self, patience: float = 0.0) -> None:
+        """End all actors.
+
+        Args:
+            patience: Seconds that they get to end the items that they have begun.
+        """
+        if patience and self._orders:
+            end = self.now() + patience
+            with contextlib.suppress(Exception):
+                self.stop()
+            while self._orders and self.now() < end:
+                self.wait(0.1)
+        for actor in self._actors.values():
+            self._ray.kill(actor)
+        self._actors.clear()
+        if self._lost_notes is not None:
+            self._lost_notes.close()
+            self._lost_notes = None
+
+    def _ask(self, worker: str, what: str, reference: Any) -> None:
+        """Let the answer come into the queue, from a thread of Ray."""
+        start = self._starts[worker]
+        reference.future().add_done_callback(functools.partial(_answered, self._events, worker, what, start))
+
+    def _event(self, worker: str, what: str, start: int, answer: Any) -> Event | None:
+        if start != self._starts[worker] or worker not in self._actors:
+            return None  # of a process that is gone
+        error = answer.exception()
+        if error is not None:
+            return self._death(worker, error)
+        if what == "ready":
+            self._ready.add(worker)
+            self.places[worker] = answer.result()
+            self._waiting_since = None
+            return Ready(worker)
+        if what == "report":
+            self._orders.pop(worker, None)
+            report = answer.result()
+            if report.broken is not None:
+                self._end(worker)
+            return Finished(worker, report)
+        return Returned(worker, int(what.split()[1]), answer.result())
+
+    def _death(self, worker: str, error: BaseException) -> Died:
+        """What is known of an actor that answers no more."""
+        self._end(worker)
+        order = self._orders.pop(worker, None)
+        report = LotReport()
+        if order is None:
+            return Died(worker, report, [], death_line(error))
+        indices = {item.id: index for item, index in zip(order.items, order.indices, strict=True)}
+        settled, begun = notes_of_lot(self._folder.notes / f"{self._notes_name(worker)}.jsonl", order.number)
+        for record in settled:
+            index = indices[record["id"]]
+            if record["state"] == DONE:
+                report.done.append(index)
+                report.seconds.append(float(record["seconds"]))
+            else:
+                (report.errors if record["state"] == ERROR else report.failed).append((index, record["error"]))
+        return Died(worker, report, [indices[each] for each in begun], death_line(error))
+
+    def _end(self, worker: str) -> None:
+        """Make sure that a process is gone whose node may merely not answer."""
+        self._ready.discard(worker)
+        self.places.pop(worker, None)
+        with contextlib.suppress(Exception):
+            self._ray.kill(self._actors[worker])
+        del self._actors[worker]
+        if not self._ready:
+            self._waiting_since = self.now()
+
+    def _notes_name(self, worker: str) -> str:
+        return f"{self._settings.run}-{worker}-{self._starts[worker]}"
+
+
+def _answered(events: queue.SimpleQueue, worker: str, what: str, start: int, answer: Any) -> None:
+    events.put((worker, what, start, answer))
+
+
+def death_line(error: BaseException) -> str:
+    """Why a worker died, in one line instead of Ray's paragraphs.
+
+    Args:
+        error: What Ray raised.
+
+    Returns:
+        The line, without the worker's name.
+    """
+    cause = getattr(error, "cause", None)  # of an error in the actor itself
+    if isinstance(cause, BaseException):
+        return f"its worker failed: {one_line(cause)}"
+    text = str(error)
+    if "creation task" in text:
+        return f"its worker could not start: {text.strip().splitlines()[-1].strip()}"
+    if type(error).__name__ == "OutOfMemoryError" or "running low on memory" in text:
+        return "its worker was ended: its machine ran out of memory"
+    if "node has died" in text or "node died" in text:
+        return "its worker died with its machine"
+    return "its worker died: killed, or a crash of the process"

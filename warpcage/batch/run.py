@@ -1,0 +1,293 @@
+"""`warpcage.batch.run_jobs`: make all that a job file describes, over workers, and only what is missing."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import pathlib
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from ..core.checks import checked_whole
+from ..core.files import PathLike
+from .dispatcher import Dispatcher
+from .fingerprints import Fingerprints
+from .job_file import JobFile
+from .local_engine import LocalEngine
+from .loop import Engine, drive
+from .lot_runner import LotOrder, Maker, leaves_no_room, one_line
+from .lots import AIM, Lot
+from .output_folder import OutputFolder
+from .plan import Plan, make_plan, open_shards, shard_size
+from .ray_engine import GRACE, RayEngine, ray_session, shares
+from .records import FOLDER
+from .report import RunProgress, RunReport
+from .runners import RunnerSettings, make_runner, run_name
+from .transforms import finish_folder
+from .webdataset import shard_path
+
+#: Seconds of a lot where there are few workers, so that progress is seen; of one in this process.
+LEAST_AIM, LOCAL_AIM = 2.0, 0.5
+
+#: Workers for which a lot takes a second more.
+WORKERS_PER_SECOND = 100
+
+#: Items between two calls of `progress` while they are checked.
+CHECKED_AT_ONCE = 100
+
+Progress = Callable[[RunProgress], None]
+
+
+def run_jobs(
+    path: PathLike,
+    out: PathLike,
+    *,
+    workers: int | None = 1,
+    cluster: str | None = None,
+    device: str | None = None,
+    retries: int = 2,
+    progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> RunReport:
+    """Make the items of a job file: frames, fits, evaluations.
+
+    What is there already and whose inputs did not change is kept. Each item's files appear whole, all of them or none,
+    and `manifest.jsonl` in the output folder says once of each item what became of it. A worker that dies, killed, out
+    of memory or with its machine, costs the item that it was making an attempt, and another takes its place. After an
+    interrupt or a kill the same call makes what is missing.
+
+    Args:
+        path: The job file (`docs/batch.md`).
+        out: The output folder. One run at a time writes to it. On clusters all machines see it, and the folder of the
+            job file, under the same path.
+        workers: Processes that work. 1 works in this process and needs no Ray. With more each has a GPU of its own, or
+            a part of the cores where there is none. None is one, or on a cluster all of its GPUs.
+        cluster: Address of a Ray cluster, "auto" for the one that this machine belongs to. None is this machine.
+        device: "cpu", or "cuda" for several workers; any Warp device for one. None is CUDA where there is one.
+        retries: How often an item is tried again after an error that is not one of its input, or the death of its
+            worker, elsewhere where there is an elsewhere.
+        progress: Called with how far the run is. None says nothing.
+        warn: Called with a line where a worker dies. None says nothing.
+
+    Returns:
+        What came of it; items that failed are in it, and end nothing.
+
+    Raises:
+        FileNotFoundError: If there is no such job file.
+        ValueError: For a job file that cannot be read, a folder that another run writes to, a device that is not there,
+            or a cluster that does not answer.
+        ImportError: Where Ray is needed and not installed (`pip install 'warpcage[cluster]'`).
+        OSError: Where the output folder cannot be written to.
+        RuntimeError: Where no worker can start.
+    """
+    options = Options(workers, cluster, device, retries)
+    return _run(path, out, options, progress or (lambda state: None), warn or (lambda line: None), None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """How a run works; see `run_jobs`."""
+
+    workers: int | None = 1
+    cluster: str | None = None
+    device: str | None = None
+    retries: int = 2
+
+    def __post_init__(self) -> None:
+        if self.workers is not None:
+            checked_whole(self.workers, "workers", 1, 100_000)
+        checked_whole(self.retries, "retries", 0, 200)
+
+    @property
+    def local(self) -> bool:
+        """Whether the work is done in this process."""
+        return self.cluster is None and self.workers in (None, 1)
+
+
+def _run(
+    path: PathLike,
+    out: PathLike,
+    options: Options,
+    progress: Progress,
+    warn: Callable[[str], None],
+    maker: Callable[[str, str, Any], Maker] | None,
+) -> RunReport:
+    """See `run_jobs`; maker: what makes items instead of `Worker`, for tests of the rest."""
+    folder = OutputFolder(out)
+    with contextlib.ExitStack() as held:
+        job = held.enter_context(JobFile(path))
+        unchanged = _watched(job.path)
+        folder.prepare()
+        held.enter_context(folder.driven())
+        folder.merge()
+        plan = planned(job, folder, progress)
+        shards = open_shards(plan, folder) if shard_size(job) else None
+        begin = time.monotonic()
+        state = RunProgress("make", plan.total, plan.total, plan.kept)
+        if not len(plan.items) and not shards:
+            return _ended(job, folder, plan, None, begin)
+        orders = _Orders(job, unchanged, shard_size(job))
+        settings = RunnerSettings(
+            str(job.folder), str(folder.path), run_name(), options.device, retries=options.retries, maker=maker
+        )
+        if not len(plan.items):
+            options = dataclasses.replace(options, workers=1, cluster=None)  # there is nothing but shards to be packed
+        with _merged(folder) as merging, _engine(options, settings, folder, orders) as (engine, count):
+            lots = plan.lots(aim=_aim(options, count), whole=shards is not None)
+            dispatcher = orders.dispatcher = Dispatcher(lots, retries=options.retries, shards=shards)
+            for number in range(max(1, min(count, len(plan.items)))):
+                dispatcher.add_worker(str(number))
+
+            def tell() -> None:
+                progress(
+                    dataclasses.replace(
+                        state,
+                        done=dispatcher.done,
+                        failed=dispatcher.failed,
+                        workers=dispatcher.workers,
+                        seconds=time.monotonic() - begin,
+                    )
+                )
+
+            tell()
+            merging.halt = drive(dispatcher, engine, progress=tell, warn=warn)
+        return _ended(job, folder, plan, dispatcher, begin, merging.halt)
+
+
+class _Orders:
+    """What workers are sent for lots.
+
+    Args:
+        job: The job file.
+        unchanged: Raises where that is no more what it was.
+        shard_size: Items of a shard; 0 where there are none.
+
+    Attributes:
+        dispatcher: Knows which items failed.
+    """
+
+    dispatcher: Dispatcher
+
+    def __init__(self, job: JobFile, unchanged: Callable[[], None], shard_size: int):
+        self._job, self._unchanged, self._shard_size = job, unchanged, shard_size
+
+    def __call__(self, lot: Lot) -> LotOrder:
+        """The order of a lot."""
+        self._unchanged()
+        if lot.shard is not None:
+            return LotOrder(lot.number, [], [], [], lot.shard, self._packed(lot.shard))
+        items = [self._job.item(index) for index in lot.items]
+        shard = lot.items[0] // self._shard_size if self._shard_size else None
+        return LotOrder(lot.number, list(lot.items), items, list(lot.attempts), shard)
+
+    def _packed(self, shard: int) -> list[dict[str, str]]:
+        """The outputs of all items of a shard that are there: what was to be made of it is settled."""
+        begin = shard * self._shard_size
+        indices = range(begin, min(begin + self._shard_size, len(self._job)))
+        there = (self._job.item(index) for index in indices if index not in self.dispatcher.failures)
+        return [{path: part for part, path in item.outputs.items()} for item in there]
+
+
+def _ended(
+    job: JobFile, folder: OutputFolder, plan: Plan, dispatcher: Dispatcher | None, begin: float, halt: str | None = None
+) -> RunReport:
+    """What came of a run; what belongs to all of its items together is written."""
+    if job.records.get("kind") == FOLDER and halt is None:
+        with contextlib.closing(folder.read_manifest()) as manifest:
+            finish_folder(folder.path, job, manifest)
+    seconds = time.monotonic() - begin
+    if dispatcher is None:
+        return RunReport(plan.total, plan.kept, 0, {}, 0, halt, seconds)
+    failed = {job.item(index).id: line for index, line in sorted(dispatcher.failures.items())}
+    failed |= {shard_path(folder.path, shard).name: line for shard, line in dispatcher.unpacked}
+    return RunReport(plan.total, plan.kept, dispatcher.done, failed, dispatcher.left, halt, seconds)
+
+
+def planned(job: JobFile, folder: OutputFolder, progress: Progress = lambda state: None) -> Plan:
+    """What is to be made.
+
+    Args:
+        job: The job file.
+        folder: The output folder, whose notes are merged.
+        progress: As for `run_jobs`.
+
+    Returns:
+        The plan.
+    """
+    total = len(job)
+
+    def tell(count: int) -> None:
+        if not count % CHECKED_AT_ONCE or count == total:
+            progress(RunProgress("check", total, count))
+
+    manifest = folder.read_manifest()
+    try:
+        return make_plan(job, folder, manifest, Fingerprints(job.folder, folder.path).of, tell)
+    finally:
+        manifest.close()
+
+
+def _aim(options: Options, count: int) -> float:
+    return LOCAL_AIM if options.local else min(AIM, LEAST_AIM + count / WORKERS_PER_SECOND)
+
+
+def _watched(path: pathlib.Path) -> Callable[[], None]:
+    """What raises ValueError once a file is no more as it is now. One that is replaced is still open as it was."""
+    before = os.stat(path)
+
+    def check() -> None:
+        try:
+            now = os.stat(path)
+        except FileNotFoundError:
+            return
+        if now.st_ino == before.st_ino and (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+            raise ValueError(f"{path} was changed while it ran: run again, what is made and unchanged is kept")
+
+    return check
+
+
+@dataclasses.dataclass
+class _Merging:
+    """Why a run ended before its end, or left its notes for the next one to merge: one line; None where it did not."""
+
+    halt: str | None = None
+
+
+@contextlib.contextmanager
+def _merged(folder: OutputFolder) -> Iterator[_Merging]:
+    """Merge the notes of a run, however it ends. Where there is no room they stay, and the next run merges them."""
+    merging = _Merging()
+    try:
+        yield merging
+    finally:
+        try:
+            folder.merge()
+        except OSError as error:
+            if not leaves_no_room(error):
+                raise
+            merging.halt = merging.halt or one_line(error)
+
+
+@contextlib.contextmanager
+def _engine(
+    options: Options, settings: RunnerSettings, folder: OutputFolder, order: Callable[[Lot], LotOrder]
+) -> Iterator[tuple[Engine, int]]:
+    """Where the work is done, and by how many. Whatever ends it, nothing works afterwards."""
+    with contextlib.ExitStack() as held:
+        if options.local:
+            local = LocalEngine(make_runner(settings), order)
+            held.callback(local.close)
+            yield local, 1
+            return
+        ray = held.enter_context(ray_session(options.cluster))
+        share = shares(ray, options.workers, options.cluster is not None, options.device)
+        settings = dataclasses.replace(settings, device=share.device, threads=share.threads)
+        engine = RayEngine(ray, settings, share, folder, order, options.cluster is not None)
+        try:
+            yield engine, share.workers
+        except BaseException:
+            engine.close(GRACE)
+            raise
+        engine.close()
