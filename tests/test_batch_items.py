@@ -138,7 +138,7 @@ REFUSED = {
     "no camera": (without(FRAME, "camera"), "a frame needs a 'camera'"),
     "a camera of nothing": (FRAME | {"camera": {"fx": 1}}, "'camera' lacks 'fy'"),
     "a camera of words": (FRAME | {"camera": CAMERA | {"eye": "here"}}, "'eye' must be 3 numbers, got 'here'"),
-    "a camera with a slip": (FRAME | {"camera": CAMERA | {"widht": 3}}, "'camera' has no 'widht'"),
+    "a camera with a slip": (FRAME | {"camera": CAMERA | {"widthx": 3}}, "'camera' has no 'widthx'"),
     "a cage alone": (without(FRAME, "posed"), "'cage' needs 'posed'"),
     "a pose alone": (without(FRAME, "cage"), "'posed' needs a 'cage'"),
     "keep and remove": (without(FRAME, "posed") | {"keep": True, "remove": True}, "do not go together"),
@@ -196,7 +196,7 @@ LINES = {
     "another format": ([{"format": "warpcage poses", "version": 1}], "not 'warpcage jobs'"),
     "a newer version": ([HEADER | {"version": 2}], "line 1: its version is 2, this warpcage reads up to 1: upgrade"),
     "no version": ([without(HEADER, "version")], "its version must be a whole number"),
-    "a default with a slip": ([HEADER | {"defaults": {"feild": "f"}}], "line 1: 'defaults' has no 'feild'"),
+    "a default with a slip": ([HEADER | {"defaults": {"fieldx": "f"}}], "line 1: 'defaults' has no 'fieldx'"),
     "a default of a wrong kind": (
         [HEADER | {"defaults": {"resolution": "fine"}}],
         "'resolution' of 'defaults' must be",

@@ -9,7 +9,6 @@ import sys
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from tqdm import tqdm
 
 from ..batch.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
 from ..cage.cage import Cage
@@ -81,6 +80,8 @@ class _Told:
 
     def rows(self) -> Iterator[np.ndarray]:
         """The vertices of each."""
+        from tqdm import tqdm
+
         rows = tqdm(self.source.rows(), "poses", len(self), file=sys.stderr, disable=self._quiet, leave=False)
         yield from rows
 
