@@ -23,6 +23,7 @@ PART_ENDINGS = {
     "reveal": (".png", ".npy"),
     "fold": (".png", ".npy"),
     "outside": (".npy",),
+    "film": (".npz",),
     "pose": (".npy",),
     "record": (".json",),
 }
@@ -126,8 +127,9 @@ class FrameItem(Item):
 
     Args:
         id: As for `Item`.
-        outputs: Files by part: rgb, alpha, depth, disparity, masks, reveal, fold, outside; pose, the vertices of
-            its posed cages; record, what `batch.records.frame_record` says of it.
+        outputs: Files by part: rgb, alpha, depth, disparity, masks, reveal, fold, outside; film, the colours as films
+            of 16 bits take them; pose, the vertices of its posed cages; record, what `batch.records.frame_record` says
+            of it.
         extra: As for `Item`.
         field: The field file, voxels or splats.
         camera: The camera: an object, or a reference.

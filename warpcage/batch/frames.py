@@ -22,6 +22,7 @@ from ..field.voxel_field import VoxelField
 from ..splats.load import AnyField
 from ..view.camera import Camera
 from ..view.exr import depth_along_view, write_exr
+from ..view.film import write_film_frame
 from ..view.frame import Frame
 from ..view.frame_parts import picture
 from ..view.opacity import rgba_picture
@@ -234,7 +235,7 @@ def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera,
         return lambda temporary: write_array(temporary, getattr(frame, part))
 
     def image() -> np.ndarray:
-        if part == "rgb":
+        if part in ("rgb", "film"):
             clear = item.background == TRANSPARENT
             return rgba_picture(frame, camera, drawn) if clear else picture(frame, "rgb", camera, drawn)
         if part in ("reveal", "fold"):
@@ -244,5 +245,7 @@ def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera,
     if ending == ".exr":
         shown = (lambda: np.repeat(frame.alpha[..., None], 3, axis=-1)) if part == "depth" else image
         return lambda temporary: write_exr(temporary, shown(), depth_along_view(frame, camera))
+    if part == "film":
+        return lambda temporary: write_film_frame(temporary, image())
     write = write_jpeg if ending in (".jpg", ".jpeg") else write_png
     return lambda temporary: write(temporary, image())

@@ -27,6 +27,7 @@ from .arguments.animate import OF_SESSIONS, Default
 from .deformation import Deformation, read_deformation
 from .film_jobs import FilmJob, checked_jobs_path, film_words
 from .film_keys import set_frames
+from .film_workers import FilmWorkers, frame_outputs
 from .frame_folder import write_folder
 from .session_jobs import session_job
 from .shot import Shot
@@ -63,20 +64,12 @@ def run(args: argparse.Namespace) -> None:
         setattr(args, name, default.value if isinstance(default, Default) else default)
     output = FRAMES if args.jobs is not None else _checked_output(args.output)
     jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
-    view.check_saved(args)
-    if outputs.checked_opacity(args, output) and args.show != "rgb":
-        raise ValueError(f"--show {args.show} has no opacity: leave out --background transparent")
-    if args.format == "exr" and args.show != "rgb":
-        raise ValueError("--format exr holds colours, opacity and depth together: leave out --show")
-    if output.suffix:
-        checked_rate(args.fps, output.suffix.lower())
-    if args.overlay:
-        inputs.require_deformation(args, "--overlay")
-    if args.show == "masks":
-        inputs.require_deformation(args, "--show masks")
-    scaled = args.show in ("depth", "disparity")  # by a few frames, which are rendered
-    if jobs is not None and not scaled:
-        args.device = "cpu"  # nothing is rendered
+    here = jobs is None and args.workers is None
+    parts, kind = ({}, "") if here else frame_outputs(output, args.show, args.format)
+    _check(args, output)
+    device, scaled = args.device, args.show in ("depth", "disparity")  # by a few frames, which are rendered
+    if not here and not scaled:
+        args.device = "cpu"
     field = inputs.read_field(args)
     if args.show == "masks":
         inputs.require_voxels(field, "--show masks")
@@ -88,18 +81,46 @@ def run(args: argparse.Namespace) -> None:
     cameras = _chosen_cameras(args, inputs.visible_points(field, deformation, args.frame), film, times or [])
     view.warn_of_edges(args, cameras[0], deformation)
     inputs.set_lattice(args, cameras[0])
-    here = jobs is None or scaled
-    deformer = None if deformation is None or not here else inputs.make_deformer(field, deformation, args)
+    renders = deformation if here or scaled else None
+    deformer = None if renders is None else inputs.make_deformer(field, renders, args)
     shot = Shot(field, deformer, deformation, cameras, args, times)
 
     view.save_cameras(args, cameras, args.fps)
+    if here:
+        _render(shot, output)
+        return
+    words = film_words(args, scale=shot.scale, deformed=deformation is not None) | {"outputs": parts}
+    rate = {"frames": args.frames, "fps": str(args.fps)}
+    job = FilmJob(args.field, words, [] if deformation is None else deformation.edits, {"film": rate})
     if jobs is not None:
-        words = film_words(args, scale=shot.scale, deformed=deformation is not None)
-        rate = {"frames": args.frames, "fps": str(args.fps)}
-        job = FilmJob(args.field, words, [] if deformation is None else deformation.edits, {"film": rate})
         _say_jobs(jobs, job.write(jobs, shot.described()), cameras[0])
         return
-    _render(shot, output)
+    settings = _settings(args, cameras, deformation) | {"format": kind}
+    options = {"workers": args.workers, "device": device, "quiet": args.quiet, "overwrite": bool(args.overwrite)}
+    team = FilmWorkers(job, list(shot.described()), settings, **options)
+    kept = 0
+    if output.suffix:
+        team.make_film(output, args.fps, loop=args.loop != "once")
+    else:
+        kept = team.make_frames(output)
+    _say(shot, output, kept)
+
+
+def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
+    """Raises ValueError for options that do not go together, before any long work."""
+    if args.jobs is not None and args.workers is not None:
+        raise ValueError("--workers does not go with --jobs: give it to warpcage run")
+    view.check_saved(args)
+    if outputs.checked_opacity(args, output) and args.show != "rgb":
+        raise ValueError(f"--show {args.show} has no opacity: leave out --background transparent")
+    if args.format == "exr" and args.show != "rgb":
+        raise ValueError("--format exr holds colours, opacity and depth together: leave out --show")
+    if output.suffix:
+        checked_rate(args.fps, output.suffix.lower())
+    if args.overlay:
+        inputs.require_deformation(args, "--overlay")
+    if args.show == "masks":
+        inputs.require_deformation(args, "--show masks")
 
 
 def _render(shot: Shot, output: pathlib.Path) -> None:
@@ -113,13 +134,18 @@ def _render(shot: Shot, output: pathlib.Path) -> None:
         else:
             settings = _settings(args, cameras, shot.deformation)
             kept = write_folder(output, frames, cameras, shot.task, settings, overwrite=bool(args.overwrite))
+    _say(shot, output, kept)
+    shot.warn()
+
+
+def _say(shot: Shot, output: pathlib.Path, kept: int) -> None:
+    """Say what was written, a film or a folder in which some frames were kept."""
+    args, cameras = shot.args, shot.cameras
     if not output.suffix:
         print(f"wrote {output}: {counted(args.frames - kept, 'frame')}, {kept} were there already")
-        shot.warn()
         return
     size = outputs.size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {counted(args.frames, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
-    shot.warn()
 
 
 def _say_jobs(path: pathlib.Path, count: int, camera: Camera) -> None:
@@ -129,6 +155,8 @@ def _say_jobs(path: pathlib.Path, count: int, camera: Camera) -> None:
 
 def _run_session(args: argparse.Namespace) -> None:
     """The film of a session of the editor."""
+    if args.workers is not None:
+        raise ValueError("--workers does not go with --session: write its --jobs, and give them to warpcage run")
     if given := _given_besides(args):
         raise ValueError(f"--session cannot be combined with --{given[0].replace('_', '-')}: the session decides that")
     jobs = None if args.jobs is None else checked_jobs_path(args.jobs)

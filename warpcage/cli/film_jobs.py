@@ -13,7 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from ..batch.items import ID, TRANSPARENT
+from ..batch.items import TRANSPARENT
 from ..batch.job_file import write_jobs
 from ..core.files import PathLike, atomic_path
 from ..deform.edits import CageEdit
@@ -102,7 +102,7 @@ class FilmJob:
 
 
 def film_words(args: argparse.Namespace, *, scale: tuple[float, float] | None, deformed: bool) -> dict[str, Any]:
-    """The words of items for the options of `warpcage animate`.
+    """The words of items for the options of `warpcage animate`, but "outputs".
 
     Args:
         args: What was given; its lattice is chosen.
@@ -122,7 +122,6 @@ def film_words(args: argparse.Namespace, *, scale: tuple[float, float] | None, d
         "antialias": args.antialias,
         "disparity_scale": scale,
         "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,
-        "outputs": {args.show: f"{ID}.{args.format or 'png'}"},
     }
     if deformed:
         cells = inputs.lattice_cells(args)

@@ -12,13 +12,14 @@ from ..core.files import atomic_path
 from ..core.overlap import Beside
 from ..view.camera import Camera
 from ..view.exr import read_exr
+from ..view.film import read_film_frame
 from ..view.pictures import read_image
 
 #: The note beside the frames that says which film they are of.
 SETTINGS_NAME = "animation.json"
 
 #: What frames are called.
-FRAME_NAME = re.compile(r"frame_[0-9]{4,}\.(png|exr)")
+FRAME_NAME = re.compile(r"frame_[0-9]{4,}\.(png|exr|npz)")
 
 
 def write_folder(
@@ -50,16 +51,11 @@ def write_folder(
     Raises:
         ValueError: Where frames of another film are there, with what can be done.
     """
-    foreign = _other_film(folder, settings)
-    if foreign and not overwrite:
-        raise ValueError(
-            f"folder {str(folder)!r} holds {foreign}: give another folder, or --overwrite to replace those frames; "
-            "with the options of that film it is continued"
-        )
+    foreign = _allowed(_other_film(folder, settings), folder, overwrite)
     kept, begun = 0, False
     with _nothing_left_without_frames(folder), Beside() as beside:
         for index in frames:
-            path = folder / f"frame_{index:04d}.{settings['format']}"
+            path = frame_path(folder, index, settings["format"])
             if not (foreign and not begun) and _holds_picture(path, cameras[index]):
                 kept += 1
                 continue
@@ -74,10 +70,61 @@ def write_folder(
     return kept
 
 
+def make_folder(
+    folder: pathlib.Path,
+    cameras: list[Camera],
+    make: Callable[[list[int]], None],
+    settings: dict,
+    *,
+    overwrite: bool = False,
+) -> int:
+    """As `write_folder`, but for frames that are made by others.
+
+    Args:
+        folder: The folder; it is made if it is not there.
+        cameras: The cameras of the frames.
+        make: Makes those of some numbers. Called once, where any is missing.
+        settings: As for `write_folder`.
+        overwrite: Whether frames of another film are replaced, before the first of this one is made.
+
+    Returns:
+        How many frames were there already.
+
+    Raises:
+        ValueError: Where frames of another film are there, with what can be done.
+    """
+    foreign = _allowed(_other_film(folder, settings), folder, overwrite)
+    with _nothing_left_without_frames(folder):
+        paths = [frame_path(folder, index, settings["format"]) for index in range(len(cameras))]
+        pairs = enumerate(zip(paths, cameras, strict=True))
+        missing = [index for index, pair in pairs if foreign or not _holds_picture(*pair)]
+        if missing:
+            for other in frame_files(folder) if foreign else [paths[index] for index in missing]:
+                other.unlink(missing_ok=True)
+            _write_note(folder / SETTINGS_NAME, settings)
+            make(missing)
+    return len(cameras) - len(missing)
+
+
+def frame_path(folder: pathlib.Path, index: int, kind: str) -> pathlib.Path:
+    """The file of a frame; kind: its ending."""
+    return folder / f"frame_{index:04d}.{kind}"
+
+
 def frame_files(folder: pathlib.Path) -> list[pathlib.Path]:
     """The frames in a folder, in their order; none where there is no such folder."""
     files = sorted(folder.iterdir()) if folder.is_dir() else []
     return [file for file in files if FRAME_NAME.fullmatch(file.name)]
+
+
+def _allowed(foreign: str, folder: pathlib.Path, overwrite: bool) -> str:
+    """Whose frames a folder holds. Raises ValueError for those of another film that nobody wants to be replaced."""
+    if foreign and not overwrite:
+        raise ValueError(
+            f"folder {str(folder)!r} holds {foreign}: give another folder, or --overwrite to replace those frames; "
+            "with the options of that film it is continued"
+        )
+    return foreign
 
 
 def _other_film(folder: pathlib.Path, settings: dict) -> str:
@@ -138,7 +185,13 @@ def _nothing_left_without_frames(folder: pathlib.Path) -> Iterator[None]:
 def _holds_picture(path: pathlib.Path, camera: Camera) -> bool:
     """Whether a file is a whole picture from a camera. What was cut, on a full disk or by hand, is rendered again."""
     try:
-        shape = read_exr(path)["Z"].shape if path.suffix == ".exr" else read_image(path).shape[:2]
-        return shape == (camera.height, camera.width)
+        return _picture_shape(path) == (camera.height, camera.width)
     except (OSError, ValueError, KeyError):
         return False
+
+
+def _picture_shape(path: pathlib.Path) -> tuple[int, ...]:
+    """Height and width of a frame, all of which is read."""
+    if path.suffix == ".exr":
+        return read_exr(path)["Z"].shape
+    return (read_film_frame(path) if path.suffix == ".npz" else read_image(path)).shape[:2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import itertools
 import os
 import pathlib
@@ -15,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_positive, checked_whole
-from ..core.files import atomic_path
+from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.memory import require_host_memory
 from ..core.overlap import stream
 from .opacity import with_spread_colours
-from .pictures import as_rgb, path_with_ending, to_uint8
+from .pictures import as_rgb, path_with_ending, read_image, to_uint8
 
 #: How names of films end, and those of films with opacity.
 FILM_ENDINGS, CLEAR_ENDINGS = (".mp4", ".gif", ".mov", ".webm"), (".mov", ".webm")
@@ -136,7 +137,7 @@ def write_clear_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps:
         raise ValueError(f"{str(path)!r} must end in {' or '.join(CLEAR_ENDINGS)}")
     rate = checked_rate(fps, ending)
     with atomic_path(path) as temporary:
-        stream(_own(frames), _deep_pixels, functools.partial(_encode_clear, temporary, ending, rate))
+        stream(_own(frames), deep_pixels, functools.partial(_encode_clear, temporary, ending, rate))
 
 
 def _encode_clear(path: pathlib.Path, ending: str, rate: Fraction, images: Iterable[np.ndarray]) -> None:
@@ -181,8 +182,21 @@ def _own(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
         yield pixels.copy() if pixels.flags.writeable else pixels
 
 
-def _deep_pixels(pixels: np.ndarray) -> np.ndarray:
-    """A frame as (h, w, 3 or 4) uint16, colours spread beyond edges."""
+def deep_pixels(pixels: np.ndarray) -> np.ndarray:
+    """A frame as films with 16 bits take it.
+
+    Args:
+        pixels: (h, w), (h, w, 3) or (h, w, 4) with straight colours, values in [0, 1] or uint8; or uint16, which is
+            what comes of this.
+
+    Returns:
+        (h, w, 3) or (h, w, 4) uint16, colours spread beyond edges.
+
+    Raises:
+        ValueError: For another shape, or values that are not finite.
+    """
+    if pixels.dtype == np.uint16:
+        return pixels
     if pixels.ndim == 3 and pixels.shape[-1] == 4:
         scale = np.float32(255.0) if pixels.dtype == np.uint8 else np.float32(1.0)
         image = with_spread_colours(pixels / scale)
@@ -191,6 +205,46 @@ def _deep_pixels(pixels: np.ndarray) -> np.ndarray:
     if not np.isfinite(image).all():
         raise ValueError("an image holds values that are not finite")
     return np.round(np.clip(image, 0.0, 1.0) * 65535.0).astype(np.uint16)
+
+
+def write_film_frame(path: str | os.PathLike, picture: ArrayLike) -> None:
+    """Write a frame of a film with 16 bits, without loss and with all that its encoder needs.
+
+    Args:
+        path: The file, which must end in .npz. It is written in place.
+        picture: As for `deep_pixels`.
+
+    Raises:
+        ValueError: As for `deep_pixels`.
+    """
+    data = io.BytesIO()
+    np.savez_compressed(data, pixels=deep_pixels(np.asarray(picture)))
+    pathlib.Path(path).write_bytes(data.getbuffer())
+
+
+def read_film_frame(path: str | os.PathLike) -> np.ndarray:
+    """Read a picture that becomes a frame of a film.
+
+    Args:
+        path: A file of `write_film_frame` (.npz), or a picture.
+
+    Returns:
+        (h, w, 3) or (h, w, 4) uint16; of pictures as `read_image` has it, grey as (h, w). Read-only.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it cannot be read.
+    """
+    if os.path.splitext(path)[1].lower() == ".npz":
+        contents = read_npz(path, "frame")
+        pixels = require_numbers(contents, "pixels", (None, None, None), path)
+        if pixels.dtype != np.uint16 or pixels.shape[-1] not in (3, 4):
+            raise ValueError(f"{path}: pixels must be (h, w, 3) or (h, w, 4) uint16, got {pixels.dtype} {pixels.shape}")
+    else:
+        pixels = read_image(path)
+        pixels = pixels[..., 0] if pixels.shape[-1] == 1 else pixels
+    pixels.flags.writeable = False
+    return pixels
 
 
 def _byte_pixels(pixels: np.ndarray) -> np.ndarray:

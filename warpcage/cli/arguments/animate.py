@@ -69,6 +69,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "machines",
     )
     parser.add_argument(
+        "--workers",
+        type=options.positive_int,
+        metavar="N",
+        help="processes that render, one a GPU, or with a part of the cores each where there is none; more than one "
+        "needs Ray (default: this one)",
+    )
+    parser.add_argument(
         "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"
     )
     parser.add_argument(

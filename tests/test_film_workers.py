@@ -1,0 +1,181 @@
+"""`warpcage animate --workers`: films and folders of one process, to the bit, and runs that go on where they ended."""
+
+import numpy as np
+import pytest
+from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+
+import warpcage.cli.film_workers as film_workers
+from warpcage.deform.deformer import Deformer
+from warpcage.view.film import deep_pixels, read_film_frame, write_film_frame
+
+FILM = ("animate", "@ball.npz", *DEFORMED, *SMALL, "--frames", 6, "--quiet", "--device", "cpu")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_files(tmp_path_factory.mktemp("workers"))
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    """Counts frames."""
+    render, count = Deformer.render, []
+
+    def counted(self, *words, **options):
+        count.append(1)
+        return render(self, *words, **options)
+
+    monkeypatch.setattr(Deformer, "render", counted)
+    return count
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("a.mp4", ["--overlay"]),
+        ("a.gif", ["--show", "depth"]),
+        ("a.mov", ["--transparent", "--overlay"]),
+        ("a.webm", []),
+        ("b.mp4", ["--show", "alpha"]),
+    ],
+)
+def test_films_of_workers_are_those_of_one_process(files, tmp_path, capsys, name, words):
+    for folder, more in (("one", []), ("workers", ["--workers", 1])):
+        (tmp_path / folder).mkdir()
+        succeed(files, *FILM, "-o", tmp_path / folder / name, *words, *more)
+    assert names(tmp_path / "workers") == [name]
+    one, two = (np.fromfile(tmp_path / folder / name, np.uint8) for folder in ("one", "workers"))
+    assert one.shape == two.shape
+    assert (one != two).sum() <= (16 if name.endswith("webm") else 0)  # its track has a random number, twice
+    said = capsys.readouterr().out.replace("workers", "one").splitlines()
+    assert said[0] == said[1]
+
+
+def test_two_workers_make_the_film_of_one_process(files, tmp_path):
+    pytest.importorskip("ray")
+    succeed(files, *FILM, "-o", tmp_path / "one.mp4")
+    succeed(files, *FILM, "-o", tmp_path / "two.mp4", "--workers", 2)
+    assert (tmp_path / "one.mp4").read_bytes() == (tmp_path / "two.mp4").read_bytes()
+    assert names(tmp_path) == ["one.mp4", "two.mp4"]
+
+
+@pytest.mark.parametrize("kind", ["png", "exr"])
+def test_a_folder_goes_on_whoever_began_it(files, tmp_path, rendered, kind):
+    if kind == "exr":
+        pytest.importorskip("OpenEXR")
+    words = [*FILM, "--format", kind, "-o"]
+    succeed(files, *words, tmp_path / "one")
+    succeed(files, *words, tmp_path / "mixed")
+    paths = sorted((tmp_path / "mixed").glob(f"*.{kind}"))
+    stamps = {path: path.stat().st_mtime_ns for path in paths[:3]}
+    paths[3].write_bytes(b"cut")
+    paths[4].unlink()
+    paths[5].write_bytes(bytes(paths[5].stat().st_size))
+    rendered.clear()
+    succeed(files, *words, tmp_path / "mixed", "--workers", 1)
+    assert len(rendered) == 3 and {path: path.stat().st_mtime_ns for path in stamps} == stamps
+    assert names(tmp_path / "one") == names(tmp_path / "mixed")
+    if kind == "png":
+        for path in (tmp_path / "one").iterdir():
+            assert path.read_bytes() == (tmp_path / "mixed" / path.name).read_bytes()
+    paths[0].unlink()
+    rendered.clear()
+    succeed(files, *words, tmp_path / "mixed")  # and back
+    assert len(rendered) == 1
+    assert run(files, *words, tmp_path / "mixed", "--workers", 1, "--turn", 90) == 2  # another film
+    succeed(files, *words, tmp_path / "mixed", "--workers", 1, "--turn", 90, "--overwrite")
+
+
+@pytest.mark.parametrize(("error", "status"), [(KeyboardInterrupt(), 130), (RuntimeError("the device is lost"), 2)])
+def test_a_film_goes_on_after_its_end(files, tmp_path, capsys, monkeypatch, rendered, error, status):
+    run_jobs = film_workers.run_jobs
+
+    def ends(*words, progress, **options):
+        def show(state):
+            progress(state)
+            if state.done >= 3:
+                raise error
+
+        return run_jobs(*words, progress=show, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(film_workers, "run_jobs", ends)
+        assert run(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1) == status
+    said = capsys.readouterr().err
+    made = len(list((tmp_path / ".film.mp4.frames").glob("frame_*.png")))
+    assert made >= 3 and f"warpcage: {made} frames kept in {tmp_path}/.film.mp4.frames: run it again to go on" in said
+    assert names(tmp_path) == [".film.mp4.frames"]
+    rendered.clear()
+    succeed(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1)
+    assert len(rendered) == 6 - made
+    succeed(files, *FILM, "-o", tmp_path / "one.mp4")
+    assert (tmp_path / "film.mp4").read_bytes() == (tmp_path / "one.mp4").read_bytes()
+    assert names(tmp_path) == ["film.mp4", "one.mp4"]
+
+
+def test_frames_of_another_film_are_not_taken(files, tmp_path, rendered):
+    frames = tmp_path / ".film.mp4.frames"
+    succeed(files, *FILM, "-o", tmp_path / "frames", "--turn", 90)
+    (tmp_path / "frames").rename(frames)
+    rendered.clear()
+    succeed(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1)
+    assert len(rendered) == 6 and not frames.exists()
+
+
+def test_a_frame_that_cannot_be_made_is_named_and_the_others_are_kept(files, tmp_path, capsys, monkeypatch):
+    render, count = Deformer.render, []
+
+    def fails(self, *words, **options):
+        count.append(1)
+        if len(count) == 4:
+            raise ValueError("its camera stands in a wall")
+        return render(self, *words, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Deformer, "render", fails)
+        assert run(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert said[-2].startswith("warpcage: 5 frames kept in ")
+    assert said[-1].startswith("warpcage: error: frame_000") and said[-1].endswith(": its camera stands in a wall")
+    succeed(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1)
+
+
+def test_a_film_that_cannot_be_written_ends_the_workers(files, tmp_path, capsys, monkeypatch, rendered):
+    def full(frame):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("warpcage.view.film._even", full)
+    assert run(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "warpcage: error: no space left on device"
+    assert names(tmp_path) == [".film.mp4.frames"]  # what was made is kept
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["-o", "a.mov", "--show", "depth"], "--workers makes .mov films of colours alone"),
+        (["-o", "a.mp4", "--show", "alpha", "--overlay"], "draw cages into colours alone"),
+        (["--jobs", "a.jsonl"], "--workers does not go with --jobs: give it to warpcage run"),
+        (["-o", "a.avi"], "must end in"),
+    ],
+)
+def test_what_does_not_go_with_workers(files, tmp_path, capsys, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    assert run(files, *FILM, *words, "--workers", 1) == 2
+    assert message in capsys.readouterr().err and names(tmp_path) == []
+
+
+def test_frames_of_16_bits_come_back(tmp_path):
+    picture = np.random.default_rng(1).random((5, 7, 4), np.float32)
+    picture[:, :3, 3] = 0.0
+    write_film_frame(tmp_path / "a.npz", picture)
+    back = read_film_frame(tmp_path / "a.npz")
+    np.testing.assert_array_equal(back, deep_pixels(picture))
+    assert deep_pixels(back) is back
+    np.savez(tmp_path / "b.npz", pixels=np.zeros((2, 2, 3)))
+    with pytest.raises(ValueError, match="uint16"):
+        read_film_frame(tmp_path / "b.npz")

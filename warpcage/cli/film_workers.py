@@ -1,0 +1,232 @@
+"""`warpcage animate --workers N`: frames by several workers, and the film of them as they come."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..batch.report import RunProgress, RunReport
+from ..batch.run import run_jobs
+from ..core.words import counted
+from ..view.camera import Camera
+from ..view.film import CLEAR_ENDINGS, read_film_frame, write_film
+from .film_jobs import FilmFrame, FilmJob
+from .frame_folder import frame_files, frame_path, make_folder
+
+#: Folder in that of the frames in which workers write; a run that is over leaves none.
+WORKPLACE = ".run"
+
+#: Seconds between looks for a frame where nobody tells of one.
+LOOK_SECONDS = 0.2
+
+
+class FilmWorkers:
+    """Workers that make the frames of a film.
+
+    Args:
+        job: What the frames share.
+        frames: The frames.
+        settings: All that decides how they look, as JSON has it; its "format" is the ending of the frames.
+        workers: How many.
+        device: As `run_jobs` takes it.
+        quiet: Whether there is no progress bar.
+        overwrite: Whether frames of another film in the folder are replaced.
+    """
+
+    def __init__(
+        self,
+        job: FilmJob,
+        frames: Sequence[FilmFrame],
+        settings: dict[str, Any],
+        *,
+        workers: int,
+        device: str | None,
+        quiet: bool,
+        overwrite: bool = False,
+    ):
+        self.job, self.frames, self.settings = job, frames, settings
+        self.workers, self.device, self.quiet, self.overwrite = workers, device, quiet, overwrite
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """The cameras of the frames."""
+        return [frame.camera for frame in self.frames]
+
+    def make_frames(self, folder: pathlib.Path, told: Callable[[], None] = lambda: None) -> int:
+        """Make the frames of a folder that are not there yet.
+
+        Args:
+            folder: The folder.
+            told: Called now and then, in this thread; what it raises ends the run.
+
+        Returns:
+            How many were there.
+
+        Raises:
+            RuntimeError: Where a frame cannot be made. Those that were made are there.
+            As `run_jobs` and `make_folder`.
+        """
+        _collect(folder / WORKPLACE, folder)  # of a run that was killed
+
+        def make(missing: list[int]) -> None:
+            with tempfile.TemporaryDirectory(prefix="warpcage-") as temporary:
+                path = pathlib.Path(temporary) / "film.jsonl"
+                self.job.write(path, (self.frames[index] for index in missing))
+                try:
+                    _require_all(self._run(path, folder / WORKPLACE, len(missing), told))
+                finally:
+                    _collect(folder / WORKPLACE, folder)
+
+        return make_folder(folder, self.cameras, make, self.settings, overwrite=self.overwrite)
+
+    def make_film(self, output: pathlib.Path, rate: Fraction, *, loop: bool) -> None:
+        """Make the frames in a folder beside a film, and the film of them, in order, as they come.
+
+        The folder is removed at the end. After an error or an interrupt it stays, and the next run goes on with it.
+
+        Args:
+            output: The film.
+            rate: Frames per second.
+            loop: Whether a GIF starts again at its end.
+        """
+        folder = frames_folder(output)
+        self.settings, self.overwrite = self.settings | {"version": __version__}, True  # that folder is ours
+        encoder = _Encoder(output, rate, loop, [self._places(folder, frame) for frame in self.frames])
+        try:
+            with encoder:
+                self.make_frames(folder, encoder.told)
+        except BaseException:
+            if made := frame_files(folder):
+                print(
+                    f"warpcage: {counted(len(made), 'frame')} kept in {folder}: run it again to go on", file=sys.stderr
+                )
+            raise
+        shutil.rmtree(folder)
+
+    def _places(self, folder: pathlib.Path, frame: FilmFrame) -> list[pathlib.Path]:
+        """Where a frame may be found once it is whole."""
+        place = frame_path(folder, frame.index, self.settings["format"])
+        return [place, folder / WORKPLACE / place.name]
+
+    def _run(self, path: pathlib.Path, out: pathlib.Path, missing: int, told: Callable[[], None]) -> RunReport:
+        from tqdm import tqdm
+
+        count = len(self.frames)
+        with tqdm(total=count, initial=count - missing, desc="animate", disable=self.quiet) as bar:
+
+            def show(state: RunProgress) -> None:
+                told()
+                if state.stage == "make":
+                    bar.update(count - missing + state.kept + state.done + state.failed - bar.n)
+
+            def warn(line: str) -> None:
+                tqdm.write(f"warpcage: warning: {line}", file=sys.stderr)
+
+            return run_jobs(path, out, workers=self.workers, device=self.device, progress=show, warn=warn)
+
+
+def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[dict[str, str], str]:
+    """The words "outputs" of frames that become a film or a folder, and their ending.
+
+    Args:
+        output: The film or the folder.
+        show: What pictures show.
+        kind: --format of a folder.
+
+    Raises:
+        ValueError: For what only `animate` without workers can show.
+    """
+    if output.suffix.lower() in CLEAR_ENDINGS:
+        if show != "rgb":
+            raise ValueError(f"--workers makes {output.suffix} films of colours alone: leave out --show, or --workers")
+        return {"film": "{id}.npz"}, "npz"  # as many bits as they hold
+    return {show: "{id}." + (kind or "png")}, kind or "png"
+
+
+def frames_folder(output: pathlib.Path) -> pathlib.Path:
+    """The folder of the frames of a film that is not finished."""
+    return output.with_name(f".{output.name}.frames")
+
+
+def _require_all(report: RunReport) -> None:
+    """Raise RuntimeError where frames are missing."""
+    if report.failed:
+        name, line = next(iter(report.failed.items()))
+        more = f" ({counted(len(report.failed), 'frame')} failed)" if len(report.failed) > 1 else ""
+        raise RuntimeError(f"{name}: {line}{more}")
+    if report.halt is not None:
+        raise RuntimeError(report.halt)
+
+
+def _collect(workplace: pathlib.Path, folder: pathlib.Path) -> None:
+    """Put the frames of a run in their places, and remove what else it wrote."""
+    for path in frame_files(workplace):
+        os.replace(path, folder / path.name)
+    shutil.rmtree(workplace, ignore_errors=True)
+
+
+class _Encoder:
+    """Writes a film of frames that others write, in another thread (`with`). The block ends when it is written."""
+
+    def __init__(self, output: pathlib.Path, rate: Fraction, loop: bool, places: list[list[pathlib.Path]]):
+        self._output, self._rate, self._loop, self._places = output, rate, loop, places
+        self._news, self._ended = threading.Event(), threading.Event()
+        self._stopped = False
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._encode, name="warpcage-film")
+
+    def told(self) -> None:
+        """There may be frames. Raises the error of the encoder, if it has one."""
+        self._news.set()
+        if self._error is not None:
+            raise self._error
+
+    def __enter__(self) -> _Encoder:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._news.set()
+                self._ended.wait()
+        finally:
+            self._stopped = True
+            self._news.set()
+            self._ended.wait()
+        if kind is None and self._error is not None:
+            raise self._error
+
+    def _encode(self) -> None:
+        try:
+            write_film(self._output, self._frames(), self._rate, loop=self._loop)
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._ended.set()
+
+    def _frames(self) -> Iterator[np.ndarray]:
+        for places in self._places:
+            yield self._frame(places)
+
+    def _frame(self, places: list[pathlib.Path]) -> np.ndarray:
+        while not self._stopped:
+            for path in places:
+                try:
+                    return read_film_frame(path)
+                except (FileNotFoundError, ValueError):  # it is not there yet, or was moved just now
+                    if path.exists():
+                        raise
+            self._news.wait(LOOK_SECONDS)
+            self._news.clear()
+        raise InterruptedError("the film was given up")
