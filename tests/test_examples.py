@@ -45,7 +45,7 @@ def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("*.py")}
     assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
                      "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py", "edit_fox.py",
-                     "edit_parts.py", "bend_splats.py"}  # fmt: skip
+                     "edit_parts.py", "bend_splats.py", "augment_captures.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
@@ -209,3 +209,21 @@ def test_splats_are_bent(tmp_path, monkeypatch):
     found = runpy.run_path(str(EXAMPLES / "bend_splats.py"))["main"]([*words, "--towards", "x"])
     assert found["moved"] < 35.0 and found["saved"] > 60.0 and found["count"] >= 300
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"cage.obj", "bent.ply", "splats.png"}
+
+
+def test_captures_of_a_pose_fit_as_well_as_those_at_rest(tmp_path, monkeypatch):
+    """On a two-coloured ball: its field and cage are given."""
+    from cli_runs import write_files
+
+    write_files(tmp_path)
+    words = ["--field", "ball.npz", "--cage", "cage.obj", "--out", "out", "--size", 32, "--views", 24, "--poses", 2]
+    words += ["--epochs", 20, "--seed", 1, "--lattice", 24, "--coordinates", "mean_value", "--device", "cpu"]
+    monkeypatch.chdir(tmp_path)
+    found = runpy.run_path(str(EXAMPLES / "augment_captures.py"))["main"]([*map(str, words)])
+    rest, of_the_pose, posed = found["psnr"].values()
+    assert found["pictures"] == 48 and rest > 22.0 and abs(posed - rest) < 1.5 and of_the_pose < posed - 2.0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "dataset", "poses.png", "refit.png", "summary.json", "sweep.cameras.json", "sweep.jsonl", "sweep.poses.npy"
+    }  # fmt: skip
+    shards = sorted(path.name for path in (tmp_path / "out/dataset").glob("*.tar"))
+    assert shards == ["shard-000000.tar", "shard-000001.tar"]

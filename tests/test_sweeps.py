@@ -7,8 +7,10 @@ import pytest
 from cli_runs import run, succeed, write_files
 
 from warpcage.batch.job_file import JobFile
+from warpcage.batch.run import run_jobs
 from warpcage.batch.sweeps import GivenSource, RandomViews, write_sweep
 from warpcage.batch.transforms import finish_folder
+from warpcage.batch.webdataset import read_shard, staged_shards
 from warpcage.batch.worker import Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
@@ -158,6 +160,27 @@ def test_a_sweep_is_made_and_loads_as_scenes(files, tmp_path):
         np.testing.assert_allclose(camera.camera_to_world, key.camera.camera_to_world, atol=1e-12)
         assert camera.fx == pytest.approx(key.camera.fx)
     assert scene.alphas is not None and 0.05 < scene.alphas.mean() < 0.9
+
+
+def test_shards_of_a_run_are_made_again_to_the_byte(files, tmp_path):
+    """Also with an item that failed before, one that is new, and a shard that was lost."""
+    words = ["--poses", "rest", "bend:30", "--cameras", "@cameras.json", "--resolution", 16, "--records", "webdataset"]
+    words += ["--coordinates", "mean_value", "--items-per-shard", 3, "-o", tmp_path / "sweep.jsonl"]
+    succeed(files, *SWEEP, *words)
+    out, lines = tmp_path / "out", (tmp_path / "sweep.jsonl").read_text().splitlines(keepends=True)
+    broken = lines[2].replace("cameras.json#1", "cameras.json#99")
+    (tmp_path / "sweep.jsonl").write_text("".join([*lines[:2], broken, *lines[3:]]))
+    report = run_jobs(tmp_path / "sweep.jsonl", out, device="cpu")
+    assert list(report.failed) == ["pose_000000/camera_001"]
+    assert [len(list(read_shard(path))) for path in sorted(out.glob("*.tar"))] == [2, 3, 2]
+    (tmp_path / "sweep.jsonl").write_text("".join(lines))
+    (out / "shard-000001.tar").unlink()
+    report = run_jobs(tmp_path / "sweep.jsonl", out, device="cpu")
+    assert (report.kept, len(report.failed)) == (4, 0)
+    run_jobs(tmp_path / "sweep.jsonl", tmp_path / "again", device="cpu")
+    assert len(list(out.glob("*.tar"))) == 3 and not staged_shards(out)
+    for path in out.glob("*.tar"):
+        assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
 
 
 def test_the_depth_of_a_record_is_that_of_the_posed_surface(tmp_path):
