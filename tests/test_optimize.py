@@ -154,15 +154,15 @@ KILLED = """
 import os, signal, sys
 import test_optimize as t
 import warpcage
-from warpcage.fitting import optimizer
+from warpcage.fitting import fit as fits
 saves = []
-write = optimizer.save_progress
+write = fits.save_progress
 def save_then_die(fit, path):
     write(fit, path)
     saves.append(path)
     if len(saves) == 3:
         os.kill(os.getpid(), signal.SIGKILL)
-optimizer.save_progress = save_then_die
+fits.save_progress = save_then_die
 warpcage.fit(t.blob_scene(count=12, size=24), progress=False, checkpoint=sys.argv[1],
              checkpoint_seconds=0.0, **t.RESUMED)
 """

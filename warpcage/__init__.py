@@ -47,7 +47,7 @@ _HOMES = {
     "edit": "editor.edit",
     "evaluate": "fitting.evaluation",
     "fill_unseen": "deform.fill",
-    "fit": "fitting.optimizer",
+    "fit": "fitting.fit",
     "green_coordinates": "coordinates.weights",
     "harmonic_coordinates": "coordinates.weights",
     "load_scene": "scene.load",

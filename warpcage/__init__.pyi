@@ -25,8 +25,8 @@ from .field.voxel_field import VoxelField as VoxelField
 from .fitting.evaluation import evaluate as evaluate
 from .fitting.evaluation import mean_psnr as mean_psnr
 from .fitting.evaluation import psnr as psnr
+from .fitting.fit import fit as fit
 from .fitting.optimizer import FieldOptimizer as FieldOptimizer
-from .fitting.optimizer import fit as fit
 from .fitting.options import FitOptions as FitOptions
 from .lattice.position_map import PositionMap as PositionMap
 from .scene.load import load_scene as load_scene

@@ -6,7 +6,7 @@ import pathlib
 
 import warp as wp
 
-from ..fitting.optimizer import fit
+from ..fitting.fit import fit
 from ..scene.load import load_scene
 from .outputs import Made, Writer
 from .references import References

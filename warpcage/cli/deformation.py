@@ -122,7 +122,7 @@ def read_deformation(
     it does not fit.
 
     Args:
-        args: What was given; see `options.add_deformation`.
+        args: What was given; see `deformation_options.add_deformation`.
         field: The field that is deformed, by which the axes of cage files are found.
         interpolation: "smooth" or "linear", between several poses of an edit. None takes one pose an edit.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from ..core.names import FIT_BACKGROUNDS
+from ..fitting.fit import fit
 from ..fitting.memory import memory_size
-from ..fitting.optimizer import fit
 from . import inputs, options
 
 

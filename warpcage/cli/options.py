@@ -9,7 +9,7 @@ import argparse
 import fractions
 import pathlib
 
-from ..core.names import BACKGROUNDS, COORDINATES, DENSITIES, SPLAT_MAPS
+from ..core.names import BACKGROUNDS
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
 MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
@@ -159,65 +159,6 @@ def add_masks(parser: Arguments) -> None:
     )
 
 
-def add_deformation(
-    parser: Arguments,
-    *,
-    keyframes: bool = False,
-    several: bool = False,
-    usual_resolution: str = "by the picture's size, a cell for 5 pixels, 64 to 128",
-) -> None:
-    """The cages of a deformation and how it is computed.
-
-    Args:
-        parser: What takes the arguments.
-        keyframes: Whether several poses make a film.
-        several: Whether several poses make a picture each.
-        usual_resolution: What the help says of the lattice where it is not given.
-    """
-    group = parser.add_argument_group(
-        "deformation (--cage and --posed, or --edit, or --edits; without them the field is shown as it is)"
-    )
-    group.add_argument("--cage", metavar="REST", help=f"cage around the undeformed object ({' '.join(CAGE_ENDINGS)})")
-    posed = (
-        "the same cage with its vertices moved: a cage file, a keyframe of a pose file (poses.json:NAME), or a preset "
-        "such as bend:40:x:z, twist:60 or scale:0.8"
-    )
-    if keyframes:
-        posed += (
-            ". Several, or all keyframes of a pose file (poses.json), follow one another. An animated glTF file "
-            "(walk.glb), numbered files (walk_####.obj) or their folder are taken frame for frame"
-        )
-    if several:
-        posed += ". Several, or all keyframes of a pose file, make a picture each, in a folder"
-    group.add_argument("--posed", metavar="POSED", nargs="+" if keyframes or several else None, help=posed)
-    add_edits(group)
-    add_cage_up(group, found=True, posed=True)
-    group.add_argument(
-        "--coordinates", choices=COORDINATES, default="harmonic", help="kind of coordinates (default: %(default)s)"
-    )
-    group.add_argument(
-        "--resolution",
-        type=lattice_resolution,
-        default=BY_SIZE,
-        metavar="N",
-        help='lattice cells along the longest side of the cage, or "precise" to evaluate the '
-        f"coordinates at every sample (mean_value and green only) (default: {usual_resolution})",
-    )
-    group.add_argument(
-        "--density",
-        choices=DENSITIES,
-        default="opacity",
-        help="opacity: parts keep their opacity when they are scaled; paper: they keep their density, as in the paper "
-        "(default: %(default)s)",
-    )
-    group.add_argument(
-        "--map",
-        choices=SPLAT_MAPS,
-        help="splats only. forward: they move by the coordinates of the cage at rest; backward: they go where voxels "
-        "under the same cage would be (default: forward)",
-    )
-
-
 def add_selection(parser: Arguments, what: str = "only what is chosen") -> None:
     """A selection of the field; what: what becomes of it."""
     parser.add_argument("--selection", metavar="FILE", help=f"{what} by warpcage select (.npz, .json)")
@@ -264,37 +205,6 @@ def add_antialias(parser: Arguments) -> None:
         default=None,
         help="splats only: weaken those that are smaller than a pixel, for files that were fitted in that way "
         "(Mip-Splatting); others get thinner where they are far away",
-    )
-
-
-def add_edits(parser: Arguments) -> None:
-    """Several edits of one scene."""
-    parser.add_argument(
-        "--edit",
-        action="append",
-        metavar="CAGE:POSED[:keep]",
-        help="one of several edits; give it again for the next, which acts on what the ones before it left. POSED as "
-        "for --posed. CAGE:POSED:keep leaves a copy where it was, CAGE:remove takes away what is in the cage, "
-        "CAGE:POSED:falloff=WIDTH is a --falloff of its own",
-    )
-    parser.add_argument(
-        "--falloff",
-        type=positive_float,
-        metavar="WIDTH",
-        help="hold the walls of a cage that cut through matter, and let the edit fade to rest in a band of this width "
-        "inside them, world units, so that a part does not tear off (default: no wall is held)",
-    )
-    parser.add_argument(
-        "--crumbs",
-        type=positive_float,
-        metavar="SIZE",
-        help="take pieces smaller than this, world units, that a cage cuts off its part, along with the part (default: "
-        "they stay)",
-    )
-    parser.add_argument(
-        "--edits",
-        metavar="FILE",
-        help="all edits from a file (warpcage edits writes one), or those of a session of the editor (.session.json)",
     )
 
 

@@ -11,7 +11,7 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..core.files import atomic_path
-from ..fitting.optimizer import fit
+from ..fitting.fit import fit
 from ..reference.brick_scene import write_brick_scene
 from ..scene.load import load_scene
 

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import pathlib
-import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, require_type
 from ..core.devices import resolve_device
-from ..core.locks import device_turn, in_turn
+from ..core.locks import in_turn
 from ..core.modules import load_modules
 from ..field.sparse import mask_count
 from ..field.voxel_field import VoxelField
@@ -29,7 +26,6 @@ from ..view.refined_cameras import RefinedCameras
 from .background import BackgroundOptimizer, chosen_background, layers_that_fit, mean_colour
 from .batches import Batch, Batches
 from .cameras import CAMERA_RAYS, CameraRefinement, ray_bytes
-from .checkpoint import load_progress, require_writable, save_progress
 from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
 from .options import checked_options, checked_seed
@@ -42,9 +38,6 @@ from .silhouettes import Silhouettes, possible_voxels
 
 #: The cells per node of the first level are those of this grid: its own resolution follows from the memory.
 SMALLEST_GRID = (2, 2, 2)
-
-#: Seconds between two updates of the progress bar.
-SHOWN_EVERY = 1.0
 
 
 class FieldOptimizer:
@@ -435,66 +428,3 @@ class FieldOptimizer:
             field.background_model = self.background.result(self.rays, field)
         field.refined_cameras = self.refined_cameras
         return field
-
-
-def fit(
-    scene: Scene,
-    *,
-    quality: str = "standard",
-    device: wp.DeviceLike = None,
-    seed: int = 0,
-    progress: bool = True,
-    bounds: ArrayLike | None = None,
-    checkpoint: str | pathlib.Path | None = None,
-    checkpoint_seconds: float = 60.0,
-    **options: Any,
-) -> VoxelField:
-    """Optimise a VoxelField from a Scene.
-
-    Args:
-        scene: The images with their cameras.
-        quality: "fast", "standard" or "high": time against detail.
-        device: Warp device. None is CUDA where there is one.
-        seed: Of the pixel order and the backgrounds; see FieldOptimizer.
-        progress: Whether to show a bar with the PSNR of the last batch.
-        bounds: (2, 3) box of the object, world units. None finds it: the visual hull where the images have alpha.
-        checkpoint: File (.npz) that holds the progress, always whole. The fit goes on from a file that is there, and
-            removes it when it is done. None keeps no progress.
-        checkpoint_seconds: Time between two writes of the checkpoint.
-        options: Fields of FitOptions by name, e.g. resolution=256, epochs=12 or max_memory="4GB".
-
-    Returns:
-        The field, pruned, with its rendering weights.
-
-    Raises:
-        ValueError: For a scene with nothing in it, options out of range, too little memory, or a checkpoint of another
-            scene or other options.
-    """
-    from tqdm import tqdm
-
-    held = None if checkpoint is None else require_writable(checkpoint)
-    turn = device_turn(resolve_device(device))
-    with turn:
-        optimizer = FieldOptimizer(scene, device=device, seed=seed, bounds=bounds, quality=quality, **options)
-        if held is not None and held.exists():
-            load_progress(optimizer, held)
-    with tqdm(total=optimizer.total_steps, initial=optimizer.step_count, desc="fit", disable=not progress) as bar:
-        shown = saved = time.monotonic()
-        while optimizer.step_count < optimizer.total_steps:
-            optimizer.step()
-            bar.update()
-            if progress and time.monotonic() - shown > SHOWN_EVERY:
-                shown = time.monotonic()
-                size = "x".join(str(n) for n in optimizer.field.resolution)
-                bar.set_postfix_str(f"{optimizer.measure_psnr():.2f} dB at {size}")
-            if held is not None and time.monotonic() - saved > checkpoint_seconds:
-                with turn:
-                    save_progress(optimizer, held)
-                saved = time.monotonic()
-    optimizer.measure_psnr()
-    if progress and optimizer.coarser:
-        print(f"fit: {optimizer.coarser}", file=sys.stderr)
-    field = optimizer.finish()
-    if held is not None:
-        held.unlink(missing_ok=True)
-    return field

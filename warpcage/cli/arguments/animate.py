@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import Any
 
 from ...core.names import LOOPS
-from .. import options
+from .. import deformation_options, options
 
 NAME = "animate"
 HELP = "render a film from rest through the poses and back, with the camera turning around the object"
@@ -138,7 +138,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_clear_background(parser)
     options.add_fill(parser)
     options.add_antialias(parser)
-    options.add_deformation(parser, keyframes=True)
+    deformation_options.add_deformation(parser, keyframes=True)
     options.add_view(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .. import options
+from .. import deformation_options, options
 
 NAME = "bake"
 HELP = "make a new field of a deformed one, that needs no cage: voxels are resampled, splats moved"
@@ -41,6 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="splats only: so many files from rest to the pose, -o walk_####.ply with the # for the number",
     )
     options.add_selection(parser, "only what is chosen, cut out of its scene,")
-    options.add_deformation(parser, usual_resolution="128")
+    deformation_options.add_deformation(parser, usual_resolution="128")
     options.add_scene_scale(parser)
     options.add_device(parser)

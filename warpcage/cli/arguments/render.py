@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .. import options
+from .. import deformation_options, options
 
 NAME = "render"
 HELP = "render one view of a field, as it is or deformed by a cage"
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_clear_background(parser)
     options.add_fill(parser)
     options.add_antialias(parser)
-    options.add_deformation(parser, several=True)
+    deformation_options.add_deformation(parser, several=True)
     options.add_view(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)
