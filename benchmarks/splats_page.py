@@ -237,8 +237,8 @@ deformer; "–" where no splat is cut.
 LIGHT = """What that way gets wrong in these scenes is the turn of the harmonics: where a pose does not turn the matter,
 but stretches it or moves a small part, there is nothing to turn. Of what the deformer itself loses in a stretch, a part
 is the law of light: files of splats can hold harmonics that are turned, by the rotation nearest to J, but not ones that
-are seen along J^-1 d. So much nearer are the same pictures to a truth whose highlights are turned, dB (the rest: longer
-splats show less of the texture):
+are seen along J^-1 d. So much nearer are the same pictures to a truth whose highlights are turned, dB; what is left is
+what the plain scene loses too, as the same discs show a longer surface:
 """
 
 BACKWARD = """### Backward, where voxels are
