@@ -37,6 +37,8 @@ def test_colours_match_numpy(device):
     expected = [oracle.ray_colour(background, values, *ray) for ray in rays]
     np.testing.assert_allclose(background.sample(origins, directions), expected, atol=2e-5)
     assert any(place is None for ray in rays for place in oracle.layer_points(background, *ray))  # some pass a cube by
+    with pytest.raises(ValueError, match="as many directions as origins, got 299 for 300"):
+        background.sample(origins, directions[1:])
 
 
 def test_faces_join_without_a_seam(device):

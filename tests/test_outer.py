@@ -54,6 +54,8 @@ def test_colours_match_numpy(device):
     origins[6:12] = outer.center + [2.5, 0, 0]
     directions[6:9] = [[0, 0.6, 0.8], [0, -1, 0], [0, 0, 1]]
     seen = outer.sample(origins, directions)
+    with pytest.raises(ValueError, match="as many directions as origins"):
+        outer.sample(origins, directions[1:])
     expected = []
     for origin, direction in zip(origins, directions, strict=True):
         colour, light = oracle.march(outer, values, origin, direction)
