@@ -28,7 +28,7 @@ TEST = [
     "ray>=2.40; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
     "pytest>=8.0",
-    "webdataset>=0.2.100",  # reads the shards that records are packed into
+    "webdataset>=1.0",  # reads the shards that records are packed into
     "pytest-xdist>=3.6",  # over all cores
     "hypothesis>=6.100",
     "scipy>=1.11",
