@@ -268,6 +268,7 @@ def test_outputs_follow_from_the_header():
     [
         ({"outputs": {"rgb": "a.png"}}, {"kind": "folder"}, "leave 'outputs' out"),
         ({"kind": "fit", "scene": "scene", "output": "a.npz"}, {"kind": "folder"}, "'records' are of frames"),
+        ({"id": "a/transforms"}, {"kind": "folder"}, "has a transforms.json of its own"),
         ({"id": "a.b"}, {"kind": "webdataset"}, "cuts names at their first dot: call it 'a_b'"),
         ({}, {"kind": "webdataset", "image": "jpg"}, "a JPEG has no opacity"),
     ],

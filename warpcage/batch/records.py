@@ -19,6 +19,9 @@ from .items import ID, FrameItem, Item
 #: Kinds of records, as "records" of a job's header has them.
 FOLDER, WEBDATASET = "folder", "webdataset"
 
+#: What lists the frames of a folder.
+TRANSFORMS = "transforms.json"
+
 #: Items of a shard where the header does not say.
 ITEMS_PER_SHARD = 1000
 
@@ -59,12 +62,14 @@ def require_recordable(entry: Mapping[str, Any], item: Item, records: Mapping[st
         records: "records" of the header.
 
     Raises:
-        ValueError: For outputs of its own, or an id that a data set would cut.
+        ValueError: For outputs of its own, or an id that a data set would cut or has itself.
     """
     expected = {part: path.replace(ID, item.id) for part, path in record_outputs(records).items()}
     if entry.get("outputs") is not None and item.outputs != expected:
         raise ValueError("'records' of the header say what is written: leave 'outputs' out")
     name = item.id.rpartition("/")[2]
+    if records["kind"] == FOLDER and name + RECORD_ENDING == TRANSFORMS:
+        raise ValueError(f"a folder of records has a {TRANSFORMS} of its own: call it something else")
     if records["kind"] == WEBDATASET and "." in name:
         raise ValueError(f"a WebDataset cuts names at their first dot: call it {name.replace('.', '_')!r}")
 

@@ -240,7 +240,7 @@ def write_sweep(
         coordinates: Kinds of coordinates.
         views: How many of the shared cameras, chosen at random, each pose is seen from. None is all.
         seed: Of that choice.
-        records: How records are kept; see docs/batch.md. None is a folder.
+        records: How records are kept; see docs/sweeps.md. None is a folder.
         defaults: More words that all items share, such as "background" or "resolution".
 
     Returns:

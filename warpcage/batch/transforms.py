@@ -12,9 +12,7 @@ from ..core.files import PathLike, atomic_path
 from .items import FrameItem
 from .job_file import JobFile
 from .manifest import DONE
-from .records import beside, camera_words
-
-NAME = "transforms.json"
+from .records import TRANSFORMS, beside, camera_words
 
 #: What frames call the parts of a record.
 _WORDS = {"depth": "depth_path", "alpha": "alpha_path", "pose": "pose_path", "record": "record_path"}
@@ -82,7 +80,7 @@ def _frames(
 
 
 def _write(out: pathlib.Path, folder: str, frames: Iterator[tuple[dict[str, Any], dict[str, Any]]]) -> pathlib.Path:
-    path = out / folder / NAME
+    path = out / folder / TRANSFORMS
     usual: dict[str, Any] | None = None
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         for intrinsics, frame in frames:
