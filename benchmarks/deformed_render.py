@@ -54,7 +54,9 @@ def main() -> None:
     for kind in args.kinds:
         deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution).pose(poses[0])
         report_frame("frame, lattice ready", deformer.render, kind=kind)
-        randoms = [source.pose(number) for number in range(args.poses)]
+        wild = [source.pose(number) for number in range(args.poses)]
+        report("pose and frame, as sweeps draw them", *random_times(deformer, wild, camera, device), kind=kind)
+        randoms = random_poses(rest, args.poses, args.seed)
         report("pose and frame, random", *random_times(deformer, randoms, camera, device), kind=kind)
         firsts = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution)
         times = [pose_and_frame(firsts, cage, camera, device) for cage in randoms[:10]]
@@ -121,6 +123,24 @@ def chosen_camera(field, args):
     return warpcage.turntable(
         field.center, 4.03, 30, 1, fov_degrees=39.6, width=args.size, height=args.size, start_degrees=30
     )[0]
+
+
+def random_poses(rest, count: int, seed: int) -> list:
+    """Cages moved by three waves each, of random directions, lengths above 1.4 times their size, and phases: those that
+    times have been taken with from the start, milder than `RandomPoses`."""
+    random = np.random.default_rng(seed)
+    centre, size = rest.vertices.mean(axis=0), float(np.ptp(rest.bounds, axis=0).max())
+    places = (rest.vertices - centre) / size
+    poses = []
+    for _ in range(count):
+        moved = places.copy()
+        for _ in range(3):
+            wave = random.normal(size=3)
+            wave *= random.uniform(0.2, 0.7) / np.linalg.norm(wave)
+            phase = random.uniform(0, 2 * np.pi)
+            moved += 0.05 * random.normal(size=3) * np.sin(2 * np.pi * places @ wave + phase)[:, None]
+        poses.append(rest.with_vertices(centre + size * moved))
+    return poses
 
 
 def pose_and_frame(deformer, cage, camera, device) -> float:
