@@ -1,7 +1,10 @@
 """Workers of jobs: their pictures are those of `warpcage render`, and what items share is loaded once."""
 
+import errno
 import gc
 import json
+import os
+import pathlib
 import shutil
 import threading
 import weakref
@@ -15,6 +18,7 @@ from warpcage.batch import frames
 from warpcage.batch.fingerprints import Fingerprints
 from warpcage.batch.frames import MOST_DEFORMERS
 from warpcage.batch.items import Item
+from warpcage.batch.job_file import JobFile
 from warpcage.batch.worker import CHECKPOINTS, PARTS, Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
@@ -97,6 +101,29 @@ def test_outputs_come_all_or_none(files, tmp_path, monkeypatch):
         assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
         assert list((tmp_path / PARTS).iterdir()) == []
         assert list(worker.run(frame())) == ["frame_0001.png"]
+
+
+def test_an_output_whose_place_is_taken_leaves_none_of_the_others(files, tmp_path):
+    (tmp_path / "b.npy").mkdir()
+    with Worker(files, tmp_path, "cpu") as worker, pytest.raises(OSError, match="b.npy"):
+        worker.run(frame(outputs={"rgb": "a.png", "depth": "b.npy"}))
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_outputs_go_to_other_disks_too(files, tmp_path, monkeypatch):
+    ordinary = os.replace
+
+    def replace(source, target):
+        if PARTS in str(source) and PARTS not in str(target):
+            raise OSError(errno.EXDEV, "Invalid cross-device link")
+        ordinary(source, target)
+
+    with Worker(files, tmp_path, "cpu") as worker:
+        worker.run(frame("a"))
+        monkeypatch.setattr(os, "replace", replace)
+        worker.run(frame("b"))
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == {"a.png", "b.png"}
 
 
 def test_an_inline_camera_and_cage_are_those_of_files(files, tmp_path):
@@ -415,3 +442,19 @@ def test_the_fingerprint_of_a_scene_is_of_all_of_its_files(files, tmp_path):
     picture = next((tmp_path / "scene").rglob("*.png"))
     picture.rename(picture.with_name("other.png"))
     assert Fingerprints(tmp_path).of(item) != base
+
+
+def test_the_example_of_the_docs_is_made(files, tmp_path):
+    text = (pathlib.Path(__file__).parents[1] / "docs" / "batch.md").read_text("utf-8")
+    (files / "example.jsonl").write_text(text.partition("```json\n")[2].partition("```")[0], "utf-8")
+    with JobFile(files / "example.jsonl") as job, Worker(job.folder, tmp_path, "cpu") as worker:
+        job.check()
+        items = sorted(job, key=lambda item: item.order)
+        sizes = [size for item in items for size in worker.run(item).items()]
+        counts = worker.frames.counts
+    assert all((tmp_path / path).stat().st_size == size > 0 for path, size in sizes)
+    assert len(items) == 8 and len(sizes) == 10 and counts.frames == 6
+    assert worker.fields.read_count == 2  # the fit lets go of the first
+    bent, plain = (read_image(tmp_path / f"{name}.png") for name in ("bent", "plain"))
+    assert bent.shape == (60, 80, 3) and plain.shape == (60, 80, 4)
+    assert np.load(tmp_path / "depth/bent.npy").shape == (60, 80)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import io
 import os
 import pathlib
+import shutil
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
+
+from ..core.files import atomic_path
 
 #: Folders of a run: files stand in the first until they are whole, and what is left there belongs to nobody once no
 #: worker runs; the second holds the progress of fits, from which they go on.
@@ -51,15 +55,32 @@ def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathl
         OSError: Where they cannot be written.
     """
     sizes: dict[str, int] = {}
+    placed: list[pathlib.Path] = []
     with _part_names(writers, parts) as names:
         for path, write in writers.items():
             write(names[path])
             sizes[path] = names[path].stat().st_size
-        for path in writers:
-            (out / path).parent.mkdir(parents=True, exist_ok=True)
-        for path in writers:
-            os.replace(names[path], out / path)
+        try:
+            for path in writers:
+                _put(names[path], out / path)
+                placed.append(out / path)
+        except BaseException:
+            for each in placed:
+                each.unlink(missing_ok=True)
+            raise
     return sizes
+
+
+def _put(part: pathlib.Path, path: pathlib.Path) -> None:
+    """Put a whole file into its place, also where that is on another disk, to which a link in the folder leads."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.replace(part, path)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        with atomic_path(path) as temporary:
+            shutil.copyfile(part, temporary)
 
 
 @contextlib.contextmanager
