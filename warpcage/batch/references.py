@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
+import stat
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple, TypeVar
 
@@ -59,8 +61,12 @@ class References:
 
     def stamped(self, name: str, what: str) -> tuple[str, tuple[int, int]]:
         """A file and its stamp, by which what was made of it is known. Raises FileNotFoundError."""
-        path = require_file(self.path(name), what)
-        return str(path), file_stamp(path)
+        path = os.path.join(self.base, name)
+        with contextlib.suppress(OSError):  # one look at each file of each item
+            status = os.stat(path)
+            if stat.S_ISREG(status.st_mode):
+                return path, (status.st_size, status.st_mtime_ns)
+        return path, file_stamp(require_file(path, what))
 
     def array(self, value: Any, what: str) -> np.ndarray:
         """An array.
@@ -157,14 +163,7 @@ class References:
         if name.lower().endswith((".glb", ".gltf")):
             if (moving := self._moving(name, place, edit, rest_cage)) is not None:
                 return moving
-        path = require_file(self.path(name), "cage file")
-        posed = load_standing(Cage, path, up=edit.up, reference=rest, expected=rest_cage.ups.get(path.suffix.lower()))[
-            0
-        ]
-        try:
-            return rest.match(posed)
-        except ValueError as error:
-            raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
+        return self._kept(name, "cage file", lambda path: _posed_file(path, edit, rest_cage), (rest_cage.hash, edit.up))
 
     def _moving(self, name: str, place: str, edit: EditWords, rest_cage: RestCage) -> Cage | None:
         """The keyframe or shape that is named of a glTF file, or what its shapes show. None where nothing moves."""
@@ -173,7 +172,7 @@ class References:
             rest = rest_cage.cage
             return gltf_poses(path, rest, up=edit.up), gltf_shown(path, rest, up=edit.up)
 
-        moving, shown_pose = self._kept(name, "cage file", read, (rest_cage.hash, edit.up))
+        moving, shown_pose = self._kept(name, "cage file", read, ("moving", rest_cage.hash, edit.up))
         if moving is None:
             if place:
                 raise ValueError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
@@ -223,6 +222,16 @@ class References:
         """What was read from a file, read again where the file has changed."""
         path, stamp = self.stamped(name, what)
         return self._files.get((path, stamp, what, more), lambda: read(pathlib.Path(path)))
+
+
+def _posed_file(path: pathlib.Path, edit: EditWords, rest_cage: RestCage) -> Cage:
+    """The posed cage of a cage file, in the order of the cage at rest."""
+    expected = rest_cage.ups.get(path.suffix.lower())
+    posed = load_standing(Cage, path, up=edit.up, reference=rest_cage.cage, expected=expected)[0]
+    try:
+        return rest_cage.cage.match(posed)
+    except ValueError as error:
+        raise ValueError(f"cage {edit.posed!r} does not fit its rest cage: {error}") from None
 
 
 def inline_camera(value: dict[str, Any]) -> Camera:

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, Generic, TypeVar
 
 Thing = TypeVar("Thing")
+
+
+#: Calls of `settle` after which a thing is measured in any case.
+MEASURED_EVERY = 256
+
+
+@dataclasses.dataclass
+class _Kept(Generic[Thing]):
+    """A thing, the bytes that it took when it was measured, and how often it was settled."""
+
+    thing: Thing
+    size: int = 0
+    calls: int = 0
 
 
 class Recent(Generic[Thing]):
@@ -28,7 +42,7 @@ class Recent(Generic[Thing]):
         dropped: Callable[[Thing], Any] | None = None,
     ):
         self.most, self.most_bytes, self.measure, self._dropped = most, most_bytes, measure, dropped
-        self._things: OrderedDict[Hashable, tuple[Thing, int]] = OrderedDict()
+        self._things: OrderedDict[Hashable, _Kept[Thing]] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._things)
@@ -39,7 +53,7 @@ class Recent(Generic[Thing]):
     @property
     def held_bytes(self) -> int:
         """Bytes of all things together, as they were measured last."""
-        return sum(size for _, size in self._things.values())
+        return sum(kept.size for kept in self._things.values())
 
     def get(self, key: Hashable, make: Callable[[], Thing]) -> Thing:
         """The thing of a key, made where it is not kept.
@@ -53,35 +67,41 @@ class Recent(Generic[Thing]):
         """
         if key in self._things:
             self._things.move_to_end(key)
-            return self._things[key][0]
+            return self._things[key].thing
         while len(self._things) >= self.most:  # before the new one is made, which needs the room
             self._drop_oldest()
         thing = make()
-        self._things[key] = thing, 0
+        self._things[key] = _Kept(thing)
         self.settle(key)
         return thing
 
     def settle(self, key: Hashable) -> None:
         """Measure a thing anew, which may have grown since it was made, and let go of what is too much.
 
+        Measuring takes a while: of many calls for one thing it is done at the first, second, fourth and so on, then at
+        every MEASURED_EVERY.
+
         Args:
             key: Its key; nothing is done where it is not kept.
         """
         if key not in self._things or self.measure is None:
             return
-        thing = self._things[key][0]
-        self._things[key] = thing, self.measure(thing)
+        kept = self._things[key]
+        kept.calls += 1
+        if kept.calls % MEASURED_EVERY and kept.calls & (kept.calls - 1):
+            return
+        kept.size = self.measure(kept.thing)
         while self.most_bytes is not None and len(self._things) > 1 and self.held_bytes > self.most_bytes:
             self._drop_oldest()
 
     def items(self) -> list[tuple[Hashable, Thing]]:
         """Keys and things, from the one that was not used for longest."""
-        return [(key, thing) for key, (thing, _) in self._things.items()]
+        return [(key, kept.thing) for key, kept in self._things.items()]
 
     def drop(self, key: Hashable) -> None:
         """Let go of a thing, if it is kept."""
         if key in self._things:
-            self._let_go(self._things.pop(key)[0])
+            self._let_go(self._things.pop(key).thing)
 
     def clear(self) -> None:
         """Let go of all things."""
@@ -89,7 +109,7 @@ class Recent(Generic[Thing]):
             self._drop_oldest()
 
     def _drop_oldest(self) -> None:
-        self._let_go(self._things.popitem(last=False)[1][0])
+        self._let_go(self._things.popitem(last=False)[1].thing)
 
     def _let_go(self, thing: Thing) -> None:
         if self._dropped is not None:
