@@ -245,9 +245,9 @@ def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
             continue
         seen.add(id(each))
         if isinstance(each, wp.array):
-            if each.ptr:
-                key = str(each.device), each.ptr
-                held[key] = max(held.get(key, 0), each.capacity)
+            whole = _whole(each)
+            if whole.ptr:
+                held[str(whole.device), whole.ptr] = whole.capacity
         elif isinstance(each, np.ndarray):
             base = each
             while isinstance(base.base, np.ndarray):
@@ -260,6 +260,13 @@ def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
         elif type(each).__module__.startswith("warpcage.") or hasattr(each, "_ctype"):  # which structs have
             open_things += _attributes(each)
     return sum(held.values())
+
+
+def _whole(array: Any) -> Any:
+    """The Warp array that a view is a part of."""
+    while isinstance(getattr(array, "_ref", None), wp.array):
+        array = array._ref
+    return array
 
 
 def _attributes(thing: Any) -> list[Any]:
