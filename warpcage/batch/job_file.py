@@ -15,8 +15,9 @@ import numpy as np
 from ..core.checks import listed, shown
 from ..core.files import JSON_ROOM, PathLike, atomic_path, require_file
 from ..core.memory import require_host_memory
+from .item_reader import ItemReader, checked_item, parsed_line
 from .items import KINDS, Defaults, Item
-from .records import record_outputs, require_frame, require_recordable
+from .records import record_outputs
 from .words import checked_words, one_of
 
 FORMAT, VERSION = "warpcage jobs", 1
@@ -67,7 +68,7 @@ class JobFile:
         self.records: dict[str, Any] = self.header.get("records") or {}
         if self.records:
             self.defaults = self.defaults | {"outputs": record_outputs(self.records)}
-        self._usual = Defaults(self.defaults)
+        self.reader = ItemReader(str(self.path), self.defaults, self.records)
 
     def __enter__(self) -> JobFile:
         return self
@@ -111,12 +112,18 @@ class JobFile:
         if not 0 <= index < len(self):
             raise ValueError(f"{self.path} has items 0 to {len(self) - 1}, got {index}")
         line = int(self._lines[index + 1])
-        entry = self._object(line)
-        try:
-            return _checked_item(entry, self._usual, self.records)
-        except ValueError as error:
-            name = f" ({shown(entry['id'])})" if isinstance(entry.get("id"), str) else ""
-            raise ValueError(f"{self.path}, line {line + 1}{name}: {error}") from None
+        return self.reader.item(self._data(line), line + 1)
+
+    def data(self, index: int) -> bytes:
+        """The line of an item as it stands, for `reader.item`, in this process or another.
+
+        Args:
+            index: Its number, from 0.
+
+        Returns:
+            Its bytes.
+        """
+        return self._data(int(self._lines[index + 1]))
 
     def items(self) -> Iterator[Item]:
         """All items in their order. Raises ValueError at the first that cannot be read."""
@@ -180,6 +187,10 @@ class JobFile:
 
     def _object(self, line: int) -> dict[str, Any]:
         """The JSON object of a line, counted from 0."""
+        return parsed_line(self._data(line), f"{self.path}, line {line + 1}", first=line == 0)
+
+    def _data(self, line: int) -> bytes:
+        """The bytes of a line, counted from 0."""
         start, end = int(self._starts[line]), int(self._starts[line + 1])
         where = f"{self.path}, line {line + 1}"
         if end - start > MAX_LINE:
@@ -190,23 +201,7 @@ class JobFile:
             require_host_memory(JSON_ROOM * (end - start), f"{where}: its {end - start} bytes need")
         with self._lock:
             self._file.seek(start)
-            data = self._file.read(end - start)
-        try:
-            text = data.decode("utf-8-sig" if line == 0 else "utf-8")
-            content = _DECODER.decode(text)
-        except UnicodeDecodeError:
-            raise ValueError(f"{where}: it holds no text (UTF-8)") from None
-        except RecursionError:
-            raise ValueError(f"{where}: its JSON is nested too deeply") from None
-        except json.JSONDecodeError as error:
-            raise ValueError(
-                f"{where}: its JSON breaks off or is damaged at column {error.colno}: every line is one whole object"
-            ) from None
-        except ValueError as error:  # NaN, or a number of too many digits
-            raise ValueError(f"{where}: {error}") from None
-        if not isinstance(content, dict):
-            raise ValueError(f"{where}: it must be a JSON object, got {shown(content)}")
-        return content
+            return self._file.read(end - start)
 
     def _checked_header(self) -> dict[str, Any]:
         """The header."""
@@ -240,13 +235,6 @@ def _marks(item: Item) -> list[int]:
     return [int.from_bytes(each, "little") for each in hashes]
 
 
-def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number of JSON")
-
-
-_DECODER = json.JSONDecoder(parse_constant=_no_constant)
-
-
 def _check_defaults(defaults: Any) -> None:
     """Raise ValueError for defaults that no kind of item takes."""
     if not isinstance(defaults, dict):
@@ -275,16 +263,6 @@ def _check_for_some(word: str, value: Any, makers: list[type[Item]]) -> None:
             wrong = error
     if wrong is not None:
         raise wrong
-
-
-def _checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[str, Any]) -> Item:
-    """An item of a job; ValueError for one that cannot be, or is no record where the job is of records."""
-    if records:
-        require_frame(entry, defaults.words)
-    item = Item.from_json(entry, defaults)
-    if records:
-        require_recordable(entry, item, records)
-    return item
 
 
 def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
@@ -352,7 +330,7 @@ def write_jobs(
         for count, item in enumerate(items, 1):
             entry = item.to_json() if isinstance(item, Item) else dict(item)
             try:
-                _checked_item(entry, complete, records or {})
+                checked_item(entry, complete, records or {})
                 file.write(_line(entry))
             except ValueError as error:
                 raise ValueError(f"item {count} ({shown(entry.get('id'))}): {error}") from None

@@ -57,7 +57,7 @@ class LotOrder:
     Attributes:
         number: Of the lot.
         indices: Numbers of its items in the job file.
-        items: The items.
+        lines: The lines of that, as they stand, and their numbers: workers read them.
         attempts: How often each was begun before and failed.
         shard: The shard that they belong to; None where there are none.
         packed: The outputs of all items that the shard is to be packed of, by item; None where items are to be made.
@@ -65,7 +65,7 @@ class LotOrder:
 
     number: int
     indices: list[int]
-    items: list[Item]
+    lines: list[tuple[bytes, int]]
     attempts: list[int]
     shard: int | None = None
     packed: list[dict[str, str]] | None = None
@@ -124,6 +124,7 @@ class LotRunner:
 
     Args:
         maker: Makes one item.
+        read: An item of its line and the number of that.
         fingerprint: The hash of an item's inputs.
         notes: Where it is noted.
         place: What records say of the worker.
@@ -138,6 +139,7 @@ class LotRunner:
     def __init__(
         self,
         maker: Maker,
+        read: Callable[[bytes, int], Item],
         fingerprint: Callable[[Item], str],
         notes: Notes,
         place: Place,
@@ -146,7 +148,7 @@ class LotRunner:
         check_device: Callable[[], None] = lambda: None,
         out: pathlib.Path | None = None,
     ):
-        self._maker, self._fingerprint, self._notes, self._place = maker, fingerprint, notes, place
+        self._maker, self._read, self._fingerprint, self._notes, self._place = maker, read, fingerprint, notes, place
         self._retries, self._check_device, self._out = retries, check_device, out
         self._lock = threading.Lock()
         self._order = LotOrder(0, [], [], [])
@@ -169,7 +171,7 @@ class LotRunner:
             return self._packed(order)
         self.report = report = LotReport()
         with self._lock:
-            self._order, self._waiting = order, collections.deque(range(len(order.items)))
+            self._order, self._waiting = order, collections.deque(range(len(order.lines)))
         under_way: collections.deque[_UnderWay] = collections.deque()
         self._settled_at = time.perf_counter()
         try:
@@ -210,7 +212,7 @@ class LotRunner:
 
     def _begin(self, order: LotOrder, place: int, under_way: collections.deque[_UnderWay]) -> None:
         """Make an item as far as this thread does it."""
-        item, report = order.items[place], self.report
+        item, report = self._read(*order.lines[place]), self.report
         try:
             self._notes.append({"id": item.id, "state": STARTED, "lot": order.number})
         except OSError as error:

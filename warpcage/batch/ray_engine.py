@@ -245,7 +245,7 @@ class RayEngine:
         """Note an item that failed with its workers."""
         if self._lost_notes is None:
             self._lost_notes = self._folder.new_notes(f"{self._settings.run}-driver")
-        found = self._order(Lot(0, [item], [0], 0)).items[0]
+        found = self._settings.reader.item(*self._order(Lot(0, [item], [0], 0)).lines[0])
         record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
         self._lost_notes.append(record)
 
@@ -324,7 +324,8 @@ class RayEngine:
         report = LotReport()
         if order is None:
             return Died(worker, report, [], death_line(error))
-        indices = {item.id: index for item, index in zip(order.items, order.indices, strict=True)}
+        read = self._settings.reader.item
+        indices = {read(*line).id: index for line, index in zip(order.lines, order.indices, strict=True)}
         settled, begun = notes_of_lot(self._folder.notes / f"{self._notes_name(worker)}.jsonl", order.number)
         for record in settled:
             index = indices[record["id"]]

@@ -130,7 +130,13 @@ def _run(
             return _ended(job, folder, plan, None, begin)
         orders = _Orders(job, unchanged, shard_size(job))
         settings = RunnerSettings(
-            str(job.folder), str(folder.path), run_name(), options.device, retries=options.retries, maker=maker
+            str(job.folder),
+            job.reader,
+            str(folder.path),
+            run_name(),
+            options.device,
+            retries=options.retries,
+            maker=maker,
         )
         if not len(plan.items):
             options = dataclasses.replace(options, workers=1, cluster=None)  # there is nothing but shards to be packed
@@ -178,9 +184,9 @@ class _Orders:
         self._unchanged()
         if lot.shard is not None:
             return LotOrder(lot.number, [], [], [], lot.shard, self._packed(lot.shard))
-        items = [self._job.item(index) for index in lot.items]
+        lines = [(self._job.data(index), self._job.line(index)) for index in lot.items]
         shard = lot.items[0] // self._shard_size if self._shard_size else None
-        return LotOrder(lot.number, list(lot.items), items, list(lot.attempts), shard)
+        return LotOrder(lot.number, list(lot.items), lines, list(lot.attempts), shard)
 
     def _packed(self, shard: int) -> list[dict[str, str]]:
         """The outputs of all items of a shard that are there: what was to be made of it is settled."""

@@ -13,6 +13,7 @@ import warp as wp
 
 from ..core.devices import resolve_device
 from .fingerprints import Fingerprints
+from .item_reader import ItemReader
 from .lot_runner import LotRunner, Maker, Place
 from .output_folder import OutputFolder
 
@@ -23,6 +24,7 @@ class RunnerSettings:
 
     Attributes:
         base: Folder of the job file.
+        reader: Reads its lines.
         out: The output folder.
         run: Of which run its notes are.
         device: Warp device; None is the first GPU, or the CPU.
@@ -34,6 +36,7 @@ class RunnerSettings:
     """
 
     base: str
+    reader: ItemReader
     out: str
     run: str
     device: str | None = None
@@ -68,6 +71,7 @@ def make_runner(settings: RunnerSettings) -> LotRunner:
     maker = (settings.maker or _worker)(settings.base, settings.out, device)
     runner = LotRunner(
         maker,
+        settings.reader.item,
         Fingerprints(settings.base, settings.out).of,
         folder.new_notes(settings.notes or f"{settings.run}-{settings.worker}"),
         Place(settings.worker, platform.node(), device.name),
