@@ -275,3 +275,53 @@ def test_workers_share_the_cores():
     with pytest.raises(ValueError, match="Ray sees no GPU"):
         shares(two, 2, False, "cuda")
     assert np.isfinite(found.cpus)
+
+
+LOST_NODE = """\
+import pathlib, sys, threading, time
+sys.path.insert(0, sys.argv[3])
+import batch_runs
+import ray
+from ray.cluster_utils import Cluster
+
+ray.cloudpickle.register_pickle_by_value(batch_runs)
+
+
+class Slow(batch_runs.Making):
+    def before(self, item):
+        time.sleep(0.1)
+
+
+cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+out = pathlib.Path(sys.argv[2])
+
+
+def lose():
+    while not all(list(out.glob(f".warpcage/notes/*-{worker}-1.jsonl")) for worker in "01"):
+        time.sleep(0.05)
+    time.sleep(0.5)
+    cluster.remove_node(nodes[0], allow_graceful=False)
+
+
+losing = threading.Thread(target=lose)
+losing.start()
+lines = []
+options = batch_runs.Options(2, cluster.address, "cpu", 2)
+report = batch_runs._run(pathlib.Path(sys.argv[1]), out, options, lambda state: None, lines.append, Slow)
+losing.join()
+assert report.complete and report.made == 60, report
+assert len(lines) == 1 and "its worker died" in lines[0], lines
+cluster.shutdown()
+"""
+
+
+def test_a_lost_machine_costs_an_item_a_try(tmp_path):
+    """Two nodes of a cluster on one machine, one of which is killed with all that runs on it."""
+    path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
+    line = [sys.executable, "-c", LOST_NODE, str(path), str(out), str(pathlib.Path(__file__).parent)]
+    done = subprocess.run(line, capture_output=True, text=True, env=os.environ | {"RAY_USAGE_STATS_ENABLED": "0"})
+    assert done.returncode == 0, done.stderr[-3000:]
+    found = records(out)
+    assert len(found) == 60 and left_over(out) == [] and {each["state"] for each in found.values()} == {"done"}
+    assert sum(each["attempts"] > 1 for each in found.values()) <= 1
