@@ -283,20 +283,21 @@ what others have not begun.
 
 Measured here through Ray: a lot costs the driver {1e3 * costs["lot"]:.2f} ms of processor time, and
 {1e3 * costs["item"]:.4f} ms more for each of its items, whose lines are sent as they stand. One by one, the driver's
-limit is {alone:,.0f} items a second, in lots of {LARGEST} it is {full:,.0f}. A thousand workers are kept at work as long
-as an item takes more than {1000 / full:.3f} s, one by one {1000 / alone:.2f} s.
+limit is {alone:,.0f} items a second, in lots of {LARGEST} it is {full:,.0f}. A thousand workers are kept at work as
+long as an item takes more than {1000 / full:.3f} s, one by one {1000 / alone:.2f} s.
 
 Before the first lot the driver looks through the job file: {ends["plan_seconds"]:.0f} s and
 {ends["plan_megabytes"]:.0f} MB for {ends["items"]:,} items. Afterwards it merges the notes:
-{ends["merge_seconds"]:.0f} s and {ends["merge_megabytes"]:.0f} MB, for a manifest of {ends["manifest_megabytes"]:.0f} MB.
+{ends["merge_seconds"]:.0f} s and {ends["merge_megabytes"]:.0f} MB, for a manifest of
+{ends["manifest_megabytes"]:.0f} MB.
 
 ## Simulated
 
 {args.items:,} items of 40 fields over {args.workers:,} workers, by the dispatcher's own code under a virtual clock.
 Items take what frames took here, scaled to the mean of the row. One worker in 50 is five times slower, one lot in 500
-is made ten times slower, each worker dies every two hours on average, one item in 10,000 has bad input and as many tries
-fail by chance. Every item that could be made was made once. *Over ideal*: how many times longer the run takes than the
-work divided by all workers, with nothing else to do: no start of workers (5 s), no field to load (2 s).
+is made ten times slower, each worker dies every two hours on average, one item in 10,000 has bad input and as many
+tries fail by chance. Every item that could be made was made once. *Over ideal*: how many times longer the run takes
+than the work divided by all workers, with nothing else to do: no start of workers (5 s), no field to load (2 s).
 
 | an item takes | lots | the run takes | over ideal | driver at work | lots in all | deaths |
 | --- | --- | --- | --- | --- | --- | --- |

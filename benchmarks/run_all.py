@@ -160,6 +160,11 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
         "captures_page": ["--results", out, "--page", out / "captures.md"],
         "soak": ["--poses", 20, "--fits", 4, "--refused", 200, "--json", out / "soak.json"],
         "film_memory": ["--frames", 200, "--timed", 8, "--size", 320, 180, "--json", out / "film_memory.json"],
+        "batch_scale": [
+            *("--items", 20_000, "--workers", 50, "--frames", 20, "--messages", 2000),
+            *("--json", out / "batch_scale.json", "--page", out / "batch_scale.md"),
+        ],
+        "batch_memory": ["--items", 200, "--json", out / "batch_memory.json"],
         "page": ["--results", out, "--page", out / "page.md"],
     }
 

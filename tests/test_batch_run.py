@@ -109,13 +109,17 @@ def test_errors_are_tried_again_and_bad_input_is_not(files, tmp_path):
     assert report.made == 16 == sum(each["state"] == "done" for each in found.values())
 
 
-@pytest.mark.parametrize("fault", ["two ids", "two outputs", "no item", "a file as folder", "no job"])
+@pytest.mark.parametrize(
+    "fault", ["two ids", "two ids but for capitals", "two outputs", "no item", "a file as folder", "no job"]
+)
 def test_what_cannot_be_run_is_refused_in_one_line(files, tmp_path, capsys, fault):
     path, out = tmp_path / "jobs.jsonl", tmp_path / "out"
     shutil.copy(files / "jobs.jsonl", path)
     lines = path.read_text().splitlines()
     if fault == "two ids":
         path.write_text("\n".join([*lines, lines[3]]) + "\n")
+    elif fault == "two ids but for capitals":
+        path.write_text("\n".join([*lines, lines[3].replace("shot/f0002", "shot/F0002")]) + "\n")
     elif fault == "two outputs":
         path.write_text(
             "\n".join([*lines, lines[3].replace('"shot/f0002"', '"x", "outputs": {"rgb": "shot/f0002.png"}')])
@@ -130,6 +134,7 @@ def test_what_cannot_be_run_is_refused_in_one_line(files, tmp_path, capsys, faul
     said = capsys.readouterr().err.splitlines()
     expected = {
         "two ids": "lines 4 and 14: two items have the id 'shot/f0002'",
+        "two ids but for capitals": "lines 4 and 14: two items have the id 'shot/f0002'",
         "two outputs": "lines 4 and 14: two items have the output 'shot/f0002.png'",
         "no item": "line 2",
         "a file as folder": "is a file",

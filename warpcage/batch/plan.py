@@ -32,7 +32,6 @@ class Plan:
         changed: Items to be made whose inputs changed, or whose files are not as they were.
         failed_before: Items to be made that failed in an earlier run.
         group_count: Groups of those to be made: fields with the cages at rest on them, scenes.
-        keys: (total,) `id_key` of all items.
     """
 
     total: int
@@ -43,7 +42,6 @@ class Plan:
     changed: int
     failed_before: int
     group_count: int
-    keys: np.ndarray
 
     def lots(self, *, aim: float, whole: bool) -> Lots:
         """What is to be made, as workers take it."""
@@ -80,10 +78,10 @@ def make_plan(
     paths, owners = [], []
     changed = failed_before = 0
     for index, item in enumerate(job.items()):
-        keys[index], kinds[index] = id_key(item.id), KIND_NUMBERS[item.kind]
+        keys[index], kinds[index] = id_key(item.id.casefold()), KIND_NUMBERS[item.kind]
         groups[index] = names.setdefault(item.group, len(names))
         poses[index] = id_key(item.pose)
-        paths += [id_key(path) for path in item.outputs.values()]
+        paths += [id_key(path) for path in _paths(item)]
         owners += [index] * len(item.outputs)
         record = manifest.find(item.id) if len(manifest) else None
         if record is not None and record["state"] == DONE:
@@ -93,7 +91,7 @@ def make_plan(
             changed += int(wanted[index])
         failed_before += record is not None and record["state"] == FAILED
         progress(index + 1)
-    _refuse_twins(job, keys, np.arange(count), lambda item: [item.id], "the id")
+    _refuse_twins(job, keys, np.arange(count), lambda item: [item.id.casefold()], "the id")
     _refuse_twins(job, np.array(paths, np.int64), np.array(owners, np.int64), _paths, "the output")
     makes = np.flatnonzero(wanted)
     major = makes // shard if shard else groups[makes]
@@ -103,15 +101,7 @@ def make_plan(
     order = np.lexsort((makes, minor, groups[makes], major))
     group_count = len(np.unique(groups[makes]))
     return Plan(
-        count,
-        makes[order],
-        major[order],
-        kinds[makes][order],
-        count - len(makes),
-        changed,
-        failed_before,
-        group_count,
-        keys,
+        count, makes[order], major[order], kinds[makes][order], count - len(makes), changed, failed_before, group_count
     )
 
 
@@ -144,7 +134,8 @@ def _unchanged(record: dict, item: Item, fingerprint: Callable[[Item], str]) -> 
 
 
 def _paths(item: Item) -> list[str]:
-    return list(item.outputs.values())
+    """What it writes. File systems that do not tell capitals apart are thought of."""
+    return [path.casefold() for path in item.outputs.values()]
 
 
 def _refuse_twins(
