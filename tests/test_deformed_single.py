@@ -7,7 +7,9 @@ from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, shin
 from warpcage.cage.cage import Cage
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
+from warpcage.field import marching
 from warpcage.kernels.deform.render import render_edits
+from warpcage.kernels.deform.render_cpu import render_edit_tiles
 from warpcage.kernels.deform.render_sides import render_edit_with_sides
 from warpcage.kernels.deform.render_single import render_edit
 from warpcage.view.camera import Camera
@@ -17,12 +19,21 @@ def both(deformer, camera, **options):
     """The frames of the kernel for one edit and of the one for any number."""
     edits = deformer._edits
     single = deformer.render(camera, **options)
-    kernel, scene = edits.render_kernel, edits.scene
-    assert kernel is (render_edit_with_sides if scene.has_sides else render_edit)
-    edits.render_kernel, edits.scene = render_edits, edits.flat_array()
+    kernel, scene, by_tiles, rays = edits.render_kernel, edits.scene, edits._by_tiles, edits.item_rays
+    of_threads = render_edit_with_sides if scene.has_sides else render_edit
+    assert kernel is (render_edit_tiles if by_tiles else of_threads)
+    edits.render_kernel, edits.scene, edits._by_tiles, edits.item_rays = render_edits, edits.flat_array(), False, 1
     general = deformer.render(camera, **options)
-    edits.render_kernel, edits.scene = kernel, scene
+    edits.render_kernel, edits.scene, edits._by_tiles, edits.item_rays = kernel, scene, by_tiles, rays
     return single, general
+
+
+@pytest.fixture(params=["tiles", "threads"])
+def march(request, device, monkeypatch):
+    """The march of a CPU, and that of CUDA."""
+    if request.param == "tiles" and device != "cpu":
+        pytest.skip("rays of a tile go side by side on a CPU alone")
+    monkeypatch.setattr(marching, "TILES_ON_CPU", request.param == "tiles")
 
 
 SLAB = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
@@ -39,7 +50,7 @@ CASES = {
 
 @pytest.mark.parametrize("density", ["opacity", "paper"])
 @pytest.mark.parametrize("case", CASES)
-def test_the_march_for_one_edit_sees_what_the_general_one_sees(case, density, device):
+def test_the_march_for_one_edit_sees_what_the_general_one_sees(case, density, march, device):
     rest, pose, options = CASES[case]
     deformer = Deformer(shiny_field(device), CageEdit(rest, **options), resolution=40, density=density).pose(pose)
     single, general = both(deformer, view())
@@ -53,7 +64,7 @@ def test_the_march_for_one_edit_sees_what_the_general_one_sees(case, density, de
     assert seen.any() and np.abs(single.depth[seen] - general.depth[seen]).mean() < 2e-3
 
 
-def test_sizes_that_are_no_multiple_of_a_tile(device):
+def test_sizes_that_are_no_multiple_of_a_tile(march, device):
     field = shiny_field(device)
     deformer = Deformer(field, BOX, resolution=24)
     for width, height in ((1, 1), (9, 5), (31, 2)):
@@ -62,7 +73,7 @@ def test_sizes_that_are_no_multiple_of_a_tile(device):
             assert psnr(frame.rgb, field.render(camera).rgb) > 50
 
 
-def test_samples_sent_out_are_counted_the_same(device):
+def test_samples_sent_out_are_counted_the_same(march, device):
     field = make_field(lambda x: np.full(x.shape[:3], 2.0), plain([0.5, 0.5, 0.5]), device=device)
     deformer = Deformer(field, BOX, coordinates="green", resolution=40).pose(BOX.stretch(1.6, axis="z"))
     single, general = both(deformer, view())
@@ -82,7 +93,7 @@ def slotted(width):
 
 
 @pytest.mark.parametrize("kind", ["harmonic", "mean_value"])
-def test_a_slot_that_a_pose_closes_to_less_than_a_cell(kind, device):
+def test_a_slot_that_a_pose_closes_to_less_than_a_cell(kind, march, device):
     """What lies on both sides of a slot comes from both sides of a wide one: nothing is drawn over the slot."""
     field = make_field(
         lambda x: np.where(np.abs(x[..., 0]) < 0.2, 0.0, 30.0) * (np.abs(x).max(axis=-1) < 0.9),

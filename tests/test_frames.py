@@ -16,12 +16,13 @@ from warpcage.reference.fit_scenes import synthetic_scene
 EYES = {"within": (0.3, 0.2, 0.4), "beside": (1.6, 0.5, 0.3), "away": (3.0, 1.6, 1.8)}
 
 
-@pytest.fixture(params=["shaded", "rows"])
+@pytest.fixture(params=["shaded", "rows", "tiles"])
 def path(request, monkeypatch):
-    """Both ways to a frame of the field itself, whatever its size."""
+    """All ways to a frame of the field itself, whatever its size; the third on a CPU alone."""
     shaded = request.param == "shaded"
     monkeypatch.setattr(marching, "NEAR_VOXELS", -1.0 if shaded else 1e9)
-    monkeypatch.setattr(marching, "SHADES_ON_CPU", True)
+    monkeypatch.setattr(marching, "SHADES_ON_CPU", shaded)
+    monkeypatch.setattr(marching, "TILES_ON_CPU", request.param == "tiles")
     return request.param
 
 

@@ -327,8 +327,11 @@ class Deformer:
             picture = Picture()
             for name, array in arrays.items():
                 setattr(picture, name, array)
-            inputs = [grid, *tables, edits.scene, pinhole, colour, options, picture]
-            launch(edits.render_kernel, threads, inputs, device=self.device, work=work * edits.sample_work)
+            cells = edits.cell_tables(self.field, grid)
+            inputs = [grid, *tables, *cells, edits.scene, pinhole, colour, options, picture]
+            rays = edits.item_rays
+            item_work = work * edits.sample_work * rays
+            launch(edits.render_kernel, threads // rays, inputs, device=self.device, work=item_work)
 
         frame = self.field.render_by(
             march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES

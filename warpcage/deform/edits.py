@@ -124,19 +124,32 @@ class PosedEdits(abc.ABC):
         array: (edits,) structs, once the edits are posed.
         scene: What the render kernel takes, once `prepare` has been called for the pose.
         sample_work: Steps that one sample takes at most, as `core.devices.launch` has them.
+        item_rays: Rays that one item of the render kernel follows.
     """
 
     def __init__(self, map_kernel: Any, render_kernel: Any):
         self.map_kernel, self.render_kernel = map_kernel, render_kernel
         self.array: wp.array | None = None
         self.scene: Any = None
-        self.sample_work = 1
+        self.sample_work = self.item_rays = 1
 
     def row_tables(self, field: VoxelField) -> list[Any]:
         """What the render kernel reads of a field beside its VoxelGrid.
 
         Args:
             field: The field.
+
+        Returns:
+            Arguments of the kernel.
+        """
+        return []
+
+    def cell_tables(self, field: VoxelField, grid: Any) -> list[Any]:
+        """What the render kernel reads of the cells of a field, after `row_tables`.
+
+        Args:
+            field: The field.
+            grid: Its VoxelGrid as it is marched now.
 
         Returns:
             Arguments of the kernel.

@@ -15,8 +15,9 @@ from ..core.arrays import empty_array, struct_array
 from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.modules import load_modules
+from ..field import marching
 from ..field.voxel_field import VoxelField
-from ..kernels.deform import carry, carry_cells, flat_edits, points, render, render_sides, render_single
+from ..kernels.deform import carry, carry_cells, flat_edits, points, render, render_cpu, render_sides, render_single
 from ..kernels.deform import cells as cell_tables
 from ..kernels.deform.edits import LatticeEdit
 from ..kernels.field import skip as grid_skip
@@ -40,6 +41,7 @@ from ..lattice.capture import Buffer, BufferPool
 from ..lattice.lattice import CageLattice
 from ..lattice.position_map import PositionMap
 from ..mesh.containment import SURFACE_TOLERANCE
+from ..view.camera import TILE_SIZE
 from .carried import CarriedCrumbs
 from .edits import CageEdit, PosedEdits
 from .falloff import FalloffBand, faded_map, folded_cells
@@ -56,6 +58,13 @@ SOLVER_MODULES = {
     "harmonic": (harmonic, harmonic_coarse, cut_rows),
     "mean_value": (closed_form, fans, cut_rows, corrections),
     "green": (closed_form, fans),
+}
+
+#: The kernels of views of one edit on CUDA and on a CPU, and of several.
+RENDER_KERNELS = {
+    render_single: render_single.render_edit,
+    render_cpu: render_cpu.render_edit_tiles,
+    render: render.render_edits,
 }
 
 
@@ -100,8 +109,11 @@ class LatticeEdits(PosedEdits):
     ):
         # the march for one edit alone knows no crumbs
         self._edits, self._device, self._is_single = edits, device, len(edits) == 1 and not any(carried)
-        super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
-        load_pose_modules(coordinates, [render_single, render_sides] if self._is_single else [render], device)
+        self._by_tiles = self._is_single and device.is_cpu and marching.TILES_ON_CPU
+        march = render_cpu if self._by_tiles else render_single if self._is_single else render
+        super().__init__(points.map_points, RENDER_KERNELS[march])
+        self.item_rays = TILE_SIZE if self._by_tiles else 1
+        load_pose_modules(coordinates, [march, render_sides] if march is render_single else [march], device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
         pool = BufferPool(device)
@@ -110,6 +122,9 @@ class LatticeEdits(PosedEdits):
 
     def row_tables(self, field: VoxelField) -> list[Any]:
         return [field.marching.rows()]
+
+    def cell_tables(self, field: VoxelField, grid: Any) -> list[Any]:
+        return [field.marching.cells(grid)] if self._by_tiles else []
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         self.lattices.pose(cages)
@@ -132,7 +147,8 @@ class LatticeEdits(PosedEdits):
         if not self._is_single:
             return self.flat_array()
         (flat,) = self._flat
-        self.render_kernel = render_sides.render_edit_with_sides if flat.has_sides else render_single.render_edit
+        if not self._by_tiles:  # on a CPU one kernel takes both
+            self.render_kernel = render_sides.render_edit_with_sides if flat.has_sides else render_single.render_edit
         return flat
 
     def flat_array(self) -> wp.array:

@@ -12,7 +12,10 @@ from ..core.locks import owner_lock
 from ..core.modules import Kernel
 from ..kernels.field.grid import VoxelGrid
 from ..kernels.field.render import render_image
+from ..kernels.field.render_cpu import render_tiles
 from ..kernels.field.render_shaded import render_shaded_image
+from ..view.camera import TILE_SIZE
+from .matter_cells import MatterCellTable
 from .shading import ColumnTable, row_table, shaded_grid
 from .sparse import MatterSkip
 
@@ -21,6 +24,9 @@ NEAR_VOXELS = 16.0
 
 #: Whether that is done on a CPU too, where rays are few, and bands of a picture would each shade all voxels.
 SHADES_ON_CPU = False
+
+#: Whether a CPU marches the rays of a tile side by side, and not one by one as CUDA does.
+TILES_ON_CPU = True
 
 
 class MarchTables:
@@ -38,6 +44,7 @@ class MarchTables:
         self._columns: ColumnTable | None = None
         self._marched: Any = None
         self._matter = MatterSkip(grid.links)
+        self._cells = MatterCellTable(grid.links)
         size, lower = np.array(grid.voxel_size), np.array(grid.lower)
         self._box = lower.tolist(), (lower + size * (np.array(grid.links.shape) - 1)).tolist()
         self._longest = float(size.max())
@@ -71,7 +78,7 @@ class MarchTables:
         """The rows as they are now: a RowTable of kernels/field/rows.py."""
         return row_table(self._grid, self.columns)
 
-    def image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any]]:
+    def image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
         """What renders a view of the grid.
 
         Args:
@@ -79,14 +86,34 @@ class MarchTables:
             step: March step, world units.
 
         Returns:
-            A kernel, and its first inputs.
+            A kernel, its first inputs, and the rays that one of its items follows.
         """
         self.begin()
         if self._is_shaded(centre):
             shaded = shaded_grid(self._grid, self.columns, centre, step)
-            return render_shaded_image, [self.grid(), shaded]
+            return render_shaded_image, [self.grid(), shaded], 1
         rows = self.rows()
-        return render_image, [self.grid(), rows]
+        if self.by_tiles:
+            grid = self.grid()
+            return render_tiles, [grid, rows, self.cells(grid)], TILE_SIZE
+        return render_image, [self.grid(), rows], 1
+
+    @property
+    def by_tiles(self) -> bool:
+        """Whether kernels for the rays of a tile render views."""
+        return self._grid.links.device.is_cpu and TILES_ON_CPU
+
+    def cells(self, grid: Any) -> Any:
+        """The densities by cells, on a CPU.
+
+        Args:
+            grid: What `grid` returned.
+
+        Returns:
+            A MatterCells of kernels/field/matter_cells.py.
+        """
+        with self._lock:
+            return self._cells.cells(grid.density, grid.skip, self._matter.version)
 
     def _is_shaded(self, centre: wp.vec3) -> bool:
         """Whether voxels are shaded for a camera."""

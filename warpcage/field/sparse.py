@@ -13,6 +13,7 @@ from ..core.flags import HostFlag
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
 from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS
+from .matter_cells import DensityWatch
 
 
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
@@ -83,6 +84,9 @@ class MatterSkip:
         self._distance: wp.array | None = None
         self._changed: HostFlag | None = None
         self._is_compared = False
+        # signs need not be noted where no density has changed
+        self._watch = DensityWatch() if wp.get_device(links.device).is_cpu else None
+        self._noted = 0
 
     def compare(self, density: wp.array) -> None:
         """Launch the comparison that `distance` asks for; what is launched in between has the device at work while the
@@ -99,8 +103,15 @@ class MatterSkip:
             self._changed = HostFlag(device)
         self._changed.clear()
         self._is_compared = True
-        launch(grid_skip.note_signs, density.size, [density], [self._positive, self._changed.array], device=device)
+        if self._watch is None or self._watch.has_changed(density) or self._noted != self._watch.version:
+            launch(grid_skip.note_signs, density.size, [density], [self._positive, self._changed.array], device=device)
+            self._noted = self.version
         self._changed.send()
+
+    @property
+    def version(self) -> int:
+        """Of the densities that were compared last, on a CPU: another number whenever any of them is another one."""
+        return 0 if self._watch is None else self._watch.version
 
     def distance(self, density: wp.array) -> wp.array:
         """The distances.

@@ -263,12 +263,12 @@ class VoxelField:
         """
         step, work = self.march_step(step, camera)
         # before the arrays of the picture: the device is at work while the host goes on
-        kernel, inputs = self.marching.image_kernel(wp.vec3(*(camera.centre - self._center)), step)
+        kernel, inputs, rays = self.marching.image_kernel(wp.vec3(*(camera.centre - self._center)), step)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
             outputs = [arrays[name] for name in PART_NAMES]
             inputs_of_view = [*inputs, pinhole, colour, step, STOP_TRANSMITTANCE]
-            launch(kernel, threads, inputs_of_view, outputs, device=self.device, work=work)
+            launch(kernel, threads // rays, inputs_of_view, outputs, device=self.device, work=rays * work)
 
         return self.render_by(march, camera, background=background, supersampling=supersampling)
 
