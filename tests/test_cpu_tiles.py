@@ -8,10 +8,13 @@ import warp as wp
 from deformed_scenes import BOX, psnr, shiny_field, view
 
 from warpcage.cage.cage import Cage
+from warpcage.core.devices import launch
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field import marching
 from warpcage.field.matter_cells import DensityWatch
+from warpcage.field.sparse import spread_along
+from warpcage.kernels.field.skip import spread_distance
 from warpcage.view.camera import Camera
 
 CPU = wp.get_device("cpu")
@@ -130,3 +133,21 @@ def test_any_bit_of_a_density_is_news():
     assert seen == [True, False, True, True, True, True, False, True]
     assert watch.version == sum(seen)
     assert watch.has_changed(wp.zeros(7, dtype=wp.float32, device="cpu"))
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (7, 1, 70), (1, 40, 3), (23, 19, 33)])
+@pytest.mark.parametrize("limit", [12, 32])
+def test_distances_spread_by_lines_as_by_cells(shape, limit):
+    marks = np.where(np.random.default_rng(limit).random(shape) < 0.01, 0, limit).astype(np.uint8)
+    lines, cells = (wp.array(marks, dtype=wp.uint8, device="cpu") for _ in range(2))
+    for axis in range(3):
+        targets = wp.empty_like(lines), wp.empty_like(lines)
+        spread_along(axis, lines, targets[0])
+        launch(spread_distance, cells.size, [axis, cells], [targets[1]], device="cpu")
+        lines, cells = targets
+        np.testing.assert_array_equal(lines.numpy(), cells.numpy())
+    places = np.argwhere(marks == 0)
+    if len(places):
+        everywhere = np.argwhere(np.ones(shape))
+        nearest = np.abs(everywhere[:, None] - places[None]).max(axis=2).min(axis=1)
+        np.testing.assert_array_equal(lines.numpy().ravel(), np.minimum(nearest, limit))

@@ -16,6 +16,7 @@ from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.modules import load_modules
 from ..field import marching
+from ..field.sparse import spread_along
 from ..field.voxel_field import VoxelField
 from ..kernels.deform import carry, carry_cells, flat_edits, points, render, render_cpu, render_sides, render_single
 from ..kernels.deform import cells as cell_tables
@@ -340,7 +341,7 @@ class EditLattices:
             launch(cell_tables.mark_edit_cells, skip.size, inputs, [marks], device=self._device)
             source, target = marks, skip
             for axis in range(3):
-                launch(grid_skip.spread_distance, skip.size, [axis, source], [target], device=self._device)
+                spread_along(axis, source, target)
                 source, target = target, source
         self._marked_step, self._marked_skip = step, grid.skip
         return True

@@ -148,9 +148,25 @@ def _spread(distance: wp.array) -> wp.array:
     """Distances from the cells that hold 0; the array is used."""
     spread = wp.empty_like(distance)
     for axis in range(3):
-        launch(grid_skip.spread_distance, distance.size, [axis, distance], [spread], device=distance.device)
+        spread_along(axis, distance, spread)
         distance, spread = spread, distance
     return distance
+
+
+def spread_along(axis: int, source: wp.array, target: wp.array) -> None:
+    """One pass of the transform that spreads distances between cells; one along each axis makes them Chebyshev's.
+
+    Args:
+        axis: The axis.
+        source: (nx, ny, nz) uint8, what the passes before left.
+        target: The same, what this one leaves.
+    """
+    device = wp.get_device(source.device)
+    if device.is_cpu:  # a line at a time, many cells of it at once
+        nx, ny, nz = source.shape
+        launch(grid_skip.spread_lines, nx * ny, [axis, source], [target], device=device, work=nz)
+    else:
+        launch(grid_skip.spread_distance, source.size, [axis, source], [target], device=device)
 
 
 def values_on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device) -> Any:
