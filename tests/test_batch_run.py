@@ -330,7 +330,9 @@ def test_a_dry_run_writes_nothing(files, tmp_path, capsys):
     assert said[1] == "12 would be made: 12 frames, in 1 group" and said[3].endswith("by 2 workers")
     assert "one frame takes" in said[2] and "shot/f0000" in said[2] and not (tmp_path / "out").exists()
     bad = write_frames(files, 3, "bad.jsonl", changes={0: {"field": "none.npz"}, 1: {"field": "none.npz"}})
-    assert main(["run", str(bad), "-o", str(tmp_path / "out"), "--dry-run", "--device", "cpu"]) in (0, 1)
+    assert main(["run", str(bad), "-o", str(tmp_path / "out"), "--dry-run", "--device", "cpu"]) == 1
+    said = capsys.readouterr().err
+    assert "none.npz' is not there" in said and "what 2 items would read is not there" in said
 
 
 def test_a_dry_run_sees_what_a_killed_run_noted(files, tmp_path, capsys):

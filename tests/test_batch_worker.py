@@ -19,6 +19,7 @@ from warpcage.batch.fingerprints import Fingerprints
 from warpcage.batch.frames import MOST_DEFORMERS
 from warpcage.batch.items import Item
 from warpcage.batch.job_file import JobFile
+from warpcage.batch.missing import Missing
 from warpcage.batch.worker import CHECKPOINTS, PARTS, Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
@@ -426,6 +427,22 @@ def test_a_fingerprint_changes_with_what_an_item_reads_and_with_nothing_else(fil
         assert found() not in (before, "") and kept.of(frame()) == found()
         (tmp_path / name).write_bytes(data)
         assert found() == before == kept.of(frame())
+
+
+def test_what_is_missing_is_found_before_anything_is_made(files):
+    missing = Missing(files)
+    for words in ({}, {"posed": "bend:30"}, {"posed": "posed.obj"}, {"cage": None, "posed": None}):
+        assert missing.of(frame(**words)) is None
+    assert missing.of(Item.from_json({"id": "f", "kind": "fit", "scene": "scene"})) is None
+    for words, line in (
+        ({"field": "no.npz"}, "no.npz' is not there"),
+        ({"posed": "poses.npy#3"}, "poses.npy has rows 0 to 2, got 3"),
+        ({"posed": "no.npy#3"}, "no.npy' is not there"),
+        ({"cage": {"vertices": "no.npy", "faces": [[0, 1, 2]]}}, "no.npy' is not there"),
+        ({"camera": "no.json#3"}, "no.json' is not there"),
+    ):
+        for _ in range(2):
+            assert line in (missing.of(frame(**words)) or "")
 
 
 def test_the_fingerprint_of_a_scene_is_of_all_of_its_files(files, tmp_path):

@@ -17,9 +17,13 @@ from ..core.threads import cpu_threads, limit_threads
 from .fingerprints import Fingerprints
 from .job_file import JobFile
 from .manifest import Manifest, merge_notes, newest_seconds
+from .missing import Missing
 from .output_folder import OutputFolder
 from .plan import KIND_NUMBERS, Plan, make_plan
 from .worker import Worker
+
+#: Items that name what is not there, of which a forecast keeps a line.
+MOST_MISSING = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +54,8 @@ class Forecast:
         group_count: How often something is loaded for them at least.
         measured: What items take, by their kind.
         errors: Why an item of a kind could not be made, by its id.
+        missing: What items name and is not there, by their ids, of MOST_MISSING of them.
+        missing_count: Items to be made that name what is not there.
         workers: By how many.
         seconds: How long it would take, without what could not be measured.
     """
@@ -62,6 +68,8 @@ class Forecast:
     group_count: int
     measured: dict[str, Measured]
     errors: dict[str, str]
+    missing: dict[str, str]
+    missing_count: int
     workers: int
     seconds: float
 
@@ -90,6 +98,7 @@ def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | No
         counts = {kind: numbers[number] for kind, number in KIND_NUMBERS.items() if numbers[number]}
         measured = {kind: Measured(seconds[kind], 0.0, "earlier runs") for kind in counts if kind in seconds}
         errors: dict[str, str] = {}
+        missing, missing_count = _missing(job, plan)
         found = resolve_device(device)
         threads = max(1, cpu_threads() // workers) if found.is_cpu else cpu_threads()
         with limit_threads(threads), Worker(job.folder, temporary, found) as worker:
@@ -108,9 +117,24 @@ def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | No
         plan.group_count,
         measured,
         errors,
+        missing,
+        missing_count,
         workers,
         (work + loads) / workers,
     )
+
+
+def _missing(job: JobFile, plan: Plan) -> tuple[dict[str, str], int]:
+    """What items to be made name and is not there, of some of them, and how many they are."""
+    missing, lines, count = Missing(job.folder), {}, 0
+    for index in plan.items:
+        item = job.item(int(index))
+        line = missing.of(item)
+        if line is not None:
+            count += 1
+            if count <= MOST_MISSING:
+                lines[item.id] = line
+    return lines, count
 
 
 def _planned(job: JobFile, folder: OutputFolder, temporary: pathlib.Path) -> tuple[Plan, dict[str, float]]:

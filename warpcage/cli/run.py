@@ -113,9 +113,13 @@ def _say(forecast: Forecast) -> int:
         print(f"one {kind} takes {each.seconds:.3g} s{first} (measured: {each.source})")
     if forecast.measured:
         print(f"about {_duration(forecast.seconds)} by {counted(forecast.workers, 'worker')}")
-    for name, line in forecast.errors.items():
+    wrong = forecast.errors | forecast.missing
+    for name, line in wrong.items():
         print(f"warpcage: {name}: {line}", file=sys.stderr)
-    return 1 if forecast.errors else 0
+    if forecast.missing_count:
+        count = counted(forecast.missing_count, "item")
+        print(f"warpcage: error: what {count} would read is not there", file=sys.stderr)
+    return 1 if wrong else 0
 
 
 def _duration(seconds: float) -> str:
