@@ -435,6 +435,43 @@ def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
     assert len(records(out)) == 12
 
 
+KILLS = {
+    "between files and their note": "append, count = place.Notes.append, []\n"
+    "def fatal(notes, record):\n"
+    "    count.append(record['state'])\n"
+    "    if record['state'] == 'done' and count.count('done') == 5: kill()\n"
+    "    append(notes, record)\n"
+    "place.Notes.append = fatal\n",
+    "in the middle of a note": "class Torn(place.Notes):\n"
+    "    count = 0\n"
+    "    def append(self, record):\n"
+    "        Torn.count += 1\n"
+    '        if Torn.count == 12: os.write(self._file.fileno(), b\'{"id": "shot\'); kill()\n'
+    "        super().append(record)\n"
+    "place.Notes = Torn\nimport warpcage.batch.output_folder\nwarpcage.batch.output_folder.Notes = Torn\n",
+    "before the manifest is replaced": "place.atomic_path = kill\n",
+    "before notes are removed": "unlink = pathlib.Path.unlink\n"
+    "pathlib.Path.unlink = lambda path, **words: (kill if path.parent.name == 'notes' else unlink)(path, **words)\n",
+}
+
+
+@pytest.mark.parametrize("step", KILLS)
+def test_a_kill_at_any_step_loses_nothing(files, tmp_path, step):
+    path, out = files / "jobs.jsonl", tmp_path / "out"
+    program = (
+        "import os, pathlib, signal, sys\nsys.path.insert(0, sys.argv[3])\nfrom batch_runs import run_with\n"
+        "import warpcage.batch.manifest as place\n"
+        "kill = lambda *given, **words: os.kill(os.getpid(), signal.SIGKILL)\n"
+        f"{KILLS[step]}run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
+    )
+    line = [sys.executable, "-c", program, str(path), str(out), str(pathlib.Path(__file__).parent)]
+    assert subprocess.run(line).returncode == -signal.SIGKILL
+    report = run_with(path, out)
+    noted = {"between files and their note": 4, "in the middle of a note": 0}.get(step, 12)
+    assert report.complete and report.kept >= noted and report.kept + report.made == 12
+    assert len(records(out)) == len(pictures(out)) == 12 and left_over(out) == []
+
+
 def test_a_shard_that_cannot_be_packed_is_told(tmp_path, monkeypatch):
     path, out = write_records(tmp_path / "job", 12, RECORDS), tmp_path / "out"
     with monkeypatch.context() as patch:
