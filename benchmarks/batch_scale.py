@@ -36,6 +36,9 @@ from warpcage.batch.simulated_engine import Conditions, SimulatedEngine
 #: Mean seconds of an item: a small frame on an H200, a large one, a film's frame on a CPU.
 MEANS = (0.02, 0.2, 2.0)
 
+#: That of them for which lots of one item are simulated too, which takes long.
+ONE_BY_ONE = 0.2
+
 #: How lots are cut: the seconds that one aims at, and the most items that it has.
 POLICIES = {"one item": (0.0, 1), "up to 16 items": (AIM, 16), f"{AIM:.0f} s, up to {LARGEST} items": (AIM, LARGEST)}
 
@@ -48,9 +51,24 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=300, help="frames whose times are measured")
     parser.add_argument("--messages", type=int, default=20_000, help="items of the runs that measure Ray")
+    parser.add_argument("--measured", help="take what was measured from an earlier JSON file of this machine")
     parser.add_argument("--json")
     parser.add_argument("--page")
     args = parser.parse_args()
+    measured = json.loads(pathlib.Path(args.measured).read_text()) if args.measured else measure(args)
+    seconds, costs = np.array(measured["frame_seconds"]), measured["costs"]
+    shown = [(mean, policy) for mean in MEANS for policy in POLICIES if mean == ONE_BY_ONE or policy != "one item"]
+    runs = [simulated(args.items, args.workers, mean, seconds, costs, policy) for mean, policy in shown]
+    content = {name: measured[name] for name in ("frame_seconds", "costs", "driver")} | {"simulated": runs}
+    if args.json:
+        write_results(args.json, "cpu", **content)
+    if args.page:
+        pathlib.Path(args.page).write_text(page(args, content), encoding="utf-8")
+    return 1 if any(run["lost"] or run["twice"] for run in runs) else 0
+
+
+def measure(args) -> dict:
+    """What is measured on this machine."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = pathlib.Path(temporary)
         seconds = frame_seconds(folder, args.frames)
@@ -59,19 +77,7 @@ def main() -> int:
         print(f"a lot costs the driver {1e3 * costs['lot']:.2f} ms and {1e3 * costs['item']:.3f} ms for each item")
         ends = driver_ends(folder, args.items)
         print(", ".join(f"{name}: {value:.4g}" for name, value in ends.items()))
-    runs = [simulated(args.items, args.workers, mean, seconds, costs, policy) for mean in MEANS for policy in POLICIES]
-    failed = [run for run in runs if run["lost"] or run["twice"]]
-    content = {
-        "frame_seconds": {"median": float(np.median(seconds)), "percentile_95": float(np.percentile(seconds, 95))},
-        "costs": costs,
-        "driver": ends,
-        "simulated": runs,
-    }
-    if args.json:
-        write_results(args.json, "cpu", **content)
-    if args.page:
-        pathlib.Path(args.page).write_text(page(args, content), encoding="utf-8")
-    return 1 if failed else 0
+    return {"frame_seconds": seconds.tolist(), "costs": costs, "driver": ends}
 
 
 def frame_seconds(folder: pathlib.Path, count: int) -> np.ndarray:

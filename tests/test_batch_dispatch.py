@@ -94,6 +94,23 @@ def test_lots_follow_what_items_take():
     assert taken[0] == 13 and taken[-1] == 1 and sum(taken) == 100 and taken == sorted(taken, reverse=True)
 
 
+def test_what_is_thought_of_items_and_workers_stays_near_the_truth():
+    """However many lots there are, and however much what they take varies."""
+    random, workers = np.random.default_rng(0), 20
+    dispatcher = Dispatcher(Lots(np.arange(60_000), np.zeros(60_000), largest=1))
+    for number in range(workers):
+        dispatcher.add_worker(str(number))
+    for turn in range(50_000):
+        name = str(turn % workers)
+        lot = dispatcher.next_lot(name, 0.0)
+        slow = 6.0 if name == "3" else 1.0
+        dispatcher.reported(name, LotReport(done=lot.items, seconds=[slow * random.lognormal(0.0, 1.0)]), 0.0)
+        if turn > 1000 and turn % 100 == 3:
+            speeds = [worker.speed for worker in dispatcher._workers.values()]
+            assert 0.3 < dispatcher.lots.seconds(0) < 30 and 0.02 < min(speeds) and max(speeds) < 100
+    assert dispatcher.done == 50_000
+
+
 def test_a_straggler_gives_back_what_it_has_not_begun():
     """One of eight becomes two hundred times slower in the middle: it costs the items that it has begun."""
     count = 800

@@ -9,10 +9,13 @@ import collections
 import dataclasses
 from collections.abc import Sequence
 
-from .lots import NEWEST, Lot, Lots
+from .lots import Lot, Lots
 
 #: Deaths of a worker in a row, none of which made an item, after which its place is given up.
 MOST_BARREN = 3
+
+#: Weight of the newest lot in how fast a worker is taken for, and how far that may be from the others.
+NEWEST, MOST_RATIO = 0.5, 100.0
 
 #: A lot is shortened for the sake of a worker that has nothing to do where it would take this many more seconds.
 LEAST_SHARED = 2.0
@@ -174,8 +177,10 @@ class Dispatcher:
             mean = sum(usual) / len(usual)
             expected = self.lots.seconds(lot.group)
             if expected and not (report.loading and len(report.seconds) == 1):
-                worker.speed += NEWEST * (mean / expected - worker.speed)
-            self.lots.note(lot.group, mean / max(worker.speed, 1e-9))
+                ratio = min(max(mean / expected, 1.0 / MOST_RATIO), MOST_RATIO)
+                worker.speed += NEWEST * (ratio - worker.speed)
+            # of all workers together, as they are: two unknowns that explain each other would drift away together
+            self.lots.note(lot.group, mean)
         elif report.broken is not None:
             worker.barren += 1
         if report.halt is not None:

@@ -14,7 +14,7 @@ AIM, LARGEST = 10.0, 256
 LOTS_PER_WORKER = 4
 
 #: Weight of the newest lot in the seconds that an item of a group is taken for.
-NEWEST = 0.5
+NEWEST = 0.25
 
 
 @dataclasses.dataclass(frozen=True)
