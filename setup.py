@@ -29,6 +29,7 @@ TEST = [
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
     "pytest>=8.0",
     "webdataset>=1.0",  # reads the shards that records are packed into
+    "openjd-cli>=0.7",  # runs the template of render farms; without it that test is skipped
     "pytest-xdist>=3.6",  # over all cores
     "hypothesis>=6.100",
     "scipy>=1.11",

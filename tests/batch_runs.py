@@ -17,6 +17,7 @@ from warpcage.batch.worker import Worker
 from warpcage.cage.cage import Cage
 
 CAMERA = {"eye": [2.5, 1.2, 1.0], "target": [0, 0, 0], "width": 24, "height": 20}
+RECORDS = {"kind": "webdataset", "items_per_shard": 5}
 DEFAULTS = {"field": "ball.npz", "cage": "cage.obj", "camera": CAMERA, "coordinates": "mean_value", "resolution": 12}
 
 
@@ -34,6 +35,14 @@ def write_frames(folder, count, name="jobs.jsonl", *, changes=None, **defaults):
         items[place] |= words
     write_jobs(folder / name, items, defaults=DEFAULTS | defaults)
     return folder / name
+
+
+def write_records(folder, count, records, name="records.jsonl", **words):
+    path = write_frames(folder, count, name, **words)
+    lines = path.read_text().splitlines()
+    lines[0] = json.dumps(json.loads(lines[0]) | {"records": records})
+    path.write_text("\n".join(lines) + "\n")
+    return path
 
 
 def run_with(path, out, maker=None, workers=1, retries=2, **options):

@@ -11,7 +11,18 @@ import time
 
 import numpy as np
 import pytest
-from batch_runs import Making, Moody, command, left_over, pictures, records, run_with, write_frames
+from batch_runs import (
+    RECORDS,
+    Making,
+    Moody,
+    command,
+    left_over,
+    pictures,
+    records,
+    run_with,
+    write_frames,
+    write_records,
+)
 
 import warpcage
 from warpcage.batch.output_folder import OutputFolder
@@ -371,17 +382,6 @@ def test_options_that_cannot_be_are_refused(files, tmp_path, words):
 def test_help_names_the_words():
     done = subprocess.run(command("run", "--help"), capture_output=True, text=True)
     assert done.returncode == 0 and "--cluster" in done.stdout and json.dumps(done.stdout)
-
-
-RECORDS = {"kind": "webdataset", "items_per_shard": 5}
-
-
-def write_records(folder, count, records, name="records.jsonl", **words):
-    path = write_frames(folder, count, name, **words)
-    lines = path.read_text().splitlines()
-    lines[0] = json.dumps(json.loads(lines[0]) | {"records": records})
-    path.write_text("\n".join(lines) + "\n")
-    return path
 
 
 def test_shards_are_packed_when_their_items_are_settled(tmp_path):

@@ -16,6 +16,7 @@ from ..core.checks import warn_caller
 from ..core.files import PathLike
 from .manifest import Manifest, Notes, merge_notes
 from .outputs import PARTS
+from .part import Part
 
 #: The run's own folder in the output folder, and its manifest.
 OWN_FOLDER, MANIFEST = ".warpcage", "manifest.jsonl"
@@ -35,10 +36,12 @@ class OutputFolder:
 
     Args:
         path: The folder; `prepare` makes it.
+        part: The part of the job that is made, beside runs of other parts: it leaves its notes for a run of the whole
+            job to merge. None is the whole job.
     """
 
-    def __init__(self, path: PathLike):
-        self.path = pathlib.Path(path).absolute()
+    def __init__(self, path: PathLike, part: Part | None = None):
+        self.path, self.part = pathlib.Path(path).absolute(), part
         self.own = self.path / OWN_FOLDER
         self.notes = self.own / "notes"
 
@@ -68,15 +71,21 @@ class OutputFolder:
 
     @contextlib.contextmanager
     def driven(self) -> Iterator[None]:
-        """Be the only driver of the folder. The lock frees itself where the driver is killed.
+        """Be the only driver of the folder, or of a part. The lock frees itself where the driver is killed.
 
         Raises:
             ValueError: Where another run is under way, or workers of a driver that was killed do not end.
         """
         with contextlib.ExitStack() as held:
             driver = held.enter_context(open(self.own / "driver.lock", "a+b"))
-            if not _lock(driver, exclusive=True):
+            free = _lock(driver, exclusive=self.part is None)
+            if free and self.part is not None:
+                free = _lock(held.enter_context(open(self.own / f"{self.part.name}.lock", "a+b")), exclusive=True)
+            if not free:
                 raise ValueError(f"another run writes to {str(self.path)!r}: wait for its end, or give another folder")
+            if self.part is not None:
+                yield
+                return
             workers = held.enter_context(open(self.own / "workers.lock", "a+b"))
             end = time.monotonic() + PATIENCE
             while not _lock(workers, exclusive=True):
@@ -97,20 +106,28 @@ class OutputFolder:
     def merge(self) -> None:
         """Merge all notes into the manifest, and remove what workers that were killed left half-written.
 
-        No worker may be at work.
+        No worker may be at work. A part does not: others may be.
 
         Raises:
             OSError: If the manifest cannot be written.
         """
+        if self.part is not None:
+            return
         shutil.rmtree(self.path / PARTS, ignore_errors=True)
         for path in self.path.glob(".*-*"):
             if _TEMPORARY.fullmatch(path.name):
                 path.unlink(missing_ok=True)
         merge_notes(self.manifest, self.notes.glob("*.jsonl"))
+        for path in self.own.glob("part-*"):
+            path.unlink(missing_ok=True)
 
     def read_manifest(self) -> Manifest:
-        """The records of earlier runs."""
-        return Manifest(self.manifest)
+        """The records of earlier runs; for a part, with the notes that nobody has merged."""
+        if self.part is None:
+            return Manifest(self.manifest)
+        merged = self.own / f"{self.part.name}.jsonl"
+        merge_notes(self.manifest, self.notes.glob("*.jsonl"), into=merged)
+        return Manifest(merged)
 
     def holds(self, outputs: Any) -> bool:
         """Whether all files of a record are there in the size that it says.

@@ -55,7 +55,7 @@ def make_plan(
     fingerprint: Callable[[Item], str],
     progress: Callable[[int], None] = lambda count: None,
 ) -> Plan:
-    """Look at all items of a job.
+    """Look at all items of a job, or of the part that the folder is for.
 
     Args:
         job: The job file.
@@ -70,14 +70,16 @@ def make_plan(
     Raises:
         ValueError: For an item that cannot be read, or two that share their id or an output.
     """
-    count = len(job)
+    count, span = len(job), span_of(job, folder)
     shard = shard_size(job)
     keys, groups, poses = (np.zeros(count, np.int64) for _ in range(3))
-    kinds, wanted = np.zeros(count, np.int8), np.ones(count, bool)
+    kinds, wanted = np.zeros(count, np.int8), np.zeros(count, bool)
+    wanted[span.start : span.stop] = True
     names: dict[str, int] = {}
     paths, owners = [], []
     changed = failed_before = 0
-    for index, item in enumerate(job.items()):
+    for checked, index in enumerate(span, 1):
+        item = job.item(index)
         keys[index], kinds[index] = id_key(item.id.casefold()), KIND_NUMBERS[item.kind]
         groups[index] = names.setdefault(item.group, len(names))
         poses[index] = id_key(item.pose)
@@ -90,8 +92,9 @@ def make_plan(
             wanted[index] = not (there and _unchanged(record, item, fingerprint))
             changed += int(wanted[index])
         failed_before += record is not None and record["state"] == FAILED
-        progress(index + 1)
-    _refuse_twins(job, keys, np.arange(count), lambda item: [item.id.casefold()], "the id")
+        progress(checked)
+    numbers = np.arange(span.start, span.stop)
+    _refuse_twins(job, keys[span.start : span.stop], numbers, lambda item: [item.id.casefold()], "the id")
     _refuse_twins(job, np.array(paths, np.int64), np.array(owners, np.int64), _paths, "the output")
     makes = np.flatnonzero(wanted)
     major = makes // shard if shard else groups[makes]
@@ -101,7 +104,14 @@ def make_plan(
     order = np.lexsort((makes, minor, groups[makes], major))
     group_count = len(np.unique(groups[makes]))
     return Plan(
-        count, makes[order], major[order], kinds[makes][order], count - len(makes), changed, failed_before, group_count
+        len(span),
+        makes[order],
+        major[order],
+        kinds[makes][order],
+        len(span) - len(makes),
+        changed,
+        failed_before,
+        group_count,
     )
 
 
@@ -112,18 +122,34 @@ def shard_size(job: JobFile) -> int:
     return int(job.records.get("items_per_shard", ITEMS_PER_SHARD))
 
 
-def open_shards(plan: Plan, folder: OutputFolder) -> dict[int, int]:
+def span_of(job: JobFile, folder: OutputFolder) -> range:
+    """The items that a run looks at: all, or those of its part, which has whole shards.
+
+    Args:
+        job: The job file.
+        folder: The output folder.
+
+    Returns:
+        Their numbers.
+    """
+    return range(len(job)) if folder.part is None else folder.part.range(len(job), shard_size(job) or 1)
+
+
+def open_shards(plan: Plan, folder: OutputFolder, job: JobFile) -> dict[int, int]:
     """Items to be made of each shard of a job with shards; 0 where its loose files are only to be packed.
 
     Args:
         plan: The plan.
         folder: The output folder.
+        job: The job file.
 
     Returns:
         Counts by shard.
     """
     shards, counts = np.unique(plan.groups, return_counts=True)
-    return {shard: 0 for shard in staged_shards(folder.path)} | dict(zip(shards.tolist(), counts.tolist(), strict=True))
+    span, size = span_of(job, folder), shard_size(job)
+    staged = (shard for shard in staged_shards(folder.path) if folder.part is None or shard * size in span)
+    return dict.fromkeys(staged, 0) | dict(zip(shards.tolist(), counts.tolist(), strict=True))
 
 
 def _unchanged(record: dict, item: Item, fingerprint: Callable[[Item], str]) -> bool:

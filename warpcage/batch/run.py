@@ -20,7 +20,8 @@ from .loop import Engine, drive
 from .lot_runner import LotOrder, Maker, leaves_no_room, one_line
 from .lots import AIM, Lot
 from .output_folder import OutputFolder
-from .plan import Plan, make_plan, open_shards, shard_size
+from .part import Part
+from .plan import Plan, make_plan, open_shards, shard_size, span_of
 from .ray_engine import GRACE, RayEngine, ray_session, shares
 from .records import FOLDER
 from .report import RunProgress, RunReport
@@ -48,6 +49,7 @@ def run_jobs(
     cluster: str | None = None,
     device: str | None = None,
     retries: int = 2,
+    part: Part | None = None,
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> RunReport:
@@ -68,6 +70,8 @@ def run_jobs(
         device: "cpu", or "cuda" for several workers; any Warp device for one. None is CUDA where there is one.
         retries: How often an item is tried again after an error that is not one of its input, or the death of its
             worker, elsewhere where there is an elsewhere.
+        part: One of several parts of the job, which runs beside those of the others; a run of the whole job merges what
+            they note into the manifest, and writes what is of all items together. None is the whole job.
         progress: Called with how far the run is. None says nothing.
         warn: Called with a line where a worker dies. None says nothing.
 
@@ -82,7 +86,7 @@ def run_jobs(
         OSError: Where the output folder cannot be written to.
         RuntimeError: Where no worker can start.
     """
-    options = Options(workers, cluster, device, retries)
+    options = Options(workers, cluster, device, retries, part)
     return _run(path, out, options, progress or (lambda state: None), warn or (lambda line: None), None)
 
 
@@ -94,6 +98,7 @@ class Options:
     cluster: str | None = None
     device: str | None = None
     retries: int = 2
+    part: Part | None = None
 
     def __post_init__(self) -> None:
         if self.workers is not None:
@@ -115,7 +120,7 @@ def _run(
     maker: Callable[[str, str, Any], Maker] | None,
 ) -> RunReport:
     """See `run_jobs`; maker: what makes items instead of `Worker`, for tests of the rest."""
-    folder = OutputFolder(out)
+    folder = OutputFolder(out, options.part)
     with contextlib.ExitStack() as held:
         job = held.enter_context(JobFile(path))
         unchanged = _watched(job.path)
@@ -123,7 +128,7 @@ def _run(
         held.enter_context(folder.driven())
         folder.merge()
         plan = planned(job, folder, progress)
-        shards = open_shards(plan, folder) if shard_size(job) else None
+        shards = open_shards(plan, folder, job) if shard_size(job) else None
         begin = time.monotonic()
         state = RunProgress("make", plan.total, plan.total, plan.kept)
         if not len(plan.items) and not shards:
@@ -200,7 +205,7 @@ def _ended(
     job: JobFile, folder: OutputFolder, plan: Plan, dispatcher: Dispatcher | None, begin: float, halt: str | None = None
 ) -> RunReport:
     """What came of a run; what belongs to all of its items together is written."""
-    if job.records.get("kind") == FOLDER and halt is None:
+    if job.records.get("kind") == FOLDER and halt is None and folder.part is None:
         with contextlib.closing(folder.read_manifest()) as manifest:
             finish_folder(folder.path, job, manifest)
     seconds = time.monotonic() - begin
@@ -222,7 +227,7 @@ def planned(job: JobFile, folder: OutputFolder, progress: Progress = lambda stat
     Returns:
         The plan.
     """
-    total = len(job)
+    total = len(span_of(job, folder))
 
     def tell(count: int) -> None:
         if not count % CHECKED_AT_ONCE or count == total:

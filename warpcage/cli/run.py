@@ -7,6 +7,7 @@ import sys
 from typing import Any
 
 from ..batch.forecast import Forecast, foresee
+from ..batch.part import Part
 from ..batch.report import RunProgress, RunReport
 from ..batch.run import Options, run_jobs
 from ..core.words import counted
@@ -18,7 +19,10 @@ MOST_LINES = 10
 
 def run(args: argparse.Namespace) -> int:
     inputs.quiet_warp()
+    part = None if args.part is None else Part.named(args.part)
     if args.dry_run:
+        if part is not None:
+            raise ValueError("--dry-run looks at the whole job: leave out --part")
         return _say(foresee(args.jobs, args.output, workers=args.workers or 1, device=args.device))
     Options(args.workers, args.cluster, args.device, args.retries)
     with _Bar(args.quiet) as bar:
@@ -29,6 +33,7 @@ def run(args: argparse.Namespace) -> int:
             cluster=args.cluster,
             device=args.device,
             retries=args.retries,
+            part=part,
             progress=bar.show,
             warn=bar.warn,
         )

@@ -13,6 +13,7 @@ EXAMPLE = """\
   warpcage run jobs.jsonl -o frames --dry-run
   warpcage run jobs.jsonl -o frames --workers 2
   warpcage run jobs.jsonl -o /shared/frames --cluster 10.0.0.1:6379
+  warpcage run jobs.jsonl -o /shared/frames --part 3/16
 """
 
 
@@ -38,6 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help='work on a Ray cluster, such as 10.0.0.1:6379, or "auto" for the one that this machine belongs to; all '
         "its machines see the files under the same paths",
+    )
+    parser.add_argument(
+        "--part",
+        metavar="K/N",
+        help="make the K-th of N equal ranges of the items, such as 3/16, beside runs of others; a run without it "
+        "joins their manifests (docs/farms.md)",
     )
     parser.add_argument(
         "--retries",
