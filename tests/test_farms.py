@@ -108,7 +108,21 @@ def test_the_template_of_a_render_farm_makes_the_film_of_animate(farm, tmp_path)
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
     (tmp_path / "files").mkdir()
     files = write_files(tmp_path / "files")
-    film = ("animate", "@ball.npz", *DEFORMED, *SMALL, "--frames", 4, "--fps", 12, "--quiet", "--device", "cpu")
+    film = (
+        "animate",
+        "@ball.npz",
+        *DEFORMED,
+        *SMALL,
+        "--size",
+        64,
+        "--frames",
+        4,
+        "--fps",
+        12,
+        "--quiet",
+        "--device",
+        "cpu",
+    )
     succeed(files, *film, "-o", tmp_path / "one.mp4")
     succeed(files, *film, "--jobs", files / "film.jsonl")
     values = {"JobFile": files / "film.jsonl", "Output": tmp_path / "frames", "Parts": 2, "Device": "cpu"}

@@ -189,9 +189,9 @@ def test_after_an_error_no_task_begins(where):
 # Films and folders
 
 
-def moving(count=9, channels=3):
+def moving(count=9, channels=3, size=(34, 47)):
     """A square that moves, all in one array: each frame is written over the one before."""
-    frame = np.zeros((34, 47, channels), np.float32)
+    frame = np.zeros((*size, channels), np.float32)
     for index in range(count):
         frame[...] = 0.1
         frame[5:20, 3 * index : 3 * index + 12] = np.linspace(0.2, 0.9, channels)
@@ -204,10 +204,12 @@ def in_turn(items, prepare, consume):
 
 @pytest.mark.parametrize(("name", "channels"), [("a.mp4", 3), ("a.gif", 3), ("a.mov", 4), ("a.webm", 4), ("b.mov", 3)])
 def test_films_are_those_that_one_thread_writes(tmp_path, monkeypatch, name, channels):
-    write_film(tmp_path / name, moving(channels=channels), 10)
+    write_film(tmp_path / name, moving(channels=channels, size=(64, 64)), 10)  # multiples of what x264 repeats exactly
     monkeypatch.setattr(film, "stream", in_turn)
     (tmp_path / "alone").mkdir()
-    write_film(tmp_path / "alone" / name, moving(channels=channels), 10)
+    write_film(
+        tmp_path / "alone" / name, moving(channels=channels, size=(64, 64)), 10
+    )  # multiples of what x264 repeats exactly
     one, two = (np.frombuffer(path.read_bytes(), np.uint8) for path in (tmp_path / name, tmp_path / "alone" / name))
     assert one.shape == two.shape
     assert (one != two).sum() <= (16 if name.endswith("webm") else 0)  # its track has a random number, twice

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
-import imageio.v3 as iio
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -148,8 +147,6 @@ def _encode_clear(path: pathlib.Path, ending: str, rate: Fraction, images: Itera
     first = next(images)
     height, width, channels = first.shape
     pixel_format, codec, options = _clear_codec(ending, channels == 4)
-    # threads of the conversion, which PyAV 17 brought, race: now and then a part of a plane is not written (FFmpeg 8)
-    alone: dict[str, Any] = {"threads": 1} if int(av.__version__.split(".")[0]) >= 17 else {}
     with av.open(str(path), "w", format=ending[1:]) as container:
         video = container.add_stream(codec, rate=rate, options=options)
         video.width, video.height, video.pix_fmt = width, height, pixel_format
@@ -158,9 +155,19 @@ def _encode_clear(path: pathlib.Path, ending: str, rate: Fraction, images: Itera
             video.metadata["alpha_mode"] = "1"
         for image in itertools.chain([first], images):
             frame = av.VideoFrame.from_ndarray(image, format="rgba64le" if channels == 4 else "rgb48le")
-            converted = frame.reformat(format=pixel_format, dst_colorspace="ITU709", dst_color_range="MPEG", **alone)
+            converted = frame.reformat(format=pixel_format, dst_colorspace="ITU709", dst_color_range="MPEG", **_alone())
             container.mux(video.encode(converted))
         container.mux(video.encode(None))
+
+
+def _alone() -> dict[str, Any]:
+    """The option of a conversion in one thread.
+
+    Threads of the conversion, which PyAV 17 brought, race: now and then a part of a plane is not written (FFmpeg 8).
+    """
+    import av
+
+    return {"threads": 1} if int(av.__version__.split(".")[0]) >= 17 else {}
 
 
 #: Limited range (AVCOL_RANGE_MPEG), and BT.709, which is number 1 of primaries, transfer and matrix.
@@ -272,15 +279,18 @@ def write_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float
 
 def _encode_video(path: pathlib.Path, rate: Fraction, images: Iterable[np.ndarray]) -> None:
     """Write images (h, w, 3) uint8 as H.264."""
+    import av
+
+    images = map(_even, _of_one_size(images))
+    first = next(images)
     # opened here: by name, some names are taken for addresses
-    with open(path, "w+b") as file, iio.imopen(file, "w", plugin="pyav", extension=".mp4") as video:
-        started = False
-        for frame in map(_even, _of_one_size(images)):
-            if not started:
-                # imageio takes floats alone, and finds the fraction again
-                video.init_video_stream("libx264", fps=float(rate), pixel_format="yuv420p")
-                started = True
-            video.write_frame(frame)
+    with open(path, "w+b") as file, av.open(file, "w", format="mp4") as container:
+        video = container.add_stream("libx264", rate=rate)
+        video.height, video.width, video.pix_fmt = *first.shape[:2], "yuv420p"
+        for image in itertools.chain([first], images):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="yuv420p", **_alone())
+            container.mux(video.encode(frame))
+        container.mux(video.encode(None))
 
 
 def write_gif(
