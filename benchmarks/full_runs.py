@@ -91,6 +91,9 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     if fox.exists():
         runs.append(Run("edit_fox", [*edit, "--out", str(out / "fox"), "--device", "cuda:0"], 180))
     # two GPUs
+    if lego.exists() and cage is not None:  # of the field that "frames" made
+        words = [str(HERE / "batch_gpus.py"), "--field", str(field), "--cage", str(cage), "--scene", str(lego)]
+        runs.append(Run("batch_gpus", [sys.executable, *words, "--json", str(out / "batch_gpus.json")], 420, 2))
     add("fit_split", "fit_split", 120, "--data", lego, "--json", out / "fit_split.json", needs=(lego,), gpus=2)
     # the rest
     for name, seconds in (

@@ -164,6 +164,10 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
             *("--items", 20_000, "--workers", 50, "--frames", 20, "--messages", 2000),
             *("--json", out / "batch_scale.json", "--page", out / "batch_scale.md"),
         ],
+        "batch_gpus": [
+            *("--field", field, "--cage", cage, "--scene", scene, "--frames", 12, "--size", 48, "--fits", 2),
+            *("--downscale", 4, "--workers", 1, 2, "--device", "cpu", "--json", out / "batch_gpus.json"),
+        ],
         "batch_memory": ["--items", 200, "--json", out / "batch_memory.json"],
         "page": ["--results", out, "--page", out / "page.md"],
     }
