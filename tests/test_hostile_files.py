@@ -18,7 +18,7 @@ from test_optimize import blob_scene
 from warpcage.cli.cage import read_mesh as read_object
 from warpcage.core.checks import listed
 from warpcage.core.files import npz_names, read_limited, read_npz
-from warpcage.core.memory import UNKNOWN, free_host_bytes
+from warpcage.core.memory import UNKNOWN, MemoryShortage, free_host_bytes
 from warpcage.field.files import files as field_files
 from warpcage.field.voxel_field import VoxelField
 from warpcage.fitting.checkpoint import load_progress, save_progress, scene_digest
@@ -109,7 +109,8 @@ def test_files_are_only_read_where_there_is_room(tmp_path, monkeypatch):
     path.write_bytes(bytes(1000))
     monkeypatch.setattr("warpcage.core.memory.free_host_bytes", lambda: 30_000)
     assert len(read_limited(path, "file", room=30)) == 1000
-    refused(lambda: read_limited(path, "file", room=31), "some.txt: its 1000 bytes need 0.00 GiB of memory")
+    words = "some.txt: its 1000 bytes need 0.00 GiB of memory"
+    refused(lambda: read_limited(path, "file", room=31), words, error=MemoryShortage)
 
 
 # Archives
@@ -426,7 +427,8 @@ def test_lists_of_a_ply_are_counted_before_they_are_read(tmp_path, monkeypatch):
     path = tmp_path / "c.ply"
     path.write_bytes(header.format("face 1000000", "uchar").encode() + bytes(1_000_000))
     monkeypatch.setattr("warpcage.core.memory.free_host_bytes", lambda: 1 << 28)
-    peak, _ = peak_of(lambda: refused(lambda: read_mesh(path), "c.ply: its 1000000 elements 'face' need 0."))
+    words = "c.ply: its 1000000 elements 'face' need 0."
+    peak, _ = peak_of(lambda: refused(lambda: read_mesh(path), words, error=MemoryShortage))
     assert peak < 1 << 22
     path.write_bytes(header.format("face 100000000000", "uchar").encode() + bytes(1000))
     refused(lambda: read_mesh(path), "ends within its 100000000000 elements 'face'")
