@@ -44,6 +44,7 @@ class OutputFolder:
         self.path, self.part = pathlib.Path(path).absolute(), part
         self.own = self.path / OWN_FOLDER
         self.notes = self.own / "notes"
+        self._made: list[pathlib.Path] = []  # folders that were not there, the innermost first
 
     @property
     def manifest(self) -> pathlib.Path:
@@ -59,6 +60,8 @@ class OutputFolder:
         """
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"{str(self.path)!r} is a file: -o takes a folder")
+        inner_first = (self.notes, self.own, self.path, *self.path.parents)
+        self._made = [each for each in inner_first if not each.exists()]
         self.notes.mkdir(parents=True, exist_ok=True)
 
     def new_notes(self, name: str) -> Notes:
@@ -96,6 +99,23 @@ class OutputFolder:
                 time.sleep(0.05)
             workers.close()  # for the workers of this run
             yield
+
+    @contextlib.contextmanager
+    def nothing_left(self) -> Iterator[None]:
+        """Where the block fails before anything was made, take the folders away that `prepare` made.
+
+        To be entered in `driven`: nobody else writes here then.
+        """
+        try:
+            yield
+        except BaseException:
+            if self.own in self._made and not any(self.notes.iterdir()) and not self.manifest.exists():
+                with contextlib.suppress(OSError):  # what others put there stays
+                    for path in self.own.glob("*.lock"):
+                        path.unlink(missing_ok=True)
+                    for each in self._made:
+                        each.rmdir()
+            raise
 
     def worked_in(self) -> IO[bytes]:
         """What a worker holds open as long as it may write here."""

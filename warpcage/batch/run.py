@@ -126,6 +126,7 @@ def _run(
         unchanged = _watched(job.path)
         folder.prepare()
         held.enter_context(folder.driven())
+        held.enter_context(folder.nothing_left())
         folder.merge()
         plan = planned(job, folder, progress)
         shards = open_shards(plan, folder, job) if shard_size(job) else None
