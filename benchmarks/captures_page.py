@@ -21,8 +21,7 @@ Every number below was written by `benchmarks/capture.py` to a JSON file in [res
 the versions in it; this page is made from them by `python benchmarks/captures_page.py`. Found cameras are compared with
 the true ones after the similarity that fits their places best: turns in degrees, places in percent of the way to the
 object; and by the turns from each picture to the next and between any two, which need no alignment. Medians; in
-brackets the largest. Seconds are those of the whole capture on a machine that did other things too, beside them those
-of the processor.
+brackets the largest. Seconds are those of the whole capture, beside them those of the processor.
 """
 
 HEAD = [
