@@ -200,14 +200,15 @@ def test_an_ended_run_goes_on_where_it_was(files, tmp_path, sign):
     said = driver.communicate()[1]
     if sign != signal.SIGKILL:
         assert driver.returncode == 128 + sign and said in ("warpcage: interrupted\n", "warpcage: terminated\n")
-        assert left_over(out) == [] and 10 <= len(records(out)) < 60
-        assert len(records(out)) == len(pictures(out))
+        assert left_over(out) == [] and 0 < len(records(out)) < 60
+        # the last pictures may have been put into their place and not noted yet: they are made again
+        assert {f"{name}.png" for name in records(out)} <= set(pictures(out))
     before = {each: each.stat().st_mtime_ns for each in (out / "shot").iterdir()}
     assert started(path, out) == 0
     found = records(out)
     assert len(found) == len(pictures(out)) == 60 and left_over(out) == []
     again = [each for each, when in before.items() if each.stat().st_mtime_ns != when]
-    assert len(again) <= (10 if sign == signal.SIGKILL else 0)  # what was under way, and was not noted yet
+    assert len(again) <= 10  # what was under way, and was not noted yet
 
 
 class Touching(Making):

@@ -106,7 +106,8 @@ register("play", {
   label: "Play or pause",
   keys: ["Space"],
   group: "Timeline",
-  run: command(() => ({ do: "play", on: !store.sections.playback?.playing })),
+  // with the next picture, as a time that the head was just put to: sent after this one it would stop the film
+  run: () => requestAnimationFrame(command({ do: "play", on: !store.sections.playback?.playing })),
 });
 register("help", { label: "Help: all keys", keys: ["?", "F1", "H"], group: "Page", run: () => showHelp() });
 
