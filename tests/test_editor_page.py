@@ -269,6 +269,7 @@ def test_a_connection_that_breaks_in_mid_drag_comes_back(window: Window, editor:
         vertex = int(np.argmax(np.abs(window.posed() - CAGE.vertices).max(axis=1)))
         until(lambda: np.allclose(window.posed(), posed(editor), atol=1e-12), "the server has what the hand did")
         np.testing.assert_allclose(window.places()[vertex], lowest + [50, 30], atol=1.0)
+        until(lambda: not editor._session.moving, "the hand has let go")
         assert len(editor._session.history.undo_steps) > begun
         while len(editor._session.history.undo_steps) > begun:
             count = len(editor._session.history.undo_steps)
