@@ -11,8 +11,8 @@ from warpcage.batch.lots import Lots
 from warpcage.batch.simulated_engine import Conditions, SimulatedEngine
 
 
-def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, **words):
-    """A run; returns dispatcher, engine and the seconds that it took."""
+def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, progress=None, **words):
+    """A run; returns dispatcher, engine and the seconds that it took. `progress` is called with the first two."""
     groups = np.sort(np.random.default_rng(3).integers(0, group_count, count))
     words.setdefault("item_seconds", np.full(count, 0.5))
     words.setdefault("speeds", np.ones(workers))
@@ -20,8 +20,24 @@ def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, **words
     dispatcher = Dispatcher(Lots(np.arange(count), groups, aim=aim), retries=retries)
     for number in range(workers):
         dispatcher.add_worker(str(number))
-    drive(dispatcher, engine)
+
+    drive(dispatcher, engine, progress=lambda: progress and progress(dispatcher, engine))
     return dispatcher, engine, engine.now()
+
+
+def test_a_run_that_is_stopped_ends_what_is_begun_and_no_more():
+    stopped = []
+
+    def look(dispatcher, engine):
+        if engine.now() >= 40 and not stopped:
+            stopped.append(engine.now())
+            dispatcher.stop()
+            engine.stop()
+
+    dispatcher, engine, seconds = simulated(progress=look)
+    assert seconds < stopped[0] + 0.6  # an item takes half a second
+    assert 0 < dispatcher.done == engine.made.sum() < 2000 and engine.made.max() == 1
+    assert dispatcher.left == 2000 - dispatcher.done
 
 
 def test_every_item_is_made_once():

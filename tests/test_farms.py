@@ -11,7 +11,7 @@ import time
 import pytest
 from cli_runs import DEFORMED, SMALL, succeed, write_files
 
-FARM = pathlib.Path(__file__).resolve().parent.parent / "examples" / "farm"
+RECIPES = pathlib.Path(__file__).resolve().parent.parent / "examples" / "clusters"
 
 #: Notes how each command was called.
 NOTING = '#!/bin/bash\necho "$(basename "$0") $*" >> "$LOG"\n'
@@ -46,14 +46,14 @@ def farm(tmp_path):
 
 
 def sbatch(script, *words, environment):
-    return subprocess.Popen([FARM / script, *words], env=environment, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen([RECIPES / script, *words], env=environment, stderr=subprocess.PIPE, text=True)
 
 
 @pytest.mark.parametrize("script", ["ray.sbatch", "array.sbatch"])
 def test_scripts_are_bash_and_say_how_they_are_called(script):
-    subprocess.run(["bash", "-n", FARM / script], check=True)
-    assert os.access(FARM / script, os.X_OK)
-    assert f"examples/farm/{script} film.jsonl /shared/frames" in (FARM / script).read_text()
+    subprocess.run(["bash", "-n", RECIPES / script], check=True)
+    assert os.access(RECIPES / script, os.X_OK)
+    assert f"examples/clusters/{script} film.jsonl /shared/frames" in (RECIPES / script).read_text()
 
 
 @pytest.mark.parametrize(("nodes", "status"), [(3, 0), (1, 1)])
@@ -128,7 +128,7 @@ def test_the_template_of_a_render_farm_makes_the_film_of_animate(farm, tmp_path)
     values = {"JobFile": files / "film.jsonl", "Output": tmp_path / "frames", "Parts": 2, "Device": "cpu"}
     values["Film"] = tmp_path / "film.mp4"
     words = [word for name, value in values.items() for word in ("-p", f"{name}={value}")]
-    run = [openjd, "run", FARM / "frames.openjd.yaml", "--step", "Film", "--run-dependencies", *words]
+    run = [openjd, "run", RECIPES / "frames.openjd.yaml", "--step", "Film", "--run-dependencies", *words]
     done = subprocess.run(run, env=environment, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     parts = [call.split("--part ")[1].split()[0] for call in log.read_text().splitlines() if "--part" in call]

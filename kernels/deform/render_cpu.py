@@ -11,7 +11,7 @@ field/matter_cells, field/render, field/rows, field/samples, view/rays.
 
 import warp as wp
 
-from ..field.cpu_samples import CELL_DENSITY, COLOUR_QUEUE, LANES
+from ..field.cpu_samples import CELL_DENSITY, COLOUR_QUEUE, LANE_DENSITIES, LANES, LAST_COLOURS
 from ..field.grid import VoxelGrid
 from ..field.matter_cells import MatterCells
 from ..field.render import PENDING_WEIGHT, pending_colour
@@ -39,6 +39,7 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
     + LANES
     + CELL_DENSITY
     + COLOUR_QUEUE
+    + LANE_DENSITIES
     + ALONG_RAY
     + REST_DISTANCE
     + """
@@ -66,7 +67,6 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
     int ray_of[lane_count];
     unsigned live = 0u;
     int next = 0;
-    auto reciprocal = [](float rate) { return __builtin_fabsf(rate) > 1.0e-12f ? 1.0f / rate : 1.0e30f; };
     auto begin_ray = [&](int lane) {
         for (; next < 32; ++next)
         {
@@ -105,26 +105,6 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
     for (int lane = 0; lane < lane_count; ++lane)
         begin_ray(lane);
 
-    // samples whose colours are asked for while the densities of the next ones are on the way
-    struct Shown
-    {
-        int ray, i, j, k;
-        float x, y, z, weight, along[3];
-    };
-    Shown shown[lane_count];
-    int shown_count = 0;
-    auto ask_for_colours = [&]() {
-        for (int n = 0; n < shown_count; ++n)
-        {
-            const Shown& each = shown[n];
-            if (queued == queue_length)
-                add_colours();
-            Waiting& sample = wait_for_colour(each.ray, each.i, each.j, each.k, each.x, each.y, each.z, each.weight);
-            for (int axis = 0; axis < 3; ++axis)
-                sample.along[axis] = each.along[axis];
-        }
-        shown_count = 0;
-    };
 
     while (live)
     {
@@ -280,19 +260,7 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
         const ints leaves = mapped & (room < 0.0f);
         lanes sigma = 0.0f;
         const unsigned filled = live & bits_of(~jumps & (empty == 0) & ~leaves);
-        const float* records[lane_count];
-        for (unsigned left = filled; left; left &= left - 1u)
-        {
-            const int lane = __builtin_ctz(left);
-            records[lane] = cell_densities(i[lane], m[lane], l[lane]);
-            __builtin_prefetch(records[lane]);
-        }
-        ask_for_colours();
-        for (unsigned left = filled; left; left &= left - 1u)
-        {
-            const int lane = __builtin_ctz(left);
-            sigma[lane] = blended_density(records[lane], x[lane], y[lane], z[lane]);
-        }
+        add_densities(filled, i, m, l, x, y, z, sigma);
         const ints asks_length = ~jumps & mapped & (count == 0.0f) & ((flags & cell_steep) != 0);
         const lanes slope_x = mapped ? turn[0] : spacing * rate_x, slope_y = mapped ? turn[1] : spacing * rate_y;
         const lanes slope_z = mapped ? turn[2] : spacing * rate_z;
@@ -355,11 +323,9 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
         j = done ? (lanes)0.0f : (acts ? next_part : j);
         t = (k + 0.5f + ((j + 0.5f) / higher_of(count, (lanes)1.0f) - 0.5f)) * step;
     }
-    ask_for_colours();
-    add_colours();
-    for (int ray = 0; ray < 32; ++ray)
-        for (int n = 0; n < 3; ++n)
-            seen.data[ray][n] = colours[ray][n];
+"""
+    + LAST_COLOURS
+    + """
 #endif
     return seen;
 """

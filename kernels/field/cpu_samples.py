@@ -11,8 +11,9 @@ Needs: field/harmonics, field/rows.
 from .harmonics import BASIS_OF_DIRECTION
 from .rows import CELL_PLACE
 
-#: Types of vectors, and functions of eight lanes: `bits_of(mask)`, `exponential(x)` for x <= 0 to 2 units in the last
-#: place (Cephes: 2^n times a polynomial of what is left), `exit_of_cells` as field/samples.exit_of_cell.
+#: Types of vectors, `reciprocal(rate)`, and functions of all lanes: `bits_of(mask)`, `exponential(x)` for x <= 0 to 2
+#: units in the last place (Cephes: 2^n times a polynomial of what is left), `exit_of_cells` as
+#: field/samples.exit_of_cell.
 LANES = """
     typedef float two __attribute__((ext_vector_type(2)));
     typedef float four __attribute__((ext_vector_type(4), aligned(4)));
@@ -24,6 +25,7 @@ LANES = """
     for (int lane = 0; lane < lane_count; ++lane)
         lane_bits[lane] = 1 << lane;
     auto bits_of = [&](ints mask) { return (unsigned)__builtin_reduce_or(mask & lane_bits); };
+    auto reciprocal = [](float rate) { return __builtin_fabsf(rate) > 1.0e-12f ? 1.0f / rate : 1.0e30f; };
     auto lower_of = [](lanes a, lanes b) { return a < b ? a : b; };
     auto higher_of = [](lanes a, lanes b) { return a > b ? a : b; };
     auto exponential = [&](lanes x) {
@@ -67,9 +69,10 @@ CELL_DENSITY = """
     };
 """
 
-#: `wait_for_colour(ray, i, j, k, x, y, z, weight, along)` of a sample at a place in a cell, and `add_colours()` to
-#: `colours` of 32 rays. Both take `grid.sh` and `table.columns`. `turns` says whether each sample has a direction
-#: `along`; else the basis of a ray stands in `bases` between zeros, from its eighth number on.
+#: `wait_for_colour(ray, i, j, k, x, y, z, weight)` of a sample at a place in a cell, and `add_colours()` to `colours`
+#: of 32 rays; `shown`, where `shown_count` samples wait to be asked for, and `ask_for_colours()` of these. They take
+#: `grid.sh` and `table.columns`. `turns` says whether each sample has a direction `along`; else the basis of a ray
+#: stands in `bases` between zeros, from its eighth number on.
 COLOUR_QUEUE = (
     """
     const int queue_length = 24;
@@ -186,5 +189,55 @@ COLOUR_QUEUE = (
         }
         queued = 0;
     };
+
+    // samples whose colours are asked for while the densities of the next ones are on the way
+    struct Shown
+    {
+        int ray, i, j, k;
+        float x, y, z, weight, along[3];
+    };
+    Shown shown[lane_count];
+    int shown_count = 0;
+    auto ask_for_colours = [&]() {
+        for (int n = 0; n < shown_count; ++n)
+        {
+            const Shown& each = shown[n];
+            if (queued == queue_length)
+                add_colours();
+            Waiting& sample = wait_for_colour(each.ray, each.i, each.j, each.k, each.x, each.y, each.z, each.weight);
+            for (int axis = 0; turns && axis < 3; ++axis)
+                sample.along[axis] = each.along[axis];
+        }
+        shown_count = 0;
+    };
 """
 )
+
+#: `sigma` of the lanes in `filled`, at the places x, y, z of the cells i, j, k; colours of the samples before are asked
+#: for while these densities are on the way.
+LANE_DENSITIES = """
+    auto add_densities = [&](unsigned filled, ints i, ints j, ints k, lanes x, lanes y, lanes z, lanes& sigma) {
+        const float* records[lane_count];
+        for (unsigned left = filled; left; left &= left - 1u)
+        {
+            const int lane = __builtin_ctz(left);
+            records[lane] = cell_densities(i[lane], j[lane], k[lane]);
+            __builtin_prefetch(records[lane]);
+        }
+        ask_for_colours();
+        for (unsigned left = filled; left; left &= left - 1u)
+        {
+            const int lane = __builtin_ctz(left);
+            sigma[lane] = blended_density(records[lane], x[lane], y[lane], z[lane]);
+        }
+    };
+"""
+
+#: The end of a tile: colours that wait still, and all of them in the first three numbers of each ray of `seen`.
+LAST_COLOURS = """
+    ask_for_colours();
+    add_colours();
+    for (int ray = 0; ray < 32; ++ray)
+        for (int n = 0; n < 3; ++n)
+            seen.data[ray][n] = colours[ray][n];
+"""

@@ -9,7 +9,7 @@ view/rays.
 import warp as wp
 
 from ..view.rays import TILE_SIZE, PinholeCamera, pixel_direction, tile_pixel
-from .cpu_samples import CELL_DENSITY, COLOUR_QUEUE, LANES
+from .cpu_samples import CELL_DENSITY, COLOUR_QUEUE, LANE_DENSITIES, LANES, LAST_COLOURS
 from .grid import VoxelGrid
 from .harmonics import BASIS_OF_DIRECTION
 from .matter_cells import MatterCells
@@ -33,6 +33,7 @@ tile_radiance = wp.types.matrix(shape=(32, 6), dtype=wp.float32)
     + LANES
     + CELL_DENSITY
     + COLOUR_QUEUE
+    + LANE_DENSITIES
     + """
     const float inverse_step = 1.0f / step;
     const unsigned char* skip = grid.skip.data;
@@ -41,7 +42,6 @@ tile_radiance = wp.types.matrix(shape=(32, 6), dtype=wp.float32)
     int ray_of[lane_count];
     unsigned live = 0u;
     int next = 0;
-    auto reciprocal = [](float rate) { return __builtin_fabsf(rate) > 1.0e-12f ? 1.0f / rate : 1.0e30f; };
     auto begin_ray = [&](int lane) {
         for (; next < 32; ++next)
         {
@@ -82,24 +82,6 @@ tile_radiance = wp.types.matrix(shape=(32, 6), dtype=wp.float32)
     }
     for (int lane = 0; lane < lane_count; ++lane)
         begin_ray(lane);
-    // samples whose colours are asked for while the densities of the next ones are on the way
-    struct Shown
-    {
-        int ray, i, j, k;
-        float x, y, z, weight;
-    };
-    Shown shown[lane_count];
-    int shown_count = 0;
-    auto ask_for_colours = [&]() {
-        for (int n = 0; n < shown_count; ++n)
-        {
-            const Shown& each = shown[n];
-            if (queued == queue_length)
-                add_colours();
-            wait_for_colour(each.ray, each.i, each.j, each.k, each.x, each.y, each.z, each.weight);
-        }
-        shown_count = 0;
-    };
     while (live)
     {
         const unsigned ended = live & ~bits_of((t < end) & (transmittance > stop));
@@ -130,19 +112,7 @@ tile_radiance = wp.types.matrix(shape=(32, 6), dtype=wp.float32)
             empty[lane] = skip[(unsigned)at[lane]];
         lanes sigma = 0.0f;
         const unsigned filled = live & bits_of(empty == 0);
-        const float* records[lane_count];
-        for (unsigned left = filled; left; left &= left - 1u)
-        {
-            const int lane = __builtin_ctz(left);
-            records[lane] = cell_densities(i[lane], j[lane], l[lane]);
-            __builtin_prefetch(records[lane]);
-        }
-        ask_for_colours();
-        for (unsigned left = filled; left; left &= left - 1u)
-        {
-            const int lane = __builtin_ctz(left);
-            sigma[lane] = blended_density(records[lane], x[lane], y[lane], z[lane]);
-        }
+        add_densities(filled, i, j, l, x, y, z, sigma);
         const ints found = sigma > 0.0f;
         if (bits_of(found))
         {
@@ -167,11 +137,9 @@ tile_radiance = wp.types.matrix(shape=(32, 6), dtype=wp.float32)
         k = ((empty > 0) & (after > k)) ? after : k;
         t = (k + 0.5f) * step;
     }
-    ask_for_colours();
-    add_colours();
-    for (int ray = 0; ray < 32; ++ray)
-        for (int n = 0; n < 3; ++n)
-            seen.data[ray][n] = colours[ray][n];
+"""
+    + LAST_COLOURS
+    + """
 #endif
     return seen;
 """

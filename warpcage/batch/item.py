@@ -102,9 +102,9 @@ class Item(abc.ABC):
         return cls(**cls._completed(given))
 
     @classmethod
+    @abc.abstractmethod
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
         """The arguments of the constructor of checked words."""
-        raise NotImplementedError
 
 
 class Defaults:

@@ -111,11 +111,7 @@ class SimulatedEngine:
         there = self._time + self.conditions.latency
         if work is not None and work.number == number and there < work.death:
             waiting = int(np.count_nonzero(work.starts > there))
-            keep = len(work.items) - int(share * waiting)
-            back = work.items[keep:]
-            if back:
-                work.items, work.starts, work.ends = work.items[:keep], work.starts[:keep], work.ends[:keep]
-                self._schedule(worker, work)
+            back = self._shorten(worker, work, len(work.items) - int(share * waiting))
         self._count += 1
         self._replies[self._count] = Returned(worker, number, back)
         heapq.heappush(self._queue, (there + self.conditions.latency, self._count, "reply", worker, self._count))
@@ -124,8 +120,12 @@ class SimulatedEngine:
         """Nothing is noted."""
 
     def stop(self) -> None:
-        """Not simulated."""
-        raise NotImplementedError
+        """Workers hear that they are to begin no more items."""
+        there = self._time + self.conditions.latency
+        for worker, work in list(self._work.items()):
+            self._spend(self.conditions.send_cost, 0)
+            if there < work.death:
+                self._shorten(worker, work, int(np.count_nonzero(work.starts <= there)))
 
     def wait(self, timeout: float) -> list[Event]:
         """What happens next; the clock goes on to it, or by the time that passes."""
@@ -178,6 +178,14 @@ class SimulatedEngine:
                 death = min(death, 0.5 * (starts[place] + ends[place]))
         self._work[worker] = work = _Work(lot.number, list(lot.items), starts, ends, death, bool(changes[0]), 0)
         self._schedule(worker, work)
+
+    def _shorten(self, worker: str, work: _Work, keep: int) -> list[int]:
+        """Leave a worker the first items of its lot; returns the others."""
+        back = work.items[keep:]
+        if back:
+            work.items, work.starts, work.ends = work.items[:keep], work.starts[:keep], work.ends[:keep]
+            self._schedule(worker, work)
+        return back
 
     def _schedule(self, worker: str, work: _Work) -> None:
         self._count += 1
