@@ -15,6 +15,7 @@ from concurrent.futures import Future
 from typing import Any, Protocol
 
 from .. import __version__
+from ..core.words import system_error_line
 from .dispatcher import LotReport
 from .items import Item
 from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes
@@ -88,12 +89,9 @@ class Place:
 
 def one_line(error: BaseException) -> str:
     """What went wrong, in one line."""
-    if isinstance(error, OSError) and error.strerror:
-        name = f" {str(error.filename)!r}" if error.filename else ""
-        return f"{error.strerror[0].lower()}{error.strerror[1:]}{name}"
+    if (line := system_error_line(error)) is not None:
+        return line
     text = " ".join(str(error).split())
-    if isinstance(error, MemoryError):
-        return f"not enough memory{': ' if text else ''}{text}"
     return text if text and isinstance(error, ValueError) else f"{type(error).__name__}{': ' if text else ''}{text}"
 
 

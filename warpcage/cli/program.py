@@ -8,6 +8,7 @@ import sys
 import types
 import warnings
 
+from ..core.words import system_error_line
 from . import verbosity
 from .parser import build_parser
 from .signals import Ended, ended_by_signals
@@ -38,12 +39,9 @@ def run(argv: list[str] | None) -> int:
 
 def one_line(error: Exception | str) -> str:
     """An error or a warning in one line."""
-    if isinstance(error, OSError) and error.strerror:
-        name = f" {str(error.filename)!r}" if error.filename else ""
-        return f"{error.strerror[0].lower()}{error.strerror[1:]}{name}"
+    if (line := system_error_line(error)) is not None:
+        return line
     text = " ".join(str(error).split())
-    if isinstance(error, MemoryError):
-        return f"not enough memory{': ' if text else ''}{text}"
     if isinstance(error, OverflowError):
         return f"a number is too large{': ' if text else ''}{text}"
     if isinstance(error, ImportError):
