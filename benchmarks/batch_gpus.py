@@ -40,6 +40,7 @@ def main() -> None:
     parser.add_argument("--cage", required=True)
     parser.add_argument("--scene", help="scene folder of the fits; without it there are none")
     parser.add_argument("--frames", type=int, default=2000)
+    parser.add_argument("--poses", type=pathlib.Path, help="poses drawn before, (n, vertices, 3) in a .npy file")
     parser.add_argument("--size", type=int, default=800, help="of the frames, pixels")
     parser.add_argument("--fits", type=int, default=12)
     parser.add_argument("--quality", default="fast")
@@ -71,8 +72,7 @@ def frame_job(folder: pathlib.Path, args: argparse.Namespace, kind: str) -> path
     rest = warpcage.Cage.load(args.cage)
     poses = folder / "poses.npy"
     if not poses.exists():
-        source = warpcage.RandomPoses(rest, seed=0)
-        np.save(poses, np.stack([source.pose(number).vertices for number in range(args.frames)]))
+        np.save(poses, drawn_poses(rest, args.frames) if args.poses is None else np.load(args.poses)[: args.frames])
     centre, size = rest.bounds.mean(axis=0), float(np.ptp(rest.bounds, axis=0).max())
     eye = (centre + size * np.array([1.6, -1.2, 0.9])).tolist()
     camera = {"eye": eye, "target": centre.tolist(), "width": args.size, "height": args.size}
@@ -81,6 +81,12 @@ def frame_job(folder: pathlib.Path, args: argparse.Namespace, kind: str) -> path
     defaults = usual | {"camera": camera, "background": "white", "outputs": OUTPUTS[kind]}
     write_jobs(folder / f"frames_{kind}.jsonl", items, defaults=defaults)
     return folder / f"frames_{kind}.jsonl"
+
+
+def drawn_poses(rest: warpcage.Cage, count: int) -> np.ndarray:
+    """(count, vertices, 3) random poses of a cage, some 40 ms each."""
+    source = warpcage.RandomPoses(rest, seed=0)
+    return np.stack([source.pose(number).vertices for number in range(count)])
 
 
 def fit_job(folder: pathlib.Path, args: argparse.Namespace) -> pathlib.Path:
