@@ -6,9 +6,9 @@ Deformer, which meets buffers that are too small.
     python benchmarks/deformed_render.py --field field.npz --cage cage.obj --device cuda:0 --json render.json
     python benchmarks/deformed_render.py --field room.npz --cage cage.obj --scene DIR --device cuda:0
 
-A field with background layers is rendered with them, and the rows of frames say what they add (layers_milliseconds,
-compared with the same frame on black, by turns). --scene takes a held-out view of a scene, since such a field shows its
-surroundings.
+A field with an outer field or background layers is rendered with them, and the rows of frames say what they add
+(around_milliseconds, compared with the same frame on black, by turns). --scene takes a held-out view of a scene, since
+such a field shows its surroundings.
 
 --profile lists the kernels of a frame and of a pose (CUDA only); see NOTES-render.md for findings.
 """
@@ -45,7 +45,7 @@ def main() -> None:
             views if field.background_model else views[:1], device, runs=args.runs
         )
         if plain:
-            more["layers_milliseconds"] = round(1e3 * (seconds - plain[0]), 3)
+            more["around_milliseconds"] = round(1e3 * (seconds - plain[0]), 3)
         report(what, seconds, **more)
 
     report_frame("canonical frame", field.render)
@@ -88,7 +88,7 @@ def main() -> None:
                     "voxels": field.voxel_count,
                     "size": [camera.width, camera.height],
                     "resolution": args.resolution,
-                    "layers": field.background_model.layer_count if field.background_model else 0,
+                    "around": field.background_model.summary if field.background_model else None,
                     "peak_device_bytes": peak,
                     "rows": rows,
                 },

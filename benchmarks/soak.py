@@ -150,15 +150,21 @@ def poses(folder: pathlib.Path, device: str):
 def fits(folder: pathlib.Path, device: str):
     """A fit of pictures of the ball each time, of another size or with other options, in turns."""
     field = ball_field(device)
-    options = ({}, {"background": "layers", "background_layers": 2}, {"supersampling": 2}, {"max_memory": "40MB"})
+    options = (
+        {},
+        {"background": "layers", "background_layers": 2},
+        {"supersampling": 2},
+        {"background": "outer"},
+        {"max_memory": "40MB"},
+    )
     n = 0
     while True:
         size = 12 + 4 * (n % 3)
         cameras = warpcage.turntable((0, 0, 0), 4.0, 20, 6, width=size, height=size)
         frames = [field.render(camera) for camera in cameras]
-        alphas = None if n % 4 == 1 else np.stack([frame.alpha for frame in frames])
+        kind = options[n % len(options)]
+        alphas = None if "background" in kind else np.stack([frame.alpha for frame in frames])
         scene = warpcage.Scene(np.stack([frame.rgb for frame in frames]).clip(0, 1), alphas, cameras)
-        kind = options[n % 4]
         fitted = warpcage.fit(scene, device=device, progress=False, resolution=16, levels=2, epochs=2, **kind)
         fitted.save(folder / "fitted.npz")
         n += 1

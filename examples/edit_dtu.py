@@ -4,12 +4,13 @@
     python examples/edit_dtu.py --data data/dtu_scan24 --downscale 8 --device cpu     # pictures of 100 x 75, minutes
 
 The pictures are split at the masks: the object is fitted by voxels, its surroundings by layers behind them. (--whole
-takes whole pictures instead, so that the fit itself divides them between voxels and layers.) Two edits follow: a box
-made by hand around one wing of the house, stretched upwards, and a cage generated around the object, twisted and
-tapered. Writes to the folder of --out: edits.png (top row: the scene at rest, then one row per edit; from left to right
-the picture, the cage over it, the object's disparity), falloff.png (the wing and its box; stretched; the same with a
-falloff, so that it does not tear off), fill.png (the house removed, and moved aside: as fitted; with what no picture
-showed filled; the masks), views.png (held-out pictures over renders), field.npz, the cages and summary.json.
+takes whole pictures instead, so that the fit itself divides them between the object's voxels and coarser ones around.)
+Two edits follow: a box made by hand around one wing of the house, stretched upwards, and a cage generated around the
+object, twisted and tapered. Writes to the folder of --out: edits.png (top row: the scene at rest, then one row per
+edit; from left to right the picture, the cage over it, the object's disparity), falloff.png (the wing and its box;
+stretched; the same with a falloff, so that it does not tear off), fill.png (the house removed, and moved aside: as
+fitted; with what no picture showed filled; the masks), views.png (held-out pictures over renders), field.npz, the cages
+and summary.json.
 """
 
 from __future__ import annotations

@@ -331,7 +331,8 @@ def test_what_stands_behind_is_chosen():
     cut = warpcage.Scene(split.images, split.alphas, split.cameras)
     plain = warpcage.Scene(split.images, None, split.cameras)  # on white, opacity lost
     chosen = [chosen_background(scene, "auto") for scene in (whole, split, cut, plain)]
-    assert chosen == [(False, "layers"), (True, "layers"), (True, None), (False, None)]
+    assert chosen == [(False, "outer"), (True, "layers"), (True, None), (False, None)]
+    assert chosen_background(whole, "layers") == (False, "layers")
     assert chosen_background(plain, "layers") == (False, "layers")
     assert chosen_background(whole, "outer") == (False, "outer")
     assert chosen_background(whole, "constant") == (False, None)

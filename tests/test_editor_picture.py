@@ -320,8 +320,9 @@ def test_falloffs_and_crumbs_of_the_document_are_in_the_picture(device):
     assert "fades to rest, but no wall of its cage cuts matter" in error and repr(whole.name) in error
 
 
-def test_background_is_filled_in_pictures_that_rest(device):
-    field = ball(device)
+@pytest.mark.parametrize("around", ["layers", "outer"])
+def test_background_is_filled_in_pictures_that_rest(device, around):
+    field = ball(device, around)
     scene = new_document(field, [BOX], 16)
     scene = scene.with_edit(dataclasses.replace(scene.edits[0], kind="remove"))
     scene = dataclasses.replace(scene, view=View((0.0, -4.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))

@@ -14,6 +14,7 @@ from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.deform.fill import fill_unseen, membrane
 from warpcage.field.background import LayeredBackground
+from warpcage.field.outer import OuterField
 from warpcage.field.sparse import harmonics_on_host
 from warpcage.view.camera import Camera
 from warpcage.view.frame import Frame
@@ -37,20 +38,27 @@ def colours(fog):
     return values
 
 
-def ball(device, layers=True, fog=True):
+def ball(device, around="layers", fog=True):
+    """A ball before nothing but infinity, which is the last of two layers or the sky of an outer field."""
     field = make_field(lambda x: ellipsoid(x, radii=(0.4, 0.4, 0.4)), plain([0.8, 0.3, 0.1]), device=device)
-    if not layers:
+    if around is None:
         return field
     values = np.stack([np.zeros_like(colours(fog)), colours(fog)])
-    background = LayeredBackground((0, 0, 0), 1.5, SIDE, values, device=device)
+    if around == "layers":
+        background = LayeredBackground((0, 0, 0), 1.5, SIDE, values, device=device)
+    else:
+        links = np.full((8, 8, 8), -1, np.int32)
+        half = 0.5 * (field.bounds[1] - field.bounds[0])
+        background = OuterField((0, 0, 0), half, links, np.zeros((0, 4)), sky=colours(fog)[:, :3], device=device)
     return warpcage.VoxelField(
         field.bounds, field.grid.links, field.grid.density, harmonics_on_host(field.grid.sh),
         background_model=background, device=device,
     )  # fmt: skip
 
 
-def test_what_is_uncovered_goes_on_from_what_surrounds_it(device):
-    field, truth = ball(device), ball(device, fog=False)
+@pytest.mark.parametrize("around", ["layers", "outer"])
+def test_what_is_uncovered_goes_on_from_what_surrounds_it(device, around):
+    field, truth = ball(device, around), ball(device, around, fog=False)
     for edit, pose in ((CageEdit(BOX, remove=True), None), (CageEdit(BOX), BOX.translate([0.5, 0, 0.6]))):
         frame = Deformer(field, edit, resolution=24).pose(pose).render(CAMERA)
         wanted = Deformer(truth, edit, resolution=24).pose(pose).render(CAMERA).rgb
@@ -80,7 +88,7 @@ def test_nothing_is_filled_where_nothing_moved(device):
 
 def test_a_plain_background_misses_nothing(device):
     """Where an emptied place shows one colour nothing is missing; where it shows matter or layers something may be."""
-    field = ball(device, layers=False)
+    field = ball(device, around=None)
     frame = Deformer(field, CageEdit(BOX, remove=True), resolution=24).render(CAMERA)
     assert frame.reveal.max() > 0.9 and frame.missing.max() < 0.01
     assert fill_unseen(frame, field, CAMERA).filled.max() == 0.0
@@ -137,7 +145,7 @@ def test_fill_on_the_command_line(tmp_path, capsys):
     for more, message in ((["--background", "white"], "--fill continues the field's own background"),):
         assert run(tmp_path, "render", *words, "-o", "@x.png", "--fill", *more) == 2
         assert message in capsys.readouterr().err
-    ball("cpu", layers=False).save(tmp_path / "ball.npz")
+    ball("cpu", around=None).save(tmp_path / "ball.npz")
     assert run(tmp_path, "render", *words, "-o", "@x.png", "--fill") == 2
     assert "behind this field there is one colour" in capsys.readouterr().err
     assert run(tmp_path, "render", "@ball.npz", "-o", "@x.png", "--fill") == 2

@@ -18,6 +18,7 @@ from warpcage import VoxelField, load_scene  # noqa: E402
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.field.background import LayeredBackground
+from warpcage.field.outer import OuterField
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.view.pictures import read_image
@@ -242,7 +243,7 @@ ARRAYS = st.sampled_from([
 ])  # fmt: skip
 
 
-@pytest.mark.parametrize("format", ["warpcage", "svox2", "layers"])
+@pytest.mark.parametrize("format", ["warpcage", "svox2", "layers", "outer"])
 def test_field_files(tmp_path_factory, format):
     density = np.zeros((6, 6, 6))
     density[2:4, 2:4, 2:4] = 3.0
@@ -251,6 +252,9 @@ def test_field_files(tmp_path_factory, format):
         field.background_model = LayeredBackground(
             (0.5, 0.5, 0.5), 0.5, 2, np.full((3, 26, 4), 0.5), unseen=(0.1, 0.2, 0.3, 0.4)
         )
+    if format == "outer":
+        links = np.arange(8**3, dtype=np.int32).reshape(8, 8, 8)
+        field.background_model = OuterField((0.5,) * 3, (0.5,) * 3, links, np.full((8**3, 4), 0.5))
     path = tmp_path_factory.mktemp("field") / "field.npz"
     field.save(path, format="svox2" if format == "svox2" else "warpcage")
     whole = path.read_bytes()

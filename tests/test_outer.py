@@ -11,6 +11,7 @@ from test_fit_gradients import photometric_gradient, training_rays
 import warpcage
 from warpcage.cli import main
 from warpcage.field.outer import OuterField
+from warpcage.fitting import optimizer as optimizer_module
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.evaluation import mean_psnr
 from warpcage.fitting.optimizer import FieldOptimizer
@@ -18,6 +19,7 @@ from warpcage.kernels.field.outer import mark_outer_nodes
 from warpcage.kernels.fitting import outer_loss
 from warpcage.reference.room import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views
 from warpcage.view.camera import camera_array
+from warpcage.view.pictures import read_image
 
 HALF = np.array([1.0, 0.7, 1.3])
 
@@ -377,6 +379,19 @@ def test_an_outer_field_keeps_within_the_memory_given():
         FieldOptimizer(scene, outer_resolution=2)
 
 
+def test_a_checkpoint_with_layers_is_told_of(tmp_path, monkeypatch):
+    """Of whole pictures, by a version whose default they were: its options have the same names."""
+    scene = room_scene(6, 16, masks=False)
+    options = SMALL | {"resolution": 16, "background": "auto"}
+    with monkeypatch.context() as before:
+        before.setattr(optimizer_module, "chosen_background", lambda *_: (False, "layers"))
+        layered = FieldOptimizer(scene, **options)
+    layered.step()
+    save_progress(layered, tmp_path / "c.npz")
+    with pytest.raises(ValueError, match="c.npz is the checkpoint of a fit with background layers"):
+        load_progress(FieldOptimizer(scene, **options), tmp_path / "c.npz")
+
+
 def test_a_fit_goes_on_from_its_checkpoint(tmp_path):
     scene = room_scene(6, 16, masks=False)
     options = SMALL | {"resolution": 16}
@@ -408,12 +423,20 @@ def test_a_fit_goes_on_from_its_checkpoint(tmp_path):
 def test_the_way_on_the_command_line(tmp_path, capsys):
     folder, field = write_room(tmp_path / "dtu", 17, 24), tmp_path / "room.npz"
     words = ["--resolution", "24", "--epochs", "3", "--quiet"]
-    assert main(["fit", str(folder), "-o", str(field), "--no-masks", "--background", "outer", *words]) == 0
+    assert main(["fit", str(folder), "-o", str(field), "--no-masks", *words]) == 0  # by itself for whole pictures
     assert "voxels around it in 24^3" in capsys.readouterr().out
     assert main(["info", str(field)]) == 0
     assert "voxels in 24^3 of contracted space" in capsys.readouterr().out
     CAGE.save(tmp_path / "cage.obj")
     view = ["--camera", f"{folder}:test:1", "--cage", str(tmp_path / "cage.obj"), "--posed", "scale:0.5"]
     assert main(["render", str(field), "-o", str(tmp_path / "r.png"), *view, "--fill"]) == 0
+    baked, black = tmp_path / "baked.npz", ["--background", "black"]
+    pose = view[2:] + ["--resolution", "16"]
+    assert main(["bake", str(field), "-o", str(baked), *pose]) == 0
+    assert warpcage.VoxelField.load(baked).background_model.voxel_count > 100
+    for name, more in (("b.png", []), ("black.png", black)):
+        assert main(["render", str(baked), "-o", str(tmp_path / name), *view[:2], *more]) == 0
+    seen, dark = (read_image(tmp_path / name)[..., :3] for name in ("b.png", "black.png"))
+    assert (dark[0] == 0).all() and seen[0].min() > 0.02  # the walls are there
     assert main(["fit", str(folder), "-o", str(tmp_path / "cut.npz"), "--background", "outer", *words]) == 2
     assert "whole pictures" in capsys.readouterr().err

@@ -30,7 +30,7 @@ SWEEPS = 30
 def fill_unseen(frame: Frame, field: VoxelField, camera: Camera) -> Frame:
     """A deformed frame in which the background that an edit uncovers goes on from what surrounds it.
 
-    Layers behind an object hold nothing true where the object hid them from all cameras: coloured fog. There the
+    What was fitted behind an object is nothing true where the object hid it from all cameras: coloured fog. There the
     picture takes the harmonic function (a membrane) whose border is the background around, so that ground, say, is
     even and no edge shows. It is made up: `Frame.filled` marks it. Matter is left as it is, seen or not.
 

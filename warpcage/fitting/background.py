@@ -48,8 +48,7 @@ def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
     """What is behind a field while it is fitted to a scene.
 
     "auto" is random colours where the pictures carry opacity, with layers where masks split their surroundings off. For
-    pictures without opacity it is layers, unless the border of the pictures shows the background colour alone. An outer
-    field has to be asked for.
+    pictures without opacity it is an outer field, unless the border of the pictures shows the background colour alone.
 
     Args:
         scene: The scene.
@@ -65,7 +64,7 @@ def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
         raise ValueError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
         if scene.alphas is None:
-            return False, None if _is_plain(scene) else "layers"
+            return False, None if _is_plain(scene) else "outer"
         return True, None if scene.surroundings is None else "layers"
     if kind == "layers" and scene.alphas is not None and scene.surroundings is None:
         raise ValueError(

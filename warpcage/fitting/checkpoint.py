@@ -140,6 +140,11 @@ def load_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
         raise ValueError(
             f"{path} is the checkpoint of another fit (scene, seed or options differ): remove it or name another file"
         )
+    if isinstance(optimizer.background, OuterOptimizer) and "layers_values" in contents:  # the options are the same
+        raise ValueError(
+            f"{path} is the checkpoint of a fit with background layers, which background='auto' took for whole "
+            "pictures before it took an outer field: fit with the warpcage that wrote it, remove it or name another one"
+        )
     try:
         _restore(optimizer, contents, pathlib.Path(path))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:

@@ -181,7 +181,7 @@ def comparison(renderer: Renderer, scene: Scene) -> tuple[np.ndarray | None, np.
         scene: The views.
 
     Returns:
-        The colour (3,) to render on, or None for the renderer's own layers, and the pictures (n, h, w, 3).
+        The colour (3,) to render on, or None for what the field has around it, and the pictures (n, h, w, 3).
     """
     field = getattr(renderer, "field", renderer)
     has_surroundings = scene.alphas is None or scene.surroundings is not None

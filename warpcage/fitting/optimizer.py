@@ -64,7 +64,7 @@ class FieldOptimizer:
         bounds: (2, 3) box of the field, world units.
         shapes: (nx, ny, nz) voxels of each level; made coarser during the fit where memory is short.
         planned: (nx, ny, nz) voxels of each level if memory were not short.
-        memory_limit: Bytes that the fit may take, beside the layers.
+        memory_limit: Bytes that the fit may take, beside the layers or the outer field.
         psnr: Of the last measured batch, in dB.
     """
 
@@ -289,7 +289,8 @@ class FieldOptimizer:
         return shape
 
     def _activate_tiles(self) -> None:
-        """Batches of the tiles that see the field; of all of them with layers, as every pixel shows something."""
+        """Batches of the tiles that see the field; of all of them where what is around it is fitted too: every
+        pixel shows something."""
         self.batches.activate(None if self.has_around else self.field)
 
     def _refine(self) -> None:

@@ -173,7 +173,8 @@ class FitOptions:
         'What is behind the field. "random": random colours that supervise opacity, for images with alpha. '
         '"outer": an OuterField around the box, for whole images. "layers": a LayeredBackground behind it, for whole '
         'or split images. "constant": the colour of the scene. '
-        '"auto": what suits the scene.',
+        '"auto": "random" for images with alpha, with layers where masks split them; "outer" for whole images, but '
+        '"constant" where their border shows the colour of the scene alone.',
     )
     opacity_share: float = _number(
         0.4,

@@ -76,8 +76,8 @@ def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool)
         scene: The scene.
         options: Options of the fit.
         box: (2, 3) world units.
-        layered: Whether background layers are fitted too. Without silhouettes there are then as many more levels as it
-            takes for the first to have at most COARSE_SIDE voxels along its longest side.
+        layered: Whether background layers or an outer field are fitted too. Without silhouettes there are then as many
+            more levels as it takes for the first to have at most COARSE_SIDE voxels along its longest side.
 
     Returns:
         The plan.

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "white",
         "; or what is behind the object during the fit: random (random colours, for pictures with opacity), outer "
         "(voxels before and behind the object's box, to infinity), layers (of pictures behind it), constant, or auto "
-        "(default)",
+        "(default): random for pictures with opacity, outer for whole ones",
     )
     parser.add_argument(
         "--straighten",
