@@ -2,7 +2,8 @@
 
     python benchmarks/fits_page.py --results docs/results --page docs/fits.md
 
-Files are those of the folder whose names begin with "fits".
+Files are those of the folder whose names begin with "fits", in the order of their names. One may hold a "note", which
+is put below its table.
 """
 
 from __future__ import annotations
@@ -22,8 +23,12 @@ machine and the versions in it; the page is made from them by `python benchmarks
 nothing else: options that a command gives, but the table does not name, are those of the quality today. Seconds run
 from pictures in host memory to the finished field, kernels compiled before. PSNR is the mean over views that the fit
 has not seen; beside it stand that of the object's pixels, where they are told apart, that of its own views, the mean
-error of opacity where pictures have alpha, and the worst views. What was tried, with outcomes, is in [the
-notes](../benchmarks/NOTES-fit.md) and [those on backgrounds](../benchmarks/NOTES-background.md).
+error of opacity where pictures have alpha, and the worst views. Memory is the most that the arrays of a fit, pictures
+included, held on the GPU until it ended; the driver counts the most since the process began, so that a fit that stays
+below one before it, or below an evaluation between them, has "≤". Where cameras were refined, the held-out views are
+also compared by cameras moved along with the refined ones ("aligned") and by cameras fitted to the field ("tuned").
+What was tried, with outcomes, is in [the notes](../benchmarks/NOTES-fit.md) and [those on
+backgrounds](../benchmarks/NOTES-background.md).
 """
 
 
@@ -45,14 +50,18 @@ def run_row(run: dict, with_inside: bool) -> list[str]:
     changed = {name: value for name, value in run["options"].items() if name != "quality"}
     given = [f"{name}={value}" for name, value in changed.items() if value != getattr(usual, name)]
     inside = run.get("psnr_inside")
+    psnr = f"**{run['psnr']:.2f}**"
+    if "psnr_tuned" in run:
+        psnr += f"; aligned {run['psnr_aligned']:.2f}, tuned {run['psnr_tuned']:.2f}"
     of_object = ["–" if inside is None else f"{inside:.2f}"] if with_inside else []
     return [
         run["scene"],
         str(run["views"]),
         " ".join([quality, *given]),
-        f"**{run['psnr']:.2f}**",
+        psnr,
         *of_object,
         f"{run['seconds']:.1f}",
+        memory(run),
         f"{run['psnr_training']:.2f}",
         opacity,
         f"{run['voxels'] / 1e6:.1f} of {resolution}",
@@ -60,7 +69,17 @@ def run_row(run: dict, with_inside: bool) -> list[str]:
     ]
 
 
-HEAD = ["scene", "views", "quality", "PSNR, dB", "seconds", "own views", "opacity", "million voxels", "worst views"]
+def memory(run: dict) -> str:
+    """Gigabytes of a fit's peak: "≤" where an earlier fit, or an evaluation, reached as much in that process."""
+    if run["memory"] is None:
+        return "–"
+    its_own = "memory_before" in run and run["memory"] > run["memory_before"]
+    return f"{'' if its_own else '≤ '}{run['memory'] / 1e9:.2f}"
+
+
+HEAD = [
+    "scene", "views", "quality", "PSNR, dB", "seconds", "GB", "own views", "opacity", "million voxels", "worst views",
+]  # fmt: skip
 
 
 def main() -> None:
