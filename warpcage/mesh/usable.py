@@ -124,7 +124,7 @@ def looks_usable(mesh: ClosedMesh) -> bool:
     longest = np.maximum.reduce([column_dot(u, u), column_dot(v, v), column_dot(u - v, u - v)])
     if (column_dot(normal, normal) <= (DEGENERATE_HEIGHT * mesh.size) ** 2 * longest).any():
         return False
-    cones = column_dot(local.T[:, mesh.faces[:, 0]], normal)
+    cones = column_dot(local.T.take(mesh.faces[:, 0], axis=1), normal)
     if topology.part_count == 1:
         return cones.sum() > 0.0
     return bool((np.bincount(topology.parts, weights=cones) > 0.0).all())
