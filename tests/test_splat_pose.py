@@ -13,7 +13,8 @@ from warpcage import Cage, CageEdit, Deformer
 from warpcage.coordinates.deform import stretched_normals
 from warpcage.core.devices import launch
 from warpcage.kernels.splats import pose
-from warpcage.splats.binding import CageBinding, fit_similarity
+from warpcage.splats.binding import CageBinding
+from warpcage.splats.pose_fit import fit_similarity
 
 KINDS = ("harmonic", "mean_value", "green")
 BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
@@ -45,7 +46,7 @@ def test_rows_against_float64(kind, device):
     rng = np.random.default_rng(1)
     points = rng.uniform(-0.9, 0.9, (40, 3))
     points[:8, 0] = 1.0 - 10.0 ** rng.uniform(-4, -1, 8)
-    rows = CageBinding(points, BOX, kind, np.zeros(3), wp.get_device(device)).rows.numpy()
+    rows = CageBinding(points, BOX, kind, np.zeros(3), wp.get_device(device), packed=False).rows.numpy()
     np.testing.assert_allclose(rows[..., 0].T, weights_of(kind, points, BOX), atol=2e-7)
     h = 1e-6
     for axis in range(3):
@@ -57,7 +58,7 @@ def test_rows_against_float64(kind, device):
 
 def test_rows_of_harmonic_coordinates(device):
     points = np.random.default_rng(2).uniform(-0.8, 0.8, (30, 3))
-    rows = CageBinding(points, BOX, "harmonic", np.zeros(3), wp.get_device(device), 32).rows.numpy()
+    rows = CageBinding(points, BOX, "harmonic", np.zeros(3), wp.get_device(device), 32, False).rows.numpy()
     np.testing.assert_allclose(rows[..., 0].T, warpcage.harmonic_coordinates(points, BOX, 32, device), atol=2e-5)
     # linear precision of weights and gradients
     np.testing.assert_allclose(rows[..., 0].T @ BOX.vertices, points, atol=1e-5)
@@ -117,9 +118,10 @@ def test_a_twist_against_float64(kind, device):
     jacobians = np.stack(columns, axis=-1)
     expected = jacobians @ field.covariances @ jacobians.transpose(0, 2, 1)
     scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
-    assert (np.abs(covariances - expected) / scale).max() < 1e-4
+    packed = wp.get_device(device).is_cuda  # gradients are half floats there
+    assert (np.abs(covariances - expected) / scale).max() < (8e-4 if packed else 1e-4)
     turns = Rotation.from_quat(deformer.posed_splats().turns.numpy()).as_matrix()
-    np.testing.assert_allclose(turns, [polar(j)[0] for j in jacobians], atol=1e-4)
+    np.testing.assert_allclose(turns, [polar(j)[0] for j in jacobians], atol=5e-4 if packed else 1e-4)
 
 
 def test_harmonic_splats_go_where_points_go(device):

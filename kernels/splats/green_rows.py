@@ -66,21 +66,19 @@ def row_of(value: wp.float64, slope: wp.vec3d):
 @wp.kernel
 def bind_green(
     first: int,
-    begin: int,
     points: wp.array(dtype=wp.vec3d),
     vertices: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=wp.vec3i),
     scratch: wp.array2d(dtype=wp.vec4d),
     rows: wp.array2d(dtype=wp.vec4),
 ):
-    """rows (v + f, n): phi of each vertex, then psi of each face, and their gradients, at points[begin + i].
-    scratch (v, as many as items)."""
-    item = first + wp.tid()
-    n = begin + item
+    """rows (v + f, n): phi of each vertex, then psi of each face, and their gradients, at points (n,).
+    scratch (v, n)."""
+    n = first + wp.tid()
     x = points[n]
     count = vertices.shape[0]
     for j in range(count):
-        scratch[j, item] = wp.vec4d()
+        scratch[j, n] = wp.vec4d()
     for f in range(faces.shape[0]):
         face = faces[f]
         a = vertices[face[0]] - x
@@ -135,7 +133,7 @@ def bind_green(
                 - reach * normal
                 + height * (wp.transpose(pull_slope) * terms.along)
             )
-            scratch[face[k], item] = scratch[face[k], item] + row_of(value, slope)
+            scratch[face[k], n] = scratch[face[k], n] + row_of(value, slope)
         psi = _INVERSE_FOUR_PI * (
             bc.area * bc.integral + ca.area * ca.integral + ab.area * ab.integral - height * angle
         )
@@ -151,4 +149,4 @@ def bind_green(
         )
         rows[count + f, n] = wp.vec4(row_of(psi, psi_slope))
     for j in range(count):
-        rows[j, n] = wp.vec4(scratch[j, item])
+        rows[j, n] = wp.vec4(scratch[j, n])

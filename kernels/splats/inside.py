@@ -6,12 +6,13 @@ Gaussian of covariance S at signed distance d (negative inside) from a flat wall
 sqrt(n^T S n)) inside, Phi the normal distribution.
 
 vertices (v,), faces (f,), splats (n,), world units relative to one origin.
-Needs: mesh/containment, splats/pose.
+Needs: core/lanes, mesh/containment, splats/pose.
 """
 
 import warp as wp
 
-from ..mesh.containment import closest_point_on_triangle, winding_number
+from ..core.lanes import ballot, from_lane, lane_count, least_of_lanes, lowest_bit, sum_of_lanes
+from ..mesh.containment import closest_point_on_triangle, solid_angle, winding_number
 from .pose import CarriedSplats
 
 wp.set_module_options({"enable_backward": False})
@@ -46,6 +47,43 @@ def nearest_wall(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(
             wall.normal = wp.normalize(wp.cross(b - a, c - a))
     length = wp.sqrt(nearest)
     inside = winding_number(x, vertices, faces) > 0.5
+    if length > 1.0e-6 * wp.max(wp.length(x), length):
+        wall.normal = (x - wall.place) / wp.where(inside, -length, length)
+    wall.distance = wp.where(inside, -length, length)
+    return wall
+
+
+@wp.func
+def nearest_wall_of_lanes(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), lane: int):
+    """`nearest_wall` of a point that a group of lanes shares, in each of them. All lanes."""
+    nearest = float(1.0e30)
+    place = wp.vec3(0.0, 0.0, 0.0)
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    total = float(0.0)
+    for f in range(lane, faces.shape[0], lane_count()):
+        face = faces[f]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        near = closest_point_on_triangle(x, a, b, c)
+        squared = wp.length_sq(x - near)
+        if squared < nearest:
+            nearest = squared
+            place = near
+            normal = wp.cross(b - a, c - a)
+        total += solid_angle(x, a, b, c)
+    least = least_of_lanes(nearest)
+    has_it = int(0)
+    if nearest == least:
+        has_it = 1
+    owner = lowest_bit(ballot(has_it))
+    length = wp.sqrt(least)
+    inside = sum_of_lanes(total) > 2.0 * wp.pi
+    wall = NearestWall()
+    wall.place = wp.vec3(from_lane(place[0], owner), from_lane(place[1], owner), from_lane(place[2], owner))
+    wall.normal = wp.normalize(
+        wp.vec3(from_lane(normal[0], owner), from_lane(normal[1], owner), from_lane(normal[2], owner))
+    )
     if length > 1.0e-6 * wp.max(wp.length(x), length):
         wall.normal = (x - wall.place) / wp.where(inside, -length, length)
     wall.distance = wp.where(inside, -length, length)
@@ -119,22 +157,26 @@ def cover_staying(
     first: int,
     members: wp.array(dtype=int),
     outside: wp.array(dtype=float),
-    rest_covariances: wp.array2d(dtype=float),
+    centres: wp.array(dtype=wp.vec3),
+    covariances: wp.array2d(dtype=float),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
     lower: wp.vec3,
     upper: wp.vec3,
     carried: CarriedSplats,
 ):
-    """Let splats members (m,) that stay give way to a posed cage: of each is left what lies outside of it, and outside
-    (m,), its share outside the cage at rest. lower, upper: box of the posed cage."""
-    m = first + wp.tid()
+    """Let splats members (m,) that stay at rest give way to a posed cage: of each is left what lies outside of it, and
+    outside (m,), its share outside the cage at rest. lower, upper: box of the posed cage. A group of lanes each: they
+    are few, and the faces many."""
+    item = first + wp.tid()
+    m = item / lane_count()
+    lane = item % lane_count()
     n = members[m]
     left = outside[m]
-    x = carried.positions[n]
-    jacobian = carried.jacobians[n]
-    covariance = jacobian * covariance_of(rest_covariances, n) * wp.transpose(jacobian)
+    x = centres[n]
+    covariance = covariance_of(covariances, n)
     if is_near_box(x, covariance, lower, upper):
-        wall = nearest_wall(x, vertices, faces)
+        wall = nearest_wall_of_lanes(x, vertices, faces, lane)
         left = wp.min(left, 1.0 - share_inside(wall, covariance))
-    carried.shares[n] = carried.shares[n] * left
+    if lane == 0:
+        carried.shares[n] = carried.shares[n] * left

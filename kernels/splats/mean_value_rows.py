@@ -64,20 +64,18 @@ def corner_row(cross: wp.vec3d, along: wp.vec3d, mean: wp.vec3d, slope: wp.mat33
 @wp.kernel
 def bind_mean_value(
     first: int,
-    begin: int,
     points: wp.array(dtype=wp.vec3d),
     vertices: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=wp.vec3i),
     scratch: wp.array2d(dtype=wp.vec4d),
     rows: wp.array2d(dtype=wp.vec4),
 ):
-    """rows (v, n): weight and gradient of each vertex at points[begin + i]. scratch (v, as many as items)."""
-    item = first + wp.tid()
-    n = begin + item
+    """rows (v, n): weight and gradient of each vertex at points (n,). scratch (v, n)."""
+    n = first + wp.tid()
     x = points[n]
     total = wp.vec4d()
     for j in range(vertices.shape[0]):
-        scratch[j, item] = wp.vec4d()
+        scratch[j, n] = wp.vec4d()
     for f in range(faces.shape[0]):
         face = faces[f]
         a = vertices[face[0]] - x
@@ -94,13 +92,13 @@ def bind_mean_value(
             row_a = corner_row(bc.cross, b - c, mean, slope, normal, det)
             row_b = corner_row(ca.cross, c - a, mean, slope, normal, det)
             row_c = corner_row(ab.cross, a - b, mean, slope, normal, det)
-            scratch[face[0], item] = scratch[face[0], item] + row_a
-            scratch[face[1], item] = scratch[face[1], item] + row_b
-            scratch[face[2], item] = scratch[face[2], item] + row_c
+            scratch[face[0], n] = scratch[face[0], n] + row_a
+            scratch[face[1], n] = scratch[face[1], n] + row_b
+            scratch[face[2], n] = scratch[face[2], n] + row_c
             total += row_a + row_b + row_c
     inverse = _ONE / total[0]
     for j in range(vertices.shape[0]):
-        row = scratch[j, item] * inverse
+        row = scratch[j, n] * inverse
         share = row[0]
         rows[j, n] = wp.vec4(
             float(share),

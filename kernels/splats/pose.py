@@ -35,42 +35,53 @@ class CarriedSplats:
 
 
 @wp.kernel
-def start_splats(first: int, centres: wp.array(dtype=wp.vec3), shares: wp.array(dtype=float), carried: CarriedSplats):
-    """All splats at rest; shares (n,): of the optical depth that each has of its own."""
+def start_splats(first: int, centres: wp.array(dtype=wp.vec3), carried: CarriedSplats):
+    """All splats to their places at rest, centres (n,)."""
     n = first + wp.tid()
     carried.positions[n] = centres[n]
     carried.jacobians[n] = wp.identity(n=3, dtype=float)
-    carried.shares[n] = shares[n]
+
+
+@wp.func
+def put_splats(n: int, others: wp.array(dtype=int), position: wp.vec3, jacobian: wp.mat33, carried: CarriedSplats):
+    """Put splat n, and those that go the same way: others (n,) names the next one of each, or -1."""
+    each = int(n)
+    while each >= 0:
+        carried.positions[each] = position
+        carried.jacobians[each] = jacobian
+        each = others[each]
 
 
 @wp.kernel
 def carry_bound(
     first: int,
     members: wp.array(dtype=int),
+    others: wp.array(dtype=int),
     anchors: wp.array(dtype=wp.vec3),
     offsets: wp.array(dtype=wp.vec3),
     rows: wp.array2d(dtype=wp.vec4),
-    residuals: wp.array(dtype=wp.vec3),
+    targets: wp.array(dtype=wp.vec3),
+    begin: int,
     slope: wp.mat33,
     shift: wp.vec3,
     inverse_size: float,
     carried: CarriedSplats,
 ):
-    """Splats members (m,), at rest, to where a pose takes them. anchors (m,): where the map is taken, offsets (m,) from
-    there to the splats; rows (j, m), gradients per size of the cage; residuals (j,) r_j; slope, shift: A - 1 and t."""
+    """Splats members (m,), at rest, and the others (n,) that go the same way, to where a pose takes them. anchors (m,):
+    where the map is taken, offsets (m,) from there to the splats; rows (j, m), gradients per size of the cage; targets:
+    r_j from number `begin` on; slope, shift: A - 1 and t."""
     m = first + wp.tid()
     moved = wp.vec3(0.0, 0.0, 0.0)
     turned = wp.mat33()
-    for j in range(residuals.shape[0]):
+    for j in range(rows.shape[0]):
         row = rows[j, m]
-        residual = residuals[j]
+        residual = targets[begin + j]
         moved += row[0] * residual
         turned += wp.outer(residual, wp.vec3(row[1], row[2], row[3]))
     anchor = anchors[m]
     jacobian = wp.identity(n=3, dtype=float) + (slope + inverse_size * turned)
-    n = members[m]
-    carried.positions[n] = anchor + (slope * anchor + shift + moved) + jacobian * offsets[m]
-    carried.jacobians[n] = jacobian
+    position = anchor + (slope * anchor + shift + moved) + jacobian * offsets[m]
+    put_splats(members[m], others, position, jacobian, carried)
 
 
 @wp.kernel

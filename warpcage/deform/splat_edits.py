@@ -10,7 +10,7 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..core.arrays import empty_array
-from ..core.devices import launch
+from ..core.devices import lane_count, launch
 from ..kernels.splats import fade, follow, inside, invert, pose, splits
 from ..kernels.splats.pose import CarriedSplats
 from ..kernels.splats.splats import Splats
@@ -21,7 +21,7 @@ from ..splats.splat_field import SplatField
 from ..splats.splitting import split_tree
 from .edits import CageEdit
 from .falloff import FalloffBand
-from .splat_instances import BOUND, CLEARED, FOLLOWED, LEFT, make_instances
+from .splat_instances import BOUND, CLEARED, FOLLOWED, LEFT, make_instances, shared_ways
 
 #: A splat of a cage is cut in pieces, which a pose may draw in its place, where twice its standard deviation is more
 #: than this share of the cage's size.
@@ -59,12 +59,20 @@ class BoundEdit:
         self.faces = wp.array(edit.cage.faces, dtype=wp.vec3i, device=device)
         bound = members[BOUND]
         nodes = owner.instances.nodes[bound]
-        anchors, centres = owner.anchors[index][nodes], owner.tree.centres[nodes]
+        centres = owner.tree.centres[nodes]
+        leaders, others = shared_ways(owner.tree, nodes, bound, owner.anchors[index], len(owner.instances.nodes))
+        anchors = owner.anchors[index][nodes[leaders]]
         if len(bound):
             kind, resolution = owner.coordinates, owner.resolution
             self.binding = CageBinding(anchors, edit.cage, kind, origin, device, resolution or RESOLUTION)
-        self.anchors = owner.local(anchors)
-        self.offsets = wp.array((centres - anchors).astype(np.float32), dtype=wp.vec3, device=device)
+        offsets = (centres[leaders] - anchors).astype(np.float32)
+        #: what the binding carries: leaders, who goes their way, where the map is taken, and from there to them
+        self.carriers = (
+            wp.array(bound[leaders], dtype=wp.int32, device=device),
+            wp.array(others, dtype=wp.int32, device=device),
+            owner.local(anchors),
+            wp.array(offsets, dtype=wp.vec3, device=device),
+        )
         self.targets = owner.local(centres)
         self.missed = wp.zeros(len(bound), dtype=wp.uint8, device=device)
         self._bends(bound, nodes)
@@ -87,6 +95,12 @@ class BoundEdit:
             wp.array(wholes.astype(np.int32), dtype=wp.int32, device=device),
         ]
 
+    def carries(self, cage: Cage | None) -> bool:
+        """Whether a pose of this edit moves all that is bound to it; also where nothing is."""
+        if cage is None or self.edit.keep_source:
+            return True
+        return not np.array_equal(cage.vertices, self.edit.cage.vertices)
+
     def carry(self, cage: Cage | None, carried: Any, split: wp.array | None) -> None:
         """Take the splats through a pose of this edit.
 
@@ -99,12 +113,12 @@ class BoundEdit:
         if cage is None:
             self._launch_in(edit.cage, follow.clear_inside, CLEARED, [], carried)
             return
-        if np.array_equal(cage.vertices, edit.cage.vertices) and not edit.keep_source:
+        if not self.carries(cage):
             self._launch_in(cage, inside.cover_staying, LEFT, [self.outside], carried)
             return
-        bound = self.members[BOUND]
+        bound, vertices = self.members[BOUND], None
         if bound.size:
-            self.binding.carry(cage, bound, self.anchors, self.offsets, carried)
+            vertices = self.binding.carry(cage, *self.carriers, carried)
             if (band := owner.bands[self.index]) is not None:
                 walls = band.on_device(cage, owner.origin, owner.device)
                 if walls.width > 0.0:
@@ -115,21 +129,31 @@ class BoundEdit:
         if split is not None and self.bends[0].size:
             inputs = [*self.bends, owner.centres, BEND_TOLERANCE * edit.cage.size, carried]
             launch(splits.measure_bends, self.bends[0].size, inputs, [split], device=owner.device)
-        self._launch_in(cage, inside.cover_staying, LEFT, [self.outside], carried)
+        self._launch_in(cage, inside.cover_staying, LEFT, [self.outside], carried, vertices)
         if self.members[FOLLOWED].size:
             self._follow(cage, carried)
 
-    def _launch_in(self, inside_cage: Cage, kernel: Any, kind: int, extra: list[Any], carried: Any) -> None:
-        """Launch a kernel that asks where members are in a cage."""
+    def _launch_in(
+        self,
+        inside_cage: Cage,
+        kernel: Any,
+        kind: int,
+        extra: list[Any],
+        carried: Any,
+        vertices: wp.array | None = None,
+    ) -> None:
+        """Launch a kernel that asks where members are in a cage, whose vertices may be on the device already."""
         owner, members = self.owner, self.members[kind]
         if not members.size:
             return
         low, high = inside_cage.bounds - owner.origin
-        vertices = owner.local(inside_cage.vertices)
+        if vertices is None:
+            vertices = owner.local(inside_cage.vertices)
         order = [vertices, self.faces, wp.vec3(*low), wp.vec3(*high)]
-        matter = [owner.covariances] if kind == LEFT else []  # others go as their centres do
+        matter = [owner.centres, owner.covariances] if kind == LEFT else []  # others go as their centres do
         inputs = [members, *extra, *matter, *order, carried]
-        launch(kernel, members.size, inputs, device=owner.device, work=len(inside_cage.faces))
+        count = members.size * (lane_count(owner.device) if kind == LEFT else 1)
+        launch(kernel, count, inputs, device=owner.device, work=len(inside_cage.faces))
 
     def _follow(self, cage: Cage, carried: Any) -> None:
         """Take along what earlier edits moved, through a lattice over the cage at rest."""
@@ -205,6 +229,8 @@ class SplatEdits:
         self._carried.positions = empty_array(count, wp.vec3, device)
         self._carried.jacobians = empty_array(count, wp.mat33, device)
         self._carried.shares = empty_array(count, wp.float32, device)
+        launch(pose.start_splats, count, [self.centres, self._carried], device=device)
+        self._ready = False
         self._bound = [BoundEdit(edit, self, index) for index, edit in enumerate(edits)]
         self._posed = self._empty_splats(count)
         self.posed: Any = None
@@ -282,10 +308,12 @@ class SplatEdits:
             self.posed = self.field.splats
             return
         count, device = self._nodes.size, self.device
-        inputs = [self.centres, self._shares, self._carried]
-        launch(pose.start_splats, count, inputs, device=device)
-        if self._split is not None:
-            self._split.zero_()
+        moving = [bound.carries(cage) for bound, cage in zip(self._bound, cages, strict=True)]
+        if not self._ready:
+            self._rewind()
+        if not all(moving):  # what another pose has moved is at rest, and nothing writes its place anew
+            launch(pose.start_splats, count, [self.centres, self._carried], device=device)
+        self._ready = False
         for bound, cage in zip(self._bound, cages, strict=True):
             bound.carry(cage, self._carried, self._split)
         if self._split is not None:
@@ -296,6 +324,14 @@ class SplatEdits:
         outputs = [out.centres, out.covariances, out.opacities, out.turns]
         launch(pose.finish_splats, count, inputs, outputs, device=device)
         self.posed = out
+        self._rewind()
+
+    def _rewind(self) -> None:
+        """Whole shares, and nothing split: ahead of the next pose, as its first launches are waited for."""
+        wp.copy(self._carried.shares, self._shares)
+        if self._split is not None:
+            self._split.zero_()
+        self._ready = True
 
     @property
     def carried(self) -> Any:

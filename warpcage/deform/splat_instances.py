@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from ..kernels.splats.follow import GOES, GOES_OR_STAYS, STAYS
+from ..splats.splitting import SplitTree
 from .edits import CageEdit
 
 #: What an edit does to a splat: nothing; it goes along with the cage, bound to it at rest; it stays, and gives way; it
@@ -89,6 +90,40 @@ def make_instances(edits: list[CageEdit], shares: np.ndarray) -> Instances:
         new.kinds[copies[~followed]], new.ways[copies[followed]] = LEFT, STAYS
         moved[copies[~followed]] = False
     return Instances(nodes, held, actions)
+
+
+def shared_ways(
+    tree: SplitTree, nodes: np.ndarray, bound: np.ndarray, anchors: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which bound splats go exactly the same way, so that one of them is carried for all.
+
+    The middle piece of a splat lies where the splat does, and copies where their source does.
+
+    Args:
+        tree: The SplitTree.
+        nodes: (m,) node of each bound splat.
+        bound: (m,) the splats.
+        anchors: (nodes, 3) where the map is taken for each node.
+        count: Splats in all.
+
+    Returns:
+        Leaders (k,), rows of `bound` that are carried; others (count,) int32, for each splat the next one that goes its
+        way, or -1.
+    """
+    source = np.arange(len(tree.rows))
+    whole = np.flatnonzero(tree.pieces >= 0)
+    middle = tree.pieces[whole]
+    same = (anchors[middle] == anchors[whole]) & (tree.centres[middle] == tree.centres[whole])
+    source[middle[same.all(axis=1)]] = whole[same.all(axis=1)]
+    while not np.array_equal(source, above := source[source]):  # middle pieces of middle pieces
+        source = above
+    order = np.argsort(source[nodes], kind="stable")
+    ways = source[nodes][order]
+    begins = np.append(True, ways[1:] != ways[:-1])[: len(ways)]
+    others = np.full(count, -1, np.int32)
+    follows = np.flatnonzero(~begins)
+    others[bound[order[follows - 1]]] = bound[order[follows]]
+    return order[begins], others
 
 
 def _rows(

@@ -12,11 +12,11 @@ from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..kernels.splats import green_rows, lattice_rows, mean_value_rows, pose
+from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
 from ..lattice.harmonic import HarmonicSolver
 from ..lattice.lattice import CageLattice
-from ..lattice.position_map import fit_affine
 from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.faces import StretchTarget, stretched_normals
+from .pose_fit import PoseFit
 
 #: Points that are bound in one launch: their sums in float64 take 32 bytes a vertex.
 CHUNK = 1 << 15
@@ -37,12 +37,16 @@ class CageBinding:
         origin: (3,) world point that positions on the device are relative to.
         device: Warp device.
         resolution: Harmonic only: cells of the lattice along the cage's longest side.
+        packed: Whether to keep ten bytes an entry, gradients as half floats, instead of sixteen. None does on CUDA,
+            where poses wait for memory; a CPU takes longer to unpack them.
 
     Raises:
         ValueError: For too little memory.
 
     Attributes:
-        rows: (j, m) vec4, weight and gradient (per size of the cage) of each vertex (Green: then of each face).
+        rows: (j, m) vec4, weight and gradient (per size of the cage) of each vertex (Green: then of each face); None
+            where they are packed.
+        packed: The PackedRows of kernels/splats/packed_rows.py; None where they are not.
     """
 
     def __init__(
@@ -53,33 +57,58 @@ class CageBinding:
         origin: np.ndarray,
         device: wp.Device,
         resolution: int | None = None,
+        packed: bool | None = None,
     ):
-        self._cage, self._kind, self._origin, self._device = cage, coordinates, origin, device
-        count = len(points)
-        height = len(cage.vertices) + (len(cage.faces) if coordinates == "green" else 0)
-        chunk = 0 if coordinates == "harmonic" else min(CHUNK, count)
+        self._cage, self._device = cage, device
+        self._fit = PoseFit(cage, coordinates, origin)
+        self.rows: wp.array | None = None
+        self.packed: Any = None
+        pack = not device.is_cpu if packed is None else packed
+        count, height, corners = len(points), self._fit.row_count, len(cage.vertices)
+        groups = (height + 3) // 4
+        chunk = count if coordinates == "harmonic" else min(CHUNK, count)
+        need = 40 * groups * count + 16 * height * chunk if pack else 16 * height * count
+        if coordinates != "harmonic":
+            need += 32 * corners * chunk
         require_memory(
-            16 * height * count + 32 * len(cage.vertices) * chunk,
+            need,
             device,
-            f"{count} splats bound to a cage of {len(cage.vertices)} vertices need {{size}}: take a cage of fewer, or "
+            f"{count} splats bound to a cage of {corners} vertices need {{size}}: take a cage of fewer, or "
             "fewer splats",
         )
-        self.rows = _columns(height, count, wp.vec4, device)
+        #: the posed vertices, r_j, and zeros for the rows that packing adds
+        self._host = np.zeros((corners + (4 * groups if pack else height), 3), np.float32)
+        if pack:
+            self.packed = PackedRows()
+            self.packed.heads = _columns(4 * groups, count, wp.uint64, device)
+            self.packed.tails = _columns(groups, count, wp.uint64, device)
+            self.packed.scales = empty_array(count, wp.float32, device)
+            rows = _columns(height, max(chunk, 1), wp.vec4, device)
+        else:
+            rows = self.rows = _columns(height, count, wp.vec4, device)
         if coordinates == "harmonic":
-            self._bind_lattice(points, resolution or RESOLUTION)
+            self._bind_lattice(points, resolution or RESOLUTION, rows)
+            self._pack(0, rows, count)
             return
         centre = cage.bounds.mean(axis=0)
         local = wp.array((points - centre) / cage.size, dtype=wp.vec3d, device=device)
         vertices = wp.array((cage.vertices - centre) / cage.size, dtype=wp.vec3d, device=device)
         faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
-        scratch = _columns(len(cage.vertices), max(chunk, 1), wp.vec4d, device)
+        scratch = _columns(corners, max(chunk, 1), wp.vec4d, device)
         kernel = green_rows.bind_green if coordinates == "green" else mean_value_rows.bind_mean_value
         for begin in range(0, count, CHUNK):
-            inputs = [begin, local, vertices, faces, scratch]
             items = min(CHUNK, count - begin)
-            launch(kernel, items, inputs, [self.rows], device=device, work=4 * len(cage.faces))
+            into = rows if pack else rows[:, begin : begin + items]
+            inputs = [local[begin : begin + items], vertices, faces, scratch]
+            launch(kernel, items, inputs, [into], device=device, work=4 * len(cage.faces))
+            self._pack(begin, rows, items)
 
-    def _bind_lattice(self, points: np.ndarray, resolution: int) -> None:
+    def _pack(self, begin: int, rows: wp.array, items: int) -> None:
+        """Pack rows (j, items or more) of points from `begin` on, where they are packed."""
+        if self.packed is not None:
+            launch(pack_rows, items, [begin, rows, self.packed], device=self._device, work=rows.shape[0])
+
+    def _bind_lattice(self, points: np.ndarray, resolution: int, rows: wp.array) -> None:
         """Rows of harmonic coordinates."""
         cage, device = self._cage, self._device
         centre = cage.bounds.mean(axis=0)
@@ -92,53 +121,42 @@ class CageBinding:
         gaps = WeightGaps(solver)
         for column, selected in solver.solve_vertices():
             inputs = [column, 1.0 / lattice.spacing, gaps.cage_map(selected), places]
-            launch(lattice_rows.bind_lattice, len(points), inputs, [self.rows], device=device)
+            launch(lattice_rows.bind_lattice, len(points), inputs, [rows], device=device)
         gaps.report()
-        launch(lattice_rows.settle_rows, len(points), [], [self.rows], device=device)
-
-    def targets(self, deformed: ClosedMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What a pose is made of, for `carry`.
-
-        Args:
-            deformed: The posed cage.
-
-        Returns:
-            r (j, 3), A - 1 (3, 3) and t (3,) float64, relative to the origin: of vertices, and for Green coordinates of
-            the stretched normals times the size.
-        """
-        rest = self._cage
-        if self._kind == "green":
-            matrix, shift = fit_similarity(rest.vertices - self._origin, deformed.vertices - self._origin)
-            normals = stretched_normals(rest, StretchTarget.of(deformed)).T
-            own = stretched_normals(rest, StretchTarget.of(rest)).T
-            tilt = rest.size * (normals - own @ matrix.T)
-        else:
-            matrix, offset = fit_affine(rest, deformed)
-            shift = offset - self._origin + matrix @ self._origin
-            tilt = np.zeros((0, 3))
-        local = rest.vertices - self._origin
-        residual = (deformed.vertices - self._origin) - (local @ matrix.T + shift)
-        return np.concatenate([residual, tilt]), matrix - np.eye(3), shift
+        launch(lattice_rows.settle_rows, len(points), [], [rows], device=device)
 
     def carry(
-        self, deformed: ClosedMesh, members: wp.array, anchors: wp.array, offsets: wp.array, carried: Any
-    ) -> None:
+        self,
+        deformed: ClosedMesh,
+        members: wp.array,
+        others: wp.array,
+        anchors: wp.array,
+        offsets: wp.array,
+        carried: Any,
+    ) -> wp.array:
         """Take the bound points to a pose.
 
         Args:
             deformed: The posed cage.
             members: (m,) int32, which of the splats they are.
+            others: (n,) int32, the splat that goes the same way as each, or -1.
             anchors: (m,) vec3, the bound points, relative to the origin.
             offsets: (m,) vec3, from each to the centre of its splat.
             carried: A CarriedSplats of kernels/splats/pose.py that takes them.
+
+        Returns:
+            Vec3 on the device, of which the first v are the posed vertices, relative to the origin.
         """
-        residuals, slope, shift = self.targets(deformed)
-        residuals = wp.array(residuals.astype(np.float32), dtype=wp.vec3, device=self._device)
+        corners, height = len(deformed.vertices), self._fit.row_count
+        slope, shift = self._fit.targets(deformed, self._host[: corners + height])
+        targets = wp.array(self._host, dtype=wp.vec3, device=self._device, copy=True)
+        kernel, rows = (carry_packed, self.packed) if self.packed is not None else (pose.carry_bound, self.rows)
         inputs = [
-            *(members, anchors, offsets, self.rows, residuals),
+            *(members, others, anchors, offsets, rows, targets, corners),
             *(wp.mat33(*slope.ravel()), wp.vec3(*shift), 1.0 / self._cage.size, carried),
         ]
-        launch(pose.carry_bound, members.size, inputs, device=self._device, work=len(residuals))
+        launch(kernel, members.size, inputs, device=self._device, work=height)
+        return targets
 
 
 def _columns(height: int, count: int, dtype: Any, device: wp.Device) -> wp.array:
@@ -147,22 +165,3 @@ def _columns(height: int, count: int, dtype: Any, device: wp.Device) -> wp.array
     if device.is_cpu:
         return empty_array((count, height), dtype, device).transpose([1, 0])
     return empty_array((height, count), dtype, device)
-
-
-def fit_similarity(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The similarity that takes points nearest to others (Umeyama 1991).
-
-    Args:
-        source: (v, 3).
-        target: (v, 3).
-
-    Returns:
-        Matrix (3, 3), a rotation times a scale, and offset (3,), float64.
-    """
-    centre, middle = source.mean(axis=0), target.mean(axis=0)
-    a, b = source - centre, target - middle
-    u, s, vt = np.linalg.svd(b.T @ a)
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
-    scale = (s * sign).sum() / (a**2).sum()
-    matrix = scale * (u * sign) @ vt
-    return matrix, middle - matrix @ centre
