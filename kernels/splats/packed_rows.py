@@ -86,10 +86,29 @@ def carry_packed(
     m = first + wp.tid()
     moved = wp.vec3(0.0, 0.0, 0.0)
     turned = wp.mat33()
-    for group in range(packed.tails.shape[0]):
-        tail = packed.tails[group, m]
-        for k in range(4):  # unrolled, so that five loads are on their way at once
-            head = packed.heads[4 * group + k, m]
+    # A group is loaded while the one before it is summed up: compilers put loads next to what waits for them otherwise,
+    # so that one or two are on their way at once.
+    count = packed.tails.shape[0]
+    tail = wp.uint64(packed.tails[0, m])
+    head_0 = wp.uint64(packed.heads[0, m])
+    head_1 = wp.uint64(packed.heads[1, m])
+    head_2 = wp.uint64(packed.heads[2, m])
+    head_3 = wp.uint64(packed.heads[3, m])
+    for group in range(count):
+        ahead = wp.min(group + 1, count - 1)
+        next_tail = packed.tails[ahead, m]
+        next_0 = packed.heads[4 * ahead, m]
+        next_1 = packed.heads[4 * ahead + 1, m]
+        next_2 = packed.heads[4 * ahead + 2, m]
+        next_3 = packed.heads[4 * ahead + 3, m]
+        for k in range(4):
+            head = head_0
+            if k == 1:
+                head = head_1
+            elif k == 2:
+                head = head_2
+            elif k == 3:
+                head = head_3
             residual = targets[begin + 4 * group + k]
             slopes = wp.vec3(
                 half_value(head >> wp.uint64(32)),
@@ -98,6 +117,11 @@ def carry_packed(
             )
             moved += wp.cast(wp.uint32(head), wp.float32) * residual
             turned += wp.outer(residual, slopes)
+        tail = next_tail
+        head_0 = next_0
+        head_1 = next_1
+        head_2 = next_2
+        head_3 = next_3
     anchor = anchors[m]
     jacobian = wp.identity(n=3, dtype=float) + (slope + inverse_size * packed.scales[m] * turned)
     position = anchor + (slope * anchor + shift + moved) + jacobian * offsets[m]
