@@ -5,7 +5,8 @@
 
 Stretch inside is measured between pairs of points on a grid of about 3,000 places in the cage at rest: how far apart
 they are after the pose over how far apart they were, in three directions, by `deform_points` (forward), and by
-`Cage.check` (posed -> rest). --field draws the poses: rest first, then one picture a pose, from one camera.
+`Cage.check` (posed -> rest). --field draws the poses: rest first, then one picture a pose, from one camera that sees all of them
+whole.
 """
 
 from __future__ import annotations
@@ -107,7 +108,8 @@ def draw(args, rest) -> None:
     source = warpcage.RandomPoses(rest, seed=args.seed, stretch=args.stretch)
     poses = [source.pose(number) for number in range(args.count)]
     size = {"width": args.size, "height": round(0.8 * args.size)}
-    camera = framing_orbit(rest.vertices, 1, elevation_degrees=25.0, start_degrees=-60.0, fill=1.0, **size)[0]
+    places = np.concatenate([cage.vertices for cage in (rest, *poses)])  # matter is inside: none is cut off
+    camera = framing_orbit(places, 1, elevation_degrees=25.0, start_degrees=-60.0, fill=1.0, **size)[0]
     deformer = warpcage.Deformer(field, rest, resolution=64)
     panels = []
     for cage in (rest, *poses):
