@@ -5,8 +5,8 @@
 
 Stretch inside is measured between pairs of points on a grid of about 3,000 places in the cage at rest: how far apart
 they are after the pose over how far apart they were, in three directions, by `deform_points` (forward), and by
-`Cage.check` (posed -> rest). --field draws the poses: rest first, then one picture a pose, from one camera that sees all of them
-whole.
+`Cage.check` (posed -> rest). --field draws the poses: rest first, then one picture a pose, from one camera that sees
+all of them whole.
 """
 
 from __future__ import annotations
