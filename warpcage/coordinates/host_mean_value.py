@@ -3,6 +3,8 @@ small differences, and differs a little from device to device."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..mesh.closed_mesh import ClosedMesh
@@ -84,24 +86,48 @@ def _corner_weights(
     sign: np.ndarray,
 ) -> np.ndarray:
     """(3 f, n) weights of the corners of all faces, first corners first; see `host_mean_value_weights`."""
-    ray = vertices.T[:, :, None] - points.T[:, None, :]  # (3, v, n)
+    # x, y and z are arrays of their own, so that none is stacked
+    ray = [vertices[:, k, None] - points[None, :, k] for k in range(3)]  # of (v, n)
     length = np.sqrt(_dot(ray, ray))
-    ray /= length
-    a, b = ray[:, edges[:, 0]], ray[:, edges[:, 1]]
-    cross = np.stack(_cross(a, b))  # (3, e, n)
-    sine, cosine = np.sqrt(_dot(cross, cross)), _dot(a, b)
-    share = 0.5 * np.arctan2(sine, cosine) / np.maximum(sine, 1e-300)
-    planes = [sign[k] * cross[:, of_face[k]] for k in range(3)]
-    mean = share[of_face[0]] * planes[0] + share[of_face[1]] * planes[1] + share[of_face[2]] * planes[2]
-    determinant = _dot(ray[:, faces[:, 0]], planes[1])
+    for part in ray:
+        part /= length
+    a, b = _taken(ray, edges[:, 0]), _taken(ray, edges[:, 1])
+    cross = _cross(a, b)  # of (e, n)
+    sine = np.sqrt(_dot(cross, cross))
+    share = np.arctan2(sine, _dot(a, b))
+    share /= np.maximum(sine, 1e-300, out=sine)
+    share *= 0.5
+    planes = [_taken(cross, of_face[k]) for k in range(3)]
+    for plane, signs in zip(planes, sign, strict=True):
+        for part in plane:
+            part *= signs
+    shares = [share.take(of_face[k], axis=0) for k in range(3)]
+    mean = [_dot(shares, [plane[k] for plane in planes]) for k in range(3)]
+    determinant = _dot(_taken(ray, faces[:, 0]), planes[1])
     flat = np.abs(determinant) < FLAT
     inverse = np.where(flat, 0.0, 1.0 / np.where(flat, 1.0, determinant))
-    return np.concatenate([_dot(mean, planes[(k + 1) % 3]) * inverse / length[faces[:, k]] for k in range(3)])
+    corners = np.empty((3, *inverse.shape))
+    for k in range(3):
+        np.multiply(_dot(mean, planes[(k + 1) % 3]), inverse, out=corners[k])
+        corners[k] /= length.take(faces[:, k], axis=0)
+    return corners.reshape(-1, len(points))
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def _taken(parts: Sequence[np.ndarray], rows: np.ndarray) -> list[np.ndarray]:
+    return [part.take(rows, axis=0) for part in parts]
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+def _dot(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> np.ndarray:
+    total = a[0] * b[0]
+    total += a[1] * b[1]
+    total += a[2] * b[2]
+    return total
+
+
+def _cross(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> list[np.ndarray]:
+    parts = []
+    for one, two in ((1, 2), (2, 0), (0, 1)):
+        part = a[one] * b[two]
+        part -= a[two] * b[one]
+        parts.append(part)
+    return parts

@@ -32,11 +32,11 @@ def column_cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross products of columns.
 
     Args:
-        a: (3, n).
-        b: (3, n).
+        a: (3, n), or (3, ..., n).
+        b: The same.
 
     Returns:
-        (3, n).
+        The same.
     """
     return a.take(_NEXT, axis=0) * b.take(_LAST, axis=0) - a.take(_LAST, axis=0) * b.take(_NEXT, axis=0)
 
@@ -45,13 +45,13 @@ def column_dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Dot products of columns.
 
     Args:
-        a: (3, n).
-        b: (3, n).
+        a: (3, n), or (3, ..., n).
+        b: The same.
 
     Returns:
-        (n,).
+        (n,), or (..., n).
     """
-    return np.einsum("in,in->n", a, b)
+    return np.einsum("i...,i...->...", a, b)
 
 
 def face_area(mesh: ClosedMesh) -> float:

@@ -18,6 +18,9 @@ FINEST_LEVEL = -19
 #: Pairs of boxes that are looked at together.
 CANDIDATES = 1 << 20
 
+#: Pairs of faces that are tested together at least, as a call takes as long as some hundred of them.
+PAIRS = 1 << 12
+
 
 def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
     """Pairs of faces that cross or overlap.
@@ -43,10 +46,22 @@ def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.where(lengths > 0.0, lengths, 1.0)
     found = [np.zeros((0, 2), dtype=np.int64)]
-    for pairs in _overlapping_boxes(corners):
+    for pairs in _together(_overlapping_boxes(corners)):
         found.append(pairs[_crossing(pairs, faces, corners, normals, lengths[:, 0])])
     pairs = np.concatenate(found)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def _together(parts: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    """Pairs that come in many small parts, in few: at least PAIRS in each but the last."""
+    held: list[np.ndarray] = []
+    for part in parts:
+        held.append(part)
+        if sum(map(len, held)) >= PAIRS:
+            yield np.concatenate(held)
+            held = []
+    if held:
+        yield np.concatenate(held)
 
 
 def _crossing(

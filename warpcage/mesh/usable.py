@@ -15,6 +15,9 @@ DEGENERATE_HEIGHT = 1e-7
 #: Smallest and largest size whose powers and vertices numbers hold.
 SMALLEST_SIZE, LARGEST_SIZE = 1e-32, 1e32
 
+#: Solid angles, of faces from points, that are worked out at once.
+NUMBERS_AT_ONCE = 1 << 12
+
 #: Odd factors of a hash over three words: two places almost never share one.
 _PLACE_FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
@@ -68,17 +71,15 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
         (n,) float64: 1 inside, 0 outside.
     """
     total = np.zeros(len(points))
-    for first in range(0, len(points), 4096):
-        a, b, c = (vertices[faces[:, k]][None] - points[first : first + 4096, None] for k in range(3))
-        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
-        triple = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
-        below = (
-            la * lb * lc
-            + np.einsum("nfi,nfi->nf", a, b) * lc
-            + np.einsum("nfi,nfi->nf", b, c) * la
-            + np.einsum("nfi,nfi->nf", c, a) * lb
-        )
-        total[first : first + 4096] = 2.0 * np.arctan2(triple, below).sum(axis=1) / (4.0 * np.pi)
+    step = max(1, NUMBERS_AT_ONCE // max(1, len(faces)))
+    for first in range(0, len(points), step):
+        side = vertices.T[:, :, None] - points[first : first + step].T[:, None]  # (3, v, n)
+        length = np.sqrt(column_dot(side, side))
+        a, b, c = (side.take(faces[:, k], axis=1) for k in range(3))
+        la, lb, lc = (length.take(faces[:, k], axis=0) for k in range(3))
+        triple = column_dot(a, column_cross(b, c))
+        below = la * lb * lc + column_dot(a, b) * lc + column_dot(b, c) * la + column_dot(c, a) * lb
+        total[first : first + step] = 2.0 * np.arctan2(triple, below).sum(axis=0) / (4.0 * np.pi)
     return total
 
 
