@@ -17,6 +17,7 @@ HEADER = {"format": "warpcage jobs", "version": 1}
 CAMERA = {"eye": [3, 0, 0], "target": [0, 0, 0], "width": 40, "height": 30}
 FRAME = {"id": "a", "field": "f.npz", "cage": "c.obj", "posed": "p.obj", "camera": CAMERA}
 EDIT = {"cage": "c.obj", "posed": "p.obj"}
+DRAWN = {"random": {"seed": 3, "number": 12}}
 FIT = {"id": "f", "kind": "fit", "scene": "s"}
 
 
@@ -74,6 +75,8 @@ def test_items_survive_json():
         without(FRAME, "cage", "posed") | {"edits": [EDIT, {"cage": "d.obj", "remove": True, "crumbs": 0.1}]},
         without(FRAME, "cage", "posed") | {"edits": [EDIT | {"falloff": 0.1, "held": [3, 5], "up": "y", "keep": True}]},
         without(FRAME, "cage", "posed"),
+        FRAME | {"posed": DRAWN},
+        FRAME | {"posed": {"random": {"number": 1, "stretch": [0.7, 1.5], "reach": [1, 1], "modes": ["wave", "bend"]}}},
         {"id": "f", "kind": "fit", "scene": "s", "options": {"refine_cameras": True}, "background": "black"},
         {"id": "e", "kind": "evaluate", "scene": "s", "field": "f.npz", "tune_cameras": True, "downscale": 2},
     ]
@@ -81,6 +84,32 @@ def test_items_survive_json():
         item = Item.from_json(entry)
         again = Item.from_json(json.loads(json.dumps(item.to_json())))
         assert again.to_json() == item.to_json() and again.order == item.order and type(again) is type(item)
+
+
+def test_a_file_has_the_first_version_that_has_all_of_its_words(tmp_path):
+    path, usual = tmp_path / "jobs.jsonl", without(FRAME, "id", "posed")
+    drawn = usual | {"posed": DRAWN}
+    for posed, defaults, version in [("p.obj", usual, 1), (DRAWN, usual, 2), (None, drawn, 2), ("p.obj", drawn, 2)]:
+        items = [{"id": "a", "posed": "q.obj"}, {"id": "b", **({"posed": posed} if posed else {})}]
+        write_jobs(path, items, defaults=defaults)
+        header, *lines = map(json.loads, path.read_text().splitlines())
+        assert header["version"] == version and header["defaults"] == defaults and lines == items
+        found = JobFile(path).item(1).edits[0].posed
+        assert found == "p.obj" if posed == "p.obj" else found["random"]["number"] == 12
+    edits = {"edits": [EDIT, EDIT | {"posed": DRAWN}]}
+    for item, defaults in [(without(FRAME, "cage", "posed") | edits, {}), (FRAME, edits)]:
+        write_jobs(path, [item], defaults=defaults)
+        assert JobFile(path).header["version"] == 2
+
+
+def test_drawn_poses_of_one_meaning_are_one_pose():
+    def posed(**words):
+        return Item.from_json(FRAME | {"posed": {"random": {"number": 12} | words}})
+
+    usual = {"seed": 0, "stretch": [0.5, 2], "reach": [0.3, 1.0]}
+    assert posed().to_json() == posed(**usual).to_json() and posed().order == posed(**usual).order
+    for other in ({"number": 13}, {"seed": 1}, {"stretch": [0.6, 2]}, {"reach": [0.3, 0.9]}, {"modes": ["bend"]}):
+        assert posed(**other).order[0] == posed().order[0] and posed(**other).order[1] != posed().order[1]
 
 
 def test_the_words_of_an_edit_are_those_of_a_cage_edit():
@@ -152,6 +181,33 @@ REFUSED = {
         without(FRAME, "cage", "posed") | {"edits": [EDIT, {"cage": "c.obj", "pose": 1}]},
         "edit 2 of 'edits' has no 'pose'",
     ),
+    "a pose of nothing": (
+        FRAME | {"posed": {}},
+        '\'posed\' must be an array, or {"random": {"seed": 0, "number": 12}}',
+    ),
+    "a drawn pose of two": (FRAME | {"posed": {"random": {"number": 1}, "bend": 3}}, "'posed' must be an array, or"),
+    "a drawn pose without a number": (
+        FRAME | {"posed": {"random": {"seed": 1}}},
+        "'random' of 'posed' needs a 'number'",
+    ),
+    "a drawn pose with a slip": (
+        FRAME | {"posed": DRAWN | {"random": {"number": 1, "sed": 3}}},
+        "has no 'sed', only seed",
+    ),
+    "a number of a pose": (
+        FRAME | {"posed": {"random": {"number": -1}}},
+        "'number' must be a whole number of at least 0",
+    ),
+    "a stretch of words": (
+        FRAME | {"posed": {"random": {"number": 1, "stretch": "0.5 2"}}},
+        "'stretch' must be 2 numbers",
+    ),
+    "a stretch without 1": (FRAME | {"posed": {"random": {"number": 1, "stretch": [1.5, 2]}}}, "stretch must hold 1"),
+    "a mode": (FRAME | {"posed": {"random": {"number": 1, "modes": ["melt"]}}}, "must be one of bend, twist"),
+    "a mode of words": (
+        FRAME | {"posed": {"random": {"number": 1, "modes": "bend"}}},
+        "'modes' must be a list of some",
+    ),
     "coordinates": (FRAME | {"coordinates": "mvc"}, "'coordinates' must be one of harmonic, mean_value, green"),
     "precise harmonic": (FRAME | {"resolution": "precise"}, "harmonic coordinates have no closed form"),
     "a lattice": (FRAME | {"resolution": 1.5}, "'resolution' must be a whole number"),
@@ -194,7 +250,7 @@ def test_items_are_refused_with_file_and_line(case, tmp_path):
 LINES = {
     "no header": ([FRAME], "line 1: it is no header of a job file"),
     "another format": ([{"format": "warpcage poses", "version": 1}], "not 'warpcage jobs'"),
-    "a newer version": ([HEADER | {"version": 2}], "line 1: its version is 2, this warpcage reads up to 1: upgrade"),
+    "a newer version": ([HEADER | {"version": 3}], "line 1: its version is 3, this warpcage reads up to 2: upgrade"),
     "no version": ([without(HEADER, "version")], "its version must be a whole number"),
     "a default with a slip": ([HEADER | {"defaults": {"fieldx": "f"}}], "line 1: 'defaults' has no 'fieldx'"),
     "a default of a wrong kind": (

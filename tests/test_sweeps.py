@@ -1,11 +1,13 @@
 """Sweeps: job files of poses x cameras x coordinates, what their pictures show, and how deep it lies."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 from cli_runs import run, succeed, write_files
 
+from warpcage.batch.forecast import foresee
 from warpcage.batch.job_file import JobFile
 from warpcage.batch.run import run_jobs
 from warpcage.batch.sweeps import GivenSource, RandomViews, write_sweep
@@ -14,6 +16,7 @@ from warpcage.batch.webdataset import read_shard, staged_shards
 from warpcage.batch.worker import Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
+from warpcage.cage.pose_modes import POSE_MODES
 from warpcage.cage.random_poses import RandomPoses
 from warpcage.field.voxel_field import VoxelField
 from warpcage.scene.load import load_scene
@@ -41,8 +44,10 @@ def items_of(path):
         return list(job.items())
 
 
-def test_every_pose_is_seen_by_every_camera_with_every_kind_of_coordinates(files, tmp_path, capsys):
+@pytest.mark.parametrize("written", [False, True])
+def test_every_pose_is_seen_by_every_camera_with_every_kind_of_coordinates(files, tmp_path, capsys, written):
     words = ["--poses", "random:2", "--seeds", 4, 7, "--cameras", "@cameras.json", "--coordinates", "green", "harmonic"]
+    words += ["--write-poses"] if written else []
     succeed(files, *SWEEP, *words, "--stretch", 0.8, 1.25, "--modes", "bend", "-o", tmp_path / "sweep.jsonl")
     assert "32 pictures of 4 poses" in capsys.readouterr().out
     items = items_of(tmp_path / "sweep.jsonl")
@@ -54,12 +59,16 @@ def test_every_pose_is_seen_by_every_camera_with_every_kind_of_coordinates(files
     assert {(item.extra["pose"], item.extra["camera"], item.coordinates) for item in items} == {
         (pose, camera, kind) for pose in range(4) for camera in range(4) for kind in ("green", "harmonic")
     }
-    poses, rest = np.load(tmp_path / "sweep.poses.npy", mmap_mode="r"), Cage.load(files / "cage.obj")
-    for pose in range(4):
-        source = RandomPoses(rest, seed=(4, 7)[pose // 2], stretch=(0.8, 1.25), modes=["bend"])
-        assert np.array_equal(poses[pose], source.vertices(pose % 2))
+    assert (tmp_path / "sweep.poses.npy").exists() == written
+    if written:
+        poses, rest = np.load(tmp_path / "sweep.poses.npy", mmap_mode="r"), Cage.load(files / "cage.obj")
+        for pose in range(4):
+            source = RandomPoses(rest, seed=(4, 7)[pose // 2], stretch=(0.8, 1.25), modes=["bend"])
+            assert np.array_equal(poses[pose], source.vertices(pose % 2))
     for item in items:
-        assert item.edits[0].posed == f"sweep.poses.npy#{item.extra['pose']}"
+        drawn = {"seed": item.extra["seed"], "number": item.extra["number"]}
+        drawn |= {"stretch": [0.8, 1.25], "reach": [0.3, 1.0], "modes": ["bend"]}
+        assert item.edits[0].posed == (f"sweep.poses.npy#{item.extra['pose']}" if written else {"random": drawn})
         assert item.camera == f"sweep.cameras.json#{item.extra['camera']}"
     found, given = (CameraFile.load(path) for path in (tmp_path / "sweep.cameras.json", files / "cameras.json"))
     for one, two in zip(found, given, strict=True):
@@ -68,7 +77,7 @@ def test_every_pose_is_seen_by_every_camera_with_every_kind_of_coordinates(files
 
 def test_poses_come_from_files_arrays_presets_and_rest(files, tmp_path):
     words = ["rest", "@poses.json", "@posed.obj", "@moved.npy", "twist:30", "random:1"]
-    succeed(files, *SWEEP, "--poses", *words, "--cameras", "orbit:1", "-o", tmp_path / "sweep.jsonl")
+    succeed(files, *SWEEP, "--poses", *words, "--cameras", "orbit:1", "-o", tmp_path / "sweep.jsonl", "--write-poses")
     rest, poses = Cage.load(files / "cage.obj"), np.load(tmp_path / "sweep.poses.npy")
     expected = [rest, rest.bend(10), rest.bend(30), Cage.load(files / "posed.obj")]
     expected += [rest.translate([0.1 * k] * 3) for k in range(3)] + [rest.twist(30), rest.random_pose()]
@@ -80,6 +89,159 @@ def test_poses_come_from_files_arrays_presets_and_rest(files, tmp_path):
         "rest", "poses.json", "poses.json", "/posed.obj", *3 * ["/moved.npy"], "twist:30", ""
     ]  # fmt: skip
     assert [origin.get("number") for origin in origins] == [None, 0, 1, None, 0, 1, 2, None, 0]
+
+
+def test_poses_of_files_are_written_and_random_ones_between_them_are_drawn(files, tmp_path):
+    words = ["--poses", "rest", "random:2", "@poses.json", "--cameras", "@cameras.json", "--views", 1]
+    succeed(files, *SWEEP, *words, "-o", tmp_path / "sweep.jsonl")
+    posed = [item.edits[0].posed for item in items_of(tmp_path / "sweep.jsonl")]
+    assert [posed[0], *posed[3:]] == [f"sweep.poses.npy#{row}" for row in range(3)]
+    assert [each["random"]["number"] for each in posed[1:3]] == [0, 1]
+    rest = Cage.load(files / "cage.obj")
+    np.testing.assert_array_equal(
+        np.load(tmp_path / "sweep.poses.npy"), [pose.vertices for pose in (rest, rest.bend(10), rest.bend(30))]
+    )
+    lines = (tmp_path / "sweep.jsonl").read_text().splitlines()
+    assert '"version": 2' in lines[0] and '"posed": {"random": {"seed": 0, "number": 1}}' in lines[3]
+
+
+def made_by_a_run(files, out, *words, **options):
+    """The files of a sweep of random poses, in bytes by name, and the report of its run."""
+    usual = [
+        "--cameras",
+        "@cameras.json",
+        "--views",
+        2,
+        "--resolution",
+        16,
+        "--coordinates",
+        "mean_value",
+        "--size",
+        20,
+    ]
+    succeed(files, *SWEEP, *usual, *words, "-o", out / "sweep.jsonl")
+    report = run_jobs(out / "sweep.jsonl", out / "made", device="cpu", **options)
+    paths = [path for path in (out / "made").rglob("*") if path.is_file() and ".warpcage" not in path.parts]
+    return {path.relative_to(out / "made").as_posix(): path.read_bytes() for path in paths}, report
+
+
+@pytest.mark.parametrize("up", ["z", "y"])
+def test_workers_draw_the_poses_that_the_driver_would_have_drawn(files, tmp_path, up):
+    """To the bit, also where the cage's file stands on another axis, with bounds of their own."""
+    words = ["--poses", "rest", "random:3", "--seeds", 5, 8, "--reach", 0.5, 0.9, "--cage-up", up]
+    drawn, report = made_by_a_run(files, tmp_path / "drawn", *words)
+    written, _ = made_by_a_run(files, tmp_path / "written", *words, "--write-poses")
+    assert report.complete and report.made == 14 and drawn.keys() == written.keys()
+    rows = np.load(tmp_path / "written" / "sweep.poses.npy")
+    for name, data in drawn.items():
+        if not name.endswith((".json", ".jsonl")):
+            assert data == written[name], name
+        if name.endswith(".pose.npy"):
+            assert np.array_equal(np.load(tmp_path / "drawn/made" / name), rows[int(name[5:11])])
+    record = json.loads(drawn["pose_000005/camera_" + sorted(drawn_cameras(drawn, 5))[0] + ".json"])
+    usual = {"reach": [0.5, 0.9], "stretch": [0.5, 2.0], "modes": list(POSE_MODES)}
+    assert record["edits"][0]["posed"] == {"random": {"seed": 8, "number": 1} | usual}
+    frames = json.loads(drawn["transforms.json"])["frames"]
+    assert [frame["posed"] for frame in frames if frame["extra"]["pose"] == 5] == 2 * [[record["edits"][0]["posed"]]]
+
+
+def drawn_cameras(made, pose):
+    """Cameras of a pose of which a run made pictures."""
+    return [name[-7:-4] for name in made if name.startswith(f"pose_{pose:06d}/") and name.endswith(".png")
+            and "alpha" not in name]  # fmt: skip
+
+
+def test_shards_of_drawn_poses_are_those_of_written_ones(files, tmp_path):
+    words = ["--poses", "random:3", "--records", "webdataset", "--items-per-shard", 2]
+    drawn, _ = made_by_a_run(files, tmp_path / "drawn", *words)
+    made_by_a_run(files, tmp_path / "written", *words, "--write-poses")
+    assert sorted(name for name in drawn if name.endswith(".tar")) == [f"shard-00000{k}.tar" for k in range(3)]
+    for shard in range(3):
+        name = f"made/shard-00000{shard}.tar"
+        pairs = zip(read_shard(tmp_path / "drawn" / name), read_shard(tmp_path / "written" / name), strict=True)
+        for one, two in pairs:
+            assert [one[part] for part in ("png", "depth.npy", "pose.npy")] == [
+                two[part] for part in ("png", "depth.npy", "pose.npy")
+            ]
+            assert json.loads(one["json"])["edits"][0]["posed"]["random"]["number"] == shard
+
+
+def test_a_run_makes_those_drawn_poses_again_whose_words_or_cage_changed(files, tmp_path):
+    for name in ("ball.npz", "cage.obj", "cameras.json"):
+        shutil.copy(files / name, tmp_path / name)
+    path = tmp_path / "job" / "sweep.jsonl"
+    words = ["--poses", "random:4", "--seeds", 1]
+    made, report = made_by_a_run(tmp_path, path.parent, *words)
+    assert report.made == 8 and made_by_a_run(tmp_path, path.parent, *words)[1].kept == 8
+    text = path.read_text()
+    more = '"number": 2, "stretch": [0.5, 2.0], "reach": [0.3, 1.0]}}'
+    path.write_text(text.replace('"number": 2}}, "camera"', f'{more}, "camera"'))  # says the same in more words
+    assert text.count('"number": 2}}, "camera"') == 2
+    assert run_jobs(path, path.parent / "made", device="cpu").kept == 8
+    text = text.replace('"number": 2}}, "camera"', '"number": 2, "stretch": [0.8, 1.3]}}, "camera"')
+    path.write_text(text.replace('"seed": 1, "number": 3}}, "camera"', '"seed": 2, "number": 3}}, "camera"'))
+    assert foresee(path, path.parent / "made", device="cpu").changed == 4
+    report = run_jobs(path, path.parent / "made", device="cpu")
+    assert (report.kept, report.made) == (4, 4) and report.complete
+    rest = Cage.load(tmp_path / "cage.obj")
+    camera = sorted(drawn_cameras(made, 2))[0]
+    pose = np.load(path.parent / f"made/pose_000002/camera_{camera}.pose.npy")
+    assert np.array_equal(pose, RandomPoses(rest, seed=1, stretch=(0.8, 1.3)).vertices(2))
+    rest.with_vertices(1.1 * rest.vertices).save(tmp_path / "cage.obj")
+    assert run_jobs(path, path.parent / "made", device="cpu").made == 8
+    assert np.array_equal(
+        np.load(path.parent / f"made/pose_000002/camera_{camera}.pose.npy"),
+        RandomPoses(Cage.load(tmp_path / "cage.obj"), seed=1, stretch=(0.8, 1.3)).vertices(2),
+    )
+
+
+def test_a_dry_run_draws_the_poses_that_it_measures_by(files, tmp_path, capsys):
+    succeed(files, *SWEEP, "--poses", "random:500", "--cameras", "@cameras.json", "--views", 1, "--size", 16,
+            "--resolution", 16, "--coordinates", "mean_value", "-o", tmp_path / "sweep.jsonl")  # fmt: skip
+    capsys.readouterr()
+    assert run(files, "run", tmp_path / "sweep.jsonl", "-o", tmp_path / "out", "--dry-run", "--device", "cpu") == 0
+    said = capsys.readouterr()
+    assert "500 would be made: 500 frames" in said.out and "one frame takes" in said.out and "error" not in said.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_pose_is_drawn_once_for_all_of_its_cameras(files, tmp_path, monkeypatch):
+    numbers, vertices = [], RandomPoses.vertices
+    words = ["--poses", "random:3", "--cameras", "@cameras.json", "--size", 16, "--resolution", 16]
+    succeed(files, *SWEEP, *words, "--coordinates", "mean_value", "-o", tmp_path / "sweep.jsonl")
+    monkeypatch.setattr(RandomPoses, "vertices", lambda self, n: numbers.append(n) or vertices(self, n))
+    assert run_jobs(tmp_path / "sweep.jsonl", tmp_path / "out", device="cpu").made == 12
+    assert numbers == [0, 1, 2]
+
+
+def test_cameras_that_are_made_see_the_random_poses_that_workers_draw(files, tmp_path):
+    words = ["--poses", "random:12", "--seeds", 3, 4, "--size", 60]
+    succeed(files, *SWEEP, *words, "--cameras", "orbit:3", "-o", tmp_path / "sweep.jsonl")
+    rest, cameras = Cage.load(files / "cage.obj"), CameraFile.load(tmp_path / "sweep.cameras.json")
+    for seed in (3, 4):
+        for number in range(12):
+            for key in cameras:
+                pixels, depth = key.camera.project(RandomPoses(rest, seed=seed).vertices(number))
+                assert (depth > 0).all() and (pixels >= 0).all() and (pixels <= 60).all()
+
+
+def test_of_many_random_poses_some_are_drawn_for_the_cameras(files, tmp_path, monkeypatch):
+    """And one alone where the cameras are given."""
+    numbers, vertices = [], RandomPoses.vertices
+    monkeypatch.setattr(RandomPoses, "vertices", lambda self, n: numbers.append((self.seed, n)) or vertices(self, n))
+    words = ["--poses", "random:1000", "--seeds", 1, 2, "--views", 1, "-o", tmp_path / "sweep.jsonl"]
+    monkeypatch.setattr("warpcage.batch.sweeps.FRAMED", 6)
+    succeed(files, *SWEEP, *words, "--cameras", "orbit:2")
+    assert numbers == [(seed, number) for seed in (1, 2) for number in range(3)]
+    numbers.clear()
+    succeed(files, *SWEEP, *words, "--cameras", "@cameras.json")
+    assert numbers == [(1, 0), (2, 0)] and len(items_of(tmp_path / "sweep.jsonl")) == 2000
+
+
+def test_a_cage_without_random_poses_is_found_before_the_run(files, tmp_path, capsys):
+    words = ["--stretch", 1 - 1e-12, 1 + 1e-12, "--cameras", "@cameras.json", "-o", tmp_path / "sweep.jsonl"]
+    assert run(files, *SWEEP, "--poses", "random:5", *words) == 2
+    assert "no random pose of this cage stretches by" in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
 def test_options_of_pictures_are_those_of_all_items(files, tmp_path):

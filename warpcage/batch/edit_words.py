@@ -9,6 +9,7 @@ from typing import Any
 from ..core.checks import shown
 from . import words
 from .item import plain
+from .pose_words import drawn_pose
 from .words import Checker, checked_words, one_of, text
 
 
@@ -28,6 +29,10 @@ def _array(value: Any, word: str) -> Any:
     raise ValueError(f'{word} must be an array: "file.npy", "file.npy#17" or a list of [x, y, z], got {shown(value)}')
 
 
+def _posed(value: Any, word: str) -> Any:
+    return drawn_pose(value, word) if isinstance(value, dict) else _array(value, word)
+
+
 def _held(value: Any, word: str) -> Any:
     if value in ("cut", "still"):
         return value
@@ -43,7 +48,7 @@ def _held(value: Any, word: str) -> Any:
 
 EDIT_WORDS: dict[str, Checker] = {
     "cage": _cage,
-    "posed": _array,
+    "posed": _posed,
     "keep": words.truth,
     "remove": words.truth,
     "falloff": words.not_negative,
@@ -59,7 +64,8 @@ class EditWords:
 
     Args:
         cage: The cage at rest: a file, or "vertices" and "faces".
-        posed: The same cage posed: a file, a keyframe ("poses.json#wave") or an array. None for an edit that removes.
+        posed: The same cage posed: a file, a keyframe ("poses.json#wave"), an array, or an object with what a random
+            pose is drawn by (`pose_words`). None for an edit that removes.
         keep: Leave a copy where it was.
         remove: Draw nothing in its place.
         falloff: Width of the band in which the edit fades to rest, world units.
@@ -103,6 +109,11 @@ class EditWords:
         """The edit as JSON: what differs from the default."""
         fields = ((field.name, getattr(self, field.name), field.default) for field in dataclasses.fields(self))
         return {name: plain(value) for name, value, default in fields if value != default}
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether its pose is drawn by whoever makes it."""
+        return isinstance(self.posed, dict)
 
     @property
     def rest(self) -> dict[str, Any]:

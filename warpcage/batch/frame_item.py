@@ -198,6 +198,10 @@ class FrameItem(Item):
     def pose(self) -> str:
         return digest([edit.posed for edit in self.edits]) if self.edits else ""
 
+    @property
+    def version(self) -> int:
+        return 2 if any(edit.is_drawn for edit in self.edits) else 1
+
     @classmethod
     def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
         if entry.get("edits") is not None:  # which stands in place of the one edit that defaults may have

@@ -52,6 +52,11 @@ class Item(abc.ABC):
         return ""
 
     @property
+    def version(self) -> int:
+        """The first version of job files that has all of its words."""
+        return 1
+
+    @property
     def order(self) -> tuple[str, str]:
         """By which items are sorted so that workers load and pose as little as they can."""
         return self.group, self.pose

@@ -20,7 +20,8 @@ from .items import KINDS, Defaults, Item
 from .records import record_outputs
 from .words import checked_words, one_of
 
-FORMAT, VERSION = "warpcage jobs", 1
+#: Version 2 has poses that are drawn. A file has the first version that has all of its words.
+FORMAT, VERSION = "warpcage jobs", 2
 
 #: Bytes that a line may have: a cage of a hundred thousand vertices takes a tenth of it.
 MAX_LINE = 1 << 26
@@ -225,7 +226,7 @@ class JobFile:
         return header
 
 
-_HEADER_SHAPE = f'{{"format": "{FORMAT}", "version": {VERSION}}}'
+_HEADER_SHAPE = f'{{"format": "{FORMAT}", "version": 1}}'
 
 
 def _marks(item: Item) -> list[int]:
@@ -317,24 +318,32 @@ def write_jobs(
     Raises:
         ValueError: For an item, defaults or records that cannot be; the file is as it was then.
     """
-    header: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    header: dict[str, Any] = {"format": FORMAT, "version": 1}
     usual = dict(defaults or {})
     _check_defaults(usual)
     check_records(dict(records or {}), usual)
     complete = Defaults(usual | ({"outputs": record_outputs(records)} if records else {}))
     parts = {"defaults": usual, "records": records, "extra": extra}
     header |= {name: value for name, value in parts.items() if value}
-    count = 0
+    count, version = 0, _version_of(usual)
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(_line(header))
         for count, item in enumerate(items, 1):
             entry = item.to_json() if isinstance(item, Item) else dict(item)
             try:
-                checked_item(entry, complete, records or {})
+                version = max(version, checked_item(entry, complete, records or {}).version)
                 file.write(_line(entry))
             except ValueError as error:
                 raise ValueError(f"item {count} ({shown(entry.get('id'))}): {error}") from None
+        file.seek(0)
+        file.write(_line(header | {"version": version}))  # as long as it was: versions have one digit
     return count
+
+
+def _version_of(defaults: Mapping[str, Any]) -> int:
+    """The first version that has all words of checked defaults."""
+    edits = [defaults, *(defaults.get("edits") or ())]
+    return 2 if any(isinstance(edit.get("posed"), dict) for edit in edits) else 1
 
 
 def _line(entry: Mapping[str, Any]) -> str:

@@ -102,7 +102,7 @@ def frame_record(item: FrameItem, camera: Camera, posed: Sequence[Cage | None]) 
     edits = []
     for edit, cage in zip(item.edits, posed, strict=True):
         words = edit.to_json()
-        if not isinstance(words.get("posed", ""), str):
+        if isinstance(words.get("posed"), list):
             del words["posed"]  # numbers, which the pose's own file has
         edits.append(words | {"pose_vertices": 0 if cage is None else len(cage.vertices)})
     record: dict[str, Any] = {

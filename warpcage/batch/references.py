@@ -27,6 +27,7 @@ from ..splats.load import AnyField
 from ..view.camera import Camera
 from ..view.camera_file import CameraFile, camera_from_json
 from ..view.fitted import fitted
+from .drawn_poses import DrawnPoses
 from .items import EditWords, FrameItem
 from .words import split_reference
 
@@ -54,6 +55,7 @@ class References:
     def __init__(self, base: str | os.PathLike):
         self.base = pathlib.Path(base)
         self._files: Recent[Any] = Recent(MOST_FILES)
+        self._drawn = DrawnPoses()
 
     def path(self, name: str) -> pathlib.Path:
         """The path of a file."""
@@ -145,6 +147,8 @@ class References:
         if edit.remove:
             return None
         value, rest = edit.posed, rest_cage.cage
+        if edit.is_drawn:
+            return rest.with_vertices(self._drawn.vertices(value, rest, rest_cage.hash))
         if not isinstance(value, str) or split_reference(value)[0].lower().endswith(".npy"):
             vertices = self.array(value, "'posed'")
             if vertices.shape != rest.vertices.shape:

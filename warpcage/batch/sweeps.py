@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import os
 import pathlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,11 +19,11 @@ from ..cage.random_poses import RandomPoses
 from ..core.checks import checked_whole
 from ..core.files import PathLike, atomic_path
 from ..core.names import require_coordinates
-from ..core.threads import cpu_threads
 from ..view.camera import Camera
 from ..view.camera_file import CameraFile
 from ..view.camera_path import CameraKey
 from .job_file import write_jobs
+from .pose_words import drawn_words
 
 #: Highest camera of random views above the horizon, and how much farther than needed the farthest stands.
 MOST_ELEVATION, FARTHEST = 80.0, 1.3
@@ -31,8 +31,8 @@ MOST_ELEVATION, FARTHEST = 80.0, 1.3
 #: Ends of the keys of streams of random numbers: those of poses have two parts, and share none with these.
 _VIEWS, _CHOICES = (0, 1), (0, 2)
 
-#: Random poses that are worked on at once, for each thread.
-AHEAD = 4
+#: Random poses that are drawn to find cameras that see all whole, where workers draw them.
+FRAMED = 256
 
 
 class PoseSource(Protocol):
@@ -42,8 +42,12 @@ class PoseSource(Protocol):
         """How many."""
         ...
 
-    def rows(self) -> Iterator[np.ndarray]:
-        """The vertices of each, (v, 3), world units."""
+    def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
+        """The vertices of each, (v, 3), world units; most: of the first ones alone."""
+        ...
+
+    def drawn(self, number: int) -> dict[str, Any] | None:
+        """What a worker draws a pose by, as items have it; None where its vertices are written."""
         ...
 
     def origin(self, number: int) -> dict[str, Any]:
@@ -58,21 +62,24 @@ class RandomSource:
     Args:
         poses: Where they come from.
         count: How many of them.
+        written: Whether they are drawn at once, and their vertices written. Else whoever makes an item draws its pose.
     """
 
     poses: RandomPoses[Cage]
     count: int
+    written: bool = False
 
     def __len__(self) -> int:
         return self.count
 
-    def rows(self) -> Iterator[np.ndarray]:
-        """The vertices of each, made by several threads, in their order."""
-        self.poses.probe  # noqa: B018  (made once, before threads need it)
-        with ThreadPoolExecutor(cpu_threads()) as pool:
-            step = AHEAD * cpu_threads()
-            for first in range(0, self.count, step):
-                yield from pool.map(self.poses.vertices, range(first, min(first + step, self.count)))
+    def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
+        """The vertices of each; most: of the first ones alone."""
+        count = self.count if most is None else min(most, self.count)
+        return (self.poses.vertices(number) for number in range(count))
+
+    def drawn(self, number: int) -> dict[str, Any] | None:
+        """Seed, number and bounds; None where its vertices are written."""
+        return None if self.written else drawn_words(self.poses.chance, number)
 
     def origin(self, number: int) -> dict[str, Any]:
         """Seed and number."""
@@ -94,9 +101,12 @@ class GivenSource:
     def __len__(self) -> int:
         return len(self.vertices)
 
-    def rows(self) -> Iterator[np.ndarray]:
-        """The vertices of each."""
-        return iter(self.vertices)
+    def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
+        """The vertices of each; most: of the first ones alone."""
+        return iter(self.vertices[:most])
+
+    def drawn(self, number: int) -> None:
+        """Their vertices are written."""
 
     def origin(self, number: int) -> dict[str, Any]:
         """Name, and number where there are several."""
@@ -163,13 +173,13 @@ class SweepFiles:
 
     Attributes:
         jobs: The job file.
-        poses: The poses, (p, v, 3) float64, world units (.npy).
+        poses: The poses that workers do not draw, (p, v, 3) float64, world units (.npy); None where there are none.
         cameras: The cameras that all poses share; None where each pose has its own.
         items: Number of items.
     """
 
     jobs: pathlib.Path
-    poses: pathlib.Path
+    poses: pathlib.Path | None
     cameras: pathlib.Path | None
     items: int
 
@@ -186,27 +196,45 @@ def cameras_path(jobs: PathLike) -> pathlib.Path:
     return path.with_name(f"{path.stem}.cameras.json")
 
 
-def _write_poses(path: pathlib.Path, rest: Cage, sources: Sequence[PoseSource]) -> np.ndarray:
-    """Write poses as one array, one after the other. Returns (2, 3) the corners of all and of the cage at rest."""
-    count, shape = sum(map(len, sources)), rest.vertices.shape
-    if not count:
-        raise ValueError("a sweep needs at least one pose")
-    low, high = rest.bounds
-    header = {"descr": "<f8", "fortran_order": False, "shape": (count, *shape)}
+class _Corners:
+    """The lowest and highest corner of a cage at rest and its poses."""
+
+    def __init__(self, rest: Cage):
+        self._shape = rest.vertices.shape
+        self.found = np.array(rest.bounds, np.float64)
+
+    def checked(self, source: PoseSource, most: int | None = None) -> Iterator[np.ndarray]:
+        """The poses of a source; most: the first ones alone. Raises ValueError for vertices that do not fit."""
+        for number, row in enumerate(source.rows(most)):
+            vertices = np.ascontiguousarray(row, dtype="<f8")
+            if vertices.shape != self._shape or not np.isfinite(vertices).all():
+                raise ValueError(
+                    f"pose {number} of {source.origin(number)} must be {self._shape} finite numbers as the cage at "
+                    f"rest has them, got shape {vertices.shape}"
+                )
+            self.found[0] = np.minimum(self.found[0], vertices.min(axis=0))
+            self.found[1] = np.maximum(self.found[1], vertices.max(axis=0))
+            yield vertices
+
+
+def _write_poses(path: pathlib.Path, rest: Cage, sources: Sequence[PoseSource], corners: _Corners) -> None:
+    """Write poses as one array, one after the other."""
+    header = {"descr": "<f8", "fortran_order": False, "shape": (sum(map(len, sources)), *rest.vertices.shape)}
     # written, not mapped: a disk that gets full under a mapped file kills the process
     with path.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)
         for source in sources:
-            for number, row in enumerate(source.rows()):
-                vertices = np.ascontiguousarray(row, dtype="<f8")
-                if vertices.shape != shape or not np.isfinite(vertices).all():
-                    raise ValueError(
-                        f"pose {number} of {source.origin(number)} must be {shape} finite numbers as the cage at rest "
-                        f"has them, got shape {vertices.shape}"
-                    )
-                low, high = np.minimum(low, vertices.min(axis=0)), np.maximum(high, vertices.max(axis=0))
+            for vertices in corners.checked(source):
                 file.write(vertices.tobytes())
-    return np.stack([low, high])
+
+
+def _look_at_drawn(sources: Sequence[PoseSource], corners: _Corners, framed: bool) -> None:
+    """Draw some of the poses that workers draw: those that cameras are to see whole, or the first, as a trial."""
+    total = sum(map(len, sources))
+    share = None if total <= FRAMED else -(-FRAMED // len(sources))
+    for source in sources:
+        for _ in corners.checked(source, share if framed else 1):
+            pass
 
 
 def write_sweep(
@@ -225,6 +253,8 @@ def write_sweep(
 ) -> SweepFiles:
     """Write the job file of a sweep, and beside it its poses (`poses_path`) and the cameras that they share.
 
+    Poses that workers draw are named by what they are drawn by, and are not written.
+
     Items go by pose, then by kind of coordinates, then by camera, so that a map is made once for the cameras of a pose.
     They are called `pose_000012/camera_003`; with several kinds of coordinates `pose_000012_green/camera_003`. Their
     `extra` has `pose` and `camera`, their numbers, and what the pose comes from: `seed` and `number`, or `source`.
@@ -236,7 +266,8 @@ def write_sweep(
         rest: The cage.
         sources: The poses.
         cameras: Cameras that all poses share, in the world of the field. Or a function that makes them, or views of
-            their own for each pose, of (2, 3), the lowest and highest corner of all poses and of the cage at rest.
+            their own for each pose, of (2, 3), the lowest and highest corner of all poses and of the cage at rest; of
+            poses that workers draw it knows the first FRAMED, spread over their sources.
         coordinates: Kinds of coordinates.
         views: How many of the shared cameras, chosen at random, each pose is seen from. None is all.
         seed: Of that choice.
@@ -254,16 +285,25 @@ def write_sweep(
     kinds = [require_coordinates(kind) for kind in coordinates]
     if not kinds or len(set(kinds)) < len(kinds):
         raise ValueError(f"a sweep needs kinds of coordinates, each once, got {list(coordinates)}")
-    with atomic_path(poses_path(path)) as temporary:
-        bounds = _write_poses(temporary, rest, sources)
-        chosen = cameras(bounds) if callable(cameras) else cameras
+    if not sum(map(len, sources)):
+        raise ValueError("a sweep needs at least one pose")
+    given = [source for source in sources if len(source) and source.drawn(0) is None]
+    drawn = [source for source in sources if len(source) and source.drawn(0) is not None]
+    corners = _Corners(rest)
+    _look_at_drawn(drawn, corners, callable(cameras))
+    with atomic_path(poses_path(path)) if given else contextlib.nullcontext() as temporary:
+        if temporary is not None:
+            _write_poses(temporary, rest, given, corners)
+        chosen = cameras(corners.found) if callable(cameras) else cameras
         shared = {"field": _beside(field, path), "cage": _beside(cage, path), **(defaults or {})}
         items = _Items(path, sources, chosen, kinds, views, seed)
         count = write_jobs(path, items, defaults=shared | items.shared, records=records or {"kind": "folder"})
         if not isinstance(chosen, RandomViews):
             # names that are their numbers: those of files may be anything
             CameraFile([CameraKey(camera, name=str(index)) for index, camera in enumerate(chosen)]).save(items.named)
-    return SweepFiles(path, poses_path(path), None if isinstance(chosen, RandomViews) else items.named, count)
+    return SweepFiles(
+        path, poses_path(path) if given else None, None if isinstance(chosen, RandomViews) else items.named, count
+    )
 
 
 class _Items:
@@ -292,7 +332,7 @@ class _Items:
     def __iter__(self) -> Iterator[dict[str, Any]]:
         several = len(self._kinds) > 1
         digits = max(3, len(str(self._count - 1)))
-        for pose, origin in enumerate(_origins(self._sources)):
+        for pose, (posed, origin) in enumerate(self._named_poses()):
             own = self._cameras.of(pose) if isinstance(self._cameras, RandomViews) else None
             chosen = range(self._count) if self._views is None else _chosen(self._seed, pose, self._count, self._views)
             for kind in self._kinds:
@@ -300,17 +340,20 @@ class _Items:
                 for number in chosen:
                     yield {
                         "id": f"{folder}/camera_{number:0{digits}d}",
-                        "posed": f"{self._poses}#{pose}",
+                        "posed": posed,
                         "camera": f"{self.named.name}#{number}" if own is None else own[number],
                         **({"coordinates": kind} if several else {}),
                         "extra": {"pose": pose, "camera": number, **origin},
                     }
 
-
-def _origins(sources: Sequence[PoseSource]) -> Iterator[dict[str, Any]]:
-    for source in sources:
-        for number in range(len(source)):
-            yield source.origin(number)
+    def _named_poses(self) -> Iterator[tuple[Any, dict[str, Any]]]:
+        """What items call each pose, and where it comes from."""
+        row = 0
+        for source in self._sources:
+            for number in range(len(source)):
+                posed = source.drawn(number)
+                yield f"{self._poses}#{row}" if posed is None else posed, source.origin(number)
+                row += posed is None
 
 
 def _chosen(seed: int, pose: int, count: int, views: int) -> list[int]:

@@ -7,20 +7,14 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from ..core.checks import checked_whole, shown
-from ..core.names import require_name
+from ..core.checks import checked_whole
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.usable import require_usable
+from .pose_chance import USUAL_REACH, USUAL_STRETCH, PoseChance
 from .pose_limits import PoseProbe
 from .pose_modes import POSE_MODES, PoseWay, RandomNumbers
 
 Posed = TypeVar("Posed", bound=ClosedMesh)
-
-#: Least and largest stretch of random poses.
-USUAL_STRETCH = (0.5, 2.0)
-
-#: How far a pose goes, as shares of the farthest that the bounds allow.
-USUAL_REACH = (0.3, 1.0)
 
 #: Steps of a way from rest, and how often the last one is halved: the farthest pose is known to 1 / 256 of the way.
 STEPS, HALVINGS = 8, 5
@@ -51,6 +45,7 @@ class RandomPoses(Generic[Posed]):
         stretch: Least and largest length in a pose over the length at rest, over all places and directions.
         reach: (2,) shares between which a pose's share of its farthest amplitude lies, evenly.
         modes: Which modes may act, of "bend", "twist", "stretch", "taper", "wave" and "bump".
+        probe: What measures the poses, where others of the same cage have made it. None makes one when it is needed.
 
     Raises:
         ValueError: For a cage that is not usable, bounds that do not hold 1 between them, or other options that cannot
@@ -68,22 +63,15 @@ class RandomPoses(Generic[Posed]):
         stretch: Sequence[float] = USUAL_STRETCH,
         reach: Sequence[float] = USUAL_REACH,
         modes: Sequence[str] = POSE_MODES,
+        probe: PoseProbe | None = None,
     ):
         require_usable(rest, "rest cage")
         self.rest = rest
-        self.seed = checked_whole(seed, "the seed of random poses", 0)
-        self.stretch = _pair(stretch, "stretch")
-        self.reach = _pair(reach, "reach")
-        self.modes = tuple(require_name(mode, POSE_MODES, "a mode of random poses") for mode in modes)
-        if not 0.0 < self.stretch[0] < 1.0 < self.stretch[1]:
-            raise ValueError(
-                f"stretch must hold 1 between two positive bounds, such as 0.5 and 2, got {shown(stretch)}"
-            )
-        if not 0.0 < self.reach[0] <= self.reach[1] <= 1.0:
-            raise ValueError(f"reach must be two shares above 0 and up to 1, the lower first, got {shown(reach)}")
-        if not self.modes:
-            raise ValueError(f"random poses need at least one mode of {', '.join(POSE_MODES)}")
-        self._probe: PoseProbe | None = None
+        self.chance = chance = PoseChance(seed, stretch, reach, modes)
+        self.seed, self.stretch, self.reach, self.modes = chance.seed, chance.stretch, chance.reach, chance.modes
+        if probe is not None and probe.rest is not rest:
+            raise ValueError("the probe of random poses must be one of the very cage that they are poses of")
+        self._probe = probe
 
     def pose(self, number: int) -> Posed:
         """A pose.
@@ -154,14 +142,3 @@ class RandomPoses(Generic[Posed]):
         if self._probe is None:
             self._probe = PoseProbe(self.rest)
         return self._probe
-
-
-def _pair(values: Sequence[float], name: str) -> tuple[float, float]:
-    """Two finite numbers."""
-    try:
-        pair = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        pair = np.empty(0)
-    if pair.shape != (2,) or not np.isfinite(pair).all():
-        raise ValueError(f"{name} must be two finite numbers, got {shown(values)}")
-    return float(pair[0]), float(pair[1])

@@ -63,14 +63,15 @@ def run(args: argparse.Namespace) -> None:
         records=records,
         defaults={word: value for word, value in defaults.items() if value is not None},
     )
-    files = ", ".join(str(path) for path in (made.poses, made.cameras) if path is not None)
+    files = [str(path) for path in (made.poses, made.cameras) if path is not None]
+    beside = f"; beside it {', '.join(files)}" if files else ""
     poses = counted(sum(map(len, sources)), "pose")
-    print(f"wrote {made.jobs}: {counted(made.items, 'picture')} of {poses}; beside it {files}")
+    print(f"wrote {made.jobs}: {counted(made.items, 'picture')} of {poses}{beside}")
     print(f"warpcage run {made.jobs} -o FOLDER makes them")
 
 
 class _Told:
-    """Poses, with a bar of how many are made."""
+    """Poses, with a bar of how many are drawn."""
 
     def __init__(self, source: PoseSource, quiet: bool):
         self.source, self._quiet = source, quiet or not isinstance(source, RandomSource)
@@ -78,12 +79,16 @@ class _Told:
     def __len__(self) -> int:
         return len(self.source)
 
-    def rows(self) -> Iterator[np.ndarray]:
-        """The vertices of each."""
+    def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
+        """The vertices of each; most: of the first ones alone."""
         from tqdm import tqdm
 
-        rows = tqdm(self.source.rows(), "poses", len(self), file=sys.stderr, disable=self._quiet, leave=False)
-        yield from rows
+        count = len(self) if most is None else min(most, len(self))
+        yield from tqdm(self.source.rows(most), "poses", count, file=sys.stderr, disable=self._quiet, leave=False)
+
+    def drawn(self, number: int) -> dict | None:
+        """What a worker draws a pose by; None where its vertices are written."""
+        return self.source.drawn(number)
 
     def origin(self, number: int) -> dict:
         """Where a pose comes from."""
@@ -138,7 +143,8 @@ def _pose_sources(args: argparse.Namespace, rest: Cage, expected: dict[str, str]
         count = _random_count(text, "--poses")
         if count is not None:
             options_ = {"stretch": args.stretch, "reach": args.reach, "modes": args.modes}
-            sources += [RandomSource(RandomPoses(rest, seed=seed, **options_), count) for seed in args.seeds]
+            drawn = [RandomPoses(rest, seed=seed, **options_) for seed in args.seeds]
+            sources += [RandomSource(poses, count, args.write_poses) for poses in drawn]
         elif _is_array(text):
             sources.append(_array_source(text, rest))
         else:

@@ -123,6 +123,12 @@ def _add_poses(parser: argparse.ArgumentParser) -> None:
         help=f"what random poses are made of: {', '.join(MODES)} (default: all)",
     )
     group.add_argument(
+        "--write-poses",
+        action="store_true",
+        help="draw random poses now and write them beside the job file, which takes some 30 ms each; then cameras that "
+        "are made see every pose whole (default: workers draw them, each what it makes)",
+    )
+    group.add_argument(
         "--falloff",
         type=options.positive_float,
         metavar="WIDTH",
