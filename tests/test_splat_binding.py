@@ -11,6 +11,7 @@ from warpcage.coordinates.deform import stretched_normals
 from warpcage.deform.splat_instances import shared_ways
 from warpcage.kernels.splats.pose import CarriedSplats
 from warpcage.lattice.position_map import fit_affine
+from warpcage.splats import binding
 from warpcage.splats.binding import CageBinding
 from warpcage.splats.pose_fit import PoseFit, fit_similarity
 from warpcage.splats.splitting import split_tree
@@ -21,8 +22,8 @@ ORIGIN = np.array([0.3, -0.2, 0.1])
 
 def carried(kind, points, cage, posed, device, packed, origin=ORIGIN):
     """Where a binding takes points, world units, and the Jacobians; float64 arrays."""
-    binding = CageBinding(points, cage, kind, origin, wp.get_device(device), 32, packed)
-    assert (binding.rows is None) == packed
+    bound = CageBinding(points, cage, kind, origin, wp.get_device(device), 32, packed)
+    assert (bound.rows is None) == packed
     count = len(points)
     state = CarriedSplats()
     state.positions = wp.empty(count, dtype=wp.vec3, device=device)
@@ -30,7 +31,7 @@ def carried(kind, points, cage, posed, device, packed, origin=ORIGIN):
     members = wp.array(np.arange(count), dtype=wp.int32, device=device)
     others = wp.full(count, -1, dtype=wp.int32, device=device)
     anchors = wp.array((points - origin).astype(np.float32), dtype=wp.vec3, device=device)
-    vertices = binding.carry(posed, members, others, anchors, wp.zeros_like(anchors), state)
+    vertices = bound.carry(posed, members, others, anchors, wp.zeros_like(anchors), state)
     np.testing.assert_allclose(vertices.numpy()[: len(cage.vertices)] + origin, posed.vertices, atol=1e-6)
     return state.positions.numpy().astype(np.float64) + origin, state.jacobians.numpy().astype(np.float64)
 
@@ -68,6 +69,15 @@ def test_packed_poses_are_those_of_whole_rows(kind, device):
     np.testing.assert_allclose(packed, whole, atol=1e-6)
     np.testing.assert_allclose(near, jacobians, atol=5e-4)
     assert (near != jacobians).any()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_points_bound_in_several_launches(packed, device, monkeypatch):
+    points, posed = places(), BOX.twist(60)
+    once = carried("green", points, BOX, posed, device, packed)
+    monkeypatch.setattr(binding, "CHUNK", 64)
+    for found, wanted in zip(carried("green", points, BOX, posed, device, packed), once, strict=True):
+        np.testing.assert_array_equal(found, wanted)
 
 
 @pytest.mark.parametrize("kind", KINDS)
