@@ -47,8 +47,9 @@ def write_records(folder, count, records, name="records.jsonl", **words):
 
 def run_with(path, out, maker=None, workers=1, retries=2, **options):
     """A run, by makers of items that may fail. Without a maker it is that of users."""
-    options = Options(workers, options.pop("cluster", None), "cpu", retries)
-    return _run(path, out, options, lambda state: None, lambda line: None, maker)
+    warn = options.pop("warn", lambda line: None)
+    options = Options(workers, options.pop("cluster", None), "cpu", retries, **options)
+    return _run(path, out, options, lambda state: None, warn, maker)
 
 
 def records(out):

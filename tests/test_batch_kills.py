@@ -1,9 +1,11 @@
 """`warpcage run` by several workers: whatever is killed when, every output is whole, each item once in the manifest,
 and the pictures are those of a run without faults, to the bit."""
 
+import concurrent.futures
 import os
 import pathlib
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -189,6 +191,53 @@ def test_a_straggler_gives_its_rest_to_the_other(address, tmp_path):
     first = found["shot/f0000"]["worker"]
     others = [record["worker"] != first for name, record in found.items() if name != "shot/f0000"]
     assert len(others) == 59 and all(others)
+
+
+class Endless(Making):
+    """Item 5 is never made."""
+
+    def before(self, item):
+        if number_of(item) == 5:
+            threading.Event().wait()
+
+
+class Unwritten(Making):
+    """The files of item 5 are never written, while others are made."""
+
+    def submit(self, item, out=None):
+        done = super().submit(item, out)
+        return concurrent.futures.Future() if number_of(item) == 5 else done
+
+
+@pytest.mark.parametrize("workers, maker", [(None, Endless), (2, Unwritten)])
+def test_an_endless_item_is_failed_and_the_rest_is_made(address, tmp_path, workers, maker):
+    """An item that takes long once, by chance, is tried again: more warnings may come, no other failures."""
+    path, out, lines = write_frames(tmp_path / "job", 30), tmp_path / "out", []
+    report = run_with(path, out, maker, workers=workers, retries=1, item_timeout=2, warn=lines.append)
+    line = "its worker was ended: the item took longer than 2 s, 2 times while it was made"
+    assert report.failed == {"shot/f0005": line} and report.made == 29 and not report.left
+    found = records(out)
+    assert len(found) == 30 and (found["shot/f0005"]["state"], found["shot/f0005"]["attempts"]) == ("failed", 2)
+    assert len(lines) >= 2 and all("the item took longer than 2 s: it is started again" in each for each in lines)
+    assert run_with(path, out, Making, workers=2).kept == 29
+    assert {record["state"] for record in records(out).values()} == {"done"} and left_over(out) == []
+
+
+class Deaf(Making):
+    """Item 3 keeps the interpreter to itself: no other thread of its process runs, nor answers."""
+
+    def before(self, item):
+        if number_of(item) == 3:
+            re.match("(a+)+$", "a" * 60 + "b")
+
+
+def test_a_worker_that_answers_no_more_is_ended(address, tmp_path, monkeypatch):
+    monkeypatch.setattr("warpcage.batch.ray_engine.ANSWER", 3.0)
+    path, out = write_frames(tmp_path / "job", 12), tmp_path / "out"
+    report = run_with(path, out, Deaf, workers=2, retries=0, item_timeout=2)
+    line = "its worker was ended: it did not answer for 3 s, 1 time while it was made"
+    assert report.failed == {"shot/f0003": line} and report.made == 11
+    assert records(out)["shot/f0003"]["state"] == "failed"
 
 
 class Full(Making):

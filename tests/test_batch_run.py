@@ -329,7 +329,7 @@ def test_one_worker_needs_no_ray(files, tmp_path):
     done = subprocess.run(line, capture_output=True, text=True)
     assert done.returncode == 2 and len(pictures(out)) == 12
     assert done.stderr.startswith(
-        "warpcage: error: more than one worker, and --cluster, need Ray: pip install 'warpcage["
+        "warpcage: error: more than one worker, --cluster and --item-timeout need Ray: pip install 'warpcage["
     )
     assert done.stderr.count("\n") == 1
 

@@ -9,6 +9,7 @@ import collections
 import dataclasses
 from collections.abc import Sequence
 
+from ..core.words import counted
 from .lots import Lot, Lots
 
 #: Deaths of a worker in a row, none of which made an item, after which its place is given up.
@@ -210,7 +211,8 @@ class Dispatcher:
         lost: list[tuple[int, str]] = []
         charged = begun[-1] if begun else None
         if charged is not None and self._attempts.get(charged, 0) >= self.retries:
-            lost = [(charged, f"{reason}, {self._attempts.get(charged, 0) + 1} times while it was made")]
+            times = counted(self._attempts.get(charged, 0) + 1, "time")
+            lost = [(charged, f"{reason}, {times} while it was made")]
             report.failed.extend(lost)
         elif charged is not None:
             report.errors.append((charged, reason))

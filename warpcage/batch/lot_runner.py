@@ -151,6 +151,7 @@ class LotRunner:
         self._lock = threading.Lock()
         self._order = LotOrder(0, [], [], [])
         self._waiting: collections.deque[int] = collections.deque()  # places in the lot that were not begun
+        self._begun: dict[int, _UnderWay] = {}  # of the lot, which are not settled
         self._stopped = False
         self.report, self._settled_at = LotReport(), 0.0
         self._group: str | None = None
@@ -170,6 +171,7 @@ class LotRunner:
         self.report = report = LotReport()
         with self._lock:
             self._order, self._waiting = order, collections.deque(range(len(order.lines)))
+            self._begun = {}
         under_way: collections.deque[_UnderWay] = collections.deque()
         self._settled_at = time.perf_counter()
         try:
@@ -200,6 +202,23 @@ class LotRunner:
             back = [self._waiting.pop() for _ in range(int(share * len(self._waiting)))]
             return [self._order.indices[place] for place in reversed(back)]
 
+    def oldest(self, number: int) -> tuple[int, float] | None:
+        """The item that has been under way for longest. Any thread may call it while a lot runs.
+
+        Args:
+            number: Of the lot.
+
+        Returns:
+            Its number in the job file, and the seconds since it was begun; None where none is under way, or for another
+            lot.
+        """
+        with self._lock:
+            begun = [made for made in self._begun.values() if not made.future.done()]
+            if number != self._order.number or not begun:
+                return None
+        first = min(begun, key=lambda made: made.begun)
+        return first.index, time.perf_counter() - first.begun
+
     def stop(self) -> None:
         """Begin no more items."""
         self._stopped = True
@@ -220,6 +239,8 @@ class LotRunner:
             return
         report.loading |= not place and item.group != self._group
         made = _UnderWay(item, order.indices[place], order.attempts[place], time.perf_counter())
+        with self._lock:
+            self._begun[made.index] = made
         try:
             made.inputs = self._fingerprint(item)
             made.future = self._maker.submit(item, self._stage(order))
@@ -235,6 +256,8 @@ class LotRunner:
             sizes = made.future.result()
         except Exception as failure:
             error = failure
+        with self._lock:
+            self._begun.pop(made.index, None)
         now = time.perf_counter()
         seconds = now - max(made.begun, self._settled_at)  # of items that overlap, what each adds
         self._settled_at = now

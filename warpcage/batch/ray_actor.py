@@ -39,6 +39,10 @@ class LotActor:
         """Give items back."""
         return self._runner.recall(number, share)
 
+    def oldest(self, number: int) -> tuple[int, float] | None:
+        """The item that has been under way for longest, and for how long."""
+        return self._runner.oldest(number)
+
     def stop(self) -> None:
         """Begin no more items."""
         self._runner.stop()

@@ -18,6 +18,7 @@ from typing import Any
 
 from ..core.threads import cpu_threads
 from .dispatcher import LotReport
+from .late_items import ANSWER, LateItems
 from .loop import Died, Event, Finished, Ready, Returned
 from .lot_runner import LotOrder, one_line
 from .lots import Lot
@@ -49,7 +50,9 @@ def load_ray() -> types.ModuleType:
     try:
         import ray
     except ImportError:
-        raise ImportError("more than one worker, and --cluster, need Ray: pip install 'warpcage[cluster]'") from None
+        raise ImportError(
+            "more than one worker, --cluster and --item-timeout need Ray: pip install 'warpcage[cluster]'"
+        ) from None
     return ray
 
 
@@ -189,6 +192,7 @@ class RayEngine:
         folder: The output folder.
         order: The order of a lot, with its items.
         cluster: Whether they may live on other machines.
+        item_timeout: Seconds that an item may take before its worker is ended. None is no limit.
 
     Attributes:
         places: `pid` and `host` of each worker that is ready.
@@ -202,9 +206,10 @@ class RayEngine:
         folder: OutputFolder,
         order: Callable[[Lot], LotOrder],
         cluster: bool,
+        item_timeout: float | None = None,
     ):
         self._ray, self._settings, self._share, self._folder, self._order = ray, settings, share, folder, order
-        # two threads: one for the lot, and one that may shorten it meanwhile
+        # two threads: one for the lot, and one that may shorten it meanwhile, or tells of it
         placing = {"scheduling_strategy": "SPREAD"} if cluster else {}
         self._actor = ray.remote(LotActor).options(
             num_gpus=share.gpus, num_cpus=share.cpus, max_concurrency=2, max_restarts=0, **placing
@@ -218,6 +223,7 @@ class RayEngine:
         self._waiting_since: float | None = None  # when the first of those that start was asked for
         self._ready: set[str] = set()
         self._lost_notes = None
+        self._late = None if item_timeout is None else LateItems(item_timeout, ANSWER)
 
     def now(self) -> float:
         """Seconds of a clock that never goes back."""
@@ -236,6 +242,8 @@ class RayEngine:
         """Send a lot to an actor."""
         order = self._orders[worker] = self._order(lot)
         self._ask(worker, "report", self._actors[worker].run.remote(order))
+        if self._late is not None:
+            self._late.given(worker, self.now())
 
     def recall(self, worker: str, number: int, share: float) -> None:
         """Ask an actor for items of its lot."""
@@ -267,6 +275,7 @@ class RayEngine:
                 event = self._event(*answer)
                 events += [] if event is None else [event]
                 answer = self._events.get_nowait()
+        events += self._look()
         if not self._ready and self._waiting_since is not None and self.now() - self._waiting_since > self._patience:
             raise RuntimeError(
                 f"no worker started within {self._patience:.0f} s: Ray has no place for one with "
@@ -298,32 +307,59 @@ class RayEngine:
         start = self._starts[worker]
         reference.future().add_done_callback(functools.partial(_answered, self._events, worker, what, start))
 
+    def _look(self) -> list[Event]:
+        """Ask workers whose items may be late; those that do not answer are ended."""
+        if self._late is None:
+            return []
+        now = self.now()
+        for worker in self._late.due(now):
+            number = self._orders[worker].number
+            self._ask(worker, f"oldest {number}", self._actors[worker].oldest.remote(number))
+        reason = f"its worker was ended: it did not answer for {self._late.patience:g} s"
+        return [self._death(worker, reason) for worker in self._late.silent(now)]
+
+    def _oldest(self, worker: str, number: int, found: tuple[int, float] | None) -> Event | None:
+        """End a worker whose oldest item is late."""
+        order = self._orders.get(worker)
+        if self._late is None or order is None or order.number != number:
+            return None  # of a lot that has ended
+        if not self._late.answered(worker, None if found is None else found[1], self.now()) or found is None:
+            return None
+        died = self._death(worker, f"its worker was ended: the item took longer than {self._late.limit:g} s")
+        # that item is to blame, and none where it was settled at the last moment
+        blamed = [item for item in died.begun if item != found[0]] + [found[0]] if found[0] in died.begun else []
+        return dataclasses.replace(died, begun=blamed)
+
     def _event(self, worker: str, what: str, start: int, answer: Any) -> Event | None:
         if start != self._starts[worker] or worker not in self._actors:
             return None  # of a process that is gone
         error = answer.exception()
         if error is not None:
-            return self._death(worker, error)
+            return self._death(worker, death_line(error))
         if what == "ready":
             self._ready.add(worker)
             self.places[worker] = answer.result()
             self._waiting_since = None
             return Ready(worker)
+        if what.startswith("oldest"):
+            return self._oldest(worker, int(what.split()[1]), answer.result())
         if what == "report":
             self._orders.pop(worker, None)
+            if self._late is not None:
+                self._late.ended(worker)
             report = answer.result()
             if report.broken is not None:
                 self._end(worker)
             return Finished(worker, report)
         return Returned(worker, int(what.split()[1]), answer.result())
 
-    def _death(self, worker: str, error: BaseException) -> Died:
-        """What is known of an actor that answers no more."""
+    def _death(self, worker: str, reason: str) -> Died:
+        """What is known of an actor that answers no more, or is not to."""
         self._end(worker)
         order = self._orders.pop(worker, None)
         report = LotReport()
         if order is None:
-            return Died(worker, report, [], death_line(error))
+            return Died(worker, report, [], reason)
         read = self._settings.reader.item
         indices = {read(*line).id: index for line, index in zip(order.lines, order.indices, strict=True)}
         settled, begun = notes_of_lot(self._folder.notes / f"{self._notes_name(worker)}.jsonl", order.number)
@@ -334,11 +370,13 @@ class RayEngine:
                 report.seconds.append(float(record["seconds"]))
             else:
                 (report.errors if record["state"] == ERROR else report.failed).append((index, record["error"]))
-        return Died(worker, report, [indices[each] for each in begun], death_line(error))
+        return Died(worker, report, [indices[each] for each in begun], reason)
 
     def _end(self, worker: str) -> None:
         """Make sure that a process is gone whose node may merely not answer."""
         self._ready.discard(worker)
+        if self._late is not None:
+            self._late.ended(worker)
         self.places.pop(worker, None)
         with contextlib.suppress(Exception):
             self._ray.kill(self._actors[worker])

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ..core.checks import checked_whole
+from ..core.checks import checked_positive, checked_whole
 from ..core.files import PathLike
 from .dispatcher import Dispatcher
 from .fingerprints import Fingerprints
@@ -49,6 +49,7 @@ def run_jobs(
     cluster: str | None = None,
     device: str | None = None,
     retries: int = 2,
+    item_timeout: float | None = None,
     part: Part | None = None,
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
@@ -64,12 +65,16 @@ def run_jobs(
         path: The job file (`docs/batch.md`).
         out: The output folder. One run at a time writes to it. On clusters all machines see it, and the folder of the
             job file, under the same path.
-        workers: Processes that work. 1 works in this process and needs no Ray. With more each has a GPU of its own, or
-            a part of the cores where there is none. None is one, or on a cluster all of its GPUs.
+        workers: Processes that work. 1 works in this process and needs no Ray, but see `item_timeout`. With more each
+            has a GPU of its own, or a part of the cores where there is none. None is one, or on a cluster all of its
+            GPUs.
         cluster: Address of a Ray cluster, "auto" for the one that this machine belongs to. None is this machine.
         device: "cpu", or "cuda" for several workers; any Warp device for one. None is CUDA where there is one.
         retries: How often an item is tried again after an error that is not one of its input, or the death of its
             worker, elsewhere where there is an elsewhere.
+        item_timeout: Seconds that an item may take, from its beginning until its files are written. The worker of one
+            that takes longer is ended, and it counts as one whose worker died. One worker works in a process of its own
+            then, which needs Ray too. None is no limit.
         part: One of several parts of the job, which runs beside those of the others; a run of the whole job merges what
             they note into the manifest, and writes what is of all items together. None is the whole job.
         progress: Called with how far the run is. None says nothing.
@@ -86,7 +91,7 @@ def run_jobs(
         OSError: Where the output folder cannot be written to.
         RuntimeError: Where no worker can start.
     """
-    options = Options(workers, cluster, device, retries, part)
+    options = Options(workers, cluster, device, retries, part, item_timeout)
     return _run(path, out, options, progress or (lambda state: None), warn or (lambda line: None), None)
 
 
@@ -99,16 +104,19 @@ class Options:
     device: str | None = None
     retries: int = 2
     part: Part | None = None
+    item_timeout: float | None = None
 
     def __post_init__(self) -> None:
         if self.workers is not None:
             checked_whole(self.workers, "workers", 1, 100_000)
         checked_whole(self.retries, "retries", 0, 200)
+        if self.item_timeout is not None:
+            checked_positive(self.item_timeout, "item_timeout")
 
     @property
     def local(self) -> bool:
-        """Whether the work is done in this process."""
-        return self.cluster is None and self.workers in (None, 1)
+        """Whether the work is done in this process, which cannot end itself where an item takes too long."""
+        return self.cluster is None and self.workers in (None, 1) and self.item_timeout is None
 
 
 def _run(
@@ -145,7 +153,8 @@ def _run(
             maker=maker,
         )
         if not len(plan.items):
-            options = dataclasses.replace(options, workers=1, cluster=None)  # there is nothing but shards to be packed
+            # there is nothing but shards to be packed
+            options = dataclasses.replace(options, workers=1, cluster=None, item_timeout=None)
         with _merged(folder) as merging, _engine(options, settings, folder, orders) as (engine, count):
             lots = plan.lots(aim=_aim(options, count), whole=shards is not None)
             dispatcher = orders.dispatcher = Dispatcher(lots, retries=options.retries, shards=shards)
@@ -294,9 +303,10 @@ def _engine(
             yield local, 1
             return
         ray = held.enter_context(ray_session(options.cluster))
-        share = shares(ray, options.workers, options.cluster is not None, options.device)
+        workers = 1 if options.cluster is None and options.workers is None else options.workers
+        share = shares(ray, workers, options.cluster is not None, options.device)
         settings = dataclasses.replace(settings, device=share.device, threads=share.threads)
-        engine = RayEngine(ray, settings, share, folder, order, options.cluster is not None)
+        engine = RayEngine(ray, settings, share, folder, order, options.cluster is not None, options.item_timeout)
         try:
             yield engine, share.workers
         except BaseException:

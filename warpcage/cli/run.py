@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
         if part is not None:
             raise ValueError("--dry-run looks at the whole job: leave out --part")
         return _say(foresee(args.jobs, args.output, workers=args.workers or 1, device=args.device))
-    Options(args.workers, args.cluster, args.device, args.retries)
+    Options(args.workers, args.cluster, args.device, args.retries, item_timeout=args.item_timeout)
     with _Bar(args.quiet) as bar:
         report = run_jobs(
             args.jobs,
@@ -33,6 +33,7 @@ def run(args: argparse.Namespace) -> int:
             cluster=args.cluster,
             device=args.device,
             retries=args.retries,
+            item_timeout=args.item_timeout,
             part=part,
             progress=bar.show,
             warn=bar.warn,

@@ -55,6 +55,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "that is not one of its input (default: %(default)s)",
     )
     parser.add_argument(
+        "--item-timeout",
+        type=options.positive_float,
+        metavar="SECONDS",
+        help="end the worker of an item that takes longer, loading included, and try the item again like one of a "
+        "worker that died. One worker is a process of its own then, which needs Ray (default: no limit)",
+    )
+    parser.add_argument(
         "--dry-run",
         action="store_true",
         help="say what would be made, what is there already, and how long it would take, from an item of each kind "

@@ -1,0 +1,93 @@
+"""Items that take too long: which is under way for how long, and when workers are asked. With Ray: test_batch_kills."""
+
+import concurrent.futures
+import contextlib
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from batch_runs import Making, write_frames
+
+import warpcage
+from warpcage.batch.job_file import JobFile
+from warpcage.batch.late_items import LateItems
+from warpcage.batch.lot_runner import LotOrder, LotRunner, Place
+from warpcage.batch.output_folder import OutputFolder
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_frames(tmp_path_factory.mktemp("jobs") / "job", 12).parent
+
+
+def test_a_limit_of_time_needs_ray_also_for_one_worker(files, tmp_path):
+    """Nothing is made in this process, which could not end itself."""
+    program = "import sys\nsys.modules['ray'] = None\nfrom warpcage.cli import main\nsys.exit(main(sys.argv[1:]))"
+    words = ["run", files / "jobs.jsonl", "-o", tmp_path / "out", "--device", "cpu", "--quiet", "--item-timeout", 30]
+    done = subprocess.run([sys.executable, "-c", program, *map(str, words)], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "--item-timeout need Ray" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("seconds", [0, -1.0, float("nan"), "soon"])
+def test_limits_of_time_that_cannot_be_are_refused(files, tmp_path, seconds):
+    with pytest.raises(ValueError, match="item_timeout must be positive and finite"):
+        warpcage.run_jobs(files / "jobs.jsonl", tmp_path / "out", item_timeout=seconds)
+
+
+class Held(Making):
+    """Ends items and the writing of their files when a test says so."""
+
+    def __init__(self, out):
+        super().__init__("", out, "cpu")
+        self.begun, self.go, self.written = threading.Semaphore(0), threading.Semaphore(0), []
+
+    def submit(self, item, out=None):
+        self.begun.release()
+        assert self.go.acquire(timeout=60)
+        self.written.append(concurrent.futures.Future())
+        return self.written[-1]
+
+
+def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
+    """From its beginning until its files are written, whatever was begun later."""
+    maker, folder = Held(tmp_path), OutputFolder(tmp_path / "out")
+    folder.prepare()
+    with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
+        runner = LotRunner(maker, job.reader.item, lambda item: "", notes, Place("0", "here", "cpu"))
+        lines = [(job.data(index), job.line(index)) for index in (3, 7)]
+        assert runner.oldest(1) is None
+        working = threading.Thread(target=runner.run, args=[LotOrder(1, [3, 7], lines, [0, 0])])
+        working.start()
+        assert maker.begun.acquire(timeout=60)
+        index, first = runner.oldest(1)
+        assert index == 3 and runner.oldest(2) is None
+        assert runner.oldest(1)[1] >= first >= 0.0
+        maker.go.release()
+        assert maker.begun.acquire(timeout=60)  # of the second; the files of the first are being written
+        assert runner.oldest(1)[0] == 3
+        maker.written[0].set_result({"a": 1})
+        assert runner.oldest(1)[0] == 7
+        maker.go.release()
+        while len(maker.written) < 2:
+            time.sleep(0.01)
+        maker.written[1].set_result({"b": 1})
+        working.join(60)
+        assert runner.oldest(1) is None and runner.report.done == [3, 7]
+
+
+def test_workers_are_asked_when_an_item_can_be_late():
+    late = LateItems(10.0, 60.0)
+    late.given("0", 0.0)
+    late.given("1", 5.0)
+    assert late.due(9.9) == [] and late.due(10.0) == ["0"] and late.due(12.0) == []  # it is asked once
+    assert not late.answered("0", 4.0, 12.0)  # so that it may be late at 18
+    assert late.due(15.0) == ["1"] and late.due(17.9) == [] and late.due(18.0) == ["0"]
+    assert late.answered("0", 10.5, 18.1) and not late.answered("1", None, 18.1)
+    late.ended("0")
+    assert not late.answered("0", 99.0, 20.0) and late.due(28.0) == [] and late.due(28.1) == ["1"]
+    assert late.silent(88.0) == [] and late.silent(88.2) == ["1"]
+    late.given("1", 90.0)  # another process has its place
+    assert late.silent(200.0) == [] and late.due(100.0) == ["1"]
