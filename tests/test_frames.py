@@ -7,9 +7,11 @@ import warp as wp
 from deformed_scenes import BOX, make_field, psnr, shiny_field, view
 
 import warpcage
+from warpcage.core.devices import launch
 from warpcage.field import marching
 from warpcage.field.shading import PACKED_WORDS, ColumnTable, row_table, shaded_grid
 from warpcage.field.sparse import harmonics_on_host
+from warpcage.kernels.field.densities import lay_densities
 from warpcage.reference.fit_scenes import synthetic_scene
 
 #: A camera among the voxels, one beside the field, one that looks at all of it.
@@ -223,6 +225,22 @@ def test_columns_longer_than_a_block(path, device):
         assert field.marching.columns.nodes.shape[0] == field.voxel_count
 
 
+def test_densities_laid_out_by_node(device):
+    """As halves of a unit, whatever the order of the rows; nodes without a row keep their 0."""
+    random = np.random.default_rng(0)
+    links = np.full((3, 4, 40), -1, np.int32)
+    places = random.permutation(links.size)[:200]
+    links.flat[places] = np.arange(200)
+    density = (10.0 ** random.uniform(-3, 6, 200) * random.choice([-1, 1], 200)).astype(np.float32)
+    table = ColumnTable(wp.array(links, dtype=wp.int32, device=device))
+    laid = table.laid_densities()
+    inputs = [wp.array(density, dtype=float, device=device), table.columns.order, table.nodes, 0.25]
+    launch(lay_densities, 200, inputs, [laid], device=device)
+    expected = np.zeros(links.size)
+    expected[places] = np.clip(0.25 * density.astype(np.float64), -65504, 65504)
+    np.testing.assert_allclose(laid.numpy(), expected, rtol=2**-11, atol=2**-25)
+
+
 # -- Memory
 
 
@@ -234,7 +252,8 @@ def test_what_frames_hold_beside_the_field(device):
     assert table.columns.blocks.capacity == nx * ny * -(-(nz - 1) // 31) * 8
     assert table.nodes.capacity == 4 * rows
     assert PACKED_WORDS == 8
-    packed = row_table(field.grid, table).packed
-    assert (packed is None or packed.size == 0) if is_cpu else packed.capacity == 32 * rows
+    rows_now = row_table(field.grid, table)
+    for array, size in ((rows_now.packed, 32 * rows), (rows_now.laid, 2 * nx * ny * nz)):
+        assert (array is None or array.size == 0) if is_cpu else array.capacity == size
     shades = shaded_grid(field.grid, table, wp.vec3(9.0, 0.0, 0.0), field.step).shades
     assert shades.capacity == (16 if is_cpu else 8) * rows

@@ -3,8 +3,8 @@
 The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
 of one edit on a lattice: flat arrays whose numbers are read many at once, one table of cells, and the map's derivative
 where matter is. Where the map compresses, a sample is cut into sub-samples as in deform/march.
-Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, field/grid, field/harmonics,
-field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, field/densities, field/grid,
+field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
 """
 
 from typing import Any
@@ -12,10 +12,11 @@ from typing import Any
 import warp as wp
 
 from ..core.entries import byte_entry, cell_byte
+from ..field.densities import early_density, late_density
 from ..field.grid import VoxelGrid, grid_position
 from ..field.harmonics import sh_basis
 from ..field.render import PENDING_WEIGHT, pending_colour
-from ..field.rows import RowTable, row_colour, row_density
+from ..field.rows import RowTable, row_colour
 from ..field.samples import exit_of_cell, grid_span, safe_inverse, sample_index_after
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
@@ -156,8 +157,11 @@ def march_edit(
         gk = int(wp.floor(g[2]))
         offset = g - wp.vec3(float(gi), float(gj), float(gk))
         empty = int(1)
+        sigma = float(0.0)
         if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2] and leave <= t:
+            # both are waited for at once
             empty = cell_byte(grid.skip, gi, gj, gk)
+            sigma = early_density(table.laid, table.unit, table.columns, gi, gj, gk, offset)
         if not in_box:
             if t < span[0] or not (t < span[1]):
                 leave = wp.where(t < span[0], span[0], wp.max(box[1], span[1]))
@@ -178,9 +182,10 @@ def march_edit(
         if clears or (mapped and (flags & CELL_STAYS) == 0):
             room = 0.5 * (edit.slack - rest_distance(edit, position))
         leaves = mapped and room < 0.0
-        sigma = float(0.0)
-        if empty == 0 and not leaves:
-            sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
+        if leaves or empty > 0:
+            sigma = float(0.0)
+        else:
+            sigma = late_density(sigma, grid.density, table.columns, gi, gj, gk, offset)
         asks_length = mapped and count == 0 and (flags & CELL_STEEP) != 0
         slope = spacing * lattice_rate
         if mapped and (asks_length or sigma > 0.0):

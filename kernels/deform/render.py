@@ -4,16 +4,17 @@
 enters and leaves the boxes of the edits: in between one edit, the last whose box holds the ray, knows what may be
 skipped, and later ones need not be asked for their maps.
 Needs: core/entries, deform/crumbs, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/pictures,
-field/grid, field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+field/densities, field/grid, field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
 """
 
 import warp as wp
 
 from ..core.entries import byte_entry
+from ..field.densities import row_density
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..field.harmonics import sh_basis
 from ..field.render import PENDING_WEIGHT, pending_colour
-from ..field.rows import RowTable, row_colour, row_density
+from ..field.rows import RowTable, row_colour
 from ..field.samples import grid_span, safe_inverse, sample_index_after
 from ..lattice.cage_map import side_position
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
@@ -241,7 +242,7 @@ def march_edits(
         sigma = float(0.0)
         if point.vacant == 0 and (point.cleared == 0 or seen.cleared_transmittance > FAINT):
             if empty_distance(grid, g) == 0:
-                sigma = row_density(grid.density, table.columns, gi, gj, gk, offset)
+                sigma = row_density(table.laid, table.unit, grid.density, table.columns, gi, gj, gk, offset)
         mapped = point.path != 0 and point.cleared == 0
         asks_length = mapped and count == 0 and (point.flags & CELL_STEEP) != 0
         slope = direction

@@ -18,7 +18,7 @@ from .pictures import Picture, fill_pixel
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 
-@wp.kernel(cuda_max_registers=128)
+@wp.kernel(cuda_max_registers=96)
 def render_edit(
     first: int,
     grid: VoxelGrid,

@@ -14,6 +14,29 @@ wp.set_module_options({"enable_backward": False})
 BLOCK_NODES = wp.constant(31)
 
 
+#: C++ of functions that read the table: where a cell lies among the blocks of its columns; the bits and the first row
+#: of one of its four columns.
+CELL_PLACE = """
+    const int block = k / 31;
+    const int place = k - 31 * block;
+    const unsigned low = (1u << place) - 1u;
+    const int block_width = columns.blocks.shape[1];
+    const int begin = (i * columns.node_counts.c[1] + j) * block_width + block;
+"""
+COLUMN_ENTRY = """
+        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * block_width;
+#if defined(__CUDA_ARCH__)
+        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
+        const unsigned bits = entry.x >> place;
+        const int row = (int)entry.y + __popc(entry.x & low);
+#else
+        const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
+        const unsigned bits = entry[0] >> place;
+        const int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
+#endif
+"""
+
+
 @wp.struct
 class Columns:
     """Where the rows of a grid are."""

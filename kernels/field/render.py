@@ -2,16 +2,17 @@
 
 C = sum_k T_k (1 - exp(-sigma_k dt)) c_k + T_end background, T_k = exp(-sum_{j<k} sigma_j dt): Max 1995 as used by NeRF
 (Mildenhall et al. 2020, Eq. 3) and Plenoxels (2022, Eq. 1).
-Needs: core/entries, field/grid, field/harmonics, field/rows, field/samples, view/rays.
+Needs: core/entries, field/densities, field/grid, field/harmonics, field/rows, field/samples, view/rays.
 """
 
 import warp as wp
 
 from ..core.entries import cell_byte
 from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
+from .densities import row_density
 from .grid import VoxelGrid, cell_density, cell_sample, empty_distance
 from .harmonics import sh_basis
-from .rows import RowTable, row_colour, row_density
+from .rows import RowTable, row_colour
 from .samples import exit_of_cell, grid_ray, safe_inverse, sample_beyond, sample_distance, sample_place
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
@@ -66,7 +67,7 @@ def march(grid: VoxelGrid, table: RowTable, origin: wp.vec3, direction: wp.vec3,
             after = wp.ceil(leave * inverse_step - 0.5)
             k = wp.where(after > k + 1.0, after, k + 1.0)
         else:
-            sigma = row_density(grid.density, table.columns, ci, cj, ck, offset)
+            sigma = row_density(table.laid, table.unit, grid.density, table.columns, ci, cj, ck, offset)
             if sigma > 0.0:
                 kept = wp.exp(-sigma * step)
                 weight = result.transmittance * (1.0 - kept)

@@ -1,4 +1,4 @@
-"""Density and colour of a sparse voxel grid at a place, with few reads: field/grid for marches that are to be fast.
+"""Colour of a sparse voxel grid at a place, with few reads: field/grid for marches that are to be fast.
 
 On CUDA the harmonics of a row are packed into two reads of 16 bytes: its three constant terms as halves, the others in
 8 bits, in units that the largest one sets. The basis is rounded in the same way, so that four products are one
@@ -9,33 +9,34 @@ Needs: field/columns, field/grid, field/harmonics.
 
 import warp as wp
 
-from .columns import Columns
+from .columns import CELL_PLACE, COLUMN_ENTRY, Columns
 from .grid import VoxelGrid, eight_rows
 from .harmonics import COLOUR_OF_ROW, vec16
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
 
-#: C++ of several functions below: where a cell lies among the blocks of its columns; the bits and the first row of one
-#: of its four columns; the harmonics of a warp's rows in shared memory (CUDA, all lanes, at most 128 threads a block).
-CELL_PLACE = """
-    const int block = k / 31;
-    const int place = k - 31 * block;
-    const unsigned low = (1u << place) - 1u;
-    const int block_width = columns.blocks.shape[1];
-    const int begin = (i * columns.node_counts.c[1] + j) * block_width + block;
-"""
-COLUMN_ENTRY = """
-        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * block_width;
-#if defined(__CUDA_ARCH__)
-        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
-        const unsigned bits = entry.x >> place;
-        const int row = (int)entry.y + __popc(entry.x & low);
-#else
-        const unsigned* entry = reinterpret_cast<const unsigned*>(columns.blocks.data) + 2 * (size_t)at;
-        const unsigned bits = entry[0] >> place;
-        const int row = (int)entry[1] + __builtin_popcount(entry[0] & low);
-#endif
+#: C++ of several functions below: the harmonics of a row of 24 numbers in registers (CUDA; `whole`: whether they are);
+#: those of a warp's rows in shared memory (CUDA, all lanes, at most 128 threads a block).
+OWN_ROW = """    float own[24];
+    const bool whole = width == 24 && (reinterpret_cast<size_t>(sh.data) & 15u) == 0;
+    if (whole)
+    {
+        // six reads of 16 bytes, all under way at once; what a read leaves of a sector the next one finds in the cache
+        const float4* parts = reinterpret_cast<const float4*>(sh.data) + (size_t)(unsigned)row * 6;
+        float4 part[6];
+        #pragma unroll
+        for (int p = 0; p < 6; ++p)
+            part[p] = __ldg(parts + p);
+        #pragma unroll
+        for (int p = 0; p < 6; ++p)
+        {
+            own[4 * p] = part[p].x;
+            own[4 * p + 1] = part[p].y;
+            own[4 * p + 2] = part[p].z;
+            own[4 * p + 3] = part[p].w;
+        }
+    }
 """
 STAGED_ROWS = """    // the rows of a warp are read as runs of memory, and turned over in shared memory
     __shared__ float staged[4][32 * 27];
@@ -62,6 +63,8 @@ class RowTable:
 
     columns: Columns
     packed: wp.array2d(dtype=wp.uint32)  # (rows, words) on CUDA, else none
+    laid: wp.array(dtype=wp.float16)  # (nodes,) density of each node in units, 0 without a row; on CUDA, else none
+    unit: float  # of laid densities
 
 
 @wp.func_native(
@@ -82,37 +85,6 @@ class RowTable:
 )
 def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_rows:
     """Rows of the eight nodes of the cell above node (i, j, k), -1 for none; corner c is at (c & 4, c & 2, c & 1)."""
-    ...
-
-
-@wp.func_native(
-    CELL_PLACE
-    + """    const int* order = columns.order.data;
-    float sums[4];
-#if defined(__CUDA_ARCH__)
-    #pragma unroll
-#endif
-    for (int column = 0; column < 4; ++column)
-    {
-"""
-    + COLUMN_ENTRY
-    + """        const int next = row + (int)(bits & 1u);
-        float near = 0.0f, far = 0.0f;
-        if (bits & 1u)
-            near = density.data[order ? order[row] : row];
-        if (bits & 2u)
-            far = density.data[order ? order[next] : next];
-        sums[column] = near + offset.c[2] * (far - near);
-    }
-    const float begin_sum = sums[0] + offset.c[1] * (sums[1] - sums[0]);
-    const float end_sum = sums[2] + offset.c[1] * (sums[3] - sums[2]);
-    return begin_sum + offset.c[0] * (end_sum - begin_sum);
-"""
-)
-def row_density(
-    density: wp.array(dtype=wp.float32), columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32, offset: wp.vec3
-) -> wp.float32:
-    """Trilinear density before the ReLU, at a place, 0 to 1, in the cell above node (i, j, k)."""
     ...
 
 
@@ -148,11 +120,15 @@ def row_density(
     const int sixth = luminous ? rounded[0] : rounded[1];
     float first = 0.0f, second = 0.0f, extra = 0.0f, rest = 0.0f;
     const uint4* numbers = reinterpret_cast<const uint4*>(packed.data);
-    #pragma unroll 1  // registers are few
+    uint2 entries[4];  // waited for together
+    #pragma unroll
+    for (int column = 0; column < 4; ++column)
+        entries[column] = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data)
+            + begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * block_width);
+    #pragma unroll
     for (int column = 0; column < 4; ++column)
     {
-        const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * block_width;
-        const uint2 entry = __ldg(reinterpret_cast<const uint2*>(columns.blocks.data) + at);
+        const uint2 entry = entries[column];
         const unsigned bits = entry.x >> place;
         int row = (int)entry.y + __popc(entry.x & low);
         const float share = ((column & 2) ? offset.c[0] : 1.0f - offset.c[0])
@@ -252,21 +228,14 @@ def row_colour(
     ...
 
 
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    const int width = sh.shape[1];
-"""
-    + STAGED_ROWS
-    + """    if (target < 0)
-        return;
-    const float* c = rows + lane * stride;
-    const bool luminous = width == 24;
+#: C++ that packs the numbers `c` of a row, `luminous` where they are 24, and writes them.
+PACKED_ROW = """
     const float limit = 65504.0f;
     // where the three parts of a row begin, each with its constant term
     const int starts[3] = {0, luminous ? 16 : 9, luminous ? 20 : 18};
     float largest = 0.0f;
-    for (int n = 1; n < width; ++n)
+    #pragma unroll
+    for (int n = 1; n < (luminous ? 24 : 27); ++n)
         if (n != starts[1] && n != starts[2])
             largest = fmaxf(largest, fabsf(c[n]));
     // rounded up, so that no number needs more than 127 units
@@ -292,7 +261,34 @@ def row_colour(
     uint4* to = reinterpret_cast<uint4*>(packed.data) + (size_t)target * 2;
     to[0] = make_uint4(words[0], words[1], words[2], words[3]);
     to[1] = make_uint4(words[4], words[5], words[6], words[7]);
-#endif
+"""
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    const int width = sh.shape[1];
+"""
+    + OWN_ROW
+    + """    if (whole)
+    {
+        const float* c = own;
+        const bool luminous = true;
+        if (target < 0)
+            return;
+"""
+    + PACKED_ROW
+    + """        return;
+    }
+"""
+    + STAGED_ROWS
+    + """    if (target < 0)
+        return;
+    const float* c = rows + lane * stride;
+    const bool luminous = width == 24;
+"""
+    + PACKED_ROW
+    + """#endif
 """
 )
 def write_packed(

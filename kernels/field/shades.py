@@ -12,7 +12,7 @@ import warp as wp
 from .columns import Columns
 from .grid import VoxelGrid, eight_rows
 from .harmonics import COLOUR_OF_ROW, sh_basis, vec16
-from .rows import STAGED_ROWS, cell_rows
+from .rows import OWN_ROW, STAGED_ROWS, cell_rows
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
@@ -31,6 +31,16 @@ class ShadedGrid:
     """
     const int width = sh.shape[1];
 #if defined(__CUDA_ARCH__)
+"""
+    + OWN_ROW
+    + """    if (whole)
+    {
+        const float* c = own;
+        const int width = 24;
+"""
+    + COLOUR_OF_ROW
+    + """        return wp::vec_t<3, wp::float32>(red, green, blue);
+    }
 """
     + STAGED_ROWS
     + """    const float* c = rows + lane * stride;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import warp as wp
@@ -9,6 +10,7 @@ import warp as wp
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..kernels.field import columns
+from ..kernels.field.densities import lay_densities
 from ..kernels.field.rows import RowTable, pack_rows
 from ..kernels.field.shades import ShadedGrid, shade_rows
 
@@ -56,6 +58,14 @@ class ColumnTable:
         launch(columns.find_unsorted, row_count, [order], [unsorted], device=device)
         if unsorted.numpy()[0]:
             self.columns.order = order
+        self._node_count, self._laid = math.prod(links.shape), None
+
+    def laid_densities(self) -> wp.array:
+        """(nodes,) float16, one for each node of the grid, made when it is first asked for; 0 without a row."""
+        if self._laid is None:
+            self._laid = empty_array(self._node_count, wp.float16, self.nodes.device)
+            self._laid.zero_()
+        return self._laid
 
 
 def whole_warps(rows: int, device: wp.Device) -> int:
@@ -83,8 +93,11 @@ def row_table(grid: Any, table: ColumnTable) -> Any:
     """
     device, rows = grid.links.device, table.nodes.shape[0]
     result = RowTable()
-    result.columns = table.columns
+    result.columns, result.unit = table.columns, 1.0 / min(grid.voxel_size)
     if not device.is_cpu:
+        result.laid = table.laid_densities()
+        inputs = [grid.density, table.columns.order, table.nodes, 1.0 / result.unit]
+        launch(lay_densities, rows, inputs, [result.laid], device=device)
         result.packed = empty_array((rows, PACKED_WORDS), wp.uint32, device)
         launch(pack_rows, whole_warps(rows, device), [grid, table.columns], [result.packed], device=device)
     return result
