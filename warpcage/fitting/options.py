@@ -241,7 +241,7 @@ def _arguments() -> str:
 FitOptions.__doc__ = f"{inspect.cleandoc(FitOptions.__doc__ or '')}\n\n{_arguments()}\n"
 
 _FAST = {"epochs": 3.1}
-_HIGH = {"epochs": 22.0, "max_resolution": 720, "supersampling": 2, "variation_sh": 1.2e-3, "decay_power": 3.0}
+_HIGH = {"epochs": 22.0, "max_resolution": 720, "supersampling": 2, "variation_sh": 1.8e-3, "decay_power": 3.0}
 
 #: What each quality sets in place of the defaults.
 _SET_BY_QUALITY: dict[str, dict[str, Any]] = dict(zip(QUALITIES, (_FAST, {}, _HIGH), strict=True))
