@@ -4,9 +4,10 @@
 
 Frames are written as PNG, and once more as arrays of opacity, which nothing encodes: what encoding holds back is the
 difference. Of the `seconds` of a run some go to the start of Ray and its workers: `rate`, items a second, counts from
-when the first item was begun until the last one was made, with what loading takes; `ratio` compares rates with those of
-the first number of workers. `gpu_busy` is the share of that time in which a GPU had something to do, as nvidia-smi sees
-it: the rest is the host's.
+when the first item was begun until the last one was made, with what loading takes, and `steady`, of many items, from
+when a tenth was made until nine tenths were. `ratio` and `steady_ratio` compare them with those of the first number of
+workers. `gpu_busy` is the share of the time of `rate` in which a GPU had something to do, as nvidia-smi sees it: the
+rest is the host's.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ from warpcage.batch.job_file import write_jobs
 
 #: Seconds between two looks at the GPUs.
 LOOK = 0.5
+
+#: Of so many items a steady rate is told.
+MANY = 100
 
 #: What frames are written as.
 OUTPUTS = {"png": {"rgb": "{id}.png"}, "arrays": {"alpha": "{id}.npy"}}
@@ -59,8 +63,10 @@ def main() -> None:
             first = None
             for workers in args.workers:
                 row = {"what": what, "workers": workers} | timed(path, folder / "out", workers, args.device)
-                first = first or row["rate"]
-                row["ratio"] = row["rate"] / first
+                first = first or row
+                row["ratio"] = row["rate"] / first["rate"]
+                if "steady" in row:
+                    row["steady_ratio"] = row["steady"] / first["steady"]
                 print(row, flush=True)
                 rows.append(row)
     if args.json:
@@ -107,11 +113,15 @@ def timed(path: pathlib.Path, out: pathlib.Path, workers: int, device: str | Non
         records = [json.loads(line) for line in manifest]
     ends = [datetime.datetime.fromisoformat(record["finished"]).timestamp() for record in records]
     begin = min(end - record["seconds"] for end, record in zip(ends, records, strict=True))
+    ends.sort()
+    low, high = len(ends) // 10, len(ends) - 1 - len(ends) // 10
+    steady = {"steady": (high - low) / (ends[high] - ends[low])} if len(ends) >= MANY else {}
     return {
         "items": report.total,
         "seconds": report.seconds,
-        "rate": report.total / (max(ends) - begin),
-        "gpu_busy": busy.share(begin, max(ends)),
+        "rate": report.total / (ends[-1] - begin),
+        **steady,
+        "gpu_busy": busy.share(begin, ends[-1]),
     }
 
 

@@ -9,6 +9,7 @@ import shutil
 import threading
 import weakref
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 from cli_runs import run, write_files
@@ -33,6 +34,7 @@ from warpcage.scene.load import load_scene
 from warpcage.splats.splat_field import SplatField
 from warpcage.view.camera import Camera
 from warpcage.view.camera_file import CameraFile
+from warpcage.view.frame import Frame
 from warpcage.view.pictures import read_image
 
 CAMERAS = [Camera.look_at((2.5, 1.2 * side, 1.0), (0, 0, 0), width=40, height=32) for side in (-1, 1)]
@@ -250,6 +252,33 @@ def test_a_fit_and_an_evaluation_are_those_of_the_commands(files, tmp_path):
     assert without(made, "field") == without(expected, "field")
 
 
+def test_fits_of_one_scene_read_its_pictures_once(files, tmp_path):
+    """And are those of a worker each, to the bit; a changed picture is read, other words are another scene."""
+    entry = {"kind": "fit", "scene": "scene"}
+    options = [{"resolution": 16, "epochs": 0.5, "seed": seed} for seed in (0, 1)]
+    items = [Item.from_json(entry | {"id": f"fit{k}", "options": each}) for k, each in enumerate(options)]
+    with Worker(files, tmp_path / "together", "cpu") as worker:
+        for item in items:
+            worker.run(item)
+        assert worker.fits.read_count == 1
+        worker.run(Item.from_json(entry | {"id": "half", "downscale": 2, "options": options[0]}))
+        assert worker.fits.read_count == 2
+        picture = next((files / "scene").rglob("*.png"))
+        pixels = iio.imread(picture)
+        iio.imwrite(picture, 255 - pixels)
+        worker.run(Item.from_json(entry | {"id": "half", "downscale": 2, "options": options[0]}))
+        assert worker.fits.read_count == 3
+        iio.imwrite(picture, pixels)
+        worker.run(frame("a"))
+        worker.run(items[1])
+        assert worker.fits.read_count == 4
+    for item in items:
+        with Worker(files, tmp_path / "alone", "cpu") as worker:
+            worker.run(item)
+        one, two = (VoxelField.load(tmp_path / place / f"{item.id}.npz") for place in ("together", "alone"))
+        np.testing.assert_array_equal(one.grid.density.numpy(), two.grid.density.numpy())
+
+
 def without(entry, *names):
     return {name: value for name, value in entry.items() if name not in names}
 
@@ -358,6 +387,29 @@ def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
         go.set()
         blocked.join(60)
         assert [list(each.result()) for each in waiting] == [["f0.png"], ["f1.png"], ["f2.png"], ["last.png"]]
+
+
+@pytest.mark.parametrize(
+    ("words", "arrays"),
+    [
+        ({"outputs": {"rgb": "a.png"}}, {"rgb"}),
+        ({"outputs": {"rgb": "a.png"}, "background": "transparent"}, {"rgb", "alpha"}),
+        ({"outputs": {"depth": "a.npy"}}, {"alpha", "depth"}),
+        ({"outputs": {"fold": "a.npy", "pose": "p.npy"}}, {"fold"}),
+        ({"outputs": {"masks": "a.png"}}, {"rgb", "alpha", "depth", "reveal", "fold", "outside"}),
+    ],
+)
+def test_what_outputs_are_made_of_is_fetched_while_rendering_and_nothing_else(
+    files, tmp_path, monkeypatch, words, arrays
+):
+    fetched, ordinary = set(), Frame._on_host
+    monkeypatch.setattr(Frame, "_on_host", lambda self, name, *more: fetched.add(name) or ordinary(self, name, *more))
+    with Worker(files, tmp_path, "cpu") as worker:
+        made = worker.frames.make(frame("a", **words))
+        assert fetched == arrays
+        for path, write in made.writers.items():
+            write(tmp_path / path)
+        assert fetched == arrays
 
 
 # -- what is wrong with an item

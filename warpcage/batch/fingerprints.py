@@ -48,8 +48,19 @@ class Fingerprints:
         Returns:
             Hexadecimal digits. A file that is not there or cannot be read counts as such: the item itself will say so.
         """
-        parts = [canonical(item.to_json()), *(self._of_reference(each) for each in references_of(item))]
+        parts = [canonical(item.to_json()), *self.of_inputs(item)]
         return hashlib.blake2b("\n".join(parts).encode(), digest_size=HASH_BYTES).hexdigest()
+
+    def of_inputs(self, item: Item) -> tuple[str, ...]:
+        """The fingerprints of what an item reads, whatever it says beside.
+
+        Args:
+            item: The item.
+
+        Returns:
+            One for each of `references_of`.
+        """
+        return tuple(self._of_reference(each) for each in references_of(item))
 
     def _of_reference(self, reference: str) -> str:
         name, place = split_reference(reference)

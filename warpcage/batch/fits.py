@@ -6,44 +6,76 @@ import pathlib
 
 import warp as wp
 
+from ..core.recent import Recent
 from ..fitting.fit import fit
 from ..scene.load import load_scene
+from ..scene.scene import Scene
+from .fingerprints import Fingerprints
 from .outputs import Made, Writer
 from .references import References
 from .scene_items import FitItem
 
 
-def make_fit(item: FitItem, references: References, device: wp.Device, checkpoint: pathlib.Path | None = None) -> Made:
-    """Fit a field to the pictures of a scene, as `warpcage fit` does.
+class FitMaker:
+    """Fits fields, and keeps the pictures of the last scene: to read them takes as long as a short fit.
 
     Args:
-        item: The item.
-        references: What it refers to.
+        references: What items refer to.
+        fingerprints: Of what they read, by which a changed scene is known.
         device: Warp device.
-        checkpoint: File (.npz) that holds the progress, from which a fit goes on whose worker died. None keeps none.
 
-    Returns:
-        The item, made: what writes its outputs.
-
-    Raises:
-        FileNotFoundError: For a file that is not there.
-        ValueError: For what cannot be used.
+    Attributes:
+        read_count: Scenes that were read.
     """
-    scene = load_scene(
-        references.path(item.scene),
-        split=item.split,
-        downscale=item.downscale,
-        format=item.format,
-        background=item.background,
-        masks=item.masks,
-        orient="up" if item.straighten else None,
-        cameras=None if item.cameras is None else references.path(item.cameras),
-    )
-    if checkpoint is not None:
-        checkpoint.parent.mkdir(parents=True, exist_ok=True)
-    field = fit(scene, device=device, progress=False, checkpoint=checkpoint, **item.options)
-    writers: dict[str, Writer] = {item.outputs["field"]: field.save}
-    refined = field.refined_cameras
-    if refined is not None:
-        writers[item.outputs["cameras"]] = refined.save
-    return Made(writers)
+
+    def __init__(self, references: References, fingerprints: Fingerprints, device: wp.Device):
+        self.references, self.fingerprints, self.device, self.read_count = references, fingerprints, device, 0
+        self._scenes: Recent[Scene] = Recent(1)
+
+    def forget(self) -> None:
+        """Let go of the scene."""
+        self._scenes.clear()
+
+    def make(self, item: FitItem, checkpoint: pathlib.Path | None = None) -> Made:
+        """Fit a field to the pictures of a scene, as `warpcage fit` does.
+
+        Args:
+            item: The item.
+            checkpoint: File (.npz) that holds the progress, from which a fit goes on whose worker died. None keeps
+                none.
+
+        Returns:
+            The item, made: what writes its outputs.
+
+        Raises:
+            FileNotFoundError: For a file that is not there.
+            ValueError: For what cannot be used.
+        """
+        scene = self._scene(item)
+        if checkpoint is not None:
+            checkpoint.parent.mkdir(parents=True, exist_ok=True)
+        field = fit(scene, device=self.device, progress=False, checkpoint=checkpoint, **item.options)
+        writers: dict[str, Writer] = {item.outputs["field"]: field.save}
+        refined = field.refined_cameras
+        if refined is not None:
+            writers[item.outputs["cameras"]] = refined.save
+        return Made(writers)
+
+    def _scene(self, item: FitItem) -> Scene:
+        words = item.split, item.downscale, item.format, item.background, item.masks, item.straighten
+        key = item.scene, item.cameras, repr(words), self.fingerprints.of_inputs(item)
+
+        def load() -> Scene:
+            self.read_count += 1
+            return load_scene(
+                self.references.path(item.scene),
+                split=item.split,
+                downscale=item.downscale,
+                format=item.format,
+                background=item.background,
+                masks=item.masks,
+                orient="up" if item.straighten else None,
+                cameras=None if item.cameras is None else self.references.path(item.cameras),
+            )
+
+        return self._scenes.get(key, load)

@@ -39,6 +39,18 @@ MOST_DEFORMERS = 4
 #: Parts of a frame that no picture is needed for.
 OF_RECORDS = ("pose", "record")
 
+#: Arrays of a frame that a part is made of. Others are made of all.
+ARRAYS_OF_PARTS = {
+    "rgb": ("rgb",),
+    "film": ("rgb",),
+    "alpha": ("alpha",),
+    "depth": ("alpha", "depth"),
+    "disparity": ("alpha", "depth"),
+    "reveal": ("reveal",),
+    "fold": ("fold",),
+    "outside": ("outside",),
+}
+
 
 @dataclasses.dataclass
 class Counts:
@@ -129,7 +141,7 @@ class FrameMaker:
         writers = frame_writers(item, frame, camera, drawn) | _record_writers(item, camera, posed)
         self.fields.settle(field_key)
         self._bound.settle(bound_key)
-        return Made(writers, sum(getattr(frame, name).nbytes for name in frame.arrays))
+        return Made(writers, sum(getattr(frame, name).nbytes for name in needed_arrays(item, frame)))
 
     def _deformer(
         self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
@@ -194,7 +206,7 @@ def _filled(frame: Frame, field: AnyField, camera: Camera) -> Frame:
 
 
 def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> dict[str, Writer]:
-    """What writes the outputs of a frame. Its arrays are on the host when this returns.
+    """What writes the outputs of a frame. The arrays that they need are on the host when this returns.
 
     Args:
         item: The item.
@@ -208,10 +220,27 @@ def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cag
     Raises:
         ValueError: For a part that the frame does not have.
     """
-    for name in frame.arrays:
+    for name in needed_arrays(item, frame):
         getattr(frame, name)
     pictures = {part: path for part, path in item.outputs.items() if part not in OF_RECORDS}
     return {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures.items()}
+
+
+def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
+    """The arrays of a frame that its outputs are made of: a copy of all of them takes longer than a frame on a GPU.
+
+    Args:
+        item: The item.
+        frame: The frame.
+
+    Returns:
+        Names of arrays that the frame has.
+    """
+    needed = {"alpha"} if item.background == TRANSPARENT else set()
+    for part in item.outputs:
+        if part not in OF_RECORDS:
+            needed.update(ARRAYS_OF_PARTS.get(part, frame.arrays))
+    return [name for name in frame.arrays if name in needed]
 
 
 def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -> dict[str, Writer]:
@@ -229,7 +258,7 @@ def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -
 
 def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> Writer:
     ending = pathlib.PurePosixPath(path).suffix.lower()
-    if part in ("reveal", "fold", "outside", "masks") and frame.reveal is None:
+    if part in ("reveal", "fold", "outside", "masks") and "reveal" not in frame.arrays:
         raise ValueError(f"{part!r} is for fields of voxels (.npz), this one is of splats")
     if ending == ".npy":
         return lambda temporary: write_array(temporary, getattr(frame, part))

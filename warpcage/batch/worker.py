@@ -17,7 +17,7 @@ from ..core.threads import cpu_threads
 from .evaluations import make_evaluation
 from .fields import LoadedFields
 from .fingerprints import Fingerprints
-from .fits import make_fit
+from .fits import FitMaker
 from .frames import FrameMaker
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
 from .outputs import CHECKPOINTS, PARTS, Made, write_outputs
@@ -41,6 +41,7 @@ class Worker:
         device: The device.
         fields: Fields that are loaded; `read_count` says how often one was read.
         frames: What renders frames; its `counts` say how often something was made anew.
+        fits: What fits fields; its `read_count` says how often pictures were read.
     """
 
     def __init__(
@@ -57,6 +58,8 @@ class Worker:
         half = None if memory is None else memory // 2
         self.fields = LoadedFields(self.references, self.device, half)
         self.frames = FrameMaker(self.references, self.fields, half)
+        self._fingerprints = Fingerprints(self.references.base, self.out)
+        self.fits = FitMaker(self.references, self._fingerprints, self.device)
         threads = min(TASK_THREADS, cpu_threads()) if encoders is None else encoders
         self._pool = ThreadPoolExecutor(threads, "warpcage-outputs")
         self._gate = Gate(threads + SPARE)
@@ -79,6 +82,10 @@ class Worker:
 
     def forget(self) -> None:
         """Let go of all that is loaded."""
+        self.fits.forget()
+        self._forget_fields()
+
+    def _forget_fields(self) -> None:
         self.frames.forget()
         self.fields.forget()
         gc.collect()
@@ -140,16 +147,17 @@ class Worker:
         return self._made_once(item)
 
     def _made_once(self, item: Item) -> Made:
+        if isinstance(item, FitItem):
+            self._forget_fields()  # a fit plans with the memory that is free
+            return self.fits.make(item, self._checkpoint(item))
+        self.fits.forget()  # its pictures are for fits alone
         if isinstance(item, FrameItem):
             return self.frames.make(item)
         if isinstance(item, EvaluateItem):
             return make_evaluation(item, self.references, self.fields)
-        if isinstance(item, FitItem):
-            self.forget()  # a fit plans with the memory that is free
-            return make_fit(item, self.references, self.device, self._checkpoint(item))
         raise ValueError(f"a worker makes no {type(item).__name__}")
 
     def _checkpoint(self, item: FitItem) -> pathlib.Path:
         """Where the progress of a fit is kept: another place for other inputs, and for another version."""
-        name = digest([Fingerprints(self.references.base, self.out).of(item), __version__])
+        name = digest([self._fingerprints.of(item), __version__])
         return self.out / CHECKPOINTS / f"{name}.npz"
