@@ -73,7 +73,7 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     # splats
     files = ("--json", out / "splats_times_cuda.json")
     add("splats", "splats", 90, "--device", "cuda:0", *files)
-    add("splat_poses", "splat_poses", 60, "--device", "cuda:0")
+    add("splat_poses", "splat_poses", 60, "--device", "cuda:0", "--json", out / "splat_poses_cuda.json")
     # frames: of a field that a fit of its own makes
     field = out / "lego.npz"
     if lego.exists() and cage is not None:

@@ -154,6 +154,10 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
             *("--worst", out / "worst", "--json", out / "fits.json"),
         ],
         "splats": ["--device", "cpu", "--count", 3000, "--sizes", 80, "--json", out / "splats_times.json"],
+        "splat_poses": [
+            *("--device", "cpu", "--kinds", "mean_value", "--count", 2000, "--rounds", 2),
+            *("--json", out / "splat_poses.json"),
+        ],
         "splats_truth": ["--quick", "--json", out / "splats_truth.json", "--figures", out],
         "splats_page": ["--results", out, "--page", out / "splats.md"],
         "fits_page": ["--results", out, "--page", out / "fits.md"],

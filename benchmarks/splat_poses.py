@@ -4,18 +4,22 @@
 
 Prints, for each kind of coordinates, how long binding takes once; a pose from the call to the last kernel (the check of
 the cage, sums, covariances, turns, splits), the same without the check, and its centres and Jacobians alone; and on
-CUDA each of its kernels. Every pose is new: what a cage was found to be is remembered with it. A GPU is kept busy for
-half a second before each figure, as its clock goes down where nothing runs.
+CUDA each of its kernels. All of it twice: with pieces for splats that a pose may bend, which are bound and carried too,
+and of the same splats left whole, so that there are as many sums as splats. Every pose is new: what a cage was found to
+be is remembered with it. A GPU is kept busy for half a second before each figure, as its clock goes down where nothing
+runs.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import time
 
 import numpy as np
 import warp as wp
 from results import write_results
+from splat_shortcuts import without_splits
 
 import warpcage
 from warpcage.core.devices import resolve_device
@@ -67,11 +71,12 @@ def shown(times: list[float]) -> str:
     return f"{np.median(times):.3f} ms (95 %: {np.percentile(times, 95):.3f})"
 
 
-def measure(field, cage, kind: str, rounds: int) -> dict:
-    """Print how long one kind of coordinates takes; the same as a row of results."""
+def measure(field, cage, kind: str, rounds: int, whole: bool) -> dict:
+    """Print how long one kind of coordinates takes, of splats in pieces or left whole; the same as a row of results."""
     device = field.device
     begin = time.perf_counter()
-    deformer = warpcage.Deformer(field, cage, coordinates=kind)
+    with without_splits() if whole else contextlib.nullcontext():
+        deformer = warpcage.Deformer(field, cage, coordinates=kind)
     wp.synchronize_device(device)
     bound = time.perf_counter() - begin
     edits = deformer._edits
@@ -91,6 +96,7 @@ def measure(field, cage, kind: str, rounds: int) -> dict:
     drawn = int((deformer.posed_splats().opacities.numpy() > 0).sum())
     row = {
         "kind": kind,
+        "whole": whole,
         "bind_s": bound,
         "nodes": nodes,
         "carried": first.carriers[0].size,
@@ -99,9 +105,10 @@ def measure(field, cage, kind: str, rounds: int) -> dict:
         **{f"{name}_ms": np.median(times) for name, times in found.items()},
         **{f"{name}_95_ms": np.percentile(times, 95) for name, times in found.items()},
     }
-    print(f"{kind}: bound in {bound:.2f} s, {nodes} nodes, {pieces} with pieces, {drawn} drawn; {row['carried']} sums")
-    whole, unchecked, sums = (shown(times) for times in found.values())
-    print(f"  pose with its checks {whole}; without {unchecked}; centres and Jacobians {sums}")
+    name = f"{kind}, left whole" if whole else kind
+    print(f"{name}: bound in {bound:.2f} s, {nodes} nodes, {pieces} with pieces, {drawn} drawn; {row['carried']} sums")
+    checked, unchecked, sums = (shown(times) for times in found.values())
+    print(f"  pose with its checks {checked}; without {unchecked}; centres and Jacobians {sums}")
     if device.is_cuda:
         row["kernels_ms"] = kernel_times(edits, poses(), device)
         for name, milliseconds in row["kernels_ms"].items():
@@ -121,7 +128,7 @@ def main() -> None:
     field = scene(args.count, device)
     cage = warpcage.Cage.box((-1.2, -1.2, -1.2), (1.2, 1.2, 1.2), segments=4)
     print(f"{device.name}: {args.count} splats, cage of {len(cage.vertices)} vertices, {len(cage.faces)} faces")
-    rows = [measure(field, cage, kind, args.rounds) for kind in args.kinds]
+    rows = [measure(field, cage, kind, args.rounds, whole) for kind in args.kinds for whole in (False, True)]
     if args.json:
         write_results(args.json, device, splats=args.count, cage_vertices=len(cage.vertices), poses=rows)
 
