@@ -9,8 +9,9 @@ import numpy as np
 
 from ..mesh.closed_mesh import ClosedMesh
 
-#: Numbers that are worked on at once: edges or faces times points.
-CHUNK = 1 << 13
+#: Numbers that are worked on at once: edges or faces times points. With more, in processes that have freed no large
+#: array before, the C library gives memory back after each chunk, and the page faults take as long as the work.
+CHUNK = 3 << 11
 
 #: A face whose corners, seen from a point, span less than this (the sine of a solid corner) lies in one plane with it.
 FLAT = 1e-10
