@@ -10,7 +10,7 @@ from cli_runs import run, succeed, write_files
 from warpcage.batch.forecast import foresee
 from warpcage.batch.job_file import JobFile
 from warpcage.batch.run import run_jobs
-from warpcage.batch.sweeps import GivenSource, RandomViews, write_sweep
+from warpcage.batch.sweeps import GivenSource, RandomSource, RandomViews, write_sweep
 from warpcage.batch.transforms import finish_folder
 from warpcage.batch.webdataset import read_shard, staged_shards
 from warpcage.batch.worker import Worker
@@ -236,6 +236,16 @@ def test_of_many_random_poses_some_are_drawn_for_the_cameras(files, tmp_path, mo
     numbers.clear()
     succeed(files, *SWEEP, *words, "--cameras", "@cameras.json")
     assert numbers == [(1, 0), (2, 0)] and len(items_of(tmp_path / "sweep.jsonl")) == 2000
+
+
+def test_processes_draw_the_same_poses_in_their_order(monkeypatch):
+    monkeypatch.setattr("warpcage.batch.sweeps.WORTH_PROCESSES", 10)
+    poses = RandomPoses(Cage.box([-1] * 3, [1] * 3), seed=6)
+    found, expected = (list(RandomSource(poses, 11, True, count).rows()) for count in (2, 1))
+    assert len(found) == 11 and np.array_equal(found, expected)
+    with pytest.raises(ValueError, match="no random pose of this cage stretches by"):
+        narrow = RandomPoses(poses.rest, stretch=(1 - 1e-12, 1 + 1e-12))
+        list(RandomSource(narrow, 11, True, 2).rows())
 
 
 def test_a_cage_without_random_poses_is_found_before_the_run(files, tmp_path, capsys):

@@ -23,6 +23,7 @@ from ..view.camera import Camera
 from ..view.camera_file import CameraFile
 from ..view.camera_path import CameraKey
 from .job_file import write_jobs
+from .pose_processes import rows_by_processes
 from .pose_words import drawn_words
 
 #: Highest camera of random views above the horizon, and how much farther than needed the farthest stands.
@@ -33,6 +34,9 @@ _VIEWS, _CHOICES = (0, 1), (0, 2)
 
 #: Random poses that are drawn to find cameras that see all whole, where workers draw them.
 FRAMED = 256
+
+#: Random poses that take longer than starting processes for them.
+WORTH_PROCESSES = 200
 
 
 class PoseSource(Protocol):
@@ -63,11 +67,13 @@ class RandomSource:
         poses: Where they come from.
         count: How many of them.
         written: Whether they are drawn at once, and their vertices written. Else whoever makes an item draws its pose.
+        processes: How many processes draw those that are drawn at once, where they are many; see `rows_by_processes`.
     """
 
     poses: RandomPoses[Cage]
     count: int
     written: bool = False
+    processes: int = 1
 
     def __len__(self) -> int:
         return self.count
@@ -75,7 +81,9 @@ class RandomSource:
     def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
         """The vertices of each; most: of the first ones alone."""
         count = self.count if most is None else min(most, self.count)
-        return (self.poses.vertices(number) for number in range(count))
+        if self.processes == 1 or count < WORTH_PROCESSES:
+            return map(self.poses.vertices, range(count))
+        return rows_by_processes(self.poses, count, self.processes)
 
     def drawn(self, number: int) -> dict[str, Any] | None:
         """Seed, number and bounds; None where its vertices are written."""

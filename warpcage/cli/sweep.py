@@ -15,6 +15,7 @@ from ..cage.cage import Cage
 from ..cage.random_poses import RandomPoses
 from ..core.names import BACKGROUNDS
 from ..core.npy_files import NpyFile
+from ..core.threads import cpu_threads
 from ..core.words import counted
 from ..scene.transforms_camera import TransformsCameras
 from ..view.camera import Camera, framing_orbit
@@ -144,7 +145,7 @@ def _pose_sources(args: argparse.Namespace, rest: Cage, expected: dict[str, str]
         if count is not None:
             options_ = {"stretch": args.stretch, "reach": args.reach, "modes": args.modes}
             drawn = [RandomPoses(rest, seed=seed, **options_) for seed in args.seeds]
-            sources += [RandomSource(poses, count, args.write_poses) for poses in drawn]
+            sources += [RandomSource(poses, count, args.write_poses, cpu_threads()) for poses in drawn]
         elif _is_array(text):
             sources.append(_array_source(text, rest))
         else:

@@ -125,8 +125,8 @@ def _add_poses(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--write-poses",
         action="store_true",
-        help="draw random poses now and write them beside the job file, which takes some 30 ms each; then cameras that "
-        "are made see every pose whole (default: workers draw them, each what it makes)",
+        help="draw random poses now and write them beside the job file, which takes some 30 ms of a core each; then "
+        "cameras that are made see every pose whole (default: workers draw them, each what it makes)",
     )
     group.add_argument(
         "--falloff",
