@@ -1,9 +1,11 @@
 """Time of a canonical frame, a deformed frame with its lattice ready, a new pose with its frame, and poses in a loop.
 
 New poses are random and smooth, each another one: their median, 95th percentile and longest, and the first ten of a new
-Deformer, which meets buffers that are too small.
+Deformer, which meets buffers that are too small. Slabs are boxes beside each other around what the cage holds, each
+turned: one edit, and three.
 
     python benchmarks/deformed_render.py --field field.npz --cage cage.obj --device cuda:0 --json render.json
+    python benchmarks/deformed_render.py --field field.npz --cage cage.obj --size 1920 1080
     python benchmarks/deformed_render.py --field room.npz --cage cage.obj --scene DIR --device cuda:0
 
 A field with an outer field or background layers is rendered with them, and the rows of frames say what they add
@@ -14,11 +16,13 @@ such a field shows its surroundings.
 """
 
 import argparse
-import json
+import dataclasses
 import time
 
 import numpy as np
 import warp as wp
+from frames_by_turns import three_slabs
+from results import write_results
 from timing import median_seconds, median_seconds_by_turns
 
 import warpcage
@@ -77,24 +81,28 @@ def main() -> None:
             live = deformer.render(camera).rgb
             print({"bake": repr(baked), "psnr": round(float(warpcage.psnr(baked.render(camera).rgb, live)), 2)})
             report_frame("frame of the baked field", baked.render, kind=kind)
+    slabs = three_slabs(rest)
+    turned = [slab.rotate(12, axis="x") for slab in slabs]
+    options = {"coordinates": "mean_value", "resolution": args.resolution}
+    for name, boxes, posed in (("one slab", slabs[1], turned[1]), ("three slabs", slabs, turned)):
+        several = warpcage.Deformer(field, boxes, **options).pose(posed)
+        report_frame(f"frame, {name}, lattices ready", several.render, kind="mean_value")
+        if args.profile and device.is_cuda:
+            profile(lambda several=several: several.render(camera))
     peak = wp.get_mempool_used_mem_high(device) if device.is_cuda else None
     print({"peak_device_bytes": peak})
     if args.json:
-        with open(args.json, "w", encoding="utf-8") as file:
-            json.dump(
-                {
-                    "device": device.name,
-                    "warp": wp.__version__,
-                    "voxels": field.voxel_count,
-                    "size": [camera.width, camera.height],
-                    "resolution": args.resolution,
-                    "around": field.background_model.summary if field.background_model else None,
-                    "peak_device_bytes": peak,
-                    "rows": rows,
-                },
-                file,
-                indent=1,
-            )
+        write_results(
+            args.json,
+            device,
+            voxels=field.voxel_count,
+            cage_vertices=len(rest.vertices),
+            size=[camera.width, camera.height],
+            resolution=args.resolution,
+            around=field.background_model.summary if field.background_model else None,
+            peak_device_bytes=peak,
+            rows=rows,
+        )
 
 
 def parse_arguments():
@@ -102,7 +110,9 @@ def parse_arguments():
     parser.add_argument("--field", required=True)
     parser.add_argument("--cage", required=True)
     parser.add_argument("--device", default=None)
-    parser.add_argument("--size", type=int, default=800, help="pixels along each side, without --scene")
+    parser.add_argument(
+        "--size", type=int, nargs="+", default=[800], help="pixels a side, or width and height; without --scene"
+    )
     parser.add_argument("--scene", help="scene folder: its first held-out view instead of one from a turntable")
     parser.add_argument("--downscale", type=int, default=1, help="factor on the scene's pictures")
     parser.add_argument("--resolution", type=int, default=128)
@@ -120,9 +130,12 @@ def parse_arguments():
 def chosen_camera(field, args):
     if args.scene:
         return warpcage.load_scene(args.scene, split="test", downscale=args.downscale).cameras[0]
-    return warpcage.turntable(
-        field.center, 4.03, 30, 1, fov_degrees=39.6, width=args.size, height=args.size, start_degrees=30
+    width, height = args.size[0], args.size[-1]
+    camera = warpcage.turntable(
+        field.center, 4.03, 30, 1, fov_degrees=39.6, width=height, height=height, start_degrees=30
     )[0]
+    # a wider picture shows more beside the scene, which stays as high in it
+    return dataclasses.replace(camera, width=width, cx=camera.cx + 0.5 * (width - height))
 
 
 def random_poses(rest, count: int, seed: int) -> list:

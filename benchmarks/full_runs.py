@@ -80,7 +80,8 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
         words = ["-m", "warpcage", "fit", str(lego), "-o", str(field), "--device", "cuda:0", "--quiet"]
         made = " ".join([sys.executable, *words])
         frames = f"{sys.executable} {HERE / 'deformed_render.py'} --field {field} --cage {cage} --profile"
-        runs.append(Run("frames", ["bash", "-c", f"{made} && {frames} --json {out / 'frames.json'}"], 150))
+        wide = f"{frames} --size 1920 1080 --json {out / 'frames_1080p.json'}"
+        runs.append(Run("frames", ["bash", "-c", f"{made} && {frames} --json {out / 'frames.json'} && {wide}"], 180))
     fits(
         "others", 120, "--kind", "specular", "bricks", "thin", "textured", "--size", 400, "--folder", dtu, needs=(dtu,)
     )
