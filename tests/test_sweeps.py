@@ -205,6 +205,38 @@ def test_a_dry_run_draws_the_poses_that_it_measures_by(files, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+class Counted:
+    """A worker under a clock of its own: five seconds to load, two for a pose, one for a picture."""
+
+    def __init__(self, *_):
+        self.now, self.pose = 0.0, None
+
+    def __enter__(self):
+        Counted.here = self
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def run(self, item):
+        self.now += 1.0 + 5.0 * (self.pose is None) + 2.0 * (item.pose != self.pose)
+        self.pose = item.pose
+
+
+@pytest.mark.parametrize("views, seconds, posing, total", [(4, 1.0, 2.0, 5 + 3 * 2 + 12), (1, 3.0, 0.0, 5 + 3 * 3)])
+def test_a_forecast_counts_poses_once_for_all_of_their_cameras(
+    files, tmp_path, monkeypatch, views, seconds, posing, total
+):
+    words = ["--poses", "random:3", "--cameras", "@cameras.json", "--views", views, "-o", tmp_path / "sweep.jsonl"]
+    succeed(files, *SWEEP, *words)
+    monkeypatch.setattr("warpcage.batch.forecast.Worker", Counted)
+    monkeypatch.setattr("warpcage.batch.forecast.time.perf_counter", lambda: Counted.here.now)
+    found = foresee(tmp_path / "sweep.jsonl", tmp_path / "out", device="cpu")
+    measured = found.measured["frame"]
+    assert (measured.seconds, measured.pose_seconds, measured.load_seconds) == (seconds, posing, 5.0)
+    assert found.seconds == total
+
+
 def test_a_pose_is_drawn_once_for_all_of_its_cameras(files, tmp_path, monkeypatch):
     numbers, vertices = [], RandomPoses.vertices
     words = ["--poses", "random:3", "--cameras", "@cameras.json", "--size", 16, "--resolution", 16]

@@ -31,14 +31,16 @@ class Measured:
     """What an item of a kind takes.
 
     Attributes:
-        seconds: An item, where all that it needs is loaded.
+        seconds: An item, where all that it needs is loaded, and its pose there where others share it.
         load_seconds: What the first of a group takes more.
         source: The id of the item that was made for it, or "earlier runs".
+        pose_seconds: What the first of a pose takes more, where others share it.
     """
 
     seconds: float
     load_seconds: float
     source: str
+    pose_seconds: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +77,7 @@ class Forecast:
 
 
 def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | None = None) -> Forecast:
-    """Look at a job and at what is there of it, and make an item of each kind, or two, to see how long they take.
+    """Look at a job and at what is there of it, and make up to three items of each kind, to see how long they take.
 
     Nothing is written to the output folder.
 
@@ -105,7 +107,7 @@ def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | No
             for kind in counts:
                 if kind not in measured:
                     _measure(job, plan, kind, worker, measured, errors)
-    work = sum(counts[kind] * each.seconds for kind, each in measured.items())
+    work = sum(counts[kind] * each.seconds + _poses(plan, kind) * each.pose_seconds for kind, each in measured.items())
     loads = max((each.load_seconds for each in measured.values()), default=0.0) * max(plan.group_count, 1)
     workers = max(1, min(workers, len(plan.items)))
     return Forecast(
@@ -148,13 +150,17 @@ def _planned(job: JobFile, folder: OutputFolder, temporary: pathlib.Path) -> tup
 def _measure(
     job: JobFile, plan: Plan, kind: str, worker: Worker, measured: dict[str, Measured], errors: dict[str, str]
 ) -> None:
-    """Make the first item of a kind, and the next of its group, for which all is loaded, where there is one."""
+    """Make the first item of a kind, the next of its group, for which all is loaded, and where both show one pose the
+    first of another one."""
     places = np.flatnonzero(plan.kinds == KIND_NUMBERS[kind])
     first = job.item(int(plan.items[places[0]]))
     made = [first]
     if kind == "frame" and len(places) > 1:
-        second = job.item(int(plan.items[places[1]]))
-        made += [second] if second.group == first.group else []
+        other = places[plan.poses[places] != plan.poses[places[0]]][:1]
+        followers = [job.item(int(plan.items[place])) for place in [places[1], *other]]
+        made += [each for each in followers if each.group == first.group]
+        if len(made) > 1 and made[1].pose != first.pose:
+            del made[2:]
     seconds = []
     for item in made:
         begin = time.perf_counter()
@@ -165,4 +171,11 @@ def _measure(
             break
         seconds.append(time.perf_counter() - begin)
     if seconds:
-        measured[kind] = Measured(seconds[-1], seconds[0] - seconds[-1] if len(seconds) > 1 else 0.0, first.id)
+        usual = seconds[min(1, len(seconds) - 1)]
+        posing = max(0.0, seconds[2] - usual) if len(seconds) > 2 else 0.0
+        measured[kind] = Measured(usual, seconds[0] - usual - posing, first.id, posing)
+
+
+def _poses(plan: Plan, kind: str) -> int:
+    """How often a worker moves a cage for the items of a kind."""
+    return len(np.unique(plan.poses[plan.kinds == KIND_NUMBERS[kind]]))

@@ -28,6 +28,7 @@ class Plan:
         items: (n,) numbers of those to be made, in the order in which workers should take them.
         groups: (n,) which of them share what a worker loads; of a job with shards, the shard of each.
         kinds: (n,) their kinds, as `KIND_NUMBERS` has them.
+        poses: (n,) those that follow each other with one number show one pose of one group.
         kept: Items that are there.
         changed: Items to be made whose inputs changed, or whose files are not as they were.
         failed_before: Items to be made that failed in an earlier run.
@@ -38,6 +39,7 @@ class Plan:
     items: np.ndarray
     groups: np.ndarray
     kinds: np.ndarray
+    poses: np.ndarray
     kept: int
     changed: int
     failed_before: int
@@ -108,11 +110,20 @@ def make_plan(
         makes[order],
         major[order],
         kinds[makes][order],
+        _runs(major[order], groups[makes][order], minor[order]),
         len(span) - len(makes),
         changed,
         failed_before,
         group_count,
     )
+
+
+def _runs(*columns: np.ndarray) -> np.ndarray:
+    """(n,) numbers of rows that follow each other and are alike in all columns (n,), from 0."""
+    changes = np.zeros(len(columns[0]), bool)
+    for column in columns:
+        changes[1:] |= np.diff(column) != 0
+    return np.cumsum(changes)
 
 
 def shard_size(job: JobFile) -> int:

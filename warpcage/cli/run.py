@@ -115,7 +115,11 @@ def _say(forecast: Forecast) -> int:
             + "".join(f", {n}" for n in notes)
         )
     for kind, each in forecast.measured.items():
-        first = f", and {each.load_seconds:.3g} s more for the first of a group" if each.load_seconds > 0 else ""
+        first = "".join(
+            f", and {seconds:.3g} s more for the first of a {what}"
+            for seconds, what in ((each.pose_seconds, "pose"), (each.load_seconds, "group"))
+            if seconds > 0
+        )
         print(f"one {kind} takes {each.seconds:.3g} s{first} (measured: {each.source})")
     if forecast.measured:
         print(f"about {_duration(forecast.seconds)} by {counted(forecast.workers, 'worker')}")
