@@ -4,8 +4,9 @@ A pose reads every row once and does little with it (splats/pose), so that bytes
 need their digits. Gradients are half floats, over a scale of each point's own, 1/1024 of its largest: each is off by
 less than 2^-11 of itself, and neither overflows in cages with tiny faces nor vanishes beside large ones.
 
-Four rows lie together: a word of 64 bits for each, the weight, then the first two numbers of its gradient; and one word
-of the four third numbers. So all that a thread loads is 8 bytes wide, next to its neighbour's.
+Four rows of 32 points lie together, 1280 bytes that a warp reads from one place: of each row the weight and the first
+two numbers of its gradient in a word of 64 bits, those of rows 0 and 1 of a point side by side, then those of rows 2
+and 3; and at the end one word a point of the four third numbers. The next four rows of these points lie behind.
 
 Shapes: points (m,), rows (j, m) of weight and gradient, packed in groups (g,) of four, zeros behind the last row.
 Needs: splats/pose.
@@ -15,16 +16,18 @@ import warp as wp
 
 from .pose import CarriedSplats, put_splats
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
 #: Largest half float that a gradient becomes: a power of two, far from the largest there is.
 LARGEST = wp.constant(1024.0)
 
+#: What targets add up to at a point: the move (3), then the rows of its gradient (9).
+RowSums = wp.types.vector(length=12, dtype=wp.float32)
+
 
 @wp.struct
 class PackedRows:
-    heads: wp.array2d(dtype=wp.uint64)  # (4 g, m) weight, first and second number of the gradient
-    tails: wp.array2d(dtype=wp.uint64)  # (g, m) third numbers of four gradients
+    words: wp.array3d(dtype=wp.uint64)  # (tiles of 32 points, g, 160) the groups, contiguous
     scales: wp.array(dtype=float)  # (m,) what gradients are multiplied by
 
 
@@ -32,12 +35,6 @@ class PackedRows:
 def half_bits(value: float):
     """A number as a half float, in the lowest 16 bits."""
     return wp.uint64(wp.cast(wp.float16(value), wp.uint16))
-
-
-@wp.func
-def half_value(bits: wp.uint64):
-    """The half float in the lowest 16 bits."""
-    return float(wp.cast(wp.uint16(bits), wp.float16))
 
 
 @wp.kernel
@@ -53,7 +50,8 @@ def pack_rows(first: int, begin: int, rows: wp.array2d(dtype=wp.vec4), packed: P
     scale = wp.where(largest > 0.0, largest / LARGEST, 1.0)
     inverse = 1.0 / scale
     packed.scales[m] = scale
-    for group in range(packed.tails.shape[0]):
+    tile, lane = m // 32, m % 32
+    for group in range(packed.words.shape[1]):
         tail = wp.uint64(0)
         for k in range(4):
             j = 4 * group + k
@@ -62,9 +60,89 @@ def pack_rows(first: int, begin: int, rows: wp.array2d(dtype=wp.vec4), packed: P
                 row = rows[j, item]
             head = wp.uint64(wp.cast(row[0], wp.uint32))
             head = head | (half_bits(inverse * row[1]) << wp.uint64(32))
-            packed.heads[j, m] = head | (half_bits(inverse * row[2]) << wp.uint64(48))
+            packed.words[tile, group, 64 * (k // 2) + 2 * lane + k % 2] = head | (
+                half_bits(inverse * row[2]) << wp.uint64(48)
+            )
             tail = tail | (half_bits(inverse * row[3]) << wp.uint64(16 * k))
-        packed.tails[group, m] = tail
+        packed.words[tile, group, 128 + lane] = tail
+
+
+@wp.func_native(
+    """
+    struct Group
+    {
+        wp::uint64 words[5];
+    };
+    const int last = words.shape[1] - 1;
+    const wp::uint64* rows = words.data + (size_t)(m >> 5) * (size_t)words.shape[1] * 160;
+    const int lane = m & 31;
+    const float* target = reinterpret_cast<const float*>(targets.data + begin);
+    wp::vec_t<12, float> sums;
+    const auto load = [&](int group) {
+        const wp::uint64* at = rows + (size_t)(group < last ? group : last) * 160;
+        Group found;
+#if defined(__CUDA_ARCH__)
+        const ulonglong2 low = __ldg(reinterpret_cast<const ulonglong2*>(at) + lane);
+        const ulonglong2 high = __ldg(reinterpret_cast<const ulonglong2*>(at) + 32 + lane);
+        found.words[0] = low.x;
+        found.words[1] = low.y;
+        found.words[2] = high.x;
+        found.words[3] = high.y;
+        found.words[4] = __ldg(reinterpret_cast<const unsigned long long*>(at) + 128 + lane);
+#else
+        for (int k = 0; k < 4; ++k)
+            found.words[k] = at[64 * (k / 2) + 2 * lane + k % 2];
+        found.words[4] = at[128 + lane];
+#endif
+        return found;
+    };
+    const auto add = [&](const Group& group, const float* residuals) {
+        #pragma unroll
+        for (int k = 0; k < 4; ++k)
+        {
+            union
+            {
+                unsigned bits;
+                float value;
+            } weight;
+            weight.bits = (unsigned)group.words[k];
+            const wp::uint64 numbers[3] = {group.words[k] >> 32, group.words[k] >> 48, group.words[4] >> (16 * k)};
+            float slopes[3];
+            #pragma unroll
+            for (int c = 0; c < 3; ++c)
+            {
+                wp::half number;
+                number.u = (unsigned short)numbers[c];
+                slopes[c] = wp::half_to_float(number);
+            }
+            #pragma unroll
+            for (int c = 0; c < 3; ++c)
+            {
+                const float residual = residuals[3 * k + c];
+                sums.c[c] += weight.value * residual;
+                #pragma unroll
+                for (int d = 0; d < 3; ++d)
+                    sums.c[3 + 3 * c + d] += residual * slopes[d];
+            }
+        }
+    };
+    Group one = load(0), two = load(1);
+    for (int group = 0; group <= last; group += 2)
+    {
+        add(one, target + 12 * group);
+        one = load(group + 2);
+        add(two, target + 12 * group + 12);
+        two = load(group + 3);
+    }
+    return sums;
+    """
+)
+def sum_rows(
+    m: wp.int32, words: wp.array3d(dtype=wp.uint64), targets: wp.array(dtype=wp.vec3), begin: wp.int32
+) -> RowSums:
+    """Sums over the rows of point m. Two groups are on their way by turns: one is loaded while the other is summed up.
+    The second of the last pair may be behind the last group; then it is that one again, of targets that are zeros."""
+    ...
 
 
 @wp.kernel
@@ -82,46 +160,11 @@ def carry_packed(
     inverse_size: float,
     carried: CarriedSplats,
 ):
-    """What `carry_bound` of splats/pose does, of packed rows; targets has zeros behind the last row's."""
+    """What `carry_bound` of splats/pose does, of packed rows; behind the last row's, targets has zeros up to eight."""
     m = first + wp.tid()
-    moved = wp.vec3(0.0, 0.0, 0.0)
-    turned = wp.mat33()
-    # A group is loaded while the one before it is summed up: compilers put loads next to what waits for them otherwise,
-    # so that one or two are on their way at once.
-    count = packed.tails.shape[0]
-    tail = wp.uint64(packed.tails[0, m])
-    head_0 = wp.uint64(packed.heads[0, m])
-    head_1 = wp.uint64(packed.heads[1, m])
-    head_2 = wp.uint64(packed.heads[2, m])
-    head_3 = wp.uint64(packed.heads[3, m])
-    for group in range(count):
-        ahead = wp.min(group + 1, count - 1)
-        next_tail = packed.tails[ahead, m]
-        next_0 = packed.heads[4 * ahead, m]
-        next_1 = packed.heads[4 * ahead + 1, m]
-        next_2 = packed.heads[4 * ahead + 2, m]
-        next_3 = packed.heads[4 * ahead + 3, m]
-        for k in range(4):
-            head = head_0
-            if k == 1:
-                head = head_1
-            elif k == 2:
-                head = head_2
-            elif k == 3:
-                head = head_3
-            residual = targets[begin + 4 * group + k]
-            slopes = wp.vec3(
-                half_value(head >> wp.uint64(32)),
-                half_value(head >> wp.uint64(48)),
-                half_value(tail >> wp.uint64(16 * k)),
-            )
-            moved += wp.cast(wp.uint32(head), wp.float32) * residual
-            turned += wp.outer(residual, slopes)
-        tail = next_tail
-        head_0 = next_0
-        head_1 = next_1
-        head_2 = next_2
-        head_3 = next_3
+    sums = sum_rows(m, packed.words, targets, begin)
+    moved = wp.vec3(sums[0], sums[1], sums[2])
+    turned = wp.mat33(sums[3], sums[4], sums[5], sums[6], sums[7], sums[8], sums[9], sums[10], sums[11])
     anchor = anchors[m]
     jacobian = wp.identity(n=3, dtype=float) + (slope + inverse_size * packed.scales[m] * turned)
     position = anchor + (slope * anchor + shift + moved) + jacobian * offsets[m]

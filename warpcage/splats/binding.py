@@ -77,11 +77,10 @@ class CageBinding:
             "fewer splats",
         )
         #: the posed vertices, r_j, and zeros for the rows that packing adds
-        self._host = np.zeros((corners + (4 * groups if pack else height), 3), np.float32)
+        self._host = np.zeros((corners + (8 * ((groups + 1) // 2) if pack else height), 3), np.float32)
         if pack:
             self.packed = PackedRows()
-            self.packed.heads = _columns(4 * groups, count, wp.uint64, device)
-            self.packed.tails = _columns(groups, count, wp.uint64, device)
+            self.packed.words = empty_array(((count + 31) // 32, groups, 160), wp.uint64, device)
             self.packed.scales = empty_array(count, wp.float32, device)
             rows = _columns(height, max(chunk, 1), wp.vec4, device)
         else:
