@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from table_scene import FLOOR_TOP, TABLE_TOP, TableScene, tilt
 from test_surface import GridField
 
-from warpcage.field.planes import Plane, find_planes, fit_planes, surface_points, surrounds
+from warpcage.field.planes import Plane, blocks, find_planes, fit_planes, surface_points, surrounds
 
 
 def sheet(random, normal, offset, count, noise, size=1.0):
@@ -96,6 +97,29 @@ def test_kinds_of_planes_go_by_what_is_up():
         find_planes(scene.field, "sky")
     with pytest.raises(ValueError, match="up must be a direction"):
         find_planes(scene.field, up=(0, 0, 0))
+
+
+def test_a_wall_that_is_rough_for_its_voxels():
+    """As fields of many voxels have them: bumps of three voxels, whose slopes lean by 45 degrees and more."""
+    random = np.random.default_rng(11)
+    bumps = gaussian_filter(random.standard_normal((200, 192)), 2.0, mode="wrap")
+    heights = 20.0 + 3.0 * bumps / bumps.std() + 0.05 * np.arange(200)[:, None]
+    voxel = 0.01
+    size = np.array([200, 192, 60]) * voxel
+    field = GridField(np.where(np.arange(60) < heights[..., None], 500.0, 0.0), lower=(0, 0, 0), upper=size)
+    plane = find_planes(field)[0]
+    true = np.array([-0.05, 0.0, 1.0]) / np.hypot(0.05, 1.0)
+    assert np.degrees(np.arccos(plane.normal @ true)) < 1.0 and plane.share > 0.5
+    middle = np.array([100.0, 96.0, heights.mean()]) * voxel
+    assert abs(float(plane.heights(middle))) < 1.5 * voxel
+    assert 1.5 * voxel < plane.spread < 4.0 * voxel and len(plane.points) > 20_000
+
+
+def test_blocks_of_nodes():
+    values = np.random.default_rng(0).uniform(0, 1, (5, 4, 7))
+    cut = blocks(values, 3)
+    assert cut.shape == (2, 3, 2, 3, 3, 3) and np.isclose(cut.sum(), values.sum())
+    assert cut[1, 1, 0, 2, 2, 0] == values[4, 2, 6] and cut[1, 2, 1, 1, 0, 0] == 0.0
 
 
 def test_normals_of_a_ball_point_away_from_its_middle():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -30,6 +31,10 @@ TILT_DEGREES = 25.0
 
 #: Half the thickness of the slab of a plane's points, in voxels.
 SLAB_VOXELS = 1.5
+
+#: Planes are looked for in fields of at most so many voxels a side: a finer one is averaged over blocks first. A wall
+#: that is fitted to pictures is rough by some thousandths of a scene, whatever the size of its voxels.
+MOST_SIDE = 96
 
 #: A plane holds at least this share of the surface, and so many points, of which this share hangs together: tops of
 #: things that happen to lie in one plane do not.
@@ -115,7 +120,8 @@ def find_planes(
 
     RANSAC (Fischler and Bolles 1981) over points of the surface and their normals, the best guesses fitted to their
     points (Chum, Matas and Kittler 2003); the points of a plane that was found are left out for the next. Where largest
-    rendering weights were recorded a point counts by its own, so that fog behind what was seen counts little.
+    rendering weights were recorded a point counts by its own, so that fog behind what was seen counts little. A field
+    of more than 96 voxels a side is averaged over blocks first, and planes are fitted to its own points at the end.
 
     Args:
         field: A VoxelField, a NodeSelection or the like.
@@ -136,15 +142,21 @@ def find_planes(
     if not np.linalg.norm(upward) > 0.0:
         raise ValueError("up must be a direction, not zero")
     upward = upward / np.linalg.norm(upward)
-    points, normals, weights = surface_points(field)
+    nodes = np.ptp(np.asarray(field.bounds, np.float64), axis=0) / field.voxel_size
+    block = max(1, math.ceil(round(float(nodes.max())) / MOST_SIDE))
+    points, normals, weights = surface_points(field, block)
     limit = np.sin(np.radians(TILT_DEGREES))
     allowed: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         "ground": lambda n: n @ upward >= np.cos(np.radians(TILT_DEGREES)),
         "wall": lambda n: np.abs(n @ upward) <= limit,
         "any": lambda n: np.ones(n.shape[:-1], bool),
     }
-    slab = SLAB_VOXELS * float(np.max(field.voxel_size))
-    return fit_planes(points, normals, slab, weights=weights, allowed=allowed[kind], count=count, seed=seed)
+    slab = SLAB_VOXELS * block * float(np.max(field.voxel_size))
+    planes = fit_planes(points, normals, slab, weights=weights, allowed=allowed[kind], count=count, seed=seed)
+    if block == 1 or not planes:
+        return planes
+    finer = surface_points(field)
+    return [_on_finer_points(plane, slab, *finer) for plane in planes]
 
 
 def fit_planes(
@@ -195,6 +207,23 @@ def fit_planes(
     return sorted(planes, key=lambda plane: -plane.share)
 
 
+def _on_finer_points(plane: Plane, slab: float, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> Plane:
+    """A plane fitted to those of finer points that lie in its slab, on its side of the matter.
+
+    Their normals follow the roughness of the surface, and say no more than that.
+    """
+    near = np.flatnonzero(_near(points, normals, plane.normal, plane.offset, slab, 90.0))
+    if len(near) < LEAST_POINTS or not weights[near].sum() > 0.0:
+        return plane
+    share = weights[near] / weights[near].sum()
+    middle = share @ points[near]
+    aside = points[near] - middle
+    normal = np.linalg.eigh((aside * share[:, None]).T @ aside)[1][:, 0]
+    normal = normal if normal @ plane.normal > 0.0 else -normal
+    spread = float(np.std(points[near] @ normal))
+    return Plane(normal, float(normal @ middle), spread, plane.share, points[near])
+
+
 def _largest_patch(points: np.ndarray, weights: np.ndarray, slab: float) -> float:
     """The weight of the largest part of points that hangs together, in cells half as wide again as their slab."""
     import skimage.measure
@@ -206,11 +235,12 @@ def _largest_patch(points: np.ndarray, weights: np.ndarray, slab: float) -> floa
     return float(np.bincount(labels[tuple(cells.T)], weights).max())
 
 
-def surface_points(field: DensityField) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def surface_points(field: DensityField, block: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of a field's surface: visible nodes that are dense enough for it and have a neighbour that is not.
 
     Args:
         field: A VoxelField, a NodeSelection or the like.
+        block: Nodes along each side of a block that counts as one: its mean density, and its largest weight.
 
     Returns:
         Positions (n, 3) float64, world units; unit normals (n, 3) out of the matter, against the slope of the smoothed
@@ -222,8 +252,11 @@ def surface_points(field: DensityField) -> tuple[np.ndarray, np.ndarray, np.ndar
     from scipy.ndimage import binary_erosion, gaussian_filter
 
     densities, voxel_size = node_grid(field)
-    level = surface_density(densities, voxel_size)
     seen = getattr(field, "node_weights", lambda: None)()
+    if block > 1:
+        densities, voxel_size = blocks(densities, block).mean(axis=(1, 3, 5)), block * voxel_size
+        seen = None if seen is None else blocks(np.asarray(seen), block).max(axis=(1, 3, 5))
+    level = surface_density(densities, voxel_size)
     solid = densities >= level
     # one half at the surface, whatever the field's density there
     opacity = gaussian_filter(1.0 - np.exp2(-densities / np.float32(level)), _SMOOTHING)
@@ -241,6 +274,22 @@ def surface_points(field: DensityField) -> tuple[np.ndarray, np.ndarray, np.ndar
     points = np.asarray(field.bounds, np.float64)[0] + (cells + 0.5) * voxel_size
     weights = np.ones(len(cells)) if seen is None else np.asarray(seen, np.float64)[tuple(cells.T)]
     return points, normals, weights
+
+
+def blocks(values: np.ndarray, side: int) -> np.ndarray:
+    """Values at nodes (nx, ny, nz), cut into blocks: (bx, side, by, side, bz, side), with 0 where the last ones reach
+    beyond.
+
+    Args:
+        values: The values.
+        side: Nodes along each side of a block.
+
+    Returns:
+        The blocks.
+    """
+    counts = [-(-n // side) for n in values.shape]
+    whole = np.pad(values, [(0, side * count - n) for count, n in zip(counts, values.shape, strict=True)])
+    return whole.reshape([n for count in counts for n in (count, side)])
 
 
 def surrounds(plane: Plane, points: np.ndarray, spacing: float) -> bool:
