@@ -43,11 +43,12 @@ from warpcage.view.camera import camera_array
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
             "fitting.rmsprop.join_maximum", "deform.render_cpu.", "field.matter_cells.", "field.render_cpu.",
             "field.skip.spread_lines",
-            "mesh.shell.", "mesh.collapses.", "splats.composite_tiles."}  # fmt: skip
+            "mesh.shell.", "mesh.collapses.", "splats.composite_tiles.", "splats.pose.carry_bound"}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
+             "field.densities.lay_densities",
              "field.skip.spread_distance", "field.shades.",
              "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
-             "splats.composite."}  # fmt: skip
+             "splats.composite.", "splats.packed_rows."}  # fmt: skip
 
 launched: set[str] = set()
 
