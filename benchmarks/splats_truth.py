@@ -53,6 +53,7 @@ SCENES = {
     "bricks, gloss": ("bricks", 50_000, 1.0, GLOSS),
     "bricks, fine gloss": ("bricks", 120_000, 1.0, GLOSS),
     "chair, gloss": ("chair", 25_000, 1.0, GLOSS),
+    "chair, fine gloss": ("chair", 120_000, 1.0, GLOSS),
     "animal, long": ("animal", 2_500, 3.0, {}),
     "chair, long": ("chair", 4_000, 12.0, {"texture": (0.0, 1.0)}),
 }
