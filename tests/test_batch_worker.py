@@ -9,7 +9,6 @@ import shutil
 import threading
 import weakref
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
 from cli_runs import run, write_files
@@ -21,15 +20,13 @@ from warpcage.batch.frames import MOST_DEFORMERS
 from warpcage.batch.items import Item
 from warpcage.batch.job_file import JobFile
 from warpcage.batch.missing import Missing
-from warpcage.batch.worker import CHECKPOINTS, PARTS, Worker
+from warpcage.batch.worker import PARTS, Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.core.overlap import SPARE
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field.voxel_field import VoxelField
-from warpcage.fitting.checkpoint import save_progress
-from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.scene.load import load_scene
 from warpcage.splats.splat_field import SplatField
 from warpcage.view.camera import Camera
@@ -228,84 +225,6 @@ def test_cameras_of_scenes_are_in_the_world_of_the_field(files, tmp_path):
             np.testing.assert_array_equal(np.load(tmp_path / "rgb.npy"), expected)
         with pytest.raises(ValueError, match="has no frame '7', only 0 to 1"):
             worker.run(frame(camera="scene/transforms_test.json#7"))
-
-
-def test_a_fit_and_an_evaluation_are_those_of_the_commands(files, tmp_path):
-    options = {"resolution": 16, "epochs": 0.5}
-    fit = Item.from_json({"id": "ball", "kind": "fit", "scene": "scene", "options": options, "output": "f/{id}.npz"})
-    with Worker(files, tmp_path / "out", "cpu") as worker:
-        assert list(worker.run(fit)) == ["f/ball.npz"]
-    words = ["fit", "@scene", "-o", tmp_path / "f.npz", "--resolution", 16, "--epochs", "0.5", "--quiet"]
-    assert run(files, *words, "--device", "cpu") == 0
-    made, expected = (VoxelField.load(path, device="cpu") for path in (tmp_path / "out/f/ball.npz", tmp_path / "f.npz"))
-    np.testing.assert_array_equal(made.grid.density.numpy(), expected.grid.density.numpy())
-    np.testing.assert_array_equal(made.render(CAMERAS[0]).rgb, expected.render(CAMERAS[0]).rgb)
-
-    entry = {"id": "psnr", "kind": "evaluate", "field": "out/f/ball.npz", "scene": f"{files}/scene"}
-    with Worker(tmp_path, tmp_path / "out", "cpu") as worker:
-        worker.run(Item.from_json(entry))
-        assert worker.fields.read_count == 1
-    words = ["evaluate", tmp_path / "out/f/ball.npz", "@scene", "--json", tmp_path / "psnr.json", "--quiet"]
-    assert run(files, *words, "--device", "cpu") == 0
-    made, expected = (json.loads(path.read_text()) for path in (tmp_path / "out/psnr.json", tmp_path / "psnr.json"))
-    assert made["views"] == expected["views"] and len(made["views"]) == 2
-    assert without(made, "field") == without(expected, "field")
-
-
-def test_fits_of_one_scene_read_its_pictures_once(files, tmp_path):
-    """And are those of a worker each, to the bit; a changed picture is read, other words are another scene."""
-    entry = {"kind": "fit", "scene": "scene"}
-    options = [{"resolution": 16, "epochs": 0.5, "seed": seed} for seed in (0, 1)]
-    items = [Item.from_json(entry | {"id": f"fit{k}", "options": each}) for k, each in enumerate(options)]
-    with Worker(files, tmp_path / "together", "cpu") as worker:
-        for item in items:
-            worker.run(item)
-        assert worker.fits.read_count == 1
-        worker.run(Item.from_json(entry | {"id": "half", "downscale": 2, "options": options[0]}))
-        assert worker.fits.read_count == 2
-        picture = next((files / "scene").rglob("*.png"))
-        pixels = iio.imread(picture)
-        iio.imwrite(picture, 255 - pixels)
-        worker.run(Item.from_json(entry | {"id": "half", "downscale": 2, "options": options[0]}))
-        assert worker.fits.read_count == 3
-        iio.imwrite(picture, pixels)
-        worker.run(frame("a"))
-        worker.run(items[1])
-        assert worker.fits.read_count == 4
-    for item in items:
-        with Worker(files, tmp_path / "alone", "cpu") as worker:
-            worker.run(item)
-        one, two = (VoxelField.load(tmp_path / place / f"{item.id}.npz") for place in ("together", "alone"))
-        np.testing.assert_array_equal(one.grid.density.numpy(), two.grid.density.numpy())
-
-
-def without(entry, *names):
-    return {name: value for name, value in entry.items() if name not in names}
-
-
-def test_a_fit_that_died_goes_on_from_its_progress(files, tmp_path, monkeypatch):
-    entry = {"id": "ball", "kind": "fit", "scene": "scene", "options": {"resolution": 16, "epochs": 0.5}}
-    whole = Worker(files, tmp_path / "whole", "cpu")
-    whole.run(Item.from_json(entry))
-    steps = []
-
-    def step(optimizer):
-        steps.append(optimizer.step_count)
-        if len(steps) == 3:
-            save_progress(optimizer, worker._checkpoint(item))
-            raise OSError("the node is gone")
-        return ordinary(optimizer)
-
-    ordinary, item = FieldOptimizer.step, Item.from_json(entry)
-    worker = Worker(files, tmp_path / "out", "cpu")
-    monkeypatch.setattr(FieldOptimizer, "step", step)
-    with pytest.raises(OSError, match="the node is gone"):
-        worker.run(item)
-    worker.run(item)
-    assert steps[3] == steps[2] == 2
-    assert list((tmp_path / "out" / CHECKPOINTS).iterdir()) == []
-    one, two = (VoxelField.load(tmp_path / place / "ball.npz", device="cpu") for place in ("whole", "out"))
-    np.testing.assert_array_equal(one.grid.density.numpy(), two.grid.density.numpy())
 
 
 # -- what stays loaded
