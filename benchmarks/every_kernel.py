@@ -43,12 +43,13 @@ from warpcage.view.camera import camera_array
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
             "fitting.rmsprop.join_maximum", "deform.render_cpu.", "field.matter_cells.", "field.render_cpu.",
             "field.skip.spread_lines",
-            "mesh.shell.", "mesh.collapses.", "splats.composite_tiles.", "splats.pose.carry_bound"}  # fmt: skip
+            "mesh.shell.", "mesh.collapses.", "splats.composite_tiles.", "splats.composite_slopes_tiles.",
+            "splats.pose.carry_bound"}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
              "field.densities.lay_densities",
              "field.skip.spread_distance", "field.shades.",
              "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
-             "splats.composite.", "splats.packed_rows."}  # fmt: skip
+             "splats.composite.", "splats.composite_slopes.", "splats.packed_rows."}  # fmt: skip
 
 launched: set[str] = set()
 
@@ -237,7 +238,12 @@ def splats(device) -> None:
         rng.uniform(-1, 1, (300, 3)), *values, 0.2 * rng.normal(size=(300, 16, 3)), device=device
     )
     field.render(camera(37), supersampling=2, antialias=True)
-    field.render(warpcage.Camera.look_at((0.1, 0, 0.1), (0, 1, 0), width=40, height=23))
+    view = warpcage.Camera.look_at((0.1, 0, 0.1), (0, 1, 0), width=40, height=23)
+    field.render(view)
+    cameras = [camera(37), view]
+    pictures = [np.full((each.height, each.width, 3), 0.5) for each in cameras]
+    options = {"supersampling": 2, "growth": 1.5, "progress": False}
+    warpcage.fit_splats(field, cameras, pictures, steps=3, antialias=True, **options)
 
 
 def posed_splats(device) -> None:

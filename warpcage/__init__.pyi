@@ -31,6 +31,8 @@ from .fitting.options import FitOptions as FitOptions
 from .lattice.position_map import PositionMap as PositionMap
 from .scene.load import load_scene as load_scene
 from .scene.scene import Scene as Scene
+from .splats.fitting import SplatRates as SplatRates
+from .splats.fitting import fit_splats as fit_splats
 from .splats.splat_field import SplatField as SplatField
 from .view.camera import Camera as Camera
 from .view.camera import turntable as turntable
@@ -60,6 +62,7 @@ __all__ = [
     "Scene",
     "SplatDeformer",
     "SplatField",
+    "SplatRates",
     "VoxelField",
     "bake",
     "camera_at",
@@ -69,6 +72,7 @@ __all__ = [
     "evaluate",
     "fill_unseen",
     "fit",
+    "fit_splats",
     "green_coordinates",
     "harmonic_coordinates",
     "load_scene",

@@ -95,27 +95,27 @@ class SplatRenderer:
         """
         side = checked_supersampling(supersampling)
         fine = finer_camera(camera, side)
-        lens = project.Lens()
-        lens.camera = camera_struct(fine, origin)
-        lens.near = near
-        lens.blur = IMAGE_BLUR * side**2
-        lens.antialias = int(antialias)
-        count = splats.centres.shape[0]
+        lens = splat_lens(fine, origin, near, IMAGE_BLUR * side**2, antialias)
         with self._lock:
             arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device)
-            view = self._view.take(3 * count)
-            depths, order = self._depths.take(2 * count), self._order.take(2 * count)
-            outputs = [view, depths, order]
-            launch(project.project_splats, count, [splats, lens], outputs, device=self.device, work=PROJECT_WORK)
-            wp.utils.radix_sort_pairs(depths, order, count)
+            seen = self._project(splats, lens)
             self.entry_count = 0
             inputs = [wp.vec3(*map(float, colour)), STOP_TRANSMITTANCE]
-            self._draw(_tile_grid(fine), (count, view, depths, order), inputs, [arrays[name] for name in PART_NAMES])
+            self._draw(tile_grid(fine), seen, inputs, [arrays[name] for name in PART_NAMES])
             return average_frame(Frame(fine.width, fine.height, **arrays), side)
+
+    def _project(self, splats: WarpStruct, lens: Any) -> tuple[int, wp.array, wp.array, wp.array]:
+        """Number of splats, their view, their sorted depths, and their order."""
+        count = splats.centres.shape[0]
+        view = self._view.take(3 * count)
+        depths, order = self._depths.take(2 * count), self._order.take(2 * count)
+        outputs = [view, depths, order]
+        launch(project.project_splats, count, [splats, lens], outputs, device=self.device, work=PROJECT_WORK)
+        wp.utils.radix_sort_pairs(depths, order, count)
+        return count, view, depths, order
 
     def _draw(self, grid: Any, seen: tuple, inputs: list, outputs: list) -> None:
         """Draw the rows of tiles of a grid, in halves where they have too many entries."""
-        count, view, depths, order = seen
         total = self._count(grid, *seen)
         if total > MOST_ENTRIES and grid.rows > 1:
             half = grid.rows // 2
@@ -125,18 +125,35 @@ class SplatRenderer:
         if total > 1 << 30:
             raise ValueError(f"{total} splats in a row of tiles are more than can be sorted: draw a smaller picture")
         self.entry_count += total
-        device, tile_count = self.device, grid.columns * grid.rows
+        keys, members = self._write(grid, total, seen)
+        starts = self._sort(grid, total, keys, members)
+        self._composite(grid, [seen[1], members, starts, grid, *inputs], outputs)
+
+    def _write(self, grid: Any, total: int, seen: tuple) -> tuple[wp.array, wp.array]:
+        """Tiles and splats of the entries that were counted, in the order of depth."""
+        count, view, _, order = seen
         keys, members = self._keys.take(2 * total), self._members.take(2 * total)
         ends = self._ends.take(count)
-        launch(tiles.write_entries, count if total else 0, [view, order, ends, grid], [keys, members], device=device)
+        inputs = [view, order, ends, grid]
+        launch(tiles.write_entries, count if total else 0, inputs, [keys, members], device=self.device)
+        return keys, members
+
+    def _sort(self, grid: Any, total: int, keys: wp.array, members: wp.array) -> wp.array:
+        """Sort entries by tile; returns where those of each tile begin."""
+        tile_count = grid.columns * grid.rows
         wp.utils.radix_sort_pairs(keys, members, total, 0, tile_count.bit_length())
         starts = self._starts.take(tile_count + 1)
-        launch(tiles.find_tile_starts, tile_count + 1, [keys, total], [starts], device=device)
-        if device.is_cpu:
+        launch(tiles.find_tile_starts, tile_count + 1, [keys, total], [starts], device=self.device)
+        return starts
+
+    def _composite(self, grid: Any, inputs: list, outputs: list) -> None:
+        """Draw the tiles of a grid."""
+        tile_count = grid.columns * grid.rows
+        if self.device.is_cpu:
             kernel, items = composite_tiles.composite_tiles, tile_count
         else:
             kernel, items = composite.composite_pixels, tile_count * tiles.TILE_SIDE**2
-        launch(kernel, items, [view, members, starts, grid, *inputs], outputs, device=device, work=DRAW_WORK)
+        launch(kernel, items, inputs, outputs, device=self.device, work=DRAW_WORK)
 
     def _count(self, grid: Any, count: int, view: wp.array, depths: wp.array, order: wp.array) -> int:
         """Find how many tiles of a grid the splats touch; the running sums are left in `_ends`."""
@@ -166,7 +183,34 @@ def near_distance(centres: np.ndarray) -> float:
     return NEAR_SHARE * float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
 
 
-def _tile_grid(camera: Camera) -> Any:
+def splat_lens(camera: Camera, origin: ArrayLike, near: float, blur: float, antialias: bool) -> Any:
+    """How a camera draws splats.
+
+    Args:
+        camera: The camera.
+        origin: (3,) world point that the splats' centres are relative to.
+        near: Splats whose centre is less than this before the camera are left out, world units.
+        blur: Variance that is added on the image, pixels squared.
+        antialias: Whether the blur adds no matter.
+
+    Returns:
+        A Lens of kernels/splats/project.py.
+    """
+    lens = project.Lens()
+    lens.camera = camera_struct(camera, origin)
+    lens.near, lens.blur, lens.antialias = near, blur, int(antialias)
+    return lens
+
+
+def tile_grid(camera: Camera) -> Any:
+    """The tiles of a picture.
+
+    Args:
+        camera: The camera whose picture it is.
+
+    Returns:
+        A TileGrid of kernels/splats/tiles.py.
+    """
     grid = tiles.TileGrid()
     grid.columns, grid.rows = -(-camera.width // tiles.TILE_SIDE), -(-camera.height // tiles.TILE_SIDE)
     grid.width, grid.height = camera.width, camera.height

@@ -1,0 +1,215 @@
+"""Slopes of a loss by the values of splats, from the sums that splats/composite_slopes leaves of a picture.
+
+The adjoint of splats/project, line by line from its end to its beginning, and of splats/parameters: slopes by l_0, l_1,
+l_2, strength, column and row become those by the ellipse E = A S A^T and by the blurred one, then by the rows of A and
+by S = M M^T, M = R diag(s), and from there by the centre (through A, the direction that colours are seen in, and the
+place on the picture), the logarithms of s, the quaternion and the logit (Kerbl et al. 2023, appendix A). Where A is
+taken at the rim, and where a colour is held at 0, the slope is that of what is held: none.
+Needs: field/harmonics, splats/parameters, splats/project, splats/splats.
+"""
+
+import warp as wp
+
+from ..field.harmonics import sh_basis, vec16
+from .parameters import quaternion_slope, splat_axes
+from .project import ROOT_SCALE, Lens, rim_slope
+from .splats import Splats, splat_covariance
+
+wp.set_module_options({"enable_backward": False, "block_dim": 128})
+
+LN_2 = wp.constant(0.6931471805599453)
+
+
+@wp.struct
+class ValueSlopes:
+    """Slopes by the values of n splats."""
+
+    centres: wp.array(dtype=wp.vec3)  # (n,)
+    log_scales: wp.array(dtype=wp.vec3)  # (n,)
+    quaternions: wp.array(dtype=wp.vec4)  # (n,) w x y z
+    logits: wp.array(dtype=wp.float32)  # (n,)
+    harmonics: wp.array2d(dtype=wp.float32)  # (n, 3 (degree + 1)^2)
+
+
+@wp.struct
+class EllipseSlopes:
+    """Slopes by A S A^T of a splat: columns, both, rows."""
+
+    cc: float
+    cr: float
+    rr: float
+
+
+@wp.func
+def basis_slope(d: wp.vec3, g: vec16):
+    """Slope by a direction of sum_b g_b Y_b(d)."""
+    x = d[0]
+    y = d[1]
+    z = d[2]
+    xx = x * x
+    yy = y * y
+    zz = z * z
+    a = 0.4886025119029199
+    b = 1.0925484305920792
+    c = 0.31539156525252005
+    e = 0.5900435899266435
+    f = 2.890611442640554
+    h = 0.4570457994644658
+    k = 0.3731763325901154
+    m = 1.445305721320277
+    along_x = -a * g[3] + b * (y * g[4] - z * g[7] + x * g[8]) - 2.0 * c * x * g[6]
+    along_x += -6.0 * e * x * y * g[9] + f * y * z * g[10] + 2.0 * h * x * y * g[11] - 6.0 * k * x * z * g[12]
+    along_x += -h * (4.0 * zz - 3.0 * xx - yy) * g[13] + 2.0 * m * x * z * g[14] - 3.0 * e * (xx - yy) * g[15]
+    along_y = -a * g[1] + b * (x * g[4] - z * g[5] - y * g[8]) - 2.0 * c * y * g[6]
+    along_y += -3.0 * e * (xx - yy) * g[9] + f * x * z * g[10] - h * (4.0 * zz - xx - 3.0 * yy) * g[11]
+    along_y += -6.0 * k * y * z * g[12] + 2.0 * h * x * y * g[13] - 2.0 * m * y * z * g[14] + 6.0 * e * x * y * g[15]
+    along_z = a * g[2] - b * (y * g[5] + x * g[7]) + 4.0 * c * z * g[6] + f * x * y * g[10] - 8.0 * h * y * z * g[11]
+    along_z += k * (6.0 * zz - 3.0 * xx - 3.0 * yy) * g[12] - 8.0 * h * x * z * g[13] + m * (xx - yy) * g[14]
+    return wp.vec3(along_x, along_y, along_z)
+
+
+@wp.func
+def colour_slope(splats: Splats, n: int, direction: wp.vec3, colour: wp.vec3, slopes: ValueSlopes):
+    """Slope by a unit direction from that by the colour seen along it; writes the slopes by the harmonics."""
+    basis = sh_basis(direction)
+    count = (splats.degree + 1) * (splats.degree + 1)
+    red = float(0.5)
+    green = float(0.5)
+    blue = float(0.5)
+    for b in range(count):
+        red += basis[b] * splats.harmonics[n, 3 * b]
+        green += basis[b] * splats.harmonics[n, 3 * b + 1]
+        blue += basis[b] * splats.harmonics[n, 3 * b + 2]
+    g = wp.vec3(
+        wp.where(red > 0.0, colour[0], 0.0), wp.where(green > 0.0, colour[1], 0.0), wp.where(blue > 0.0, colour[2], 0.0)
+    )
+    weights = vec16()
+    for b in range(count):
+        weights[b] = (
+            g[0] * splats.harmonics[n, 3 * b]
+            + g[1] * splats.harmonics[n, 3 * b + 1]
+            + g[2] * splats.harmonics[n, 3 * b + 2]
+        )
+        slopes.harmonics[n, 3 * b] = basis[b] * g[0]
+        slopes.harmonics[n, 3 * b + 1] = basis[b] * g[1]
+        slopes.harmonics[n, 3 * b + 2] = basis[b] * g[2]
+    return basis_slope(direction, weights)
+
+
+@wp.func
+def ellipse_slopes(cc: float, cr: float, rr: float, blur: float, antialias: int, shape: wp.vec3, strength: float):
+    """Slopes by an ellipse (before its blur) from those by l_0, l_1, l_2 (shape) and by the strength."""
+    c = cc + blur
+    r = rr + blur
+    sharp = wp.max(cc * rr - cr * cr, 0.0)
+    blurred = sharp + blur * (cc + rr) + blur * blur
+    l0 = ROOT_SCALE * wp.sqrt(r / blurred)
+    by_l0 = shape[0] - shape[1] * cr / r
+    by_blurred = -0.5 * by_l0 * l0 / blurred
+    found = EllipseSlopes()
+    found.cr = -shape[1] * l0 / r
+    found.rr = shape[1] * l0 * cr / (r * r) - 0.5 * shape[2] * ROOT_SCALE / (r * wp.sqrt(r)) + 0.5 * by_l0 * l0 / r
+    if antialias == 1:  # log2 sqrt(sharp / blurred) of the strength
+        by_blurred -= 0.5 * strength / (LN_2 * blurred)
+        if sharp > 0.0:
+            by_sharp = 0.5 * strength / (LN_2 * sharp)
+            found.cc += by_sharp * rr
+            found.rr += by_sharp * cc
+            found.cr -= 2.0 * by_sharp * cr
+    found.cc += by_blurred * r
+    found.rr += by_blurred * c
+    found.cr -= 2.0 * by_blurred * cr
+    return found
+
+
+@wp.kernel
+def find_value_slopes(
+    first: int,
+    splats: Splats,
+    lens: Lens,
+    log_scales: wp.array(dtype=wp.vec3),
+    quaternions: wp.array(dtype=wp.vec4),
+    view: wp.array(dtype=wp.vec4),
+    sums: wp.array(dtype=wp.float32),
+    slopes: ValueSlopes,
+):
+    """splats: as splats/parameters makes them from log_scales, quaternions; none turned, a row of harmonics each.
+    view: (3 n,) of splats/project. sums: (9 n,) of splats/composite_slopes, zeros for what is not seen."""
+    n = first + wp.tid()
+    by_place = wp.vec3(sums[9 * n], sums[9 * n + 1], sums[9 * n + 2])
+    by_shape = wp.vec3(-2.0 * sums[9 * n + 3], -2.0 * sums[9 * n + 4], -2.0 * sums[9 * n + 5])
+    by_colour = wp.vec3(sums[9 * n + 6], sums[9 * n + 7], sums[9 * n + 8])
+    if wp.length_sq(by_place) + wp.length_sq(by_shape) + wp.length_sq(by_colour) == 0.0:
+        slopes.centres[n] = wp.vec3()
+        slopes.log_scales[n] = wp.vec3()
+        slopes.quaternions[n] = wp.vec4()
+        slopes.logits[n] = 0.0
+        for i in range(3 * (splats.degree + 1) * (splats.degree + 1)):
+            slopes.harmonics[n, i] = 0.0
+        return
+    strength = by_place[0]
+    place = view[3 * n]
+    shape = view[3 * n + 1]
+    # w = l_0 (x - column) + l_1 (y - row) and s = l_2 (y - row), each once in -w^2 - s^2
+    column = 2.0 * place[3] * by_place[1]
+    row = 2.0 * (shape[0] * by_place[1] + shape[1] * by_place[2])
+
+    camera = lens.camera
+    axis_x = wp.vec3(camera.rotation[0, 0], camera.rotation[1, 0], camera.rotation[2, 0])
+    axis_y = wp.vec3(camera.rotation[0, 1], camera.rotation[1, 1], camera.rotation[2, 1])
+    axis_z = wp.vec3(camera.rotation[0, 2], camera.rotation[1, 2], camera.rotation[2, 2])
+    offset = splats.centres[n] - camera.centre
+    z = wp.dot(offset, axis_z)
+    x = wp.dot(offset, axis_x) / z
+    y = wp.dot(offset, axis_y) / z
+    rim_x = rim_slope(x, camera.principal_point[0], camera.focal[0], float(camera.width))
+    rim_y = rim_slope(y, camera.principal_point[1], camera.focal[1], float(camera.height))
+    along_x = axis_x - rim_x * axis_z
+    along_y = axis_y - rim_y * axis_z
+    to_column = (camera.focal[0] / z) * along_x
+    to_row = (camera.focal[1] / z) * along_y
+    covariance = splat_covariance(splats, n)
+    by_column = covariance * to_column
+    by_row = covariance * to_row
+
+    ellipse = ellipse_slopes(
+        wp.max(wp.dot(to_column, by_column), 0.0),
+        wp.dot(to_row, by_column),
+        wp.max(wp.dot(to_row, by_row), 0.0),
+        lens.blur,
+        lens.antialias,
+        by_shape,
+        strength,
+    )
+    # E = A S A^T by its two rows, and S = M M^T: M' = 2 S' M
+    slope_column = 2.0 * ellipse.cc * by_column + ellipse.cr * by_row
+    slope_row = 2.0 * ellipse.rr * by_row + ellipse.cr * by_column
+    axes = splat_axes(quaternions[n])
+    logs = log_scales[n]
+    by_axes = wp.mat33()
+    by_logs = wp.vec3()
+    for i in range(3):
+        axis = wp.vec3(axes[0, i], axes[1, i], axes[2, i])
+        scale = wp.exp(logs[i])
+        p = scale * wp.dot(to_column, axis)
+        q = scale * wp.dot(to_row, axis)
+        factor = (2.0 * ellipse.cc * p + ellipse.cr * q) * to_column + (2.0 * ellipse.rr * q + ellipse.cr * p) * to_row
+        by_logs[i] = scale * wp.dot(factor, axis)
+        for j in range(3):
+            by_axes[j, i] = scale * factor[j]
+    slopes.log_scales[n] = by_logs
+    slopes.quaternions[n] = quaternion_slope(quaternions[n], by_axes)
+    slopes.logits[n] = strength * (1.0 - splats.opacities[n]) / LN_2
+
+    by_x = camera.focal[0] * column
+    by_y = camera.focal[1] * row
+    if rim_x == x:
+        by_x -= camera.focal[0] / z * wp.dot(slope_column, axis_z)
+    if rim_y == y:
+        by_y -= camera.focal[1] / z * wp.dot(slope_row, axis_z)
+    by_z = -(wp.dot(slope_column, to_column) + wp.dot(slope_row, to_row) + by_x * x + by_y * y) / z
+    distance = wp.length(offset)
+    direction = offset / distance
+    by_direction = colour_slope(splats, n, direction, by_colour, slopes)
+    seen = (by_direction - wp.dot(by_direction, direction) * direction) / distance
+    slopes.centres[n] = (by_x / z) * axis_x + (by_y / z) * axis_y + by_z * axis_z + seen

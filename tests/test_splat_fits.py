@@ -1,0 +1,146 @@
+"""Fits of splats to pictures."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import warpcage
+from warpcage import Camera, SplatField, SplatRates, fit_splats, turntable
+
+VALUES = ("centres", "log_scales", "quaternions", "logits", "harmonics")
+
+
+def some_field(device, count=300, seed=0, degree=2):
+    rng = np.random.default_rng(seed)
+    return SplatField(
+        rng.uniform(-1, 1, (count, 3)) + (3, 2, 1),
+        np.log(0.08) + 0.4 * rng.normal(size=(count, 3)),
+        rng.normal(size=(count, 4)),
+        2 + rng.normal(size=count),
+        0.3 * rng.normal(size=(count, (degree + 1) ** 2, 3)),
+        background="white",
+        device=device,
+    )
+
+
+def perturbed(field, share=1.0, seed=1):
+    """The field with noise on all its values."""
+    rng, held = np.random.default_rng(seed), field.contents
+    noise = {"centres": 0.02, "log_scales": 0.2, "quaternions": 0.1, "logits": 0.5, "harmonics": 0.1}
+    values = [getattr(held, name) + share * noise[name] * rng.normal(size=getattr(held, name).shape) for name in VALUES]
+    return SplatField(*values, device=field.device, **field.view_options())
+
+
+def views(count, size=48):
+    return turntable((3, 2, 1), 4.0, 20, count, width=size, height=size)
+
+
+def pictures(field, cameras, **options):
+    return [field.render(camera, **options).rgb for camera in cameras]
+
+
+def psnr(field, cameras, images, **options):
+    return np.mean([warpcage.psnr(*each) for each in zip(pictures(field, cameras, **options), images, strict=True)])
+
+
+@pytest.mark.parametrize("options", [{}, {"supersampling": 2, "antialias": True}])
+def test_a_perturbed_field_is_found_again(options, device):
+    """Also from where no picture was taken."""
+    field = some_field(device)
+    begin = perturbed(field)
+    train, test = views(12), views(24)[1::8]
+    images, others = pictures(field, train, **options), pictures(field, test, **options)
+    before = psnr(begin, test, others, **options)
+    fitted = fit_splats(begin, train, images, steps=600, progress=False, **options)
+    assert before < 26 and psnr(fitted, test, others, **options) > before + 10
+    assert psnr(fitted, train, images, **options) > before + 12
+    assert (begin.contents.centres == perturbed(field).contents.centres).all()
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_one_kind_of_values_is_found_again(name, device):
+    """With the others as they are, and held there."""
+    field = some_field(device)
+    values = {each: getattr(field.contents, each) for each in VALUES}
+    values[name] = getattr(perturbed(field, 1.5).contents, name)
+    begin = SplatField(*values.values(), device=field.device, **field.view_options())
+    train = views(8)
+    images = pictures(field, train)
+    kinds = {"harmonics": ("colours", "harmonics")}.get(name, (name,))
+    rates = {each.name: each.default * (each.name in kinds) for each in dataclasses.fields(SplatRates)}
+    rates = {each: 5 * rate for each, rate in rates.items()} | {"last": 0.05}
+    fitted = fit_splats(begin, train, images, steps=400, rates=SplatRates(**rates), progress=False)
+    assert psnr(fitted, train, images) > psnr(begin, train, images) + 8
+    for each in set(VALUES) - {name}:
+        near = np.abs(getattr(fitted.contents, each) - values[each]).max()
+        assert near < 1e-6
+
+
+def test_the_loss_of_absolute_differences(device):
+    field = some_field(device)
+    begin, train = perturbed(field), views(8)
+    images = pictures(field, train)
+    fitted = fit_splats(begin, train, images, steps=100, loss="l1", progress=False)
+    assert psnr(fitted, train, images) > psnr(begin, train, images) + 3
+
+
+def test_splats_grow_as_far_as_they_may(device):
+    field = some_field(device)
+    small = SplatField(
+        field.contents.centres,
+        field.contents.log_scales - 1.0,
+        *(getattr(field.contents, name) for name in VALUES[2:]),
+        device=field.device,
+    )
+    train = views(4)
+    fitted = fit_splats(
+        small, train, pictures(field, train, background="black"), steps=60, growth=1.2, progress=False,
+        rates=SplatRates(log_scales=0.05),
+    )  # fmt: skip
+    growth = np.exp(fitted.contents.log_scales - small.contents.log_scales)
+    assert growth.max() < 1.2 + 1e-4 and (growth > 1.199).mean() > 0.2
+
+
+def test_fits_are_the_same_on_a_cpu(two_threads):
+    """On any number of threads, with the same seed; another order of pictures makes another field."""
+    field = some_field("cpu", 100)
+    begin, train = perturbed(field), views(5, 33)
+    images = pictures(field, train)
+    fits = [fit_splats(begin, train, images, steps=12, seed=seed, progress=False).contents for seed in (3, 3, 4)]
+    assert (fits[0].harmonics == fits[1].harmonics).all() and (fits[0].centres == fits[1].centres).all()
+    assert (fits[0].harmonics != fits[2].harmonics).any()
+
+
+def test_pictures_of_several_sizes_and_files_with_more(device, tmp_path):
+    some_field("cpu", 50).save(tmp_path / "field.ply")
+    field = SplatField.load(tmp_path / "field.ply", device=device)
+    train = [Camera.look_at((3, -2, 2), (3, 2, 1), width=w, height=h) for w, h in ((20, 31), (40, 17))]
+    fitted = fit_splats(field, train, pictures(field, train), steps=2, progress=False)
+    fitted.save(tmp_path / "fitted.ply")
+    again = SplatField.load(tmp_path / "fitted.ply", device=device)
+    assert (again.contents.harmonics == fitted.contents.harmonics).all() and fitted.background.tolist() == [0, 0, 0]
+    assert (tmp_path / "fitted.ply").stat().st_size == (tmp_path / "field.ply").stat().st_size
+
+
+def test_bad_input(device):
+    field = some_field(device, 10)
+    view = views(1, 16)
+    image = np.zeros((1, 16, 16, 3))
+    for arguments, options, words in (
+        (("field", view, image), {}, "SplatField"),
+        ((field, [], []), {}, "pictures, a camera each"),
+        ((field, view, np.zeros((2, 16, 16, 3))), {}, "2 and 1 cameras"),
+        ((field, ["front"], image), {}, "Camera"),
+        ((field, view, np.zeros((1, 15, 16, 3))), {}, r"picture 0 must be \(16, 16, 3\)"),
+        ((field, view, np.full((1, 16, 16, 3), np.nan)), {}, "finite"),
+        ((field, view, image), {"steps": 0}, "steps"),
+        ((field, view, image), {"loss": "l3"}, "l1, l2"),
+        ((field, view, image), {"supersampling": 9}, "supersampling"),
+        ((field, view, image), {"blur": 0}, "blur"),
+        ((field, view, image), {"growth": 0.9}, "growth"),
+        ((field, view, image), {"background": "mauve"}, "mauve"),
+        ((field.chosen([]), view, image), {}, "without splats"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            fit_splats(*arguments, **{"steps": 1, "progress": False, **options})

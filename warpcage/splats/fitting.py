@@ -1,0 +1,298 @@
+"""Fit splats to pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..core.arrays import empty_array
+from ..core.checks import checked_positive, checked_whole, require_type
+from ..core.devices import launch
+from ..core.locks import device_turn
+from ..kernels.splats import adam, picture_slopes
+from ..view.backgrounds import parse_background
+from ..view.camera import Camera
+from ..view.frame import checked_supersampling, finer_camera
+from .gradients import SplatGradients
+from .parameters import SplatParameters
+from .rendering import IMAGE_BLUR, splat_lens
+from .splat_field import SplatField
+
+#: What differences of colours may count by.
+LOSSES = ("l1", "l2")
+
+#: Steps between two figures of the bar.
+SHOWN_EVERY = 50
+
+#: Adam's means of slopes and of their squares, and what keeps steps small where slopes are nothing beside a pixel.
+BETAS, EPSILON = (0.9, 0.999), 1e-8
+
+
+@dataclasses.dataclass(frozen=True)
+class SplatRates:
+    """How far a step takes each kind of values at most, about.
+
+    Scales, rotations and opacities step as in 3DGS. Centres step less, as those of a field that is to be improved lie
+    where they should already (3DGS: 1.6e-4 of the scene's size), and colours more, by measurement
+    (benchmarks/NOTES-splats.md).
+
+    Args:
+        centres: Share of the median standard deviation of the splats.
+        log_scales: Of their logarithms.
+        quaternions: Of unit quaternions.
+        logits: Of opacities.
+        colours: Of the harmonics of degree 0.
+        harmonics: Of the others.
+        last: All rates fall to this share of themselves, exponentially, until the last step.
+    """
+
+    centres: float = 0.02
+    log_scales: float = 5e-3
+    quaternions: float = 1e-3
+    logits: float = 2.5e-2
+    colours: float = 5e-3
+    harmonics: float = 2e-3
+    last: float = 0.05
+
+
+def fit_splats(
+    field: SplatField,
+    cameras: Sequence[Camera],
+    images: np.ndarray | Sequence[ArrayLike],
+    *,
+    steps: int = 2000,
+    loss: str = "l2",
+    supersampling: int = 1,
+    antialias: bool = False,
+    blur: float = IMAGE_BLUR,
+    background: str | ArrayLike | None = None,
+    growth: float | None = None,
+    rates: SplatRates | None = None,
+    seed: int = 0,
+    progress: bool = True,
+) -> SplatField:
+    """Improve a field of splats on pictures of what it shows.
+
+    Each step draws one picture, takes the slopes of its loss back to the centres, scales, rotations, opacities and
+    harmonics of the splats (kernels/splats/composite_slopes.py, project_slopes.py), and steps by Adam. There are as
+    many splats afterwards as before: none is added, divided or removed. Give a field that is near already, and
+    pictures from all sides: what no picture sees stays as it is.
+
+    Args:
+        field: The field to begin with. It is left as it is.
+        cameras: (m,) cameras of the pictures, of any sizes.
+        images: (m, h, w, 3) colours in [0, 1], or a sequence of (h, w, 3); transparent ones composited over the
+            background.
+        steps: Pictures that are drawn, in random order, each as often as the others.
+        loss: What differences of colours count by: "l2", their squares, for a high PSNR, or "l1", as 3DGS has it (here
+            without its structural term).
+        supersampling: Rays along each side of a pixel, 1 to 8.
+        antialias: Weaken splats that the blur of the picture makes larger (Mip-Splatting). Draw the fitted field in the
+            same way.
+        blur: Variance by which pictures are blurred, pixels squared.
+        background: Colour behind the splats, a name or (3,) in [0, 1]. None is the field's own.
+        growth: How many times as large as at first, along each of its axes, a splat may become, 1 or more; fields that
+            are to be posed want splats that stay at their place. None sets no limit.
+        rates: Of the steps. None is SplatRates().
+        seed: Of the order of pictures.
+        progress: Whether to show a bar with the PSNR of the last picture.
+
+    Returns:
+        The fitted field, on the device of the first one, with what else its file says.
+
+    Raises:
+        ValueError: For no splats or no pictures, pictures that do not fit their cameras or are not finite, and options
+            out of range.
+
+    References: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023).
+    """
+    from tqdm import tqdm
+
+    require_type(field, SplatField, "fit_splats needs")
+    pictures = checked_pictures(cameras, images)
+    if not len(field):
+        raise ValueError("a field without splats cannot be fitted: give it some to begin with")
+    if loss not in LOSSES:
+        raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
+    steps = checked_whole(steps, "steps", 1)
+    optimizer = SplatOptimizer(
+        field,
+        cameras,
+        pictures,
+        steps=steps,
+        loss=loss,
+        supersampling=checked_supersampling(supersampling),
+        blur=checked_positive(blur, "blur"),
+        antialias=antialias,
+        background=field.background if background is None else parse_background(background),
+        growth=math.inf if growth is None else checked_growth(growth),
+        rates=SplatRates() if rates is None else rates,
+        seed=seed,
+    )
+    with tqdm(total=steps, desc="fit splats", disable=not progress) as bar:
+        for step in range(steps):
+            optimizer.step()
+            bar.update()
+            if progress and step % SHOWN_EVERY == 0:
+                bar.set_postfix_str(f"{-10.0 * np.log10(max(optimizer.mean_error(), 1e-20)):.2f} dB")
+    return optimizer.to_field()
+
+
+def checked_growth(growth: float) -> float:
+    """How many times as large a splat may become.
+
+    Args:
+        growth: What the caller asked for.
+
+    Returns:
+        The number.
+
+    Raises:
+        ValueError: Below 1.
+    """
+    if checked_positive(growth, "growth") < 1.0:
+        raise ValueError(f"growth must be 1 or more times the size at first, got {growth}")
+    return float(growth)
+
+
+def checked_pictures(cameras: Sequence[Camera], images: np.ndarray | Sequence[ArrayLike]) -> list[np.ndarray]:
+    """Pictures that fit their cameras.
+
+    Args:
+        cameras: (m,) cameras.
+        images: (m, h, w, 3) colours, or a sequence of (h, w, 3).
+
+    Returns:
+        (h, w, 3) float32 each.
+
+    Raises:
+        ValueError: For none, another number, other sizes, or values that are not finite.
+    """
+    pictures = [np.asarray(image, np.float32) for image in images]
+    if not len(cameras) or len(cameras) != len(pictures):
+        raise ValueError(f"fit_splats needs pictures, a camera each: got {len(pictures)} and {len(cameras)} cameras")
+    for number, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
+        require_type(camera, Camera, f"picture {number} needs")
+        if picture.shape != (camera.height, camera.width, 3):
+            size = f"({camera.height}, {camera.width}, 3)"
+            raise ValueError(f"picture {number} must be {size} as its camera says, got {picture.shape}")
+        if not np.isfinite(picture).all():
+            raise ValueError(f"picture {number} has values that are not finite")
+    return pictures
+
+
+class SplatOptimizer:
+    """Steps the values of a field's splats down the loss of pictures, one picture a step.
+
+    Args:
+        field: The field that the splats begin with.
+        cameras: (m,) their pictures' cameras.
+        images: (m, h, w, 3) colours in [0, 1], before the background.
+        steps: Steps that there will be.
+        loss: "l1" or "l2".
+        supersampling: Rays along each side of a pixel.
+        blur: Variance by which pictures are blurred, pixels squared.
+        antialias: As in `SplatField.render`.
+        background: (3,) colour behind the splats.
+        growth: How many times as large as at first a splat may become along an axis; inf for no limit.
+        rates: Of the values.
+        seed: Of the order of pictures.
+
+    Attributes:
+        step_count: Steps done.
+    """
+
+    def __init__(
+        self,
+        field: SplatField,
+        cameras: Sequence[Camera],
+        images: Sequence[np.ndarray],
+        *,
+        steps: int,
+        loss: str,
+        supersampling: int,
+        blur: float,
+        antialias: bool,
+        background: np.ndarray,
+        growth: float,
+        rates: SplatRates,
+        seed: int,
+    ):
+        self.device, self.step_count, self._steps = field.device, 0, steps
+        self._side, self._squared, self._rates = supersampling, int(loss == "l2"), rates
+        self._background = wp.vec3(*map(float, background))
+        self._parameters, self._gradients = SplatParameters(field), SplatGradients(field.device)
+        self._cameras = [finer_camera(camera, supersampling) for camera in cameras]
+        fine = blur * supersampling**2
+        self._lenses = [splat_lens(camera, field.center, field.near, fine, antialias) for camera in self._cameras]
+        self._images = [wp.array(image.reshape(-1, 3), dtype=wp.vec3, device=self.device) for image in images]
+        most = max(len(image) for image in self._images)
+        self._slopes = empty_array(most * supersampling**2, wp.vec3, self.device)
+        self._errors = empty_array(most, wp.float32, self.device)
+        values = self._parameters.values
+        self._means = {name: wp.zeros_like(array) for name, array in values.items()}
+        self._squares = {name: wp.zeros_like(array) for name, array in values.items()}
+        size = float(np.exp(np.median(field.contents.log_scales)))
+        self._kinds = {  # numbers that come first in a row, their rate, and that of the others
+            "centres": (0, 0.0, rates.centres * size),
+            "log_scales": (0, 0.0, rates.log_scales),
+            "quaternions": (0, 0.0, rates.quaternions),
+            "logits": (0, 0.0, rates.logits),
+            "harmonics": (3, rates.colours, rates.harmonics),
+        }
+        self._growth = math.log(growth)
+        self._first_scales = wp.clone(values["log_scales"]) if math.isfinite(growth) else None
+        self._order: list[int] = []
+        self._pixels = 0
+        self._random = np.random.default_rng(seed)
+
+    def step(self) -> None:
+        """Draw the next picture, and step by its slopes."""
+        if not self._order:
+            self._order = self._random.permutation(len(self._cameras)).tolist()
+        with device_turn(self.device):
+            self._find_slopes(self._order.pop())
+            self._step_values()
+        self.step_count += 1
+
+    def to_field(self) -> SplatField:
+        """The field of the values as they are now."""
+        with device_turn(self.device):
+            return self._parameters.to_field()
+
+    def mean_error(self) -> float:
+        """Mean square of the colours' errors in the last picture, before its step."""
+        with device_turn(self.device):
+            return float(self._errors.numpy()[: self._pixels].mean())
+
+    def _find_slopes(self, number: int) -> None:
+        camera, image = self._cameras[number], self._images[number]
+        self._pixels = len(image)
+        self._parameters.refresh()
+        drawn = self._gradients.draw(self._parameters, camera, self._lenses[number], self._background)
+        inputs = [self._side, camera.width // self._side, self._squared, drawn, image]
+        outputs = [self._slopes, self._errors]
+        launch(picture_slopes.slope_of_picture, self._pixels, inputs, outputs, device=self.device)
+        self._gradients.take_back(self._slopes)
+
+    def _step_values(self) -> None:
+        done = self.step_count + 1
+        fall = self._rates.last ** (self.step_count / max(self._steps - 1, 1))
+        for name, (lead, lead_rate, rate) in self._kinds.items():
+            values, slopes = self._parameters.values[name], self._parameters.slopes[name]
+            step = adam.AdamStep()
+            step.width, step.lead, step.lead_rate, step.rate = values.shape[1], lead, fall * lead_rate, fall * rate
+            step.beta1, step.beta2, step.epsilon = *BETAS, EPSILON
+            step.share1, step.share2 = (1.0 - beta**done for beta in BETAS)
+            arrays = [slopes, self._means[name], self._squares[name], values]
+            flat = [array.flatten() for array in arrays]
+            launch(adam.step_adam, values.size, [step, *flat], device=self.device)
+        if self._first_scales is not None:
+            values = self._parameters.values["log_scales"]
+            inputs = [self._growth, self._first_scales.flatten()]
+            launch(adam.hold_below, values.size, inputs, [values.flatten()], device=self.device)
