@@ -3,11 +3,11 @@
     python benchmarks/splats_truth.py --device cuda:0 --json docs/results/splats_truth.json --figures docs/pictures
     python benchmarks/splats_truth.py --quick
 
-Splats are placed on the reference models by construction (splat_scenes.py), so that what they show at rest is known,
-and posed by cages. The model goes where the same map takes its vertices: forward ones by deform_points, backward ones
-(`map="backward"`, what voxels do) where Newton's iteration in float64 finds them (truth_scenes.py). Its colours,
-shadows and highlights are carried along, and seen in the direction J^-1 d, J the Jacobian of the map. Rows of one
-scene, pose, kind of coordinates and map:
+Splats are placed on the reference models by construction (splat_scenes.py), fitted to pictures of the models at rest
+(warpcage.fit_splats; none of the test's views, and no pose), and posed by cages. The model goes where the same map
+takes its vertices: forward ones by deform_points, backward ones (`map="backward"`, what voxels do) where Newton's
+iteration in float64 finds them (truth_scenes.py). Its colours, shadows and highlights are carried along, and seen in
+the direction J^-1 d, J the Jacobian of the map. Rows of one scene, pose, kind of coordinates and map:
 
 - deformer: warpcage.Deformer.
 - truth turned: the same pictures against a truth whose highlights are seen in the direction R^T d, R the rotation
@@ -31,7 +31,7 @@ from ground_truth import measure
 from results import write_jpeg, write_results
 from splat_scenes import splats_on_mesh
 from splat_shortcuts import gsdeformer, with_opaque_pieces, without_splits, without_turns
-from truth_scenes import CAGES, POSES, Place, View, cameras, pose_cages
+from truth_scenes import CAGES, POSES, Place, View, cameras, on_white, pose_cages
 
 import warpcage
 from warpcage.core.devices import resolve_device
@@ -39,6 +39,7 @@ from warpcage.deform import splat_edits
 from warpcage.reference.carried_mesh import CarriedMesh
 from warpcage.reference.inverse_map import InverseMap
 from warpcage.reference.models import subdivided_model
+from warpcage.splats.rendering import IMAGE_BLUR
 from warpcage.view.frame import average_frame, finer_camera
 from warpcage.view.pictures import contact_sheet
 
@@ -67,12 +68,16 @@ DIFFERENCE = 2e-3
 #: picture is for splats that were fitted with it.
 FINER = 2
 
+#: How many times as large as it was placed the fit may make a splat along an axis: it should stay where its matter is.
+GROWTH = 1.5
+
 
 def main() -> None:
     args = parse_arguments()
     wp.config.quiet = True
     device = resolve_device(args.device)
     rows, scenes = [], []
+    sizes = {name: getattr(args, name) for name in ("size", "test_views", "fit_views", "fit_steps")}
     for name in args.scenes:
         begin = time.perf_counter()
         scene = SplatScene(name, args, device)
@@ -84,7 +89,7 @@ def main() -> None:
             write_jpeg(path, contact_sheet(pictures, columns=3), quality=85)
         print(f"{name}: {time.perf_counter() - begin:.1f} s", flush=True)
         if args.json:  # after each scene, so that an interruption loses little
-            write_results(args.json, device, size=args.size, test_views=args.test_views, scenes=scenes, rows=rows)
+            write_results(args.json, device, scenes=scenes, rows=rows, **sizes)
 
 
 def parse_arguments():
@@ -96,6 +101,8 @@ def parse_arguments():
     parser.add_argument("--maps", nargs="*", default=list(MAPS))
     parser.add_argument("--size", type=int, default=400, help="pixels along each side")
     parser.add_argument("--test-views", type=int, default=6)
+    parser.add_argument("--fit-views", type=int, default=100, help="pictures at rest that splats are fitted to")
+    parser.add_argument("--fit-steps", type=int, default=3000, help="0: splats as they were placed")
     parser.add_argument("--samples", type=int, default=3, help="rays along each side of a pixel, for the ray caster")
     parser.add_argument("--edge", type=float, default=0.08, help="longest edge of the models' triangles")
     parser.add_argument("--most", type=int, default=1 << 30, help="discs of a layer at most")
@@ -106,6 +113,7 @@ def parse_arguments():
     args = parser.parse_args()
     if args.quick:
         args.device, args.size, args.test_views, args.samples, args.edge, args.most = "cpu", 80, 1, 2, 0.2, 3_000
+        args.fit_views, args.fit_steps = 40, 150
         args.scenes, args.poses, args.kinds = ["animal, gloss", "chair, long"], ["bend"], ["mean_value"]
     return args
 
@@ -120,13 +128,35 @@ class SplatScene:
         self.cage = warpcage.Cage.load(CAGES / f"{self.model}.obj")
         self.field = splats_on_mesh(self.mesh, min(count, args.most), aspect=aspect, device=device)
         views = self.views(Place(self.mesh.vertices, None, np.zeros(3)))
-        at_rest = measure(self.pictures(self.field.splats, views), views, self.cage.size)
-        self.facts = {"scene": name, "splats": len(self.field), "cage_vertices": len(self.cage.vertices), **at_rest}
+        self.facts = {"scene": name, "splats": len(self.field), "cage_vertices": len(self.cage.vertices)}
+        if args.fit_steps:
+            self.facts["placed"] = measure(self.pictures(self.field.splats, views), views, self.cage.size)
+            begin = time.perf_counter()
+            self.field = self.fitted()
+            self.facts["fit_seconds"] = time.perf_counter() - begin
+        self.facts |= measure(self.pictures(self.field.splats, views), views, self.cage.size)
 
     @property
     def has_pieces(self) -> bool:
         """Whether some splats are cut."""
         return bool(np.exp(self.field.contents.log_scales.max()) > 0.5 * splat_edits.LARGE * self.cage.size)
+
+    def fitted(self):
+        """The splats, fitted to pictures at rest from all sides."""
+        args = self.args
+        places = cameras(np.zeros(3), args.fit_views, args.size, sphere=True)
+        rgba, _ = self.mesh.render(places, samples=args.samples)
+        return warpcage.fit_splats(
+            self.field,
+            places,
+            on_white(rgba),
+            steps=args.fit_steps,
+            supersampling=FINER,
+            blur=IMAGE_BLUR / FINER**2,  # that of the finer picture
+            antialias=True,
+            growth=GROWTH,
+            progress=False,
+        )
 
     def place(self, posed, kind: str, map: str) -> Place:
         """Where a pose takes the model, and the Jacobians there of the map back to rest."""
@@ -146,8 +176,7 @@ class SplatScene:
         args = self.args
         places = cameras(place.middle, args.test_views, args.size, sphere=False)
         rgba, depth = self.mesh.render(places, posed=place.points, view_matrices=place.jacobians, samples=args.samples)
-        images = (rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]).astype(np.float32)
-        return [View(*view) for view in zip(places, images, depth, strict=True)]
+        return [View(*view) for view in zip(places, on_white(rgba), depth, strict=True)]
 
     def pictures(self, splats, views: list[View], field=None) -> list:
         """What the views see of splats, before white."""

@@ -102,14 +102,14 @@ class TruthScene:
         """The pictures at rest that the field is fitted to, with alpha."""
         views = cameras((0, 0, 0), self.train_views, self.size, sphere=True)
         rgba, _ = self.mesh.render(views, samples=self.samples)
-        return Scene(images=_on_white(rgba), cameras=views, alphas=rgba[..., 3])
+        return Scene(images=on_white(rgba), cameras=views, alphas=rgba[..., 3])
 
     def posed_training(self, posed: warpcage.Cage, kind: str) -> Scene:
         """As many "carried" pictures of a pose, from all around it, to which a field of the pose itself is fitted."""
         place = self._place(posed, kind)
         views = cameras(place.middle, self.train_views, self.size, sphere=True)
         rgba, _ = self.mesh.render(views, posed=place.points, view_matrices=place.jacobians, samples=self.samples)
-        return Scene(images=_on_white(rgba), cameras=views, alphas=rgba[..., 3])
+        return Scene(images=on_white(rgba), cameras=views, alphas=rgba[..., 3])
 
     def rest_views(self) -> list[View]:
         return self._views(np.zeros(3), None, None, False)
@@ -142,8 +142,9 @@ class TruthScene:
         rgba, depth = self.mesh.render(
             places, posed=points, view_matrices=matrices, light_stays=light_stays, samples=self.samples
         )
-        return [View(*view) for view in zip(places, _on_white(rgba), depth, strict=True)]
+        return [View(*view) for view in zip(places, on_white(rgba), depth, strict=True)]
 
 
-def _on_white(rgba: np.ndarray) -> np.ndarray:
+def on_white(rgba: np.ndarray) -> np.ndarray:
+    """(..., 3) float32 colours of pictures with opacity (..., 4), before white."""
     return (rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]).astype(np.float32)
