@@ -102,12 +102,45 @@ def test_lots_follow_what_items_take():
         sizes[seconds] = taken
     assert sizes[0.01][0] == 1 and set(sizes[0.01][1:]) == {256}
     assert set(sizes[1.0][1:]) == {10} and set(sizes[30.0]) == {1}
-    lots = Lots(np.arange(100), np.zeros(100))
-    lots.note(0, 0.001)
-    taken = []
+    for seconds, first in ((0.1, 13), (0.001, 50)):
+        lots = Lots(np.arange(100), np.zeros(100))
+        lots.note(0, seconds)
+        taken = []
+        while lots.left:
+            taken.append(len(lots.take(0, 2)[0]))
+        assert taken[0] == first and taken[-1] == 1 and sum(taken) == 100 and taken == sorted(taken, reverse=True)
+
+
+def test_the_last_lots_are_as_short_as_all_can_have_and_no_shorter():
+    """A worker waits for its files at the end of each: few lots, whose last ones end together."""
+    count, workers = 2000, 2
+    lots = Lots(np.arange(count), np.zeros(count), aim=2.0)
+    lots.note(0, 0.01)
+    free, taken = [0.0] * workers, []
     while lots.left:
-        taken.append(len(lots.take(0, 2)[0]))
-    assert taken[0] == 13 and taken[-1] == 1 and sum(taken) == 100 and taken == sorted(taken, reverse=True)
+        name = int(np.argmin(free))
+        taken.append(len(lots.take(0, workers)[0]))
+        free[name] += 0.07 + 0.01 * taken[-1]
+    assert len(taken) < 40 and max(free) - min(free) < 0.1
+    assert all(size >= 50 for size in taken[:-8])
+
+
+def test_one_item_alone_says_little_beside_a_lot_and_what_was_loaded_nothing():
+    """The first item loads its field, and one that is made alone waits for its files."""
+    dispatcher = Dispatcher(Lots(np.arange(10_000), np.zeros(10_000), aim=2.0))
+    dispatcher.add_worker("a")
+    sizes = []
+    for step in range(6):
+        lot = dispatcher.next_lot("a", 0.0)
+        sizes.append(len(lot.items))
+        each = 4.0 if not step else 0.1 if sizes[-1] == 1 else 0.01
+        report = LotReport(done=list(lot.items), seconds=[each] * sizes[-1], loading=not step)
+        dispatcher.reported("a", report, 0.0)
+    assert sizes[:3] == [1, 1, 20] and sizes[-1] >= 180
+    before = dispatcher.lots.seconds(0)
+    lot = dispatcher.next_lot("a", 0.0)
+    dispatcher.reported("a", LotReport(done=lot.items[:1], seconds=[5.0], left=lot.items[1:], loading=True), 0.0)
+    assert dispatcher.lots.seconds(0) == before
 
 
 def test_what_is_thought_of_items_and_workers_stays_near_the_truth():

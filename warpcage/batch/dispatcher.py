@@ -174,14 +174,16 @@ class Dispatcher:
             self._pack_again(lot, report.pack_error)
         if report.done:
             worker.barren = 0
-            usual = report.seconds[1:] if report.loading and len(report.seconds) > 1 else report.seconds
-            mean = sum(usual) / len(usual)
-            expected = self.lots.seconds(lot.group)
-            if expected and not (report.loading and len(report.seconds) == 1):
+            usual = report.seconds[1:] if report.loading else report.seconds
+            mean = sum(usual) / len(usual) if usual else report.seconds[0]
+            expected, behind = self.lots.seconds(lot.group), self.lots.items_behind(lot.group)
+            if expected and behind and usual:
                 ratio = min(max(mean / expected, 1.0 / MOST_RATIO), MOST_RATIO)
-                worker.speed += NEWEST * (ratio - worker.speed)
+                # few items say little, as those at the end of a lot wait for their files
+                share = min(1.0, len(usual) / behind)
+                worker.speed += NEWEST * share * (ratio - worker.speed)
             # of all workers together, as they are: two unknowns that explain each other would drift away together
-            self.lots.note(lot.group, mean)
+            self.lots.note(lot.group, mean, len(usual))
         elif report.broken is not None:
             worker.barren += 1
         if report.halt is not None:

@@ -13,7 +13,12 @@ AIM, LARGEST = 10.0, 256
 #: Lots that each worker should still get of what is left: towards the end they become small, so that all end together.
 LOTS_PER_WORKER = 4
 
-#: Weight of the newest lot in the seconds that an item of a group is taken for.
+#: Seconds that a lot should take at least, as far as each worker gets as much: at its end a worker waits until the last
+#: files are written.
+LEAST = 0.5
+
+#: Weight of the newest lot in the seconds that an item of a group is taken for, where it has as many items as those
+#: before it.
 NEWEST = 0.25
 
 
@@ -34,6 +39,21 @@ class Lot:
     attempts: Sequence[int]
     group: int
     shard: int | None = None
+
+
+@dataclasses.dataclass
+class _Seconds:
+    """A running mean of what an item takes, and how many items of a lot it is known by."""
+
+    mean: float = 0.0
+    items: float = 0.0
+
+    def note(self, seconds: float, items: int) -> None:
+        """Take in a lot of so many items, each of which counts."""
+        before = (1.0 / NEWEST - 1.0) * self.items
+        weight = items / (items + before) if before else 1.0
+        self.mean += weight * (seconds - self.mean)
+        self.items += weight * (items - self.items)
 
 
 class Lots:
@@ -77,8 +97,8 @@ class Lots:
         )  # the largest first: none is left for the end
         self._unclaimed = 0  # index into those
         self._open: set[int] = set()  # groups that were claimed and have items left
-        self._seconds: dict[int, float] = {}  # an item of a group takes
-        self._kind_seconds: dict[int, float] = {}
+        self._seconds: dict[int, _Seconds] = {}  # an item of a group takes
+        self._kind_seconds: dict[int, _Seconds] = {}
         self._aim, self._largest, self._whole = aim, largest, whole
         self.left = len(self._items)
 
@@ -97,14 +117,30 @@ class Lots:
 
     def seconds(self, group: int) -> float | None:
         """Seconds that an item of a group takes; None where nobody knows."""
-        return self._seconds.get(group, self._kind_seconds.get(int(self._kinds[group])))
+        found = self._found(group)
+        return None if found is None else found.mean
 
-    def note(self, group: int, seconds: float) -> None:
-        """Keep how long an item of a group took, as a mean over a lot."""
+    def items_behind(self, group: int) -> float:
+        """How many items of a lot `seconds` is known by; 0 where nobody knows."""
+        found = self._found(group)
+        return 0.0 if found is None else found.items
+
+    def note(self, group: int, seconds: float, items: int = 1) -> None:
+        """Keep how long an item of a group took.
+
+        Args:
+            group: The group.
+            seconds: Mean over the items of a lot.
+            items: How many those were: one that is made alone takes longer than one among others. 0 is for seconds with
+                what loading takes in them, which hold only until others are known.
+        """
         kind = int(self._kinds[group])
         tables = [(self._kind_seconds, kind), *([(self._seconds, group)] if self.left_in(group) else [])]
         for table, key in tables:
-            table[key] = seconds if key not in table else NEWEST * seconds + (1 - NEWEST) * table[key]
+            table.setdefault(key, _Seconds()).note(seconds, items)
+
+    def _found(self, group: int) -> _Seconds | None:
+        return self._seconds.get(group, self._kind_seconds.get(int(self._kinds[group])))
 
     def choose(self, loaded: int | None, sharers: dict[int, int]) -> int | None:
         """The group of which a worker should take its next lot.
@@ -163,9 +199,12 @@ class Lots:
         if self._whole:
             return self.left_in(group)
         seconds = self.seconds(group)
-        aimed = 1 if seconds is None else int(self._aim / max(seconds * speed, 1e-9))
-        fair = -(-self.left // (LOTS_PER_WORKER * max(workers, 1)))
-        return max(1, min(aimed, fair, self._largest))
+        if seconds is None:
+            return 1
+        each = max(seconds * speed, 1e-9)
+        aimed, least = int(self._aim / each), int(min(self._aim, LEAST) / each)
+        fair, equal = (-(-self.left // (lots * max(workers, 1))) for lots in (LOTS_PER_WORKER, 1))
+        return max(1, min(aimed, max(fair, min(least, equal)), self._largest))
 
     def _cut(self, group: int, size: int) -> list[int]:
         back = self._back.get(group, [])
