@@ -136,7 +136,7 @@ def test_one_item_alone_says_little_beside_a_lot_and_what_was_loaded_nothing():
         each = 4.0 if not step else 0.1 if sizes[-1] == 1 else 0.01
         report = LotReport(done=list(lot.items), seconds=[each] * sizes[-1], loading=not step)
         dispatcher.reported("a", report, 0.0)
-    assert sizes[:3] == [1, 1, 20] and sizes[-1] >= 180
+    assert sizes[:2] == [1, 1] and sizes[2] in (19, 20) and sizes[-1] >= 180
     before = dispatcher.lots.seconds(0)
     lot = dispatcher.next_lot("a", 0.0)
     dispatcher.reported("a", LotReport(done=lot.items[:1], seconds=[5.0], left=lot.items[1:], loading=True), 0.0)

@@ -56,7 +56,7 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
     maker, folder = Held(tmp_path), OutputFolder(tmp_path / "out")
     folder.prepare()
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
-        runner = LotRunner(maker, job.reader.item, lambda item: "", notes, Place("0", "here", "cpu"))
+        runner = LotRunner(maker, job.reader.item, lambda item: str, notes, Place("0", "here", "cpu"))
         lines = [(job.data(index), job.line(index)) for index in (3, 7)]
         assert runner.oldest(1) is None
         working = threading.Thread(target=runner.run, args=[LotOrder(1, [3, 7], lines, [0, 0])])

@@ -6,7 +6,8 @@ import hashlib
 import json
 import os
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from ..core.files import PathLike, file_stamp
@@ -17,6 +18,9 @@ from .words import split_reference
 
 #: Bytes that are hashed at once, and files whose hashes are kept.
 CHUNK, MOST_FILES = 1 << 20, 200_000
+
+#: Bytes from which on a file is hashed by a thread, beside whoever reads it too.
+LARGE = 1 << 22
 
 #: Bytes of a hash.
 HASH_BYTES = 16
@@ -36,7 +40,8 @@ class Fingerprints:
     def __init__(self, base: PathLike, out: PathLike | None = None):
         self.base = pathlib.Path(base)
         self._out = None if out is None else os.path.realpath(out)
-        self._hashes: Recent[str] = Recent(MOST_FILES)
+        self._hashes: Recent[str | Future[str]] = Recent(MOST_FILES)
+        self._thread: ThreadPoolExecutor | None = None
         self._arrays: Recent[NpyFile] = Recent(32)
 
     def of(self, item: Item) -> str:
@@ -48,8 +53,25 @@ class Fingerprints:
         Returns:
             Hexadecimal digits. A file that is not there or cannot be read counts as such: the item itself will say so.
         """
-        parts = [canonical(item.to_json()), *self.of_inputs(item)]
-        return hashlib.blake2b("\n".join(parts).encode(), digest_size=HASH_BYTES).hexdigest()
+        return self.begun(item)()
+
+    def begun(self, item: Item) -> Callable[[], str]:
+        """The fingerprint of an item as its files are now, while large ones are hashed beside what the caller does.
+
+        Args:
+            item: The item.
+
+        Returns:
+            Waits for the hashes, and returns what `of` does. A file that was written to meanwhile has a hash that it
+            never has again.
+        """
+        words, inputs = canonical(item.to_json()), [self._of_reference(each) for each in references_of(item)]
+
+        def joined() -> str:
+            parts = [words, *map(_settled, inputs)]
+            return hashlib.blake2b("\n".join(parts).encode(), digest_size=HASH_BYTES).hexdigest()
+
+        return joined
 
     def of_inputs(self, item: Item) -> tuple[str, ...]:
         """The fingerprints of what an item reads, whatever it says beside.
@@ -60,9 +82,9 @@ class Fingerprints:
         Returns:
             One for each of `references_of`.
         """
-        return tuple(self._of_reference(each) for each in references_of(item))
+        return tuple(_settled(self._of_reference(each)) for each in references_of(item))
 
-    def _of_reference(self, reference: str) -> str:
+    def _of_reference(self, reference: str) -> str | Future[str]:
         name, place = split_reference(reference)
         try:
             path = self.base / name
@@ -70,16 +92,28 @@ class Fingerprints:
                 return self._of_folder(path)
             if place.isdigit() and name.lower().endswith(".npy"):
                 return self._of_row(path, int(place))
-            return self._of_file(path)
+            return self._of_file(path) if path.suffix.lower() == ".gltf" else self._hash(path)
         except (OSError, ValueError) as error:
-            return f"cannot be read: {type(error).__name__}"
+            return _unreadable(error)
 
     def _of_file(self, path: pathlib.Path) -> str:
         """The hash of a file, and of the files beside it that a .gltf keeps its numbers in."""
-        found = self._hashes.get((os.fspath(path), file_stamp(path)), lambda: _file_hash(path))
+        found = _settled(self._hash(path))
         if path.suffix.lower() == ".gltf":
             return " ".join([found, *(self._of_file(each) for each in _gltf_files(path))])
         return found
+
+    def _hash(self, path: pathlib.Path) -> str | Future[str]:
+        """The hash of a file alone; of a large one it may be under way."""
+        stamp = file_stamp(path)
+
+        def begin() -> str | Future[str]:
+            if stamp[0] < LARGE:
+                return _file_hash(path)
+            self._thread = self._thread or ThreadPoolExecutor(1, "warpcage-hashes")
+            return self._thread.submit(_stamped_hash, path, stamp)
+
+        return self._hashes.get((os.fspath(path), stamp), begin)
 
     def _of_row(self, path: pathlib.Path, index: int) -> str:
         array = self._arrays.get((os.fspath(path), file_stamp(path)), lambda: NpyFile(path))
@@ -138,6 +172,23 @@ def _file_hash(path: pathlib.Path) -> str:
         while chunk := file.read(CHUNK):
             found.update(chunk)
     return found.hexdigest()
+
+
+def _stamped_hash(path: pathlib.Path, stamp: tuple[int, int]) -> str:
+    """The hash of a file that is still as it was when another thread began to read it."""
+    try:
+        found = _file_hash(path)
+        return found if file_stamp(path) == stamp else f"changed while it was read: {stamp}, {found}"
+    except OSError as error:
+        return _unreadable(error)
+
+
+def _settled(found: str | Future[str]) -> str:
+    return found if isinstance(found, str) else found.result()
+
+
+def _unreadable(error: Exception) -> str:
+    return f"cannot be read: {type(error).__name__}"
 
 
 def _gltf_files(path: pathlib.Path) -> list[pathlib.Path]:

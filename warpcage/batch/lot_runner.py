@@ -113,7 +113,7 @@ class _UnderWay:
     index: int
     attempts: int
     begun: float
-    inputs: str = ""
+    inputs: Callable[[], str] = str
     future: Future[dict[str, int]] = dataclasses.field(default_factory=Future)
 
 
@@ -123,7 +123,7 @@ class LotRunner:
     Args:
         maker: Makes one item.
         read: An item of its line and the number of that.
-        fingerprint: The hash of an item's inputs.
+        fingerprint: Begins the hash of an item's inputs, as they are before it is made; what it returns waits for it.
         notes: Where it is noted.
         place: What records say of the worker.
         retries: How often an item may be tried again.
@@ -138,7 +138,7 @@ class LotRunner:
         self,
         maker: Maker,
         read: Callable[[bytes, int], Item],
-        fingerprint: Callable[[Item], str],
+        fingerprint: Callable[[Item], Callable[[], str]],
         notes: Notes,
         place: Place,
         *,
@@ -251,8 +251,9 @@ class LotRunner:
 
     def _settle(self, made: _UnderWay) -> None:
         """Note what became of an item that was begun."""
-        report, error, sizes = self.report, None, {}
+        report, error, sizes, inputs = self.report, None, {}, ""
         try:
+            inputs = made.inputs()
             sizes = made.future.result()
         except Exception as failure:
             error = failure
@@ -264,7 +265,7 @@ class LotRunner:
         if error is not None and leaves_no_room(error):
             report.halt = report.halt or one_line(error)
             return
-        record: dict[str, Any] = {"id": made.item.id, "state": DONE, "inputs": made.inputs, "outputs": sizes}
+        record: dict[str, Any] = {"id": made.item.id, "state": DONE, "inputs": inputs, "outputs": sizes}
         record |= self._facts(made.item, seconds, made.attempts + 1)
         final = isinstance(error, BAD_INPUT) or made.attempts >= self._retries
         if error is not None:

@@ -72,7 +72,7 @@ def make_runner(settings: RunnerSettings) -> LotRunner:
     runner = LotRunner(
         maker,
         settings.reader.item,
-        Fingerprints(settings.base, settings.out).of,
+        Fingerprints(settings.base, settings.out).begun,
         folder.new_notes(settings.notes or f"{settings.run}-{settings.worker}"),
         Place(settings.worker, platform.node(), device.name),
         retries=settings.retries,
