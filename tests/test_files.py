@@ -2,10 +2,15 @@
 
 import os
 import stat
+import zlib
 
+import numpy as np
 import pytest
 
-from warpcage.core.files import atomic_path
+from warpcage.core import files
+from warpcage.core.crc import joined_crc
+from warpcage.core.files import atomic_path, read_npz
+from warpcage.field.files import contents
 
 
 def write(path, text="new"):
@@ -91,3 +96,41 @@ def test_what_cannot_be_written_is_named_and_nothing_is_left(tmp_path):
         write(tmp_path / "file" / "below.txt")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "loop"]
     assert (tmp_path / "file").read_text() == "old"
+
+
+def test_large_arrays_are_read_in_parts_and_their_checksum_is_compared(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "CHUNK", 1000)
+    random, path = np.random.default_rng(0), tmp_path / "large.npz"
+    arrays = {"a": random.random((77, 31)), "b": random.integers(0, 255, 5001, np.uint8), "c": np.arange(3)}
+    arrays["columns"] = np.asfortranarray(arrays["a"])
+    np.savez(path, **arrays)
+    read = read_npz(path, "field file")
+    assert all(np.array_equal(read[name], array) and read[name].dtype == array.dtype for name, array in arrays.items())
+    data = bytearray(path.read_bytes())
+    place = data.find(arrays["b"].tobytes()) + 4321
+    data[place] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match="CRC"):
+        read_npz(path, "field file")
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 1000, 1 << 20])
+def test_the_checksum_of_two_parts_is_that_of_both(length):
+    random = np.random.default_rng(length)
+    first, second = random.bytes(123), random.bytes(length)
+    assert joined_crc(zlib.crc32(first), zlib.crc32(second), length) == zlib.crc32(first + second)
+
+
+def test_arrays_of_fields_are_converted_numbered_and_looked_through_in_parts(monkeypatch):
+    monkeypatch.setattr(contents, "PART_NUMBERS", 100)
+    random = np.random.default_rng(0)
+    halves = random.normal(size=(301, 7)).astype(np.float16)
+    assert np.array_equal(contents.as_single(halves), halves.astype(np.float32))
+    assert contents.as_single(halves[:0]).shape == (0, 7) and contents.are_finite(halves)
+    halves[300, 6] = np.nan
+    assert not contents.are_finite(halves)
+    occupied = random.random((13, 9, 5)) < 0.4
+    expected = np.full(occupied.shape, -1)
+    expected[occupied] = np.arange(occupied.sum())
+    links = contents.numbered(occupied)
+    assert np.array_equal(links, expected) and links.dtype == np.int32

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import pathlib
 from collections.abc import Callable, Hashable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,10 @@ from ..core.recent import Recent
 from ..deform.deformer import Deformer
 from ..deform.edits import CageEdit
 from ..deform.fill import fill_unseen
+from ..deform.lattice_edits import load_usual_modules
 from ..deform.picture_cells import picture_cells
 from ..field.voxel_field import VoxelField
+from ..splats.files.files import is_splat_file
 from ..splats.load import AnyField
 from ..view.camera import Camera
 from ..view.exr import depth_along_view, write_exr
@@ -92,6 +95,7 @@ class FrameMaker:
     def __init__(self, references: References, fields: LoadedFields, memory: int | None = None):
         self.references, self.fields, self.counts = references, fields, Counts()
         limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
+        self._kernels: dict[str, Future[None] | None] = {}  # by coordinates; None once they were waited for
         self._bound: Recent[Bound] = Recent(MOST_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
 
@@ -123,6 +127,7 @@ class FrameMaker:
             FileNotFoundError: For a file that is not there.
             ValueError: For what cannot be used, with its name.
         """
+        self._begin_kernels(item)
         field_key, field = self.fields.get(item.field, item.scene_scale)
         camera = self.references.camera(item, field)
         posed: list[Cage | None] = []
@@ -143,6 +148,21 @@ class FrameMaker:
         self._bound.settle(bound_key)
         return Made(writers, sum(getattr(frame, name).nbytes for name in needed_arrays(item, frame)))
 
+    def _begin_kernels(self, item: FrameItem) -> None:
+        """Load the kernels that a frame needs beside its field, once for each kind of coordinates."""
+        looked_up = item.edits and item.resolution != "precise" and not is_splat_file(item.field)
+        if looked_up and item.coordinates not in self._kernels:
+            thread = ThreadPoolExecutor(1, "warpcage-kernels")
+            self._kernels[item.coordinates] = thread.submit(load_usual_modules, item.coordinates, self.fields.device)
+            thread.shutdown(wait=False)  # it ends with its task
+
+    def _require_kernels(self, coordinates: str) -> None:
+        """Wait for kernels that are being loaded. Raises what went wrong."""
+        loading = self._kernels.get(coordinates)
+        if loading is not None:
+            self._kernels[coordinates] = None
+            loading.result()
+
     def _deformer(
         self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
     ) -> tuple[Hashable, Bound]:
@@ -157,6 +177,7 @@ class FrameMaker:
                 CageEdit(cage.cage, edit.keep, edit.remove, edit.falloff, edit.held, edit.crumbs)
                 for cage, edit in zip(rests, item.edits, strict=True)
             ]
+            self._require_kernels(item.coordinates)
             self.counts.deformers += 1
             resolution = None if cells == "precise" else int(cells)
             options: dict[str, Any] = {"coordinates": item.coordinates, "density": item.density, "map": item.map}

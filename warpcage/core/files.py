@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import math
 import os
 import pathlib
 import stat
+import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from typing import IO
 
 import numpy as np
 
+from .crc import joined_crc
 from .memory import MemoryShortage, free_host_bytes, require_host_memory
+from .threads import run_parallel
 
 #: A path as callers give it.
 PathLike = str | os.PathLike[str]
@@ -27,6 +32,9 @@ JSON_ROOM = TEXT_ROOM = 32
 
 #: Bytes that are unpacked at once.
 CHUNK = 1 << 24
+
+#: Bytes of what stands before a member's name in a .zip file; its last two numbers are the lengths of name and extra.
+LOCAL_HEADER = 30
 
 #: Bytes that a file's name may have on common file systems.
 MAX_NAME = 255
@@ -187,6 +195,9 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
             raise ValueError(f"array {name!r} claims {claimed} bytes {shape}, the file has {there}")
         array = np.empty(math.prod(shape), dtype)
         octets, filled = array.view(np.uint8), 0
+        if info.compress_type == zipfile.ZIP_STORED and claimed > CHUNK:
+            _read_stored(archive, info, octets)
+            return array.reshape(shape, order="F" if fortran_order else "C")
         assert isinstance(file, zipfile.ZipExtFile)  # zipfile declares no more than IO[bytes], which has no readinto
         while filled < claimed:
             count = file.readinto(octets[filled : filled + CHUNK])  # pyright: ignore[reportArgumentType]
@@ -194,6 +205,46 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
                 raise ValueError(f"array {name!r} ends after {filled} of {claimed} bytes")
             filled += count
     return array.reshape(shape, order="F" if fortran_order else "C")
+
+
+def _read_stored(archive: zipfile.ZipFile, info: zipfile.ZipInfo, octets: np.ndarray) -> None:
+    """Read the last bytes of a member that is stored as it is, on several threads, and compare the checksum of all.
+
+    Args:
+        archive: The archive, of a file on the disk.
+        info: The member.
+        octets: (n,) uint8 is filled.
+
+    Raises:
+        ValueError: For a file that ends before.
+        BadZipFile: For a checksum that differs.
+    """
+    path, head = archive.filename, info.file_size - len(octets)
+    assert path is not None
+    with open(path, "rb") as file:
+        file.seek(info.header_offset)
+        local = file.read(LOCAL_HEADER)
+        begin = info.header_offset + LOCAL_HEADER + sum(struct.unpack("<HH", local[-4:]))
+        file.seek(begin)
+        crc = zlib.crc32(file.read(head))
+
+    def read(place: int) -> int:
+        part = octets[place : place + CHUNK]
+        with open(path, "rb", buffering=0) as file:
+            file.seek(begin + head + place)
+            filled = 0
+            while filled < len(part):
+                count = file.readinto(part[filled:])  # pyright: ignore[reportArgumentType]
+                if not count:
+                    raise ValueError(f"array {_array_name(info)!r} ends after {place + filled} of {len(octets)} bytes")
+                filled += count
+        return zlib.crc32(part)
+
+    places = range(0, len(octets), CHUNK)
+    for place, part in zip(places, run_parallel([functools.partial(read, place) for place in places]), strict=True):
+        crc = joined_crc(crc, part, min(CHUNK, len(octets) - place))
+    if crc != info.CRC:
+        raise zipfile.BadZipFile(f"Bad CRC-32 for file {info.filename!r}")
 
 
 def read_npy_header(file: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, np.dtype]:

@@ -21,6 +21,7 @@ from ..field.voxel_field import VoxelField
 from ..kernels.deform import carry, carry_cells, flat_edits, points, render, render_cpu, render_sides, render_single
 from ..kernels.deform import cells as cell_tables
 from ..kernels.deform.edits import LatticeEdit
+from ..kernels.field import columns
 from ..kernels.field import skip as grid_skip
 from ..kernels.lattice import (
     closed_form,
@@ -80,6 +81,31 @@ def load_pose_modules(coordinates: str, others: Sequence[ModuleType], device: wp
     load_modules([*POSE_MODULES, *SOLVER_MODULES[coordinates], *others], device)
 
 
+def load_usual_modules(coordinates: str, device: wp.Device) -> None:
+    """Compile and load the kernels of views of one edit, before there is a field or a cage.
+
+    Args:
+        coordinates: Kind of coordinates.
+        device: Warp device.
+    """
+    load_pose_modules(coordinates, [*render_modules(device, True), columns], device)
+
+
+def render_modules(device: wp.Device, is_single: bool) -> list[ModuleType]:
+    """The modules of the kernels that render views, the one for most of them first.
+
+    Args:
+        device: Warp device.
+        is_single: Whether there is one edit alone, without crumbs.
+
+    Returns:
+        The modules.
+    """
+    if not is_single:
+        return [render]
+    return [render_cpu] if device.is_cpu and marching.TILES_ON_CPU else [render_single, render_sides]
+
+
 class LatticeEdits(PosedEdits):
     """Edits on lattices, for the kernel of one edit or that of several.
 
@@ -111,10 +137,10 @@ class LatticeEdits(PosedEdits):
         # the march for one edit alone knows no crumbs
         self._edits, self._device, self._is_single = edits, device, len(edits) == 1 and not any(carried)
         self._by_tiles = self._is_single and device.is_cpu and marching.TILES_ON_CPU
-        march = render_cpu if self._by_tiles else render_single if self._is_single else render
-        super().__init__(points.map_points, RENDER_KERNELS[march])
+        marches = render_modules(device, self._is_single)
+        super().__init__(points.map_points, RENDER_KERNELS[marches[0]])
         self.item_rays = TILE_SIZE if self._by_tiles else 1
-        load_pose_modules(coordinates, [march, render_sides] if march is render_single else [march], device)
+        load_pose_modules(coordinates, marches, device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
         pool = BufferPool(device)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
+from ...core.threads import run_parallel
 
 #: Voxels that a grid may have, empty ones included: kernels count them in int32.
 MAX_VOXELS = 2**31 - 1
@@ -19,6 +23,9 @@ RGB_NUMBERS, LUMINANCE_NUMBERS = 3 * BASIS_COUNT, 24
 
 #: Of a luminous row, those of degree 0 to 2, by their places in an RGB row's channel.
 _LUMINANCE, _ORANGE, _GREEN = slice(0, BASIS_COUNT), slice(16, 20), slice(20, 24)
+
+#: Numbers that a thread converts or looks through at once.
+PART_NUMBERS = 1 << 22
 
 #: The largest float16.
 MAX_HALF = 65504.0
@@ -175,3 +182,59 @@ def as_half(values: np.ndarray) -> np.ndarray:
         float16 of the same shape.
     """
     return np.clip(values, -MAX_HALF, MAX_HALF).astype(np.float16)
+
+
+def as_single(values: np.ndarray) -> np.ndarray:
+    """Numbers in single precision, converted by all threads.
+
+    Args:
+        values: Of any shape, rows along the first axis.
+
+    Returns:
+        float32 of the same shape, a copy.
+    """
+    singles = np.empty(values.shape, np.float32)
+
+    def convert(rows: slice) -> None:
+        singles[rows] = values[rows]
+
+    _by_rows(convert, values)
+    return singles
+
+
+def are_finite(values: np.ndarray) -> bool:
+    """Whether all numbers of an array are finite, looked through by all threads."""
+    return all(_by_rows(lambda rows: bool(np.isfinite(values[rows]).all()), values))
+
+
+def numbered(occupied: np.ndarray) -> np.ndarray:
+    """Number the set voxels in memory order, by all threads.
+
+    Args:
+        occupied: (nx, ny, nz) bool.
+
+    Returns:
+        (nx, ny, nz) int32, the number of each or -1.
+    """
+    links = np.empty(occupied.shape, np.int32)
+    begins = np.zeros(len(occupied) + 1, np.int64)
+
+    def count(layers: slice) -> None:
+        begins[layers.start + 1 : layers.stop + 1] = np.count_nonzero(occupied[layers], axis=(1, 2))
+
+    def number(layers: slice) -> None:
+        links[layers] = -1
+        first, last = begins[layers.start], begins[layers.stop]
+        links[layers][occupied[layers]] = np.arange(first, last, dtype=np.int32)
+
+    _by_rows(count, occupied)
+    np.cumsum(begins, out=begins)
+    _by_rows(number, occupied)
+    return links
+
+
+def _by_rows(task: Callable[[slice], Any], values: np.ndarray) -> list[Any]:
+    """Run a task on the rows of an array in parts; returns what each gave."""
+    size = max(1, PART_NUMBERS * len(values) // max(values.size, 1))
+    parts = [slice(begin, min(begin + size, len(values))) for begin in range(0, len(values), size)]
+    return run_parallel([functools.partial(task, part) for part in parts]) if parts else []

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.checks import checked_positive, listed
 from ...core.files import atomic_path, npz_names, read_npz
 from . import compact
-from .contents import FieldContents, voxel_side
+from .contents import FieldContents, are_finite, voxel_side
 from .layers import LAYER_NAMES
 from .outer import OUTER_NAMES
 from .own import OWN_NAMES, own_arrays, read_own
@@ -122,5 +122,5 @@ def _check(field: FieldContents, path: pathlib.Path) -> None:
         raise ValueError(f"{path}: links name {named} rows, density holds {len(field.density)}, sh {len(field.sh)}")
     for name in ("density", "sh", "weights"):
         values = getattr(field, name)
-        if values is not None and not np.isfinite(values).all():
+        if values is not None and not are_finite(values):
             raise ValueError(f"{path}: {name} holds values that are not finite")

@@ -11,7 +11,16 @@ import numpy as np
 from ...core.files import require_numbers
 from ...core.memory import free_host_bytes
 from . import compact
-from .contents import BASIS_COUNT, LUMINANCE_NUMBERS, MAX_VOXELS, FieldContents, as_half, voxel_side
+from .contents import (
+    BASIS_COUNT,
+    LUMINANCE_NUMBERS,
+    MAX_VOXELS,
+    FieldContents,
+    as_half,
+    as_single,
+    numbered,
+    voxel_side,
+)
 from .layers import layer_arrays, read_layers
 from .outer import outer_arrays, read_outer
 
@@ -77,8 +86,8 @@ def _file_harmonics(sh: np.ndarray) -> np.ndarray:
 def _read_harmonics(contents: dict[str, np.ndarray], rows: int, path: pathlib.Path) -> np.ndarray:
     """Harmonics of either kind, in float32."""
     if "sh" in contents and contents["sh"].ndim == 2:
-        return require_numbers(contents, "sh", (rows, LUMINANCE_NUMBERS), path).astype(np.float32)
-    return require_numbers(contents, "sh", (rows, 3, BASIS_COUNT), path).astype(np.float32).transpose(0, 2, 1)
+        return as_single(require_numbers(contents, "sh", (rows, LUMINANCE_NUMBERS), path))
+    return as_single(require_numbers(contents, "sh", (rows, 3, BASIS_COUNT), path)).transpose(0, 2, 1)
 
 
 def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
@@ -107,16 +116,15 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
     packed = require_numbers(contents, "occupancy", (-(-count // 8),), path)
     if packed.dtype != np.uint8:
         raise ValueError(f"{path}: occupancy must be uint8, got {packed.dtype}")
-    occupied = np.unpackbits(packed, count=count).astype(bool).reshape(shape)
-    rows = int(occupied.sum())
+    occupied = np.unpackbits(packed, count=count).view(bool).reshape(shape)
+    rows = int(np.count_nonzero(occupied))
     bounds = require_numbers(contents, "bounds", (2, 3), path)
     if compact.is_packed(contents):
         if not (bounds[1] > bounds[0]).all():
             raise ValueError(f"{path}: bounds must be lower below upper, got {bounds.tolist()}")
         contents = compact.unpack(contents, rows, voxel_side(bounds, shape), path)
     require_numbers(contents, "density", (rows,), path)
-    links = np.full(shape, -1, np.int32)
-    links[occupied] = np.arange(rows, dtype=np.int32)
+    links = numbered(occupied)
     background, up = (
         require_numbers(contents, name, (3,), path) if name in contents else None for name in ("background", "up")
     )
@@ -126,11 +134,11 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
     if "supersampling" in contents:
         supersampling = int(require_numbers(contents, "supersampling", (), path))
     if "weights" in contents:
-        weights = require_numbers(contents, "weights", (rows,), path).astype(np.float32)
+        weights = as_single(require_numbers(contents, "weights", (rows,), path))
     return FieldContents(
         contents["bounds"],
         links,
-        contents["density"].astype(np.float32),
+        as_single(contents["density"]),
         _read_harmonics(contents, rows, path),
         weights=weights,
         background=background,
