@@ -3,21 +3,35 @@
     python benchmarks/batch_gpus.py --field lego.npz --cage lego_42.obj --scene ../shared/data/lego_800 --json gpus.json
 
 Frames are written as PNG, and once more as arrays of opacity, which nothing encodes: what encoding holds back is the
-difference. Of the `seconds` of a run some go to the start of Ray and its workers: `rate`, items a second, counts from
-when the first item was begun until the last one was made, with what loading takes, and `steady`, of many items, from
-when a tenth was made until nine tenths were. `ratio` and `steady_ratio` compare them with those of the first number of
-workers. `gpu_busy` is the share of the time of `rate` in which a GPU had something to do, as nvidia-smi sees it: the
-rest is the host's.
+difference. A few items are made first by each, so that no kernel is compiled in what is timed. Of each run:
+
+- `seconds`, all of the command, with the start of Python, the plan, the start of Ray and its end;
+- `until_first`, of these until the first item was begun;
+- `rate`, items a second from then until the last one was made, with what loading takes;
+- `steady`, of many items, from when a tenth was made until nine tenths were;
+- `first_item`, seconds of the first item of each worker, with what it loads, and `item`, the median;
+- `end_spread`, seconds between the last items of the workers;
+- `gpu_busy`, the share of the time of `rate` in which a GPU had something to do, as nvidia-smi sees it: the rest is the
+  host's.
+
+`ratio`, `steady_ratio` and `seconds_ratio` compare `rate`, `steady` and `seconds` with those of the first number of
+workers in the same turn; `median` has them over all turns. `start` are the seconds of each step before the first frame,
+one after the other (`batch_start.py`).
 """
 
 from __future__ import annotations
 
 import argparse
+import concurrent.futures
 import datetime
 import json
+import multiprocessing
+import os
 import pathlib
 import shutil
+import statistics
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -34,8 +48,12 @@ LOOK = 0.5
 #: Of so many items a steady rate is told.
 MANY = 100
 
-#: What frames are written as.
+#: What frames are written as, and all that is timed.
 OUTPUTS = {"png": {"rgb": "{id}.png"}, "arrays": {"alpha": "{id}.npy"}}
+WHAT = [*OUTPUTS, "fits"]
+
+#: Poses that a process draws at once.
+DRAWN_AT_ONCE = 25
 
 
 def main() -> None:
@@ -52,25 +70,67 @@ def main() -> None:
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--device", choices=["cpu", "cuda"], help="default: GPUs where there are any")
     parser.add_argument("--json", help="file for the results")
+    parser.add_argument("--what", choices=WHAT, nargs="+", default=WHAT, help="what is timed")
+    parser.add_argument("--turns", type=int, default=1, help="how often all is timed, by turns")
     args = parser.parse_args()
-    rows = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = pathlib.Path(temporary)
-        jobs = {f"frames, {kind}": frame_job(folder, args, kind) for kind in OUTPUTS}
-        if args.scene:
-            jobs["fits"] = fit_job(folder, args)
-        for what, path in jobs.items():
-            first = None
-            for workers in args.workers:
-                row = {"what": what, "workers": workers} | timed(path, folder / "out", workers, args.device)
-                first = first or row
-                row["ratio"] = row["rate"] / first["rate"]
-                if "steady" in row:
-                    row["steady_ratio"] = row["steady"] / first["steady"]
-                print(row, flush=True)
-                rows.append(row)
+        for part in ("few", "all"):
+            (folder / part).mkdir()
+        few = argparse.Namespace(**vars(args) | {"frames": 2 * max(args.workers), "fits": 1})
+        for path in made_jobs(folder / "few", few).values():
+            print(path.stem, "beforehand", timed(path, folder / "out", 1, args.device)["seconds"], "s", flush=True)
+        start = None if args.what == ["fits"] else start_steps(args)
+        print("start", start, flush=True)
+        jobs = made_jobs(folder / "all", args)
+        rows = [row for turn in range(args.turns) for row in turn_rows(jobs, folder / "out", args, turn)]
+    medians = median_rows(rows)
+    for row in medians:
+        print(row, flush=True)
     if args.json:
-        write_results(args.json, args.device or "cuda:0", rows=rows)
+        write_results(args.json, args.device or "cuda:0", start=start, median=medians, rows=rows)
+
+
+def made_jobs(folder: pathlib.Path, args: argparse.Namespace) -> dict[str, pathlib.Path]:
+    """The job files of what is timed, by what they make."""
+    jobs = {f"frames, {kind}": frame_job(folder, args, kind) for kind in OUTPUTS if kind in args.what}
+    return jobs | ({"fits": fit_job(folder, args)} if args.scene and "fits" in args.what else {})
+
+
+def turn_rows(jobs: dict[str, pathlib.Path], out: pathlib.Path, args: argparse.Namespace, turn: int) -> list[dict]:
+    """Time all jobs by each number of workers."""
+    rows = []
+    for what, path in jobs.items():
+        first = None
+        for workers in args.workers:
+            row = {"what": what, "workers": workers, "turn": turn} | timed(path, out, workers, args.device)
+            first = first or row
+            row["ratio"], row["seconds_ratio"] = row["rate"] / first["rate"], first["seconds"] / row["seconds"]
+            if "steady" in row:
+                row["steady_ratio"] = row["steady"] / first["steady"]
+            print(row, flush=True)
+            rows.append(row)
+    return rows
+
+
+def median_rows(rows: list[dict]) -> list[dict]:
+    """The medians over all turns of what is one number."""
+    found = []
+    for what, workers in dict.fromkeys((row["what"], row["workers"]) for row in rows):
+        same = [row for row in rows if (row["what"], row["workers"]) == (what, workers)]
+        names = [name for name, value in same[0].items() if isinstance(value, float)]
+        medians = {name: round(statistics.median(row[name] for row in same), 3) for name in names}
+        found.append({"what": what, "workers": workers, "turns": len(same)} | medians)
+    return found
+
+
+def start_steps(args: argparse.Namespace) -> dict[str, float]:
+    """The seconds of each step before the first frame, in a process of their own."""
+    script = pathlib.Path(__file__).with_name("batch_start.py")
+    words = [sys.executable, str(script), "--field", args.field, "--cage", args.cage, "--size", str(args.size)]
+    words += ["--workers", str(max(args.workers)), *(["--device", args.device] if args.device else [])]
+    done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def frame_job(folder: pathlib.Path, args: argparse.Namespace, kind: str) -> pathlib.Path:
@@ -78,7 +138,9 @@ def frame_job(folder: pathlib.Path, args: argparse.Namespace, kind: str) -> path
     rest = warpcage.Cage.load(args.cage)
     poses = folder / "poses.npy"
     if not poses.exists():
-        np.save(poses, drawn_poses(rest, args.frames) if args.poses is None else np.load(args.poses)[: args.frames])
+        np.save(
+            poses, drawn_poses(args.cage, args.frames) if args.poses is None else np.load(args.poses)[: args.frames]
+        )
     centre, size = rest.bounds.mean(axis=0), float(np.ptp(rest.bounds, axis=0).max())
     eye = (centre + size * np.array([1.6, -1.2, 0.9])).tolist()
     camera = {"eye": eye, "target": centre.tolist(), "width": args.size, "height": args.size}
@@ -89,10 +151,18 @@ def frame_job(folder: pathlib.Path, args: argparse.Namespace, kind: str) -> path
     return folder / f"frames_{kind}.jsonl"
 
 
-def drawn_poses(rest: warpcage.Cage, count: int) -> np.ndarray:
-    """(count, vertices, 3) random poses of a cage, some 40 ms each."""
-    source = warpcage.RandomPoses(rest, seed=0)
-    return np.stack([source.pose(number).vertices for number in range(count)])
+def drawn_poses(cage: str, count: int) -> np.ndarray:
+    """(count, vertices, 3) random poses of a cage, some 40 ms each: by as many processes as there are cores."""
+    parts = [(cage, begin, min(begin + DRAWN_AT_ONCE, count)) for begin in range(0, count, DRAWN_AT_ONCE)]
+    spawn = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(min(len(parts), os.cpu_count() or 1), mp_context=spawn) as pool:
+        return np.concatenate(list(pool.map(_poses_of_part, parts)))
+
+
+def _poses_of_part(part: tuple[str, int, int]) -> np.ndarray:
+    cage, begin, end = part
+    source = warpcage.RandomPoses(warpcage.Cage.load(cage), seed=0)
+    return np.stack([source.pose(number).vertices for number in range(begin, end)])
 
 
 def fit_job(folder: pathlib.Path, args: argparse.Namespace) -> pathlib.Path:
@@ -104,23 +174,34 @@ def fit_job(folder: pathlib.Path, args: argparse.Namespace) -> pathlib.Path:
 
 
 def timed(path: pathlib.Path, out: pathlib.Path, workers: int, device: str | None) -> dict:
-    """Run a job into a new folder; what it took."""
+    """Run a job into a new folder, in a process of its own; what it took."""
     shutil.rmtree(out, ignore_errors=True)
+    called = time.time()
+    words = [sys.executable, "-m", "warpcage", "run", str(path), "-o", str(out), "--workers", str(workers), "--quiet"]
     with Busy() as busy:
-        report = warpcage.run_jobs(path, out, workers=workers, device=device)
-    assert report.complete, report
+        subprocess.run([*words, *(["--device", device] if device else [])], stdout=subprocess.DEVNULL, check=True)
+    seconds = time.time() - called
     with open(out / "manifest.jsonl", encoding="utf-8") as manifest:
         records = [json.loads(line) for line in manifest]
-    ends = [datetime.datetime.fromisoformat(record["finished"]).timestamp() for record in records]
-    begin = min(end - record["seconds"] for end, record in zip(ends, records, strict=True))
-    ends.sort()
+    of_workers: dict[str, list[tuple[float, float]]] = {}  # when each item was made, and how long it took
+    for record in records:
+        end = datetime.datetime.fromisoformat(record["finished"]).timestamp()
+        of_workers.setdefault(record["worker"], []).append((end, record["seconds"]))
+    firsts, lasts = ([pick(made) for made in of_workers.values()] for pick in (min, max))
+    ends = sorted(end for made in of_workers.values() for end, _ in made)
+    begin = min(end - taken for end, taken in firsts)
     low, high = len(ends) // 10, len(ends) - 1 - len(ends) // 10
     steady = {"steady": (high - low) / (ends[high] - ends[low])} if len(ends) >= MANY else {}
     return {
-        "items": report.total,
-        "seconds": report.seconds,
-        "rate": report.total / (ends[-1] - begin),
+        "items": len(records),
+        "seconds": seconds,
+        "until_first": begin - called,
+        "rate": len(records) / (ends[-1] - begin),
         **steady,
+        "first_item": [round(taken, 3) for _, taken in firsts],
+        "item": statistics.median(record["seconds"] for record in records),
+        "items_of_workers": [len(made) for made in of_workers.values()],
+        "end_spread": max(lasts)[0] - min(lasts)[0],
         "gpu_busy": busy.share(begin, ends[-1]),
     }
 
