@@ -29,8 +29,8 @@ from .runners import RunnerSettings, make_runner, run_name
 from .transforms import finish_folder
 from .webdataset import shard_path
 
-#: Seconds of a lot where there are few workers, so that progress is seen; of one in this process.
-LEAST_AIM, LOCAL_AIM = 2.0, 0.5
+#: Seconds of a lot where there are few workers, so that progress is seen.
+LEAST_AIM = 2.0
 
 #: Workers for which a lot takes a second more.
 WORKERS_PER_SECOND = 100
@@ -251,7 +251,7 @@ def planned(job: JobFile, folder: OutputFolder, progress: Progress = lambda stat
 
 
 def _aim(options: Options, count: int) -> float:
-    return LOCAL_AIM if options.local else min(AIM, LEAST_AIM + count / WORKERS_PER_SECOND)
+    return LEAST_AIM if options.local else min(AIM, LEAST_AIM + count / WORKERS_PER_SECOND)
 
 
 def _watched(path: pathlib.Path) -> Callable[[], None]:

@@ -238,7 +238,7 @@ def _read_stored(archive: zipfile.ZipFile, info: zipfile.ZipInfo, octets: np.nda
                 if not count:
                     raise ValueError(f"array {_array_name(info)!r} ends after {place + filled} of {len(octets)} bytes")
                 filled += count
-        return zlib.crc32(part)
+        return zlib.crc32(part)  # pyright: ignore[reportArgumentType]
 
     places = range(0, len(octets), CHUNK)
     for place, part in zip(places, run_parallel([functools.partial(read, place) for place in places]), strict=True):

@@ -224,7 +224,7 @@ def numbered(occupied: np.ndarray) -> np.ndarray:
 
     def number(layers: slice) -> None:
         links[layers] = -1
-        first, last = begins[layers.start], begins[layers.stop]
+        first, last = int(begins[layers.start]), int(begins[layers.stop])
         links[layers][occupied[layers]] = np.arange(first, last, dtype=np.int32)
 
     _by_rows(count, occupied)
