@@ -1,5 +1,7 @@
 """Outer fields: against a plain NumPy version, finite differences, and a room of the project's own."""
 
+from types import SimpleNamespace
+
 import field_oracles
 import numpy as np
 import outer_oracles as oracle
@@ -95,8 +97,8 @@ def test_views_are_put_between_what_is_before_and_behind(device):
     assert np.quantile(errors, 0.95) < 1e-4 and max(errors) < 2e-2
 
 
-def test_gradients_match_finite_differences(device):
-    """Of the whole loss: by what is before and behind the box, and by the field in it."""
+def whole_loss(device, by_sky):
+    """A field, an outer field and pictures, and the gradients of the whole loss by them: (SimpleNamespace)."""
     field, density, sh = field_oracles.random_field(
         device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5, bounds=(-HALF, HALF), numbers=(24,)
     )
@@ -130,10 +132,20 @@ def test_gradients_match_finite_differences(device):
         outer_loss.accumulate_outer_gradient,
         dim=count,
         device=device,
-        inputs=[0, outer.grid, rays, front, behind, grad_front, grad_behind, BY_FRONT],
+        inputs=[0, outer.grid, rays, front, behind, grad_front, grad_behind, BY_FRONT, by_sky],
         outputs=[grad, grad_sky],
     )
-    found, in_box = grad.numpy(), gradients[:, 24]
+    parts = dict(field=field, density=density, sh=sh, outer=outer, values=values, cameras=cameras, images=images)
+    found = dict(grad=grad.numpy(), grad_sky=grad_sky.numpy()[0], in_box=gradients[:, 24])
+    return SimpleNamespace(**parts, **found, scale=scale, random=random)
+
+
+def test_gradients_match_finite_differences(device):
+    """Of the whole loss: by what is before and behind the box, and by the field in it."""
+    whole = whole_loss(device, by_sky=0.0)
+    field, density, sh, outer, values = whole.field, whole.density, whole.sh, whole.outer, whole.values
+    cameras, images, scale, random = whole.cameras, whole.images, whole.scale, whole.random
+    found, in_box = whole.grad, whole.in_box
 
     def loss(density, values):
         total = 0.0
@@ -168,7 +180,7 @@ def test_gradients_match_finite_differences(device):
         for at in random.permutation(seen)[:2]:
             expected = slope(values, (at, channel), "values")
             assert abs(found[at, channel] - expected) < 4e-3 * largest + 2e-3 * abs(expected)
-    found, sky = grad_sky.numpy()[0], outer.sky.astype(float)
+    found, sky = whole.grad_sky, outer.sky.astype(float)
     for at in map(tuple, random.permutation(np.argwhere(np.abs(found) > 0.3 * np.abs(found).max()))[:2]):
         assert abs(found[at] - slope(sky, at, "sky")) < 1e-2 * np.abs(found).max()
     outer.grid.sky.values.assign(np.pad(sky, ((0, 0), (0, 1))).astype(np.float32)[None])
@@ -176,6 +188,56 @@ def test_gradients_match_finite_differences(device):
     for node in map(tuple, random.permutation(np.argwhere(links >= 0))[:2]):
         expected = slope(density, node, "density")
         assert abs(in_box[links[node]] - expected) < 2e-3 * largest + 1e-3 * abs(expected)
+
+
+def test_the_sky_follows_what_is_behind_the_box(device):
+    """Finite differences of by_sky / 2 * light |sky - behind|^2 by the sky alone; nothing else has another gradient."""
+    by_sky = 0.05
+    without, whole = whole_loss(device, 0.0), whole_loss(device, by_sky)
+    outer, field = whole.outer, whole.field
+    np.testing.assert_allclose(whole.grad, without.grad, atol=1e-5 * np.abs(without.grad).max())
+    sky, terms = outer.sky.astype(float), []
+    for camera in whole.cameras:
+        origins, directions = (each.reshape(-1, 3) for each in camera.rays())
+        for ray in zip(origins, directions, strict=True):
+            black, light = np.zeros(3), 1.0
+            between = oracle.front_end(outer, *ray)
+            if between > 0:
+                _, light = oracle.march(outer, whole.values, *ray, 0.0, between)
+            _, opacity, _ = field_oracles.render_ray(field, whole.density, whole.sh, *ray, field.step, black, 6.0)
+            back, left = oracle.march(outer, whole.values, *ray, between)
+            terms.append((ray[1], light * (1 - opacity), back + left * oracle.sky_colour(outer, ray[1])))
+
+    def loss(changed):
+        outer.grid.sky.values.assign(np.pad(changed, ((0, 0), (0, 1))).astype(np.float32)[None])
+        skies = [oracle.sky_colour(outer, direction) for direction, _, _ in terms]
+        return sum(
+            0.5 * by_sky * light * ((colour - behind) ** 2).sum()
+            for colour, (_, light, behind) in zip(skies, terms, strict=True)
+        )
+
+    found = whole.grad_sky[:, :3] - without.grad_sky[:, :3]
+    largest = np.abs(found).max()
+    assert largest > 1e-3
+    for at in map(tuple, whole.random.permutation(np.argwhere(np.abs(found) > 0.2 * largest))[:4]):
+        ends = []
+        for sign in (1, -1):
+            moved = sky.copy()
+            moved[at] += sign * 1e-2  # the loss is square in the sky
+            ends.append(loss(moved))
+        assert abs(found[at] - (ends[0] - ends[1]) / 2e-2) < 1e-2 * largest
+
+
+def test_colours_stay_where_files_keep_them(device):
+    """Steps beyond 0 and 1 end there, and come back; densities have no upper end."""
+    numbers = np.array([[0.99, 0.01, 0.5, 3.0]])
+    values, moments = (wp.array(each, dtype=wp.vec4, device=device) for each in (numbers, np.zeros((1, 4))))
+    for direction, expected in ((-1.0, [1.0, 0.0, 0.4, 3.1]), (1.0, [0.9, 0.1, 0.5, 3.0])):
+        gradients = wp.array(direction * np.array([[1.0, -1.0, -1.0, 1.0]]), dtype=wp.vec4, device=device)
+        inputs = [0, 0.1, 0.1, 0.95, 1e-12]
+        outputs = [gradients, moments, values]
+        wp.launch(outer_loss.apply_outer_rmsprop, dim=1, inputs=inputs, outputs=outputs, device=device)
+        np.testing.assert_allclose(values.numpy()[0], expected, atol=1e-6)
 
 
 def test_variation_gradient_matches_finite_differences(device):

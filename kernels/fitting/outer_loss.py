@@ -4,6 +4,9 @@ A pixel is C = F + T_F (inner), inner = ... + T B: the front F and the light T_F
 marches through field/outer, before and after the inner grid's. With the loss's gradients by F, T_F and B, a sample of
 weight w_k = T_k alpha_k gets dL/dc_k = w_k g and dL/dsigma_k = d_k (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g - r), where
 r is what the end of its march adds: T_F dL/dT_F in front, T sky . g behind. The adjoint of fitting/loss in two parts.
+
+Opaque voxels hide the sky, which then learns nothing, and shows as it began wherever a new view looks past them. So it
+also follows B, by a loss by_sky / 2 * T_F T |sky - B|^2 of the sky alone, T the light that passes the box.
 Needs: field/background, field/grid, field/outer, field/samples, fitting/loss, fitting/rmsprop, view/rays.
 """
 
@@ -93,13 +96,19 @@ def add_outer_gradient(
                     later -= weight * change
                     gradient = wp.vec4(0.0, 0.0, 0.0, piece.length * (light * change - later))
                     for channel in range(3):
-                        if sample.value[channel] > 0.0:
+                        if sample.value[channel] >= 0.0:
                             gradient[channel] = weight * grad_colour[channel]
                     for corner in range(8):
                         if sample.rows[corner] >= 0:
                             wp.atomic_add(grad_values, sample.rows[corner], sample.weights[corner] * gradient)
                 k += 1
     return light
+
+
+@wp.func
+def light_behind(grad_behind: wp.vec3, grad_pixel: wp.vec3):
+    """Light that reaches what is behind the box: the loss's gradient by that colour over the one by the pixel's."""
+    return wp.clamp(wp.length(grad_behind) / wp.max(wp.length(grad_pixel), 1.0e-20), 0.0, 1.0)
 
 
 @wp.kernel
@@ -112,10 +121,12 @@ def accumulate_outer_gradient(
     grad_front: wp.array(dtype=wp.vec4),
     grad_behind: wp.array(dtype=wp.vec3),
     by_front: float,
+    by_sky: float,
     grad_values: wp.array(dtype=wp.vec4),
     grad_sky: wp.array2d(dtype=wp.vec4),
 ):
-    """Adds the gradient of the loss by the values of the grid and of the sky, and of by_front * opacity of the front.
+    """Adds the gradient of the loss by the values of the grid and the sky, of by_front * opacity of the front, and of
+    by_sky / 2 * (light that reaches what is behind the box) * |sky - what is behind the box|^2 by the sky.
 
     One item per ray. front, behind: (rays,) of gather_outer, grad_front and grad_behind the loss's gradients by them.
     grad_values: (rows,), grad_sky: (1, nodes). They are shared: on the CPU each thread needs its own.
@@ -137,15 +148,17 @@ def accumulate_outer_gradient(
     if seen[3] > OUTER_STOP and wp.length_sq(grad_colour) > 0.0:
         total = wp.dot(behind[n], grad_colour)
         light = add_outer_gradient(outer, origin, direction, between, FAR_AWAY, grad_colour, total, grad_values)
-        if light > OUTER_STOP:
-            place = surface_sample(outer.sky.side, direction)
-            value = layer_value(outer.sky, 0, place)
-            gradient = wp.vec4()
-            for channel in range(3):
-                if value[channel] > 0.0:
-                    gradient[channel] = light * grad_colour[channel]
-            for corner in range(4):
-                wp.atomic_add(grad_sky, 0, place.nodes[corner], place.weights[corner] * gradient)
+        place = surface_sample(outer.sky.side, direction)
+        value = layer_value(outer.sky, 0, place)
+        to_pixel = wp.vec3(grad_front[n][0], grad_front[n][1], grad_front[n][2])
+        follows = by_sky * light_behind(grad_colour, to_pixel)
+        gradient = wp.vec4()
+        for channel in range(3):
+            gradient[channel] = follows * (value[channel] - behind[n][channel])
+            if light > OUTER_STOP and value[channel] > 0.0:
+                gradient[channel] += light * grad_colour[channel]
+        for corner in range(4):
+            wp.atomic_add(grad_sky, 0, place.nodes[corner], place.weights[corner] * gradient)
 
 
 @wp.func
@@ -283,7 +296,10 @@ def apply_outer_rmsprop(
     moments: wp.array(dtype=wp.vec4),
     values: wp.array(dtype=wp.vec4),
 ):
-    """Step of RMSProp where the gradient is not zero, which is cleared. One item per row."""
+    """Step of RMSProp where the gradient is not zero, which is cleared. One item per row.
+
+    Colours stay within [0, 1], where they are saved: cut at the end, they would no longer be those that were fitted.
+    """
     row = first + wp.tid()
     gradient = gradients[row]
     if wp.length_sq(gradient) == 0.0:
@@ -294,7 +310,7 @@ def apply_outer_rmsprop(
         if gradient[channel] != 0.0:
             rate = wp.where(channel < 3, rate_colour, rate_density)
             number, spread = rmsprop_update(value[channel], moment[channel], gradient[channel], rate, beta, epsilon)
-            value[channel] = number
+            value[channel] = wp.where(channel < 3, wp.clamp(number, 0.0, 1.0), number)
             moment[channel] = spread
     values[row] = value
     moments[row] = moment

@@ -216,6 +216,11 @@ class FitOptions:
     front_opacity: float = _weight(
         0.01, "Weight of the opacity of what an outer field holds between the cameras and the box, mean over the rays."
     )
+    sky_follows: float = _weight(
+        0.1,
+        "Weight of a loss by which the sky of an outer field follows what is seen behind the box, relative to the "
+        "photometric one. Views that look where no training view did see the sky.",
+    )
     refine_cameras: bool = _option(
         False, "Whether poses, focal lengths and the exposure of each picture are refined with the field."
     )

@@ -286,7 +286,9 @@ class OuterOptimizer:
         options, rows, side = self.options, self.nodes.shape[0], self.outer.side
         sky = self.outer.grid.sky
         by_front = options.front_opacity / self.batch_rays
-        photometric = [self.outer.grid, rays, self.front, self.behind, self.grad_front, self.grad_behind, by_front]
+        by_sky = options.sky_follows * 2.0 / (3.0 * self.batch_rays)  # the photometric loss is a mean over channels
+        around = [self.front, self.behind, self.grad_front, self.grad_behind]
+        photometric = [self.outer.grid, rays, *around, by_front, by_sky]
         varied = max(1, int(options.variation_share * rows))
         boost = max(1, rows) / varied / side**3 * (side / VARIATION_SIDE)
         variation = [
