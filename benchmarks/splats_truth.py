@@ -131,9 +131,7 @@ class SplatScene:
         self.facts = {"scene": name, "splats": len(self.field), "cage_vertices": len(self.cage.vertices)}
         if args.fit_steps:
             self.facts["placed"] = measure(self.pictures(self.field.splats, views), views, self.cage.size)
-            begin = time.perf_counter()
-            self.field = self.fitted()
-            self.facts["fit_seconds"] = time.perf_counter() - begin
+            self.field, self.facts["fit_seconds"] = self.fitted()
         self.facts |= measure(self.pictures(self.field.splats, views), views, self.cage.size)
 
     @property
@@ -141,12 +139,13 @@ class SplatScene:
         """Whether some splats are cut."""
         return bool(np.exp(self.field.contents.log_scales.max()) > 0.5 * splat_edits.LARGE * self.cage.size)
 
-    def fitted(self):
-        """The splats, fitted to pictures at rest from all sides."""
+    def fitted(self) -> tuple[warpcage.SplatField, float]:
+        """The splats, fitted to pictures at rest from all sides, and how many seconds that took."""
         args = self.args
         places = cameras(np.zeros(3), args.fit_views, args.size, sphere=True)
         rgba, _ = self.mesh.render(places, samples=args.samples)
-        return warpcage.fit_splats(
+        begin = time.perf_counter()
+        field = warpcage.fit_splats(
             self.field,
             places,
             on_white(rgba),
@@ -157,6 +156,7 @@ class SplatScene:
             growth=GROWTH,
             progress=False,
         )
+        return field, time.perf_counter() - begin
 
     def place(self, posed, kind: str, map: str) -> Place:
         """Where a pose takes the model, and the Jacobians there of the map back to rest."""
