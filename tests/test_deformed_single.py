@@ -8,8 +8,10 @@ from warpcage.cage.cage import Cage
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field import marching
+from warpcage.kernels.deform.edits import CELL_ALONE
 from warpcage.kernels.deform.render import render_edits
 from warpcage.kernels.deform.render_cpu import render_edit_tiles
+from warpcage.kernels.deform.render_plain import render_plain_edits
 from warpcage.kernels.deform.render_sides import render_edit_with_sides
 from warpcage.kernels.deform.render_single import render_edit
 from warpcage.view.camera import Camera
@@ -135,15 +137,70 @@ def test_stores_that_cannot_be_are_refused(options, message):
         Deformer(shiny_field(None, resolution=8), BOX, **options)
 
 
-# -- Several edits on the fast path's lattices still go the general way
+# -- Several edits: the march without crumbs and narrow gaps, and cells that no earlier edit has anything in
+
+
+def ball(x, centre, radius=0.2):
+    return ellipsoid(x, centre, (radius, radius, radius))
+
+
+def two_balls(device):
+    def density(x):
+        return ball(x, (-0.5, 0, 0)) + ball(x, (0.5, 0, 0))
+
+    return make_field(density, plain([0.8, 0.3, 0.1]), device=device)
+
+
+def box_around(*centre, half=0.3):
+    return Cage.box(np.array(centre) - half, np.array(centre) + half)
 
 
 def test_two_edits_render_as_two(device):
-    def density(x):
-        return ellipsoid(x, (-0.5, 0, 0), (0.2, 0.2, 0.2)) + ellipsoid(x, (0.5, 0, 0), (0.2, 0.2, 0.2))
-
-    field = make_field(density, plain([0.8, 0.3, 0.1]), device=device)
-    left, right = (Cage.box([x - 0.3, -0.3, -0.3], [x + 0.3, 0.3, 0.3]) for x in (-0.5, 0.5))
-    deformer = Deformer(field, [left, right], resolution=24)
-    assert deformer._edits.render_kernel is render_edits
+    field = two_balls(device)
+    deformer = Deformer(field, [box_around(-0.5, 0, 0), box_around(0.5, 0, 0)], resolution=24)
+    assert deformer._edits.render_kernel is render_plain_edits
     assert psnr(deformer.render(view()).rgb, field.render(view()).rgb) > 50
+
+
+def into_each_other():
+    """Edits and their poses: each turned, the second into where the first is and was, the third nowhere near."""
+    rests = [box_around(-0.5, 0, 0), box_around(0.5, 0, 0), box_around(0, 0.7, 0, half=0.25)]
+    moves = [(0.1, 0.0, 0.1), (-0.75, 0.1, 0.0), (0.0, 0.0, 0.2)]
+    return rests, [rest.rotate(25, axis="y").translate(move) for rest, move in zip(rests, moves, strict=True)]
+
+
+def removing():
+    """The first removes what the second would be moved to, and the third keeps its source."""
+    left, right = box_around(-0.5, 0, 0), box_around(0.5, 0, 0)
+    rests = [CageEdit(left, remove=True), CageEdit(right), CageEdit(right, keep_source=True)]
+    return rests, [None, right.translate((-0.9, 0.0, 0.1)), right.translate((0.0, 0.4, 0.0))]
+
+
+@pytest.mark.parametrize("scene", [into_each_other, removing])
+def test_several_edits_without_crumbs_and_gaps_are_seen_as_with(scene, device):
+    rests, posed = scene()
+    deformer = Deformer(two_balls(device), rests, resolution=24).pose(posed)
+    plainly = deformer.render(view())
+    edits = deformer._edits
+    assert edits.render_kernel is render_plain_edits
+    edits.render_kernel = render_edits
+    assert_same_frame(plainly, deformer.render(view()))
+
+
+@pytest.mark.parametrize("scene", [into_each_other, removing])
+def test_edits_that_have_nothing_where_a_cell_goes_need_not_be_asked(scene, device):
+    rests, posed = scene()
+    deformer = Deformer(two_balls(device), rests, resolution=24).pose(posed)
+    few = deformer.render(view())
+    edits = deformer._edits
+    assert any((struct.cells.numpy() & CELL_ALONE).any() for struct, _ in edits.lattices.posed())
+    for struct, _ in edits.lattices.posed():
+        struct.cells.assign(struct.cells.numpy() & (255 - CELL_ALONE))
+    edits.scene = edits.flat_scene()
+    assert_same_frame(few, deformer.render(view()))
+
+
+def assert_same_frame(a, b):
+    assert {"reveal", "fold", "outside"} <= a.arrays.keys()
+    for name, array in a.arrays.items():
+        assert np.array_equal(array.numpy(), b.arrays[name].numpy()), name

@@ -10,6 +10,7 @@ import warp as wp
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..lattice.cage_map import cell_sides, map_distance
 from .edits import (
+    CELL_ALONE,
     CELL_CARRIES,
     CELL_FOLDED,
     CELL_INSIDE,
@@ -114,6 +115,51 @@ def mark_edit_cases(first: int, edit: LatticeEdit, cells: wp.array3d(dtype=wp.ui
         if largest_stretch(jacobian) + spread > CUT_LENGTH:
             flags = flags | CELL_STEEP
     cells[i, j, k] = wp.uint8(flags)
+
+
+@wp.func
+def box_meets_edit(edit: LatticeEdit, lower: wp.vec3, upper: wp.vec3):
+    """Whether anything of a box may be in an edit's posed cage or in its rest cage."""
+    if edit.crumbs.marks.shape[0] > 0:
+        return True
+    posed_low = lattice_lower(edit)
+    posed_high = lattice_upper(edit)
+    rest = edit.rest
+    rest_high = rest.lower + rest.spacing * wp.vec3(
+        float(rest.distance.shape[0] - 1), float(rest.distance.shape[1] - 1), float(rest.distance.shape[2] - 1)
+    )
+    by_posed = bool(False)
+    by_rest = edit.keeps_source == 1
+    for axis in range(3):
+        by_posed = by_posed or upper[axis] < posed_low[axis] or lower[axis] > posed_high[axis]
+        by_rest = by_rest or upper[axis] < rest.lower[axis] or lower[axis] > rest_high[axis]
+    return not (by_posed and by_rest)
+
+
+@wp.kernel
+def mark_alone_cells(
+    first: int, edits: wp.array(dtype=LatticeEdit), edit_index: int, cells: wp.array3d(dtype=wp.uint8)
+):
+    """Add CELL_ALONE to the cells of an edit: what they map need not be traced through earlier edits."""
+    n = first + wp.tid()
+    k = n % cells.shape[2]
+    j = (n // cells.shape[2]) % cells.shape[1]
+    i = n // (cells.shape[2] * cells.shape[1])
+    edit = edits[edit_index]
+    flags = int(cells[i, j, k])
+    if (flags & CELL_CARRIES) != CELL_OUTSIDE and cell_sides(edit.deformed, i, j, k) == 0:
+        lower = wp.vec3(1.0e30, 1.0e30, 1.0e30)
+        upper = -lower
+        for c in range(8):
+            position = edit.deformed.positions[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
+            lower = wp.min(lower, position)
+            upper = wp.max(upper, position)
+        alone = bool(True)
+        for e in range(edit_index):
+            if box_meets_edit(edits[e], lower, upper):
+                alone = False
+        if alone:
+            cells[i, j, k] = wp.uint8(flags | CELL_ALONE)
 
 
 @wp.func

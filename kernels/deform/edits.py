@@ -37,6 +37,9 @@ CELL_STAYS = wp.constant(4)
 CELL_FOLDED = wp.constant(8)
 CELL_STEEP = wp.constant(16)
 
+#: Of several edits: all of a cell is mapped to where no earlier edit has anything.
+CELL_ALONE = wp.constant(32)
+
 #: Both at once: not all in the cage, and what is out of it may be a crumb that the edit carries along.
 CELL_CARRIES = wp.constant(3)
 

@@ -13,7 +13,7 @@ from .crumbs import CrumbCells
 wp.set_module_options({"enable_backward": False})
 
 #: `look` holds the flags of a cell that must be looked at, or this and the distance to the nearest such cell.
-LOOK_SKIP = wp.constant(32)
+LOOK_SKIP = wp.constant(64)
 
 
 @wp.struct

@@ -18,7 +18,17 @@ from ..core.modules import load_modules
 from ..field import marching
 from ..field.sparse import spread_along
 from ..field.voxel_field import VoxelField
-from ..kernels.deform import carry, carry_cells, flat_edits, points, render, render_cpu, render_sides, render_single
+from ..kernels.deform import (
+    carry,
+    carry_cells,
+    flat_edits,
+    points,
+    render,
+    render_cpu,
+    render_plain,
+    render_sides,
+    render_single,
+)
 from ..kernels.deform import cells as cell_tables
 from ..kernels.deform.edits import LatticeEdit
 from ..kernels.field import columns
@@ -62,11 +72,11 @@ SOLVER_MODULES = {
     "green": (closed_form, fans),
 }
 
-#: The kernels of views of one edit on CUDA and on a CPU, and of several.
+#: The kernels of views of one edit on CUDA and on a CPU, and of several that have neither crumbs nor narrow gaps.
 RENDER_KERNELS = {
     render_single: render_single.render_edit,
     render_cpu: render_cpu.render_edit_tiles,
-    render: render.render_edits,
+    render_plain: render_plain.render_plain_edits,
 }
 
 
@@ -102,7 +112,7 @@ def render_modules(device: wp.Device, is_single: bool) -> list[ModuleType]:
         The modules.
     """
     if not is_single:
-        return [render]
+        return [render_plain, render]
     return [render_cpu] if device.is_cpu and marching.TILES_ON_CPU else [render_single, render_sides]
 
 
@@ -172,6 +182,8 @@ class LatticeEdits(PosedEdits):
         posed = zip(self.lattices.posed(), self._look_buffers, self._node_buffers, strict=True)
         self._flat = [flat_edit(edit, skip, look, nodes) for (edit, skip), look, nodes in posed]
         if not self._is_single:
+            rare = any(self.lattices.carried) or any(flat.has_sides for flat in self._flat)
+            self.render_kernel = render.render_edits if rare else render_plain.render_plain_edits
             return self.flat_array()
         (flat,) = self._flat
         if not self._by_tiles:  # on a CPU one kernel takes both
@@ -233,6 +245,7 @@ class EditLattices:
     Attributes:
         rests: A CageLattice of each rest cage.
         maps: A PositionMap of each edit, None for an edit that removes.
+        carried: The CarriedCrumbs of each edit, None for one without crumbs.
         skips: For each edit (nx-1, ny-1, nz-1) uint8, how far a cell is from the nearest that may hold anything.
         array: (edits,) LatticeEdit, once posed.
     """
@@ -250,8 +263,8 @@ class EditLattices:
     ):
         self._edits, self._device, self._origin = edits, device, origin
         self._bands = list(bands) or [None] * len(edits)
-        self._carried = list(carried) or [None] * len(edits)
-        if any(self._carried):
+        self.carried = list(carried) or [None] * len(edits)
+        if any(self.carried):
             load_modules([carry, carry_cells, fans], device)
         self._plain: list[Any] = [None] * len(edits)
         self._faded: list[Any] = [None] * len(edits)
@@ -285,7 +298,7 @@ class EditLattices:
         self._structs = [
             posed_struct(edit, rest, cage_map, cage, crumbs)
             for edit, rest, cage_map, cage, crumbs in zip(
-                self._edits, self.rests, maps, cages, self._carried, strict=True
+                self._edits, self.rests, maps, cages, self.carried, strict=True
             )
         ]
         shapes = [cell_shape(struct.deformed) for struct in self._structs]
@@ -309,7 +322,7 @@ class EditLattices:
 
     def _extended_map(self, index: int, cage: Cage | None) -> Any:
         """The same, on a lattice that reaches as far as the edit's crumbs where it has any."""
-        carried, faded = self._carried[index], self._faded[index]
+        carried, faded = self.carried[index], self._faded[index]
         if carried is None or cage is None:
             return faded
         return carried.extended(cage, self._plain[index], faded, self._walls[index])
@@ -317,7 +330,7 @@ class EditLattices:
     def _warn_of_folds(self, cages: Sequence[Cage | None]) -> None:
         """Warn where a band is too narrow for its pose: where it folds matter over, which the map alone does not."""
         for index, (edit, cells) in enumerate(zip(self._edits, self._cells, strict=True)):
-            band, carried = self._bands[index], self._carried[index]
+            band, carried = self._bands[index], self.carried[index]
             if band is None:
                 continue
             flags = cells.numpy()
@@ -341,11 +354,15 @@ class EditLattices:
         """Make the tables of the posed maps anew, of what holds for whole cells."""
         for struct in self._structs:
             launch(cell_tables.mark_edit_cases, struct.cells.size, [struct], [struct.cells], device=self._device)
-        for struct, carried in zip(self._structs, self._carried, strict=True):
+        for struct, carried in zip(self._structs, self.carried, strict=True):
             if carried is not None and not struct.removes:
                 carried.mark(struct, struct.cells)
         # the structs stay, as they own what the array on the device points to
         self.array = struct_array(self._structs, LatticeEdit, self._device)
+        for index, struct in enumerate(self._structs):
+            if index and not struct.removes:  # before the first there is no other
+                inputs = [self.array, index]
+                launch(cell_tables.mark_alone_cells, struct.cells.size, inputs, [struct.cells], device=self._device)
         self._marked_step = 0.0
 
     def mark_empty(self, grid: Any, step: float) -> bool:

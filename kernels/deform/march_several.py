@@ -1,0 +1,418 @@
+"""The march through a voxel field that several edits on lattices deform, each acting on the scene that the ones before
+it left.
+
+"Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. A ray is cut where it
+enters and leaves the boxes of the edits: in between, the last edit whose box holds the ray knows what may be skipped,
+and only those whose boxes hold it are asked. Where an edit maps a whole cell to where no earlier one has anything, the
+earlier ones are not asked.
+Needs: core/entries, deform/crumbs, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, field/densities,
+field/grid, field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from ..core.entries import byte_entry, cell_byte
+from ..field.densities import early_density, late_density
+from ..field.grid import VoxelGrid, empty_distance, grid_position
+from ..field.harmonics import sh_basis
+from ..field.render import PENDING_WEIGHT, pending_colour
+from ..field.rows import RowTable, row_colour
+from ..field.samples import grid_span, safe_inverse, sample_index_after
+from ..lattice.cage_map import side_position
+from ..view.rays import box_span
+from .crumbs import in_crumbs
+from .edits import (
+    CELL_ALONE,
+    CELL_CARRIES,
+    CELL_FOLDED,
+    CELL_INSIDE,
+    CELL_OUTSIDE,
+    CELL_STAYS,
+    CELL_STEEP,
+    CUT_LENGTH,
+)
+from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit, rest_distance
+from .map_nodes import node_blend, node_slope, side_slope
+from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class PlainEdits:
+    """Says that no edit has crumbs, or cells with corner values for each side of a narrow gap. A march that never asks
+    for them keeps fewer registers, so that it is compiled by itself."""
+
+    unused: int
+
+
+@wp.struct
+class AnyEdits:
+    """Says that edits may have both."""
+
+    unused: int
+
+
+@wp.struct
+class LatticePlace:
+    """A place on the lattice of an edit."""
+
+    cell: int  # the cell's index, -1 beside the lattice
+    offset: wp.vec3  # in the cell, 0 to 1
+    nodes: wp.vec2i  # from a node to the next of axes 0 and 1
+
+
+@wp.func
+def lattice_place(edit: FlatEdit, x: wp.vec3):
+    """Where a point is."""
+    result = LatticePlace()
+    g = (x - edit.lower) * edit.inverse_spacing
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    result.cell = -1
+    if i >= 0 and j >= 0 and k >= 0:
+        if i < edit.node_counts[0] - 1 and j < edit.node_counts[1] - 1 and k < edit.node_counts[2] - 1:
+            result.nodes = wp.vec2i(edit.node_counts[1] * edit.node_counts[2], edit.node_counts[2])
+            result.cell = i * result.nodes[0] + j * result.nodes[1] + k
+            result.offset = g - wp.vec3(float(i), float(j), float(k))
+    return result
+
+
+@wp.func
+def side_entry(kind: PlainEdits, edit: FlatEdit, cell: int):
+    """Entry of an edit's table of sides for a cell of its lattice, 0 for none."""
+    return 0
+
+
+@wp.func
+def side_entry(kind: AnyEdits, edit: FlatEdit, cell: int):  # noqa: F811 (a Warp overload)
+    entry = int(0)
+    if edit.has_sides == 1:
+        entry = edit.side_index[cell]
+    return entry
+
+
+@wp.func
+def mapped_position(kind: PlainEdits, edit: FlatEdit, entry: int, offset: wp.vec3, node: wp.vec4):
+    """Where a place in a cell, whose corners alone say `node`, is mapped to."""
+    return wp.vec3(node[0], node[1], node[2])
+
+
+@wp.func
+def mapped_position(kind: AnyEdits, edit: FlatEdit, entry: int, offset: wp.vec3, node: wp.vec4):  # noqa: F811
+    position = wp.vec3(node[0], node[1], node[2])
+    if entry != 0:
+        position = side_position(edit.sides, entry, offset)
+    return position
+
+
+@wp.func
+def mapped_slope(kind: PlainEdits, edit: FlatEdit, entry: int, place: LatticePlace, rate: wp.vec3):
+    """Derivative of mapped_position where the place moves at `rate`, cells."""
+    return node_slope(edit.nodes, place.cell, place.nodes[0], place.nodes[1], place.offset, rate)
+
+
+@wp.func
+def mapped_slope(kind: AnyEdits, edit: FlatEdit, entry: int, place: LatticePlace, rate: wp.vec3):  # noqa: F811
+    if entry != 0:
+        return side_slope(edit.sides, entry, place.offset, rate)
+    return node_slope(edit.nodes, place.cell, place.nodes[0], place.nodes[1], place.offset, rate)
+
+
+@wp.func
+def has_crumbs(kind: PlainEdits, edit: FlatEdit):
+    """Whether crumbs go with an edit."""
+    return False
+
+
+@wp.func
+def has_crumbs(kind: AnyEdits, edit: FlatEdit):  # noqa: F811
+    return edit.crumbs.marks.shape[0] > 0
+
+
+@wp.func
+def is_in_crumbs(kind: PlainEdits, edit: FlatEdit, x: wp.vec3):
+    """Whether crumbs of an edit are at a point of the scene at rest."""
+    return False
+
+
+@wp.func
+def is_in_crumbs(kind: AnyEdits, edit: FlatEdit, x: wp.vec3):  # noqa: F811
+    return in_crumbs(edit.crumbs, x)
+
+
+@wp.struct
+class TracedPoint:
+    """What all edits say of a point: deform/edits.CanonicalPoint."""
+
+    position: wp.vec3
+    path: int  # bit e is set where edit e mapped the point
+    cleared: int
+    vacant: int
+    outside: int
+    flags: int
+
+
+@wp.func
+def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec3):
+    """Trace a point to canonical space as deform/edits.traced_point does. Bit e of `asked`: edit e may have it in its
+    posed cage or in its rest cage; where an edit maps it to, the ones before are asked in any case."""
+    result = TracedPoint()
+    position = x
+    e = int(edits.shape[0]) - 1
+    while e >= 0 and result.vacant == 0:
+        if result.path != 0 or (asked & (1 << e)) != 0:
+            edit = edits[e]
+            mapped = bool(False)
+            alone = bool(False)
+            if edit.removes == 0:
+                place = lattice_place(edit, position)
+                if place.cell >= 0:
+                    flags = byte_entry(edit.look, place.cell)
+                    if flags >= LOOK_SKIP:
+                        flags = int(0)  # not known
+                    case = flags & CELL_CARRIES
+                    if case != CELL_OUTSIDE:
+                        node = node_blend(edit.nodes, place.cell, place.nodes[0], place.nodes[1], place.offset)
+                        source = mapped_position(kind, edit, side_entry(kind, edit, place.cell), place.offset, node)
+                        is_crumb = bool(False)
+                        if (flags & CELL_STAYS) == 0:
+                            is_crumb = is_in_crumbs(kind, edit, source)
+                        mapped = case == CELL_INSIDE or node[3] <= edit.tolerance or (case == CELL_CARRIES and is_crumb)
+                        if mapped:
+                            position = source
+                            alone = (flags & CELL_ALONE) != 0
+                            if result.path != 0:
+                                flags = flags | CELL_STEEP  # each may be gentle, but not both together
+                            result.path = result.path | (1 << e)
+                            result.flags = result.flags | flags
+                            if (flags & CELL_STAYS) == 0 and not is_crumb:
+                                if rest_distance(edit, position) > edit.slack:
+                                    result.vacant = 1
+                                    result.outside = 1 - result.cleared
+            if not mapped and edit.keeps_source == 0:
+                if rest_distance(edit, position) <= 0.0 or is_in_crumbs(kind, edit, position):
+                    result.vacant = result.cleared  # what is cleared cannot be cleared again
+                    result.cleared = 1
+            if alone:
+                e = 0  # the edits before this one have nothing there
+        e -= 1
+    result.position = position
+    return result
+
+
+@wp.func
+def traced_slope(kind: Any, edits: wp.array(dtype=FlatEdit), x: wp.vec3, direction: wp.vec3, path: int):
+    """Derivative of the canonical position along a direction, by the edits of a path."""
+    position = x
+    slope = direction
+    rest_of_path = path
+    e = int(edits.shape[0]) - 1
+    while rest_of_path != 0 and e >= 0:
+        if (path & (1 << e)) != 0:
+            edit = edits[e]
+            place = lattice_place(edit, position)
+            rate = slope * edit.inverse_spacing
+            entry = side_entry(kind, edit, place.cell)
+            slope = mapped_slope(kind, edit, entry, place, rate)
+            rest_of_path = rest_of_path - (1 << e)
+            if rest_of_path != 0:  # another edit is at the place that this one maps to
+                node = node_blend(edit.nodes, place.cell, place.nodes[0], place.nodes[1], place.offset)
+                position = mapped_position(kind, edit, entry, place.offset, node)
+        e -= 1
+    return slope
+
+
+@wp.func
+def lattice_span(edit: FlatEdit, origin: wp.vec3, direction: wp.vec3):
+    """Distances (near, far) at which a ray is in the box of an edit's lattice."""
+    counts = edit.node_counts
+    corner = wp.vec3(float(counts[0] - 1), float(counts[1] - 1), float(counts[2] - 1))
+    start = (origin - edit.lower) * edit.inverse_spacing
+    return box_span(start, direction * edit.inverse_spacing, wp.vec3(0.0, 0.0, 0.0), corner)
+
+
+@wp.func
+def scene_span(edits: wp.array(dtype=FlatEdit), grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
+    """Distances (near, far) between which a ray can meet anything: the grid and the boxes of all edits."""
+    near = float(1.0e30)
+    far = float(-1.0)
+    span = grid_span(grid, origin, direction)
+    if span[0] < span[1]:
+        near = span[0]
+        far = span[1]
+    for e in range(edits.shape[0]):
+        span = lattice_span(edits[e], origin, direction)
+        if span[0] < span[1]:
+            near = wp.min(near, span[0])
+            far = wp.max(far, span[1])
+    return wp.vec2(near, far)
+
+
+@wp.func
+def rest_span(edit: FlatEdit, origin: wp.vec3, direction: wp.vec3):
+    """Distances (near, far) at which a ray is in the box of the lattice over an edit's rest cage."""
+    rest = edit.rest
+    corner = wp.vec3(
+        float(rest.distance.shape[0] - 1), float(rest.distance.shape[1] - 1), float(rest.distance.shape[2] - 1)
+    )
+    start = (origin - rest.lower) * rest.inverse_spacing
+    return box_span(start, direction * rest.inverse_spacing, wp.vec3(0.0, 0.0, 0.0), corner)
+
+
+@wp.struct
+class RayPart:
+    """A stretch of a ray that begins at a sample, in which it enters and leaves no box of an edit."""
+
+    holder: int  # the last edit whose posed box holds it, -1 for none
+    asked: int  # bit e: the posed or the rest box of edit e holds it, or edit e has crumbs
+    end: float
+
+
+@wp.func
+def ray_part(kind: Any, edits: wp.array(dtype=FlatEdit), origin: wp.vec3, direction: wp.vec3, t: float):
+    """The stretch from distance t on."""
+    part = RayPart()
+    part.holder = -1
+    part.end = float(1.0e30)
+    for e in range(edits.shape[0]):
+        edit = edits[e]
+        for box in range(2):
+            span = lattice_span(edit, origin, direction)
+            if box == 1:
+                span = rest_span(edit, origin, direction)
+            if (box == 0 or edit.keeps_source == 0) and span[0] < span[1] and t < span[1]:
+                if t >= span[0]:
+                    part.asked = part.asked | (1 << e)
+                    part.end = wp.min(part.end, span[1])
+                    if box == 0:
+                        part.holder = e
+                else:
+                    part.end = wp.min(part.end, span[0])
+        if has_crumbs(kind, edit):
+            part.asked = part.asked | (1 << e)
+    return part
+
+
+@wp.func
+def march_edits(
+    kind: Any,
+    edits: wp.array(dtype=FlatEdit),
+    grid: VoxelGrid,
+    table: RowTable,
+    origin: wp.vec3,
+    direction: wp.vec3,
+    options: MarchOptions,
+):
+    """Gather radiance along a ray through the deformed scene."""
+    seen = DeformedRadiance()
+    seen.transmittance = float(1.0)
+    seen.cleared_transmittance = float(1.0)
+    step = options.step
+    span = scene_span(edits, grid, origin, direction)
+    box = grid_span(grid, origin, direction)
+    inverse = safe_inverse(direction)
+    grid_inverse = wp.cw_mul(inverse, grid.voxel_size)
+    cells = wp.vec3i(grid.skip.shape[0], grid.skip.shape[1], grid.skip.shape[2])
+    part = RayPart()
+    part.end = float(-1.0)
+    k = sample_index_after(span[0], step)
+    count = int(0)  # sub-samples of sample k; 0: not known, so one
+    j = int(0)
+    t = (float(k) + 0.5) * step
+    pending = float(0.0)  # weight of samples whose colour is not looked up yet
+    while t < span[1] and seen.transmittance > options.stop:
+        if t >= part.end:
+            part = ray_part(kind, edits, origin, direction, t)
+        x = origin + t * direction
+        leave = t
+        if part.holder >= 0:
+            edit = edits[part.holder]
+            g = (x - edit.lower) * edit.inverse_spacing
+            ci = wp.clamp(int(g[0]), 0, edit.node_counts[0] - 2)
+            cj = wp.clamp(int(g[1]), 0, edit.node_counts[1] - 2)
+            ck = wp.clamp(int(g[2]), 0, edit.node_counts[2] - 2)
+            look = byte_entry(edit.look, (ci * edit.node_counts[1] + cj) * edit.node_counts[2] + ck)
+            if look >= LOOK_SKIP:
+                leave = t + cell_exit(g, inverse / edit.inverse_spacing, look - LOOK_SKIP)
+                leave = wp.max(wp.min(leave, part.end), t + 0.5 * step)
+        else:
+            if t < box[0] or not (t < box[1]):
+                leave = wp.where(t < box[0], box[0], span[1])
+            else:
+                g = grid_position(grid, x)
+                empty = empty_distance(grid, g)
+                if empty > 0:
+                    leave = t + cell_exit(g, grid_inverse, empty)
+            leave = wp.min(leave, part.end)
+        if leave > t:
+            k = wp.max(k + 1, sample_index_after(leave, step))
+            count = int(0)
+            j = int(0)
+            t = (float(k) + 0.5) * step
+            continue
+        point = flat_trace(kind, edits, part.asked, x)
+        # each function of the map stands once in this loop: registers are short
+        g = grid_position(grid, point.position)
+        gi = int(wp.floor(g[0]))
+        gj = int(wp.floor(g[1]))
+        gk = int(wp.floor(g[2]))
+        offset = g - wp.vec3(float(gi), float(gj), float(gk))
+        empty = int(1)
+        sigma = float(0.0)
+        if point.vacant == 0 and (point.cleared == 0 or seen.cleared_transmittance > FAINT):
+            if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2]:
+                # both are waited for at once
+                empty = cell_byte(grid.skip, gi, gj, gk)
+                sigma = early_density(table.laid, table.unit, table.columns, gi, gj, gk, offset)
+        if empty == 0:
+            sigma = late_density(sigma, grid.density, table.columns, gi, gj, gk, offset)
+        else:
+            sigma = float(0.0)
+        mapped = point.path != 0 and point.cleared == 0
+        asks_length = mapped and count == 0 and (point.flags & CELL_STEEP) != 0
+        slope = direction
+        if mapped and (asks_length or sigma > 0.0):
+            slope = traced_slope(kind, edits, x, direction, point.path)
+        stretch = wp.length(slope)
+        if asks_length:
+            count = int(1)
+            if stretch > CUT_LENGTH:
+                count = wp.clamp(int(wp.ceil(stretch - 1.0e-3)), 1, MAX_SUB_SAMPLES)
+                t = (float(k) + 0.5 / float(count)) * step
+                continue
+        parts = wp.max(count, 1)
+        if point.vacant == 1:
+            seen.outside += float(point.outside)
+        elif sigma > 0.0:
+            depth = sigma * step / float(parts)
+            if mapped and options.arc_opacity == 1:
+                depth = depth * stretch
+            kept = wp.exp(-depth)
+            if point.cleared == 1:
+                seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
+                seen.cleared_transmittance *= kept
+            else:
+                weight = seen.transmittance * (1.0 - kept)
+                pending += weight
+                if pending > PENDING_WEIGHT:
+                    along = wp.where(stretch > 1.0e-6, slope / stretch, direction)
+                    colour = row_colour(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
+                    seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                    pending = float(0.0)
+                seen.depth += weight * t
+                seen.transmittance *= kept
+                if (point.flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
+                    seen.fold += weight
+        j += 1
+        if j >= parts:
+            k += 1
+            count = int(0)
+            j = int(0)
+        parts = wp.max(count, 1)
+        t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
+    seen.colour += pending_colour(seen.colour, seen.transmittance, pending)
+    return seen
