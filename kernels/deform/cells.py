@@ -8,7 +8,7 @@ Needs: deform/edits, deform/march, field/grid, lattice/cage_map.
 import warp as wp
 
 from ..field.grid import VoxelGrid, empty_distance, grid_position
-from ..lattice.cage_map import cell_sides, map_distance
+from ..lattice.cage_map import CageMap, cell_sides, map_distance
 from .edits import (
     CELL_ALONE,
     CELL_CARRIES,
@@ -18,6 +18,7 @@ from .edits import (
     CELL_STAYS,
     CELL_STEEP,
     CUT_LENGTH,
+    LATTICE_BORDER,
     LatticeEdit,
     in_rest_cage,
 )
@@ -118,22 +119,25 @@ def mark_edit_cases(first: int, edit: LatticeEdit, cells: wp.array3d(dtype=wp.ui
 
 
 @wp.func
+def box_meets_cage(cage: CageMap, lower: wp.vec3, upper: wp.vec3):
+    """Whether a box meets the one around a cage that a lattice lies over."""
+    meets = bool(True)
+    for axis in range(3):
+        border = LATTICE_BORDER * cage.spacing
+        end = cage.lower[axis] + cage.spacing * float(cage.distance.shape[axis] - 1)
+        meets = meets and upper[axis] >= cage.lower[axis] + border and lower[axis] <= end - border
+    return meets
+
+
+@wp.func
 def box_meets_edit(edit: LatticeEdit, lower: wp.vec3, upper: wp.vec3):
     """Whether anything of a box may be in an edit's posed cage or in its rest cage."""
     if edit.crumbs.marks.shape[0] > 0:
         return True
-    posed_low = lattice_lower(edit)
-    posed_high = lattice_upper(edit)
-    rest = edit.rest
-    rest_high = rest.lower + rest.spacing * wp.vec3(
-        float(rest.distance.shape[0] - 1), float(rest.distance.shape[1] - 1), float(rest.distance.shape[2] - 1)
-    )
-    by_posed = bool(False)
-    by_rest = edit.keeps_source == 1
-    for axis in range(3):
-        by_posed = by_posed or upper[axis] < posed_low[axis] or lower[axis] > posed_high[axis]
-        by_rest = by_rest or upper[axis] < rest.lower[axis] or lower[axis] > rest_high[axis]
-    return not (by_posed and by_rest)
+    meets = box_meets_cage(edit.deformed, lower, upper)
+    if edit.keeps_source == 0:
+        meets = meets or box_meets_cage(edit.rest, lower, upper)
+    return meets
 
 
 @wp.kernel
@@ -196,13 +200,17 @@ def scene_is_empty(
             if centre[axis] - half[axis] < lower[axis] or centre[axis] + half[axis] > upper[axis]:
                 within = False
         if not beside:
-            if not within:
-                return False  # partly in the edit's box: too rare to look closer
-            g = (centre - lower) * edit.deformed.inverse_spacing
+            # what of the box is in the edit's, which knows the scene beneath there
+            low = wp.max(centre - half, lower)
+            high = wp.min(centre + half, upper)
+            g = (0.5 * (low + high) - lower) * edit.deformed.inverse_spacing
             i = wp.clamp(int(wp.floor(g[0])), 0, edit.skip.shape[0] - 1)
             j = wp.clamp(int(wp.floor(g[1])), 0, edit.skip.shape[1] - 1)
             k = wp.clamp(int(wp.floor(g[2])), 0, edit.skip.shape[2] - 1)
-            return float(edit.skip[i, j, k]) > wp.max(half) * edit.deformed.inverse_spacing + 1.0
+            needed = 0.5 * wp.max(high - low) * edit.deformed.inverse_spacing + 1.0
+            if within or float(edit.skip[i, j, k]) <= needed:
+                return float(edit.skip[i, j, k]) > needed
+            # beyond it there is no more than in the scene that the edit found
         e -= 1
     return grid_is_empty(grid, centre, half)
 

@@ -40,6 +40,9 @@ CELL_STEEP = wp.constant(16)
 #: Of several edits: all of a cell is mapped to where no earlier edit has anything.
 CELL_ALONE = wp.constant(32)
 
+#: A lattice reaches so many cells beyond the cage that it lies over, on each side, and its map does nothing there.
+LATTICE_BORDER = wp.constant(2.0)
+
 #: Both at once: not all in the cage, and what is out of it may be a crumb that the edit carries along.
 CELL_CARRIES = wp.constant(3)
 

@@ -19,7 +19,7 @@ from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..field.harmonics import sh_basis
 from ..field.render import PENDING_WEIGHT, pending_colour
 from ..field.rows import RowTable, row_colour
-from ..field.samples import grid_span, safe_inverse, sample_index_after
+from ..field.samples import exit_of_cell, grid_span, safe_inverse, sample_index_after
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
 from .crumbs import in_crumbs
@@ -32,6 +32,7 @@ from .edits import (
     CELL_STAYS,
     CELL_STEEP,
     CUT_LENGTH,
+    LATTICE_BORDER,
 )
 from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit, rest_distance
 from .map_nodes import node_blend, node_slope, side_slope
@@ -154,6 +155,8 @@ class TracedPoint:
     vacant: int
     outside: int
     flags: int
+    offset: wp.vec3  # in the cell of the last edit that was asked before one mapped the point, or of that one
+    room: float  # around the point, in which that edit's cell maps all or nothing, and nothing out of the rest cage
 
 
 @wp.func
@@ -161,6 +164,7 @@ def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec
     """Trace a point to canonical space as deform/edits.traced_point does. Bit e of `asked`: edit e may have it in its
     posed cage or in its rest cage; where an edit maps it to, the ones before are asked in any case."""
     result = TracedPoint()
+    result.room = float(1.0e30)
     position = x
     e = int(edits.shape[0]) - 1
     while e >= 0 and result.vacant == 0:
@@ -171,6 +175,8 @@ def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec
             if edit.removes == 0:
                 place = lattice_place(edit, position)
                 if place.cell >= 0:
+                    if result.path == 0:
+                        result.offset = place.offset
                     flags = byte_entry(edit.look, place.cell)
                     if flags >= LOOK_SKIP:
                         flags = int(0)  # not known
@@ -181,6 +187,9 @@ def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec
                         is_crumb = bool(False)
                         if (flags & CELL_STAYS) == 0:
                             is_crumb = is_in_crumbs(kind, edit, source)
+                        if result.path == 0 and case != CELL_INSIDE:
+                            # the trilinear distance changes by less than twice the way
+                            result.room = wp.where(case == CELL_CARRIES, 0.0, 0.5 * wp.abs(node[3]))
                         mapped = case == CELL_INSIDE or node[3] <= edit.tolerance or (case == CELL_CARRIES and is_crumb)
                         if mapped:
                             position = source
@@ -190,7 +199,9 @@ def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec
                             result.path = result.path | (1 << e)
                             result.flags = result.flags | flags
                             if (flags & CELL_STAYS) == 0 and not is_crumb:
-                                if rest_distance(edit, position) > edit.slack:
+                                staying = 0.5 * (edit.slack - rest_distance(edit, position))
+                                result.room = wp.min(result.room, staying)
+                                if staying < 0.0:
                                     result.vacant = 1
                                     result.outside = 1 - result.cleared
             if not mapped and edit.keeps_source == 0:
@@ -227,16 +238,21 @@ def traced_slope(kind: Any, edits: wp.array(dtype=FlatEdit), x: wp.vec3, directi
 
 
 @wp.func
-def lattice_span(edit: FlatEdit, origin: wp.vec3, direction: wp.vec3):
-    """Distances (near, far) at which a ray is in the box of an edit's lattice."""
+def posed_span(kind: Any, edit: FlatEdit, origin: wp.vec3, direction: wp.vec3):
+    """Distances (near, far) at which a ray is in the box around an edit's posed cage, or around its lattice where that
+    carries crumbs."""
+    border = float(LATTICE_BORDER)
+    if has_crumbs(kind, edit):
+        border = float(0.0)
+    low = wp.vec3(border, border, border)
     counts = edit.node_counts
-    corner = wp.vec3(float(counts[0] - 1), float(counts[1] - 1), float(counts[2] - 1))
+    high = wp.vec3(float(counts[0] - 1), float(counts[1] - 1), float(counts[2] - 1)) - low
     start = (origin - edit.lower) * edit.inverse_spacing
-    return box_span(start, direction * edit.inverse_spacing, wp.vec3(0.0, 0.0, 0.0), corner)
+    return box_span(start, direction * edit.inverse_spacing, low, high)
 
 
 @wp.func
-def scene_span(edits: wp.array(dtype=FlatEdit), grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
+def scene_span(kind: Any, edits: wp.array(dtype=FlatEdit), grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
     """Distances (near, far) between which a ray can meet anything: the grid and the boxes of all edits."""
     near = float(1.0e30)
     far = float(-1.0)
@@ -245,7 +261,7 @@ def scene_span(edits: wp.array(dtype=FlatEdit), grid: VoxelGrid, origin: wp.vec3
         near = span[0]
         far = span[1]
     for e in range(edits.shape[0]):
-        span = lattice_span(edits[e], origin, direction)
+        span = posed_span(kind, edits[e], origin, direction)
         if span[0] < span[1]:
             near = wp.min(near, span[0])
             far = wp.max(far, span[1])
@@ -254,13 +270,13 @@ def scene_span(edits: wp.array(dtype=FlatEdit), grid: VoxelGrid, origin: wp.vec3
 
 @wp.func
 def rest_span(edit: FlatEdit, origin: wp.vec3, direction: wp.vec3):
-    """Distances (near, far) at which a ray is in the box of the lattice over an edit's rest cage."""
+    """Distances (near, far) at which a ray is in the box around an edit's rest cage."""
     rest = edit.rest
-    corner = wp.vec3(
-        float(rest.distance.shape[0] - 1), float(rest.distance.shape[1] - 1), float(rest.distance.shape[2] - 1)
-    )
+    counts = wp.vec3i(rest.distance.shape[0], rest.distance.shape[1], rest.distance.shape[2])
+    low = wp.vec3(LATTICE_BORDER, LATTICE_BORDER, LATTICE_BORDER)
+    high = wp.vec3(float(counts[0] - 1), float(counts[1] - 1), float(counts[2] - 1)) - low
     start = (origin - rest.lower) * rest.inverse_spacing
-    return box_span(start, direction * rest.inverse_spacing, wp.vec3(0.0, 0.0, 0.0), corner)
+    return box_span(start, direction * rest.inverse_spacing, low, high)
 
 
 @wp.struct
@@ -281,7 +297,7 @@ def ray_part(kind: Any, edits: wp.array(dtype=FlatEdit), origin: wp.vec3, direct
     for e in range(edits.shape[0]):
         edit = edits[e]
         for box in range(2):
-            span = lattice_span(edit, origin, direction)
+            span = posed_span(kind, edit, origin, direction)
             if box == 1:
                 span = rest_span(edit, origin, direction)
             if (box == 0 or edit.keeps_source == 0) and span[0] < span[1] and t < span[1]:
@@ -295,6 +311,14 @@ def ray_part(kind: Any, edits: wp.array(dtype=FlatEdit), origin: wp.vec3, direct
         if has_crumbs(kind, edit):
             part.asked = part.asked | (1 << e)
     return part
+
+
+@wp.func
+def may_jump(part: RayPart, point: TracedPoint):
+    """Whether the last edit whose box holds a stretch of a ray says alone where the points around one are seen."""
+    if point.path == 0:
+        return part.asked == 1 << part.holder
+    return point.path == 1 << part.holder and (point.flags & (CELL_ALONE + CELL_STEEP)) == CELL_ALONE
 
 
 @wp.func
@@ -312,7 +336,7 @@ def march_edits(
     seen.transmittance = float(1.0)
     seen.cleared_transmittance = float(1.0)
     step = options.step
-    span = scene_span(edits, grid, origin, direction)
+    span = scene_span(kind, edits, grid, origin, direction)
     box = grid_span(grid, origin, direction)
     inverse = safe_inverse(direction)
     grid_inverse = wp.cw_mul(inverse, grid.voxel_size)
@@ -385,6 +409,7 @@ def march_edits(
                 t = (float(k) + 0.5 / float(count)) * step
                 continue
         parts = wp.max(count, 1)
+        next_index = k + 1
         if point.vacant == 1:
             seen.outside += float(point.outside)
         elif sigma > 0.0:
@@ -407,9 +432,15 @@ def march_edits(
                 seen.transmittance *= kept
                 if (point.flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
                     seen.fold += weight
+        elif empty > 1 and part.holder >= 0 and may_jump(part, point):
+            # over what is left of the lattice cell, all of which is seen where nothing is near
+            inverse_rate = inverse / edits[part.holder].inverse_spacing
+            hollow = float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH
+            leave = t + wp.min(wp.min(exit_of_cell(point.offset, inverse_rate, 1), hollow), point.room)
+            next_index = wp.max(next_index, sample_index_after(wp.min(leave, part.end), step))
         j += 1
         if j >= parts:
-            k += 1
+            k = next_index
             count = int(0)
             j = int(0)
         parts = wp.max(count, 1)
