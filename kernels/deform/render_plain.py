@@ -1,5 +1,5 @@
-"""Views of a voxel field that several edits on lattices deform and that have neither crumbs nor narrow gaps ("Deforming Radiance Fields with Cages", ECCV 2022,
-Eq. 4 and 5); see deform/march_several.
+"""Views of a voxel field that several edits on lattices deform that have neither crumbs nor narrow gaps ("Deforming
+Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5); see deform/march_several.
 
 Needs: deform/flat_edits, deform/march, deform/march_several, deform/pictures, field/grid, field/rows, view/rays.
 """
