@@ -155,13 +155,16 @@ class TracedPoint:
     vacant: int
     outside: int
     flags: int
+    offset: wp.vec3  # in the cell of the last edit that was asked before one mapped the point, or of that one
+    room: float  # around the point, in which that edit's cell maps all or nothing, and nothing out of the rest cage
 
 
-@wp.func(inline=False)  # what a march does not know by itself: registers are short
+@wp.func
 def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec3):
     """Trace a point to canonical space as deform/edits.traced_point does. Bit e of `asked`: edit e may have it in its
     posed cage or in its rest cage; where an edit maps it to, the ones before are asked in any case."""
     result = TracedPoint()
+    result.room = float(1.0e30)
     position = x
     e = int(edits.shape[0]) - 1
     while e >= 0 and result.vacant == 0:
@@ -172,6 +175,8 @@ def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec
             if edit.removes == 0:
                 place = lattice_place(edit, position)
                 if place.cell >= 0:
+                    if result.path == 0:
+                        result.offset = place.offset
                     flags = byte_entry(edit.look, place.cell)
                     if flags >= LOOK_SKIP:
                         flags = int(0)  # not known
@@ -182,6 +187,9 @@ def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec
                         is_crumb = bool(False)
                         if (flags & CELL_STAYS) == 0:
                             is_crumb = is_in_crumbs(kind, edit, source)
+                        if result.path == 0 and case != CELL_INSIDE:
+                            # the trilinear distance changes by less than twice the way
+                            result.room = wp.where(case == CELL_CARRIES, 0.0, 0.5 * wp.abs(node[3]))
                         mapped = case == CELL_INSIDE or node[3] <= edit.tolerance or (case == CELL_CARRIES and is_crumb)
                         if mapped:
                             position = source
@@ -191,7 +199,9 @@ def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec
                             result.path = result.path | (1 << e)
                             result.flags = result.flags | flags
                             if (flags & CELL_STAYS) == 0 and not is_crumb:
-                                if rest_distance(edit, position) > edit.slack:
+                                staying = 0.5 * (edit.slack - rest_distance(edit, position))
+                                result.room = wp.min(result.room, staying)
+                                if staying < 0.0:
                                     result.vacant = 1
                                     result.outside = 1 - result.cleared
             if not mapped and edit.keeps_source == 0:
@@ -205,7 +215,7 @@ def flat_trace(kind: Any, edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec
     return result
 
 
-@wp.func(inline=False)
+@wp.func
 def traced_slope(kind: Any, edits: wp.array(dtype=FlatEdit), x: wp.vec3, direction: wp.vec3, path: int):
     """Derivative of the canonical position along a direction, by the edits of a path."""
     position = x
@@ -241,7 +251,7 @@ def posed_span(kind: Any, edit: FlatEdit, origin: wp.vec3, direction: wp.vec3):
     return box_span(start, direction * edit.inverse_spacing, low, high)
 
 
-@wp.func(inline=False)
+@wp.func
 def scene_span(kind: Any, edits: wp.array(dtype=FlatEdit), grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
     """Distances (near, far) between which a ray can meet anything: the grid and the boxes of all edits."""
     near = float(1.0e30)
@@ -278,7 +288,7 @@ class RayPart:
     end: float
 
 
-@wp.func(inline=False)
+@wp.func
 def ray_part(kind: Any, edits: wp.array(dtype=FlatEdit), origin: wp.vec3, direction: wp.vec3, t: float):
     """The stretch from distance t on."""
     part = RayPart()
@@ -304,6 +314,14 @@ def ray_part(kind: Any, edits: wp.array(dtype=FlatEdit), origin: wp.vec3, direct
 
 
 @wp.func
+def may_jump(part: RayPart, point: TracedPoint):
+    """Whether the last edit whose box holds a stretch of a ray says alone where the points around one are seen."""
+    if point.path == 0:
+        return part.asked == 1 << part.holder
+    return point.path == 1 << part.holder and (point.flags & (CELL_ALONE + CELL_STEEP)) == CELL_ALONE
+
+
+@wp.func
 def march_edits(
     kind: Any,
     edits: wp.array(dtype=FlatEdit),
@@ -320,13 +338,11 @@ def march_edits(
     step = options.step
     span = scene_span(kind, edits, grid, origin, direction)
     box = grid_span(grid, origin, direction)
-    grid_inverse = wp.cw_mul(safe_inverse(direction), grid.voxel_size)
+    inverse = safe_inverse(direction)
+    grid_inverse = wp.cw_mul(inverse, grid.voxel_size)
     cells = wp.vec3i(grid.skip.shape[0], grid.skip.shape[1], grid.skip.shape[2])
     part = RayPart()
     part.end = float(-1.0)
-    start = wp.vec3(0.0, 0.0, 0.0)  # the ray in cells of the holder's lattice
-    rate = wp.vec3(0.0, 0.0, 0.0)
-    inverse_rate = wp.vec3(0.0, 0.0, 0.0)
     k = sample_index_after(span[0], step)
     count = int(0)  # sub-samples of sample k; 0: not known, so one
     j = int(0)
@@ -335,36 +351,23 @@ def march_edits(
     while t < span[1] and seen.transmittance > options.stop:
         if t >= part.end:
             part = ray_part(kind, edits, origin, direction, t)
-            if part.holder >= 0:
-                start = (origin - edits[part.holder].lower) * edits[part.holder].inverse_spacing
-                rate = direction * edits[part.holder].inverse_spacing
-                inverse_rate = safe_inverse(rate)
-        position = origin + t * direction
+        x = origin + t * direction
         leave = t
-        n = int(0)
-        nz = int(0)
-        nyz = int(0)
-        flags = int(0)
-        f = wp.vec3(0.0, 0.0, 0.0)
         if part.holder >= 0:
             edit = edits[part.holder]
-            place = start + t * rate
-            nz = edit.node_counts[2]
-            nyz = edit.node_counts[1] * nz
-            ci = wp.clamp(int(place[0]), 0, edit.node_counts[0] - 2)
-            cj = wp.clamp(int(place[1]), 0, edit.node_counts[1] - 2)
-            ck = wp.clamp(int(place[2]), 0, nz - 2)
-            n = ci * nyz + cj * nz + ck
-            f = place - wp.vec3(float(ci), float(cj), float(ck))
-            flags = byte_entry(edit.look, n)
-            if flags >= LOOK_SKIP:
-                leave = t + exit_of_cell(f, inverse_rate, flags - LOOK_SKIP)
+            g = (x - edit.lower) * edit.inverse_spacing
+            ci = wp.clamp(int(g[0]), 0, edit.node_counts[0] - 2)
+            cj = wp.clamp(int(g[1]), 0, edit.node_counts[1] - 2)
+            ck = wp.clamp(int(g[2]), 0, edit.node_counts[2] - 2)
+            look = byte_entry(edit.look, (ci * edit.node_counts[1] + cj) * edit.node_counts[2] + ck)
+            if look >= LOOK_SKIP:
+                leave = t + cell_exit(g, inverse / edit.inverse_spacing, look - LOOK_SKIP)
                 leave = wp.max(wp.min(leave, part.end), t + 0.5 * step)
         else:
             if t < box[0] or not (t < box[1]):
                 leave = wp.where(t < box[0], box[0], span[1])
             else:
-                g = grid_position(grid, position)
+                g = grid_position(grid, x)
                 empty = empty_distance(grid, g)
                 if empty > 0:
                     leave = t + cell_exit(g, grid_inverse, empty)
@@ -375,71 +378,29 @@ def march_edits(
             j = int(0)
             t = (float(k) + 0.5) * step
             continue
-        # the canonical point: the holder alone says it, or all edits are asked
-        path = int(0)
-        cleared = int(0)
-        vacant = int(0)
-        outside = int(0)
-        room = float(1.0e30)  # on the ray, in which the holder maps all or nothing, and nothing out of its rest cage
-        known = part.holder >= 0
-        if known:
-            asked = edits[part.holder]
-            case = flags & CELL_CARRIES
-            known = part.asked == 1 << part.holder and case != CELL_CARRIES and side_entry(kind, asked, n) == 0
-            known = known and not has_crumbs(kind, asked)
-            if known and asked.removes == 0 and case != CELL_OUTSIDE:
-                node = node_blend(asked.nodes, n, nyz, nz, f)
-                if case != CELL_INSIDE:
-                    room = 0.5 * wp.abs(node[3])  # a trilinear distance changes by less than twice the way
-                if case == CELL_INSIDE or node[3] <= asked.tolerance:
-                    known = (flags & CELL_ALONE) != 0
-                    if known:
-                        path = 1 << part.holder
-                        position = wp.vec3(node[0], node[1], node[2])
-        if not known:
-            point = flat_trace(kind, edits, part.asked, position)
-            position = point.position
-            path = point.path
-            cleared = point.cleared
-            vacant = point.vacant
-            outside = point.outside
-            flags = point.flags
-        elif path == 0:
-            flags = int(0)
+        point = flat_trace(kind, edits, part.asked, x)
         # each function of the map stands once in this loop: registers are short
-        g = grid_position(grid, position)
+        g = grid_position(grid, point.position)
         gi = int(wp.floor(g[0]))
         gj = int(wp.floor(g[1]))
         gk = int(wp.floor(g[2]))
         offset = g - wp.vec3(float(gi), float(gj), float(gk))
         empty = int(1)
         sigma = float(0.0)
-        if vacant == 0 and gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2]:
-            # both are waited for at once
-            empty = cell_byte(grid.skip, gi, gj, gk)
-            sigma = early_density(table.laid, table.unit, table.columns, gi, gj, gk, offset)
-        if known:
-            source = edits[part.holder]
-            if (path != 0 and (flags & CELL_STAYS) == 0) or (path == 0 and source.keeps_source == 0 and empty == 0):
-                beyond = rest_distance(source, position)
-                if path == 0:
-                    cleared = wp.where(beyond <= 0.0, 1, 0)
-                else:
-                    room = wp.min(room, 0.5 * (source.slack - beyond))
-                    vacant = wp.where(room < 0.0, 1, 0)
-                    outside = vacant
-        if vacant == 1 or empty > 0 or (cleared == 1 and seen.cleared_transmittance <= FAINT):
-            sigma = float(0.0)
-        else:
+        if point.vacant == 0 and (point.cleared == 0 or seen.cleared_transmittance > FAINT):
+            if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2]:
+                # both are waited for at once
+                empty = cell_byte(grid.skip, gi, gj, gk)
+                sigma = early_density(table.laid, table.unit, table.columns, gi, gj, gk, offset)
+        if empty == 0:
             sigma = late_density(sigma, grid.density, table.columns, gi, gj, gk, offset)
-        mapped = path != 0 and cleared == 0
-        asks_length = mapped and count == 0 and (flags & CELL_STEEP) != 0
+        else:
+            sigma = float(0.0)
+        mapped = point.path != 0 and point.cleared == 0
+        asks_length = mapped and count == 0 and (point.flags & CELL_STEEP) != 0
         slope = direction
         if mapped and (asks_length or sigma > 0.0):
-            if known:
-                slope = node_slope(edits[part.holder].nodes, n, nyz, nz, f, rate)
-            else:
-                slope = traced_slope(kind, edits, origin + t * direction, direction, path)
+            slope = traced_slope(kind, edits, x, direction, point.path)
         stretch = wp.length(slope)
         if asks_length:
             count = int(1)
@@ -449,14 +410,14 @@ def march_edits(
                 continue
         parts = wp.max(count, 1)
         next_index = k + 1
-        if vacant == 1:
-            seen.outside += float(outside)
+        if point.vacant == 1:
+            seen.outside += float(point.outside)
         elif sigma > 0.0:
             depth = sigma * step / float(parts)
             if mapped and options.arc_opacity == 1:
                 depth = depth * stretch
             kept = wp.exp(-depth)
-            if cleared == 1:
+            if point.cleared == 1:
                 seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
                 seen.cleared_transmittance *= kept
             else:
@@ -469,12 +430,13 @@ def march_edits(
                     pending = float(0.0)
                 seen.depth += weight * t
                 seen.transmittance *= kept
-                if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
+                if (point.flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
                     seen.fold += weight
-        elif empty > 1 and known and (flags & CELL_STEEP) == 0:
+        elif empty > 1 and part.holder >= 0 and may_jump(part, point):
             # over what is left of the lattice cell, all of which is seen where nothing is near
+            inverse_rate = inverse / edits[part.holder].inverse_spacing
             hollow = float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH
-            leave = t + wp.min(wp.min(exit_of_cell(f, inverse_rate, 1), hollow), room)
+            leave = t + wp.min(wp.min(exit_of_cell(point.offset, inverse_rate, 1), hollow), point.room)
             next_index = wp.max(next_index, sample_index_after(wp.min(leave, part.end), step))
         j += 1
         if j >= parts:
