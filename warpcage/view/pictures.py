@@ -22,8 +22,8 @@ Rows = Callable[[int, int | None], np.ndarray]
 #: What `read_image` opens.
 PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
 
-#: How PNG files are packed: runs alone. Files are as large as with a search for repetitions, to some per cent, as rows are
-#: filtered before, and take a quarter of the time.
+#: How PNG files are packed: runs alone, as rows are filtered before. It takes a quarter of the time of a search for
+#: repetitions, and files are as large to some per cent.
 PNG_STRATEGY = zlib.Z_RLE
 
 #: The largest picture that is read: a few bytes can declare any size.

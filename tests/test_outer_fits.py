@@ -1,0 +1,176 @@
+"""Fits of outer fields to a room of the project's own: files, edits, checkpoints, memory, and the command line."""
+
+import numpy as np
+import pytest
+from background_scenes import room_cameras, room_scene, write_room
+
+import warpcage
+from warpcage.cli import main
+from warpcage.field.outer import OuterField
+from warpcage.fitting import optimizer as optimizer_module
+from warpcage.fitting.checkpoint import load_progress, save_progress
+from warpcage.fitting.evaluation import mean_psnr
+from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage.view.pictures import read_image
+
+SMALL = {"resolution": 32, "levels": 2, "epochs": 6, "batch_rays": 1024, "background": "outer"}
+
+
+@pytest.fixture(scope="module")
+def room():
+    """The room's whole pictures, and the field fitted to them."""
+    scene = room_scene(24, 32, masks=False)
+    return scene, warpcage.fit(scene, progress=False, **SMALL)
+
+
+def test_a_room_is_seen_from_new_places(room):
+    scene, field = room
+    assert isinstance(field.background_model, OuterField) and field.background_model.voxel_count > 100
+    test = room_scene(5, 32, masks="split", turn=0.13)
+    assert mean_psnr(warpcage.evaluate(field, test)) > 26
+    renders, outside = np.stack([field.render(camera).rgb for camera in test.cameras]), test.alphas == 0
+    assert warpcage.psnr(renders[outside], test.whole[outside]) > 28.5
+    frame, alone = field.render(scene.cameras[0]), field.render(scene.cameras[0], background="black")
+    assert (frame.alpha <= alone.alpha + 1e-6).all()  # what is before the box can only hide it
+    np.testing.assert_array_equal(frame.depth, alone.depth)
+
+
+@pytest.mark.parametrize("format", ["warpcage", "compact"])
+def test_outer_fields_are_saved_and_loaded(room, tmp_path, format):
+    scene, field = room
+    field.save(tmp_path / "f.npz", format=format)
+    assert np.load(tmp_path / "f.npz")["version"] == 4
+    again = warpcage.VoxelField.load(tmp_path / "f.npz")
+    model, loaded = field.background_model, again.background_model
+    np.testing.assert_array_equal(loaded.grid.links.numpy() >= 0, model.grid.links.numpy() >= 0)
+    np.testing.assert_array_equal(loaded.center, model.center)
+    np.testing.assert_allclose(loaded.sky, model.sky, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(loaded.values[:, :3], model.values[:, :3], atol=0.5 / 255 + 1e-6)
+    assert warpcage.psnr(again.render(scene.cameras[0]).rgb, field.render(scene.cameras[0]).rgb) > 35
+    again.save(tmp_path / "g.npz", format=format)
+    np.testing.assert_array_equal(warpcage.VoxelField.load(tmp_path / "g.npz").background_model.values, loaded.values)
+    scaled = warpcage.VoxelField.load(tmp_path / "f.npz", scene_scale=0.5).background_model
+    np.testing.assert_array_equal(scaled.half, 2 * model.half)
+    with pytest.warns(UserWarning, match="outer field"):
+        field.save(tmp_path / "p.npz", format="svox2")
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"outer_rgba": np.zeros((3, 4), np.uint8)}, "outer_rgba"),
+        ({"outer_rgba": None}, "outer_rgba"),
+        ({"outer_occupancy": np.zeros(3, np.uint8)}, "outer_occupancy"),
+        ({"outer_side": np.array(10**6)}, "voxels along a side"),
+        ({"outer_half": np.array([1.0, -1.0, 1.0])}, "half sides"),
+        ({"outer_center": np.array([0, np.inf, 0])}, "center"),
+        ({"outer_sky": None}, "outer_sky"),
+    ],
+)
+def test_damaged_outer_fields_are_named(room, tmp_path, change, word):
+    room[1].save(tmp_path / "f.npz")
+    contents = dict(np.load(tmp_path / "f.npz")) | change
+    np.savez(tmp_path / "d.npz", **{name: array for name, array in contents.items() if array is not None})
+    with pytest.raises(ValueError, match=word) as raised:
+        warpcage.VoxelField.load(tmp_path / "d.npz")
+    assert "d.npz" in str(raised.value) and "\n" not in str(raised.value)
+
+
+CAGE = warpcage.Cage.box([-1.0, -0.8, -0.9], [1.3, 0.8, 1.1])
+
+
+def test_the_room_stays_while_the_object_moves(room, device):
+    """A moved object is before what is behind it, and what was behind shows where it was, marked."""
+    field = room[1].to(device)
+    camera = room_cameras(1, 48, 0.3)[0]
+    deformer = warpcage.Deformer(field, CAGE, resolution=24).pose(CAGE.scale(0.35).translate([0.0, 0.0, 1.35]))
+    frame, alone = deformer.render(camera), deformer.render(camera, background="black")
+    cleared = (field.render(camera).alpha > 0.9) & (alone.alpha < 1e-4)
+    assert cleared.sum() > 20 and frame.reveal[cleared].min() > 0.3
+    origins, directions = camera.rays()
+    behind = field.background_model.sample(origins[cleared], directions[cleared])
+    np.testing.assert_allclose(frame.rgb[cleared], behind, atol=5e-3)
+    baked = warpcage.bake(deformer, resolution=32)
+    assert baked.background_model is field.background_model
+
+
+def test_whole_pictures_are_needed():
+    split = room_scene(3, 16, masks="split")
+    with pytest.raises(ValueError, match="whole pictures"):
+        warpcage.fit(split, background="outer", progress=False)
+
+
+def test_an_outer_field_keeps_within_the_memory_given():
+    scene = room_scene(6, 16, masks=False)
+    most = 24e6
+    optimizer = FieldOptimizer(scene, max_memory=most, **(SMALL | {"outer_resolution": 128}))
+    held = []
+    while optimizer.step_count < optimizer.total_steps:
+        optimizer.step()
+        held.append(optimizer.background.held_bytes)
+    assert 32 < optimizer.background.outer.side < 128 and max(held) < 0.4 * most
+    with pytest.raises(ValueError, match="outer_resolution"):
+        FieldOptimizer(scene, outer_resolution=2)
+
+
+def test_a_checkpoint_with_layers_is_told_of(tmp_path, monkeypatch):
+    """Of whole pictures, by a version whose default they were: its options have the same names."""
+    scene = room_scene(6, 16, masks=False)
+    options = SMALL | {"resolution": 16, "background": "auto"}
+    with monkeypatch.context() as before:
+        before.setattr(optimizer_module, "chosen_background", lambda *_: (False, "layers"))
+        layered = FieldOptimizer(scene, **options)
+    layered.step()
+    save_progress(layered, tmp_path / "c.npz")
+    with pytest.raises(ValueError, match="c.npz is the checkpoint of a fit with background layers"):
+        load_progress(FieldOptimizer(scene, **options), tmp_path / "c.npz")
+
+
+def test_a_fit_goes_on_from_its_checkpoint(tmp_path):
+    scene = room_scene(6, 16, masks=False)
+    options = SMALL | {"resolution": 16}
+    through, stopped, resumed = (FieldOptimizer(scene, **options) for _ in range(3))
+    for step in range(through.total_steps):
+        through.step()
+        if step < through.total_steps * 2 // 3:
+            stopped.step()
+    save_progress(stopped, tmp_path / "c.npz")
+    load_progress(resumed, tmp_path / "c.npz")
+    assert resumed.level == 1
+    np.testing.assert_array_equal(resumed.background.outer.values, stopped.background.outer.values)
+    while resumed.step_count < resumed.total_steps:
+        resumed.step()
+    psnrs = [mean_psnr(warpcage.evaluate(optimizer.finish(), scene)) for optimizer in (through, resumed)]
+    assert abs(psnrs[0] - psnrs[1]) < 0.3  # sums of atomics on a GPU
+    contents = dict(np.load(tmp_path / "c.npz"))
+    for change in (
+        {"outer_values": np.zeros((2, 4))},
+        {"outer_occupancy": np.zeros(2, np.uint8)},
+        {"outer_sides": np.array([4, 400])},
+        {"outer_moments": np.full_like(contents["outer_moments"], -1)},
+    ):
+        np.savez(tmp_path / "d.npz", **(contents | change))
+        with pytest.raises(ValueError, match="damaged fit checkpoint"):
+            load_progress(FieldOptimizer(scene, **options), tmp_path / "d.npz")
+
+
+def test_the_way_on_the_command_line(tmp_path, capsys):
+    folder, field = write_room(tmp_path / "dtu", 17, 24), tmp_path / "room.npz"
+    words = ["--resolution", "24", "--epochs", "3", "--quiet"]
+    assert main(["fit", str(folder), "-o", str(field), "--no-masks", *words]) == 0  # by itself for whole pictures
+    assert "voxels around it in 24^3" in capsys.readouterr().out
+    assert main(["info", str(field)]) == 0
+    assert "voxels in 24^3 of contracted space" in capsys.readouterr().out
+    CAGE.save(tmp_path / "cage.obj")
+    view = ["--camera", f"{folder}:test:1", "--cage", str(tmp_path / "cage.obj"), "--posed", "scale:0.5"]
+    assert main(["render", str(field), "-o", str(tmp_path / "r.png"), *view, "--fill"]) == 0
+    baked, black = tmp_path / "baked.npz", ["--background", "black"]
+    pose = view[2:] + ["--resolution", "16"]
+    assert main(["bake", str(field), "-o", str(baked), *pose]) == 0
+    assert warpcage.VoxelField.load(baked).background_model.voxel_count > 100
+    for name, more in (("b.png", []), ("black.png", black)):
+        assert main(["render", str(baked), "-o", str(tmp_path / name), *view[:2], *more]) == 0
+    seen, dark = (read_image(tmp_path / name)[..., :3] for name in ("b.png", "black.png"))
+    assert (dark[0] == 0).all() and seen[0].min() > 0.02  # the walls are there
+    assert main(["fit", str(folder), "-o", str(tmp_path / "cut.npz"), "--background", "outer", *words]) == 2
+    assert "whole pictures" in capsys.readouterr().err
