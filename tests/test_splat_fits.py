@@ -123,6 +123,13 @@ def test_pictures_of_several_sizes_and_files_with_more(device, tmp_path):
     assert (tmp_path / "fitted.ply").stat().st_size == (tmp_path / "field.ply").stat().st_size
 
 
+def test_what_no_picture_sees_stays_to_the_bit(device):
+    field, view = some_field(device, 50), [Camera.look_at((30, 2, 1), (60, 2, 1), width=16, height=16)]
+    fitted = fit_splats(field, view, np.zeros((1, 16, 16, 3)), steps=5, progress=False)
+    for name in VALUES:
+        assert (getattr(fitted.contents, name) == getattr(field.contents, name)).all()
+
+
 def test_bad_input(device):
     field = some_field(device, 10)
     view = views(1, 16)
@@ -132,6 +139,11 @@ def test_bad_input(device):
         ((field, [], []), {}, "pictures, a camera each"),
         ((field, view, np.zeros((2, 16, 16, 3))), {}, "2 and 1 cameras"),
         ((field, ["front"], image), {}, "Camera"),
+        ((field, view[0], image), {}, "cameras must be a list, one for each picture, got Camera"),
+        ((field, view, None), {}, "images must be a list, one for each picture, got NoneType"),
+        ((field, view, [field.render(view[0])]), {}, r"picture 0 must be \(h, w, 3\) numbers, got Frame"),
+        ((field, view, ["front.png"]), {}, r"picture 0 must be \(h, w, 3\) numbers, got str"),
+        ((field, view, np.full((1, 16, 16, 3), 200, np.uint8)), {}, "picture 0 has .* 200: .*divided by 255"),
         ((field, view, np.zeros((1, 15, 16, 3))), {}, r"picture 0 must be \(16, 16, 3\)"),
         ((field, view, np.full((1, 16, 16, 3), np.nan)), {}, "finite"),
         ((field, view, image), {"steps": 0}, "steps"),
@@ -140,7 +152,16 @@ def test_bad_input(device):
         ((field, view, image), {"blur": 0}, "blur"),
         ((field, view, image), {"growth": 0.9}, "growth"),
         ((field, view, image), {"background": "mauve"}, "mauve"),
+        ((field, view, image), {"seed": 1.5}, "seed"),
+        ((field, view, image), {"rates": "high"}, "rates must be a SplatRates, got str"),
+        ((field, view, image), {"rates": SplatRates(log_scales=1e4)}, "range of float32, with smaller rates"),
         ((field.chosen([]), view, image), {}, "without splats"),
     ):
         with pytest.raises(ValueError, match=words):
             fit_splats(*arguments, **{"steps": 1, "progress": False, **options})
+
+
+@pytest.mark.parametrize("bad", [{"centres": -1}, {"colours": np.nan}, {"logits": "high"}, {"last": 0}, {"last": 2}])
+def test_bad_rates(bad):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        SplatRates(**bad)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import empty_array
-from ..core.checks import checked_positive, checked_whole, require_type
+from ..core.checks import checked_number, checked_positive, checked_whole, require_type
 from ..core.devices import launch
 from ..core.locks import device_turn
 from ..kernels.splats import adam, picture_slopes
@@ -25,6 +25,9 @@ from .splat_field import SplatField
 
 #: What differences of colours may count by.
 LOSSES = ("l1", "l2")
+
+#: Colours that a picture may have. Renders of splats go beyond 1 where harmonics do, pictures of 8 bits farther.
+LARGEST_COLOUR = 8.0
 
 #: Steps between two figures of the bar.
 SHOWN_EVERY = 50
@@ -48,7 +51,10 @@ class SplatRates:
         logits: Of opacities.
         colours: Of the harmonics of degree 0.
         harmonics: Of the others.
-        last: All rates fall to this share of themselves, exponentially, until the last step.
+        last: All rates fall to this share of themselves, above 0 and at most 1, exponentially, until the last step.
+
+    Raises:
+        ValueError: For rates that are negative or not finite, and another share.
     """
 
     centres: float = 0.02
@@ -58,6 +64,13 @@ class SplatRates:
     colours: float = 5e-3
     harmonics: float = 2e-3
     last: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, rate in dataclasses.asdict(self).items():
+            if checked_number(rate, f"the rate {name}") < 0.0:
+                raise ValueError(f"the rate {name} must be 0 or more, got {rate!r}")
+        if not 0.0 < self.last <= 1.0:
+            raise ValueError(f"the share last of the rates must be above 0 and at most 1, got {self.last!r}")
 
 
 def fit_splats(
@@ -106,20 +119,22 @@ def fit_splats(
         The fitted field, on the device of the first one, with what else its file says.
 
     Raises:
-        ValueError: For no splats or no pictures, pictures that do not fit their cameras or are not finite, and options
-            out of range.
+        ValueError: For no splats or no pictures, pictures that do not fit their cameras, are not finite or of 8 bits,
+            options out of range, and rates with which values leave the range of float32.
 
     References: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023).
     """
     from tqdm import tqdm
 
     require_type(field, SplatField, "fit_splats needs")
-    pictures = checked_pictures(cameras, images)
+    cameras, pictures = checked_pictures(cameras, images)
     if not len(field):
         raise ValueError("a field without splats cannot be fitted: give it some to begin with")
     if loss not in LOSSES:
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
     steps = checked_whole(steps, "steps", 1)
+    rates = SplatRates() if rates is None else rates
+    require_type(rates, SplatRates, "rates must be")
     optimizer = SplatOptimizer(
         field,
         cameras,
@@ -131,8 +146,8 @@ def fit_splats(
         antialias=antialias,
         background=field.background if background is None else parse_background(background),
         growth=math.inf if growth is None else checked_growth(growth),
-        rates=SplatRates() if rates is None else rates,
-        seed=seed,
+        rates=rates,
+        seed=checked_whole(seed, "seed", 0),
     )
     with tqdm(total=steps, desc="fit splats", disable=not progress) as bar:
         for step in range(steps):
@@ -140,7 +155,10 @@ def fit_splats(
             bar.update()
             if progress and step % SHOWN_EVERY == 0:
                 bar.set_postfix_str(f"{-10.0 * np.log10(max(optimizer.mean_error(), 1e-20)):.2f} dB")
-    return optimizer.to_field()
+    try:
+        return optimizer.to_field()
+    except ValueError as error:
+        raise ValueError(f"the fit left the range of float32, with smaller rates it stays there: {error}") from error
 
 
 def checked_growth(growth: float) -> float:
@@ -160,7 +178,9 @@ def checked_growth(growth: float) -> float:
     return float(growth)
 
 
-def checked_pictures(cameras: Sequence[Camera], images: np.ndarray | Sequence[ArrayLike]) -> list[np.ndarray]:
+def checked_pictures(
+    cameras: Sequence[Camera], images: np.ndarray | Sequence[ArrayLike]
+) -> tuple[list[Camera], list[np.ndarray]]:
     """Pictures that fit their cameras.
 
     Args:
@@ -168,13 +188,16 @@ def checked_pictures(cameras: Sequence[Camera], images: np.ndarray | Sequence[Ar
         images: (m, h, w, 3) colours, or a sequence of (h, w, 3).
 
     Returns:
-        (h, w, 3) float32 each.
+        The cameras, and (h, w, 3) float32 each.
 
     Raises:
-        ValueError: For none, another number, other sizes, or values that are not finite.
+        ValueError: For none, another number, other sizes, and values that are not finite or beyond LARGEST_COLOUR.
     """
-    pictures = [np.asarray(image, np.float32) for image in images]
-    if not len(cameras) or len(cameras) != len(pictures):
+    for name, values in (("cameras", cameras), ("images", images)):
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            raise ValueError(f"{name} must be a list, one for each picture, got {type(values).__name__}")
+    cameras, pictures = list(cameras), [_as_picture(number, image) for number, image in enumerate(images)]
+    if not cameras or len(cameras) != len(pictures):
         raise ValueError(f"fit_splats needs pictures, a camera each: got {len(pictures)} and {len(cameras)} cameras")
     for number, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
         require_type(camera, Camera, f"picture {number} needs")
@@ -183,7 +206,21 @@ def checked_pictures(cameras: Sequence[Camera], images: np.ndarray | Sequence[Ar
             raise ValueError(f"picture {number} must be {size} as its camera says, got {picture.shape}")
         if not np.isfinite(picture).all():
             raise ValueError(f"picture {number} has values that are not finite")
-    return pictures
+        if np.abs(picture).max() > LARGEST_COLOUR:
+            raise ValueError(
+                f"picture {number} has values from {picture.min():g} to {picture.max():g}: they must lie in [0, 1] "
+                "(8-bit pictures divided by 255)"
+            )
+    return cameras, pictures
+
+
+def _as_picture(number: int, image: ArrayLike) -> np.ndarray:
+    """A picture in float32."""
+    try:
+        with np.errstate(over="ignore"):  # what float32 cannot hold is told as not finite
+            return np.asarray(image, np.float32)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"picture {number} must be (h, w, 3) numbers, got {type(image).__name__}") from error
 
 
 class SplatOptimizer:

@@ -42,6 +42,7 @@ class SplatParameters:
         self.field, held, count = field, field.contents, len(field)
         host = {name: np.asarray(getattr(held, name), np.float64) for name in VALUE_TYPES}
         host["centres"] = host["centres"] - field.center
+        self._first_centres = host["centres"].astype(np.float32)
         self.values: dict[str, wp.array] = {}
         self.slopes: dict[str, wp.array] = {}
         for name, values in host.items():
@@ -87,7 +88,8 @@ class SplatParameters:
         """
         held, count = self.field.contents, len(self.field)
         host = {name: array.numpy() for name, array in self.values.items()}
-        centres = (host["centres"].astype(np.float64) + self.field.center).astype(held.centres.dtype)
+        moved = host["centres"].astype(np.float64) - self._first_centres  # from where the file has them, to the bit
+        centres = (held.centres + moved).astype(held.centres.dtype)
         return SplatField(
             centres,
             host["log_scales"],
