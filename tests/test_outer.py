@@ -91,12 +91,17 @@ def test_views_are_put_between_what_is_before_and_behind(device):
     assert np.quantile(errors, 0.95) < 1e-4 and max(errors) < 2e-2
 
 
-def whole_loss(device, by_sky):
-    """A field, an outer field and pictures, and the gradients of the whole loss by them: (SimpleNamespace)."""
+def whole_loss(device, by_sky, sky=None):
+    """A field, an outer field and pictures, and the gradients of the whole loss by them: (SimpleNamespace).
+
+    sky: Grey of all the sky; None is the outer field's own.
+    """
     field, density, sh = field_oracles.random_field(
         device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5, bounds=(-HALF, HALF), numbers=(24,)
     )
     outer, values = oracle.random_outer(device, side=6, half=HALF, density=0.6)
+    if sky is not None:
+        outer.grid.sky.values.fill_(wp.vec4(sky, sky, sky, 0.0))
     cameras = [
         warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=70, width=8, height=6)
         for eye in ([3.0, 0.4, 0.5], [-0.3, 0.5, 0.2], [-1.4, -2.1, 0.3])
@@ -220,6 +225,13 @@ def test_the_sky_follows_what_is_behind_the_box(device):
             moved[at] += sign * 1e-2  # the loss is square in the sky
             ends.append(loss(moved))
         assert abs(found[at] - (ends[0] - ends[1]) / 2e-2) < 1e-2 * largest
+
+
+def test_a_black_sky_becomes_lighter_again(device):
+    """Its gradient is that of a sky a little above black, which finite differences hold."""
+    black, dark = (whole_loss(device, 0.0, sky).grad_sky for sky in (0.0, 1e-5))
+    assert np.abs(dark).max() > 1e-3
+    np.testing.assert_allclose(black, dark, atol=1e-4 * np.abs(dark).max())
 
 
 def test_colours_stay_where_files_keep_them(device):

@@ -155,7 +155,7 @@ def accumulate_outer_gradient(
         gradient = wp.vec4()
         for channel in range(3):
             gradient[channel] = follows * (value[channel] - behind[n][channel])
-            if light > OUTER_STOP and value[channel] > 0.0:
+            if light > OUTER_STOP and value[channel] >= 0.0:
                 gradient[channel] += light * grad_colour[channel]
         for corner in range(4):
             wp.atomic_add(grad_sky, 0, place.nodes[corner], place.weights[corner] * gradient)
