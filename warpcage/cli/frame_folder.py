@@ -18,6 +18,9 @@ from ..view.pictures import read_image
 #: The note beside the frames that says which film they are of.
 SETTINGS_NAME = "animation.json"
 
+#: The last chunk of every PNG file.
+PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
+
 #: What frames are called.
 FRAME_NAME = re.compile(r"frame_[0-9]{4,}\.(png|exr|npz)")
 
@@ -194,4 +197,8 @@ def _picture_shape(path: pathlib.Path) -> tuple[int, ...]:
     """Height and width of a frame, all of which is read."""
     if path.suffix == ".exr":
         return read_exr(path)["Z"].shape
-    return (read_film_frame(path) if path.suffix == ".npz" else read_image(path)).shape[:2]
+    if path.suffix == ".npz":
+        return read_film_frame(path).shape[:2]
+    if not path.read_bytes().endswith(PNG_END):  # pixels may all be there before
+        raise ValueError(f"{path} is cut off")
+    return read_image(path).shape[:2]
