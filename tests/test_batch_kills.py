@@ -252,7 +252,9 @@ class Full(Making):
 def test_a_full_disk_ends_the_run(address, tmp_path):
     path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
     report = run_with(path, out, Full, workers=2)
-    assert "no space left on device" in report.halt and report.made == 10 and report.left == 50 and not report.failed
+    assert "no space left on device" in report.halt and not report.failed
+    # the other worker may have begun with later items, and met the end of the disk before the tenth was made
+    assert report.made <= 10 and report.left == 60 - report.made
     assert run_with(path, out, Making, workers=2).complete and left_over(out) == []
 
 
