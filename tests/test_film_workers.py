@@ -1,5 +1,8 @@
 """`warpcage animate --workers`: films and folders of one process, to the bit, and runs that go on where they ended."""
 
+import pathlib
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
@@ -7,6 +10,7 @@ from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 import warpcage.cli.film_workers as film_workers
 from warpcage.deform.deformer import Deformer
 from warpcage.view.film import deep_pixels, read_film_frame, write_film_frame
+from warpcage.view.pictures import write_png
 
 #: x264 writes the same file again only of sides that are multiples of its blocks.
 FILM = ("animate", "@ball.npz", *DEFORMED, *SMALL, "--size", 64, "--frames", 6, "--quiet", "--device", "cpu")
@@ -117,6 +121,34 @@ def test_a_film_goes_on_after_its_end(files, tmp_path, capsys, monkeypatch, rend
     succeed(files, *FILM, "-o", tmp_path / "one.mp4")
     assert (tmp_path / "film.mp4").read_bytes() == (tmp_path / "one.mp4").read_bytes()
     assert names(tmp_path) == ["film.mp4", "one.mp4"]
+
+
+def test_a_frame_that_comes_while_it_is_looked_for_is_read(tmp_path, monkeypatch):
+    late, place = tmp_path / "late.png", tmp_path / "frame_0000.png"
+    write_png(late, np.zeros((4, 4, 3)))
+    read = film_workers.read_film_frame
+
+    def comes_afterwards(path):
+        """As if another process had put the frame there just after it was looked for."""
+        try:
+            return read(path)
+        finally:
+            if late.exists():
+                late.rename(place)
+
+    monkeypatch.setattr(film_workers, "read_film_frame", comes_afterwards)
+    monkeypatch.setattr(film_workers, "LOOK_SECONDS", 0.01)
+    exists = pathlib.Path.exists
+
+    def seen(path):
+        found = exists(path)
+        if path == place and exists(late):
+            late.rename(place)
+        return found
+
+    monkeypatch.setattr(pathlib.Path, "exists", seen)
+    encoder = film_workers._Encoder(tmp_path / "a.mp4", Fraction(24), False, [[place]])
+    assert encoder._frame([place]).shape[:2] == (4, 4)
 
 
 def test_frames_of_another_film_are_not_taken(files, tmp_path, rendered):

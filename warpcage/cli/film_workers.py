@@ -221,12 +221,13 @@ class _Encoder:
 
     def _frame(self, places: list[pathlib.Path]) -> np.ndarray:
         while not self._stopped:
-            for path in places:
+            for path in filter(pathlib.Path.exists, places):  # one that comes only now is looked for again
                 try:
                     return read_film_frame(path)
-                except (FileNotFoundError, ValueError):  # it is not there yet, or was moved just now
+                except (FileNotFoundError, ValueError):
                     if path.exists():
                         raise
+                    # it was moved just now
             self._news.wait(LOOK_SECONDS)
             self._news.clear()
         raise InterruptedError("the film was given up")
