@@ -21,29 +21,12 @@ DEPTH_MIN_ALPHA = wp.constant(1.0e-3)
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
 
 
-@wp.func_native("""
-    wp::vec_t<5, wp::float32> seen;
-#if defined(__CUDA_ARCH__)
-    __shared__ float4 rows[8][32][3];
-    const int warp = (threadIdx.x >> 5) & 7, lane = threadIdx.x & 31;
-    const float4* rows_of = reinterpret_cast<const float4*>(view.data);
-    const int* member = reinterpret_cast<const int*>(members.data);
-    const float left = x - (float)(lane & 7), top = y - (float)(lane >> 3);
+#: C++ that the pass over the slopes of pixels shares: the box of a warp's pixels; which of the members that its lanes
+#: have read reach that, and where they are kept; and the exponent of a kept one at a pixel.
+PIXELS_OF_WARP = """    const float left = x - (float)(lane & 7), top = y - (float)(lane >> 3);
     const float low = top - 0.002f, high = top + 3.002f, right = left + 7.002f;
-    float T = inside ? 1.0f : 0.0f, red = 0.0f, green = 0.0f, blue = 0.0f, depth = 0.0f;
-    for (int base = begin; base < end; base += 32)
-    {
-        if (__ballot_sync(0xffffffffu, T > stop) == 0u)
-            break;
-        bool touched = false;
-        float4 a, b;
-        const float4* row = rows_of;
-        if (base + lane < end)
-        {
-            row += 3u * (unsigned)member[base + lane];
-            a = row[0];
-            b = row[1];
-            const float reach = a.z + 7.994353437f;
+"""
+REACHING_MEMBERS = """            const float reach = a.z + 7.994353437f;
             const float root = sqrtf(fmaxf(reach, 0.0f)), lean = b.x / b.y;
             const float from = fmaxf(b.y * (low - a.y), -root), to = fminf(b.y * (high - a.y), root);
             const float extreme = lean * root * rsqrtf(1.0f + lean * lean);
@@ -58,17 +41,48 @@ vec5 = wp.types.vector(length=5, dtype=wp.float32)
             float4* slot = rows[warp][__popc(which & ((1u << lane) - 1u))];
             slot[0] = a;
             slot[1] = b;
-            slot[2] = row[2];
+"""
+POWER_AT_PIXEL = """            const float4 a = rows[warp][k][0], b = rows[warp][k][1];
+            const float dx = x - a.x, dy = y - a.y;
+            const float w = a.w * dx + b.x * dy, s = b.y * dy;
+            const float power = a.z - w * w - s * s;
+"""
+
+
+@wp.func_native(
+    """
+    wp::vec_t<5, wp::float32> seen;
+#if defined(__CUDA_ARCH__)
+    __shared__ float4 rows[8][32][3];
+    const int warp = (threadIdx.x >> 5) & 7, lane = threadIdx.x & 31;
+    const float4* rows_of = reinterpret_cast<const float4*>(view.data);
+    const int* member = reinterpret_cast<const int*>(members.data);
+"""
+    + PIXELS_OF_WARP
+    + """    float T = inside ? 1.0f : 0.0f, red = 0.0f, green = 0.0f, blue = 0.0f, depth = 0.0f;
+    for (int base = begin; base < end; base += 32)
+    {
+        if (__ballot_sync(0xffffffffu, T > stop) == 0u)
+            break;
+        bool touched = false;
+        float4 a, b;
+        const float4* row = rows_of;
+        if (base + lane < end)
+        {
+            row += 3u * (unsigned)member[base + lane];
+            a = row[0];
+            b = row[1];
+"""
+    + REACHING_MEMBERS
+    + """            slot[2] = row[2];
         }
         __syncwarp();
         const int count = __popc(which);
         for (int k = 0; k < count; ++k)
         {
-            const float4 a = rows[warp][k][0], b = rows[warp][k][1];
-            const float dx = x - a.x, dy = y - a.y;
-            const float w = a.w * dx + b.x * dy, s = b.y * dy;
-            const float power = a.z - w * w - s * s;
-            if (power >= -7.994353437f && T > stop)
+"""
+    + POWER_AT_PIXEL
+    + """            if (power >= -7.994353437f && T > stop)
             {
                 const float4 c = rows[warp][k][2];
                 const float alpha = fminf(exp2f(power), 0.999f);
@@ -89,7 +103,8 @@ vec5 = wp.types.vector(length=5, dtype=wp.float32)
     seen.c[4] = T;
 #endif
     return seen;
-""")
+"""
+)
 def drawn_pixel(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),

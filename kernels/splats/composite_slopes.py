@@ -13,11 +13,12 @@ and s = l_2 dy, nine sums over the pixels are all that the slopes of a splat are
 
 For CUDA; on the CPU it is splats/composite_slopes_tiles. A warp has 8x4 pixels to itself, sums what its lanes have, by
 halves that lanes exchange, and adds nine numbers a splat.
-Needs: splats/tiles.
+Needs: splats/composite, splats/tiles.
 """
 
 import warp as wp
 
+from .composite import PIXELS_OF_WARP, POWER_AT_PIXEL, REACHING_MEMBERS
 from .tiles import TILE_SIDE, TileGrid
 
 wp.set_module_options({"enable_backward": False, "block_dim": 256})
@@ -26,7 +27,8 @@ wp.set_module_options({"enable_backward": False, "block_dim": 256})
 SUMS = wp.constant(9)
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
 #if defined(__CUDA_ARCH__)
     __shared__ float4 rows[8][32][3];
     const int warp = (threadIdx.x >> 5) & 7, lane = threadIdx.x & 31;
@@ -36,9 +38,9 @@ SUMS = wp.constant(9)
     const float4* rows_of = reinterpret_cast<const float4*>(view.data);
     const int* member = reinterpret_cast<const int*>(members.data);
     float* sum_of = reinterpret_cast<float*>(sums.data);
-    const float left = x - (float)(lane & 7), top = y - (float)(lane >> 3);
-    const float low = top - 0.002f, high = top + 3.002f, right = left + 7.002f;
-    float T = inside ? 1.0f : 0.0f, behind = colour.c[0] * gx + colour.c[1] * gy + colour.c[2] * gz;
+"""
+    + PIXELS_OF_WARP
+    + """    float T = inside ? 1.0f : 0.0f, behind = colour.c[0] * gx + colour.c[1] * gy + colour.c[2] * gz;
     for (int base = begin; base < end; base += 32)
     {
         if (__ballot_sync(0xffffffffu, T > stop) == 0u)
@@ -53,32 +55,17 @@ SUMS = wp.constant(9)
             row += 3u * (unsigned)number;
             a = row[0];
             b = row[1];
-            const float reach = a.z + 7.994353437f;
-            const float root = sqrtf(fmaxf(reach, 0.0f)), lean = b.x / b.y;
-            const float from = fmaxf(b.y * (low - a.y), -root), to = fminf(b.y * (high - a.y), root);
-            const float extreme = lean * root * rsqrtf(1.0f + lean * lean);
-            const float p = fminf(fmaxf(-extreme, from), to), q = fminf(fmaxf(extreme, from), to);
-            const float greatest = sqrtf(fmaxf(reach - p * p, 0.0f)) - lean * p;
-            const float least = sqrtf(fmaxf(reach - q * q, 0.0f)) + lean * q;
-            touched = from <= to && a.w * (left - 0.002f - a.x) <= greatest && a.w * (a.x - right) <= least;
-        }
-        const unsigned which = __ballot_sync(0xffffffffu, touched);
-        if (touched)
-        {
-            float4* slot = rows[warp][__popc(which & ((1u << lane) - 1u))];
-            slot[0] = a;
-            slot[1] = b;
-            slot[2] = make_float4(row[2].x, __int_as_float(number), 0.0f, 0.0f);
+"""
+    + REACHING_MEMBERS
+    + """            slot[2] = make_float4(row[2].x, __int_as_float(number), 0.0f, 0.0f);
         }
         __syncwarp();
         const int count = __popc(which);
         for (int k = 0; k < count; ++k)
         {
-            const float4 a = rows[warp][k][0], b = rows[warp][k][1];
-            const float dx = x - a.x, dy = y - a.y;
-            const float w = a.w * dx + b.x * dy, s = b.y * dy;
-            const float power = a.z - w * w - s * s;
-            const bool drawn = power >= -7.994353437f && T > stop;
+"""
+    + POWER_AT_PIXEL
+    + """            const bool drawn = power >= -7.994353437f && T > stop;
             if (__ballot_sync(0xffffffffu, drawn) == 0u)
                 continue;
             const float4 c = rows[warp][k][2];
@@ -117,7 +104,8 @@ SUMS = wp.constant(9)
         __syncwarp();
     }
 #endif
-""")
+"""
+)
 def add_pixel_slopes(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),

@@ -3,27 +3,28 @@
 Each entry of a splat in a tile has a row of sums of its own, so that no two tiles write to the same place, and the rows
 of a splat, which lie side by side in the order in which they were written before they were sorted by tile, are summed
 afterwards: on any number of threads the sums are the same to the bit.
-Needs: splats/tiles.
+Needs: splats/composite_tiles, splats/tiles.
 """
 
 import warp as wp
 
+from .composite_tiles import PIXELS_OF_TILE, RAISED_IN_ROW, ROWS_OF_MEMBER
 from .tiles import TileGrid
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
 #if !defined(__CUDA_ARCH__)
     typedef float lanes __attribute__((ext_vector_type(8)));
     typedef int bits __attribute__((ext_vector_type(8)));
     const lanes steps = {0.5f, 1.5f, 2.5f, 3.5f, 4.5f, 5.5f, 6.5f, 7.5f};
     const float least = -7.994353437f;
     lanes left[16][2], behind[16][2], slope[3][16][2];
-    const int x0 = (tile % tiles.columns) * 16, y0 = (tiles.first_row + tile / tiles.columns) * 16;
-    const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
-    const int height = tiles.height - y0 < 16 ? tiles.height - y0 : 16;
-    const float* colours = reinterpret_cast<const float*>(rgb.data);
+"""
+    + PIXELS_OF_TILE
+    + """    const float* colours = reinterpret_cast<const float*>(rgb.data);
     const float* given = reinterpret_cast<const float*>(slopes.data);
     for (int y = 0; y < 16; ++y)
         for (int x = 0; x < 16; ++x)
@@ -43,12 +44,9 @@ wp.set_module_options({"enable_backward": False})
         }
     for (int e = begin; e < end; ++e)
     {
-        const float* p = reinterpret_cast<const float*>(view.data) + 12 * (size_t)members.data[e];
-        const float u = p[0] - (float)x0, v = p[1] - (float)y0, strength = p[2], l0 = p[3], l1 = p[4], l2 = p[5];
-        const float reach = strength - least;
-        const float high = sqrtf(reach) / l2 + 0.002f;
-        const float from = ceilf(v - high - 0.5f), to = floorf(v + high - 0.5f);
-        const int first_row = from > 0.0f ? (from > 16.0f ? 16 : (int)from) : 0;
+"""
+    + ROWS_OF_MEMBER
+    + """        const int first_row = from > 0.0f ? (from > 16.0f ? 16 : (int)from) : 0;
         const int last_row = to < (float)(height - 1) ? (to < 0.0f ? -1 : (int)to) : height - 1;
         const float wide = 1.0f / l0;
         lanes found[9];
@@ -56,29 +54,9 @@ wp.set_module_options({"enable_backward": False})
             found[i] = (lanes)0.0f;
         for (int y = first_row; y <= last_row; ++y)
         {
-            const float dy = (float)y + 0.5f - v, s = l2 * dy;
-            const float half = sqrtf(wp::max(reach - s * s, 0.0f)) * wide + 0.002f, middle = u - l1 * dy * wide;
-            if (middle + half < 0.5f || middle - half > 15.5f)
-                continue;
-            const int first_part = middle - half > 7.5f ? 1 : 0, last_part = middle + half < 8.5f ? 0 : 1;
-            const float kept = strength - s * s, shift = l1 * dy;
-            for (int part = first_part; part <= last_part; ++part)
-            {
-                const lanes dx = steps + ((float)(8 * part) - u);
-                const lanes w = l0 * dx + shift;
-                const lanes power = kept - w * w;
-                const bits drawn = (power >= least) & (left[y][part] > stop);
-                // 2^power as in splats/composite_tiles
-                const lanes held = power >= least ? power : (lanes)0.0f;
-                const bits down = __builtin_convertvector(held - 1.0f, bits);
-                const lanes f = held - __builtin_convertvector(down, lanes);
-                lanes e2 = f * 1.87757513e-3f + 8.98934449e-3f;
-                e2 = e2 * f + 5.58263136e-2f;
-                e2 = e2 * f + 2.40153619e-1f;
-                e2 = e2 * f + 6.93153073e-1f;
-                e2 = e2 * f + 9.99999925e-1f;
-                const lanes raised = (lanes)((bits)e2 + (down << 23));
-                const bits free = drawn & (raised < 0.999f);
+"""
+    + RAISED_IN_ROW
+    + """                const bits free = drawn & (raised < 0.999f);
                 lanes alpha = raised < 0.999f ? raised : (lanes)0.999f;
                 alpha = (lanes)((bits)alpha & drawn);
                 const lanes weight = alpha * left[y][part];
@@ -110,7 +88,8 @@ wp.set_module_options({"enable_backward": False})
         }
     }
 #endif
-""")
+"""
+)
 def sum_tile_slopes(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import pathlib
 import re
 from collections.abc import Callable, Iterable, Iterator
@@ -199,6 +200,8 @@ def _picture_shape(path: pathlib.Path) -> tuple[int, ...]:
         return read_exr(path)["Z"].shape
     if path.suffix == ".npz":
         return read_film_frame(path).shape[:2]
-    if not path.read_bytes().endswith(PNG_END):  # pixels may all be there before
-        raise ValueError(f"{path} is cut off")
+    with open(path, "rb") as file:
+        file.seek(-len(PNG_END), os.SEEK_END)
+        if file.read() != PNG_END:  # all pixels may be there before
+            raise ValueError(f"{path} is cut off")
     return read_image(path).shape[:2]

@@ -359,8 +359,8 @@ class EditLattices:
                 carried.mark(struct, struct.cells)
         # the structs stay, as they own what the array on the device points to
         self.array = struct_array(self._structs, LatticeEdit, self._device)
-        for index, struct in enumerate(self._structs):
-            if len(self._structs) > 1 and not struct.removes:
+        for index, struct in enumerate(self._structs if len(self._structs) > 1 else []):
+            if not struct.removes:
                 inputs = [self.array, index]
                 launch(cell_tables.mark_alone_cells, struct.cells.size, inputs, [struct.cells], device=self._device)
         self._marked_step = 0.0
