@@ -311,24 +311,26 @@ def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "arrays"),
     [
-        ({"outputs": {"rgb": "a.png"}}, {"rgb"}),
+        ({"outputs": {"rgb": "a.png"}}, {"rgb_bytes"}),
+        ({"outputs": {"rgb": "a.png"}, "overlay": True}, {"rgb"}),
+        ({"outputs": {"rgb": "a.npy"}}, {"rgb"}),
         ({"outputs": {"rgb": "a.png"}, "background": "transparent"}, {"rgb", "alpha"}),
         ({"outputs": {"depth": "a.npy"}}, {"alpha", "depth"}),
         ({"outputs": {"fold": "a.npy", "pose": "p.npy"}}, {"fold"}),
         ({"outputs": {"masks": "a.png"}}, {"rgb", "alpha", "depth", "reveal", "fold", "outside"}),
     ],
 )
-def test_what_outputs_are_made_of_is_fetched_while_rendering_and_nothing_else(
-    files, tmp_path, monkeypatch, words, arrays
-):
-    fetched, ordinary = set(), Frame._on_host
-    monkeypatch.setattr(Frame, "_on_host", lambda self, name, *more: fetched.add(name) or ordinary(self, name, *more))
+def test_what_outputs_are_made_of_is_copied_and_nothing_else(files, tmp_path, monkeypatch, words, arrays):
+    begun, asked, ordinary = set(), set(), Frame._on_host
+    monkeypatch.setattr(Frame, "begin_copies", lambda self, *names: begun.update(names))
+    monkeypatch.setattr(Frame, "_on_host", lambda self, name, *more: asked.add(name) or ordinary(self, name, *more))
     with Worker(files, tmp_path, "cpu") as worker:
         made = worker.frames.make(frame("a", **words))
-        assert fetched == arrays
+        assert begun == arrays and not asked
+        begun.clear()
         for path, write in made.writers.items():
             write(tmp_path / path)
-        assert fetched == arrays
+        assert asked <= {name.removesuffix("_bytes") for name in arrays} and begun <= {"rgb_bytes"}
 
 
 # -- what is wrong with an item

@@ -26,7 +26,7 @@ from ..splats.load import AnyField
 from ..view.camera import Camera
 from ..view.exr import depth_along_view, write_exr
 from ..view.film import write_film_frame
-from ..view.frame import Frame
+from ..view.frame import RGB_BYTES, Frame
 from ..view.frame_parts import picture
 from ..view.opacity import rgba_picture
 from ..view.pictures import write_jpeg, write_png
@@ -41,6 +41,9 @@ MOST_DEFORMERS = 4
 
 #: Parts of a frame that no picture is needed for.
 OF_RECORDS = ("pose", "record")
+
+#: Endings of pictures with 8 bits a channel.
+BYTE_ENDINGS = (".png", ".jpg", ".jpeg")
 
 #: Arrays of a frame that a part is made of. Others are made of all.
 ARRAYS_OF_PARTS = {
@@ -146,7 +149,7 @@ class FrameMaker:
         writers = frame_writers(item, frame, camera, drawn) | _record_writers(item, camera, posed)
         self.fields.settle(field_key)
         self._bound.settle(bound_key)
-        return Made(writers, sum(getattr(frame, name).nbytes for name in needed_arrays(item, frame)))
+        return Made(writers, sum(_host_bytes(frame, name) for name in needed_arrays(item, frame)))
 
     def _begin_kernels(self, item: FrameItem) -> None:
         """Load the kernels that a frame needs beside its field, once for each kind of coordinates."""
@@ -227,7 +230,7 @@ def _filled(frame: Frame, field: AnyField, camera: Camera) -> Frame:
 
 
 def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> dict[str, Writer]:
-    """What writes the outputs of a frame. The arrays that they need are on the host when this returns.
+    """What writes the outputs of a frame. The arrays that they need are on their way to the host when this returns.
 
     Args:
         item: The item.
@@ -241,8 +244,7 @@ def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cag
     Raises:
         ValueError: For a part that the frame does not have.
     """
-    for name in needed_arrays(item, frame):
-        getattr(frame, name)
+    frame.begin_copies(*needed_arrays(item, frame))
     pictures = {part: path for part, path in item.outputs.items() if part not in OF_RECORDS}
     return {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures.items()}
 
@@ -258,10 +260,28 @@ def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
         Names of arrays that the frame has.
     """
     needed = {"alpha"} if item.background == TRANSPARENT else set()
-    for part in item.outputs:
+    for part, path in item.outputs.items():
         if part not in OF_RECORDS:
-            needed.update(ARRAYS_OF_PARTS.get(part, frame.arrays))
-    return [name for name in frame.arrays if name in needed]
+            needed.update([RGB_BYTES] if is_bytes(item, part, path) else ARRAYS_OF_PARTS.get(part, frame.arrays))
+    return [name for name in (*frame.arrays, RGB_BYTES) if name in needed]
+
+
+def is_bytes(item: FrameItem, part: str, path: str) -> bool:
+    """Whether an output is made of the colours of a frame as bytes, with nothing done to them.
+
+    Args:
+        item: The item.
+        part: The part of the frame.
+        path: Path of the output.
+    """
+    plain = part == "rgb" and item.background != TRANSPARENT and not item.overlay
+    return plain and pathlib.PurePosixPath(path).suffix.lower() in BYTE_ENDINGS
+
+
+def _host_bytes(frame: Frame, name: str) -> int:
+    """Bytes of an array on the host."""
+    values = 3 if name in ("rgb", RGB_BYTES) else 1
+    return frame.width * frame.height * values * (1 if name == RGB_BYTES else 4)
 
 
 def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -> dict[str, Writer]:
@@ -285,6 +305,8 @@ def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera,
         return lambda temporary: write_array(temporary, getattr(frame, part))
 
     def image() -> np.ndarray:
+        if is_bytes(item, part, path):
+            return frame.rgb_bytes
         if part in ("rgb", "film"):
             clear = item.background == TRANSPARENT
             return rgba_picture(frame, camera, drawn) if clear else picture(frame, "rgb", camera, drawn)

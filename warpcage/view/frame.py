@@ -10,16 +10,22 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..core.arrays import empty_array
 from ..core.devices import launch
+from ..core.host_copies import HostCopy
 from ..core.locks import device_turn
-from ..kernels.view import downsample
+from ..kernels.view import colour_bytes, downsample
 from .camera import Camera
+from .pictures import NOT_FINITE, to_uint8
 
 #: Parts of every frame.
 PART_NAMES = ("rgb", "alpha", "depth")
 
 #: Masks that a frame may carry. A frame of a plain field has none of them.
 MASK_NAMES = ("reveal", "fold", "outside")
+
+#: What `Frame.begin_copies` calls `Frame.rgb_bytes`.
+RGB_BYTES = "rgb_bytes"
 
 #: Masks of frames that were worked on after they were rendered.
 LATER_MASKS = ("filled",)
@@ -71,6 +77,7 @@ class Frame:
             if math.prod(shape) != expected:
                 raise ValueError(f"{name} of a {width}x{height} frame holds {expected} numbers, got shape {shape}")
         self._host: dict[str, np.ndarray] = {}
+        self._coming: dict[str, HostCopy] = {}
 
     def __reduce__(self):
         """Copies and pickles hold NumPy arrays, so that frames pass between the processes of a pool."""
@@ -84,6 +91,26 @@ class Frame:
     def rgb(self) -> np.ndarray:
         """(h, w, 3) float32 colour, composited over the background."""
         return self._on_host("rgb", 3)
+
+    @property
+    def rgb_bytes(self) -> np.ndarray:
+        """(h, w, 3) uint8, `rgb` clipped to [0, 1] and rounded: less to copy from a device.
+
+        Raises:
+            ValueError: For values that are not finite.
+        """
+        if RGB_BYTES not in self._host:
+            self.begin_copies(RGB_BYTES)
+            coming = self._coming.get(RGB_BYTES)
+            if coming is None:
+                self._host[RGB_BYTES] = to_uint8(self.rgb)
+            else:
+                pixels, state = coming.wait()
+                if state == colour_bytes.NOT_FINITE:
+                    raise ValueError(NOT_FINITE)
+                self._host[RGB_BYTES] = pixels.reshape(self.height, self.width, 3)
+                self._coming.pop(RGB_BYTES, None)
+        return self._host[RGB_BYTES]
 
     @property
     def alpha(self) -> np.ndarray:
@@ -142,19 +169,57 @@ class Frame:
         """
         return self._mask("outside")
 
+    def begin_copies(self, *names: str) -> None:
+        """Let arrays come from a CUDA device to the host while the device is given other work.
+
+        The properties then wait for what was launched until now, and not for what is launched afterwards; another
+        thread may ask them. Without this a property copies by itself, behind all that was launched.
+
+        Args:
+            names: Of `arrays`, or "rgb_bytes".
+        """
+        for name in names:
+            array = self.arrays["rgb" if name == RGB_BYTES else name]
+            if name in self._host or name in self._coming or not _comes_from_cuda(array):
+                continue
+            if name != RGB_BYTES:
+                self._coming[name] = HostCopy(array)
+            elif array.dtype == wp.vec3:
+                self._coming[name] = _copy_bytes(array)
+
     def _mask(self, name: str) -> np.ndarray | None:
         return self._on_host(name) if name in self.arrays else None
 
     def _on_host(self, name: str, *channels: int) -> np.ndarray:
         if name not in self._host:
             array = self.arrays[name]
-            if isinstance(array, wp.array) and array.device is not None:
+            coming = self._coming.get(name)
+            if coming is not None:
+                host = coming.wait()[0].view(np.float32)
+            elif isinstance(array, wp.array) and array.device is not None:
                 with device_turn(array.device):
                     host = array.numpy()
             else:
                 host = np.asarray(array)
             self._host[name] = np.ascontiguousarray(host, np.float32).reshape(self.height, self.width, *channels)
+            self._coming.pop(name, None)
         return self._host[name]
+
+
+def _comes_from_cuda(array: Any) -> bool:
+    """Whether an array is one that `begin_copies` is for."""
+    if not isinstance(array, wp.array) or array.device is None or not array.device.is_cuda:
+        return False
+    return array.is_contiguous and array.dtype in (wp.vec3, wp.float32)
+
+
+def _copy_bytes(colours: wp.array) -> HostCopy:
+    """A copy of (n,) vec3 as (n, 3) bytes."""
+    with device_turn(colours.device):
+        packed = empty_array((colours.size, 3), wp.uint8, colours.device)
+        state = wp.full(1, int(colour_bytes.DONE), dtype=wp.int32, device=colours.device)
+        launch(colour_bytes.round_colours, colours.size, [colours, packed, state], device=colours.device)
+        return HostCopy(packed, state)
 
 
 def _host_frame(width: int, height: int, arrays: dict, layered: bool) -> Frame:

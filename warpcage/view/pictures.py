@@ -26,6 +26,9 @@ PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
 #: search for repetitions, and files are as large within a tenth (benchmarks/NOTES-batch.md).
 PNG_STRATEGY = zlib.Z_RLE
 
+#: What is said of an image that cannot be shown.
+NOT_FINITE = "an image holds values that are not finite"
+
 #: The largest picture that is read: a few bytes can declare any size.
 MAX_PIXELS = 89_000_000
 
@@ -250,7 +253,7 @@ def to_uint8(image: ArrayLike) -> np.ndarray:
     if pixels.dtype == np.uint8:
         return pixels
     if not np.isfinite(pixels).all():
-        raise ValueError("an image holds values that are not finite")
+        raise ValueError(NOT_FINITE)
     scaled = np.asarray(np.clip(pixels, 0.0, 1.0) * 255.0)
     return np.rint(scaled, out=scaled).astype(np.uint8)
 
