@@ -64,6 +64,7 @@ def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathl
             for path in writers:
                 _put(names[path], out / path)
                 placed.append(out / path)
+                del names[path]
         except BaseException:
             for each in placed:
                 each.unlink(missing_ok=True)
@@ -73,19 +74,23 @@ def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathl
 
 def _put(part: pathlib.Path, path: pathlib.Path) -> None:
     """Put a whole file into its place, also where that is on another disk, to which a link in the folder leads."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        os.replace(part, path)
+        try:
+            os.replace(part, path)
+        except FileNotFoundError:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(part, path)
     except OSError as error:
         if error.errno != errno.EXDEV:
             raise
         with atomic_path(path) as temporary:
             shutil.copyfile(part, temporary)
+        part.unlink()
 
 
 @contextlib.contextmanager
 def _part_names(paths: Mapping[str, Writer], parts: pathlib.Path) -> Iterator[dict[str, pathlib.Path]]:
-    """A file's name in `parts` for each path, with its ending; what is still there at the end is removed."""
+    """A file's name in `parts` for each path, with its ending; those that nobody took out are removed at the end."""
     parts.mkdir(parents=True, exist_ok=True)
     stem = uuid.uuid4().hex
     names = {path: parts / f"{stem}-{number}{pathlib.PurePosixPath(path).suffix}" for number, path in enumerate(paths)}

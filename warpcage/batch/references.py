@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import json
 import os
 import pathlib
 import stat
@@ -28,13 +30,16 @@ from ..view.camera import Camera
 from ..view.camera_file import CameraFile, camera_from_json
 from ..view.fitted import fitted
 from .drawn_poses import DrawnPoses
-from .items import EditWords, FrameItem
+from .items import EditWords, FrameItem, canonical
 from .words import split_reference
 
 Thing = TypeVar("Thing")
 
 #: Files that are kept open to view: their headers, keyframes and cameras.
 MOST_FILES = 32
+
+#: Cameras in the words of items that are kept.
+INLINE_CAMERAS = 64
 
 
 class RestCage(NamedTuple):
@@ -208,7 +213,7 @@ class References:
     def _camera(self, item: FrameItem, field: AnyField) -> Camera:
         value = item.camera
         if isinstance(value, dict):
-            return inline_camera(value)
+            return _read_inline(canonical(value))
         name, place = split_reference(value)
         size = (item.size[0], item.size[1]) if len(item.size) == 2 else None
         if not name.lower().endswith(".json"):
@@ -259,6 +264,12 @@ def inline_camera(value: dict[str, Any]) -> Camera:
         raise ValueError(f"'camera' lacks {error.args[0]!r}") from None
     except DAMAGED as error:
         raise ValueError(f"'camera' cannot be used: {error}") from None
+
+
+@functools.lru_cache(maxsize=INLINE_CAMERAS)
+def _read_inline(value: str) -> Camera:
+    """`inline_camera` of JSON text: many frames have the same."""
+    return inline_camera(json.loads(value))
 
 
 def _read_cameras(path: pathlib.Path) -> CameraFile | TransformsCameras:

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 #: What is told where nothing is known: beyond any memory.
 UNKNOWN = 1 << 62
 
+#: Bytes that nobody asks the system for.
+LITTLE = 1 << 20
+
 #: Limit and use of a control group, and what its statistics call pages of files, which the kernel gives back when it
 #: must: version 2, then version 1.
 _GROUP_FILES = (
@@ -97,8 +100,11 @@ def require_host_memory(size: int, what: str) -> None:
         what: How the message begins: "`what` 4.00 GiB of memory, 1.00 GiB are free".
 
     Raises:
-        ValueError: If fewer bytes are free.
+        ValueError: If fewer bytes are free. For LITTLE bytes the system is not asked, which would take longer than
+            to fill them.
     """
+    if size <= LITTLE:
+        return
     free = free_host_bytes()
     if size > free:
         raise MemoryShortage(f"{what} {size / 2**30:.2f} GiB of memory, {free / 2**30:.2f} GiB are free")
