@@ -19,6 +19,7 @@ import pathlib
 import shlex
 import string
 import tempfile
+import textwrap
 
 from page import source
 from results import write_jpeg, write_results
@@ -95,15 +96,14 @@ def page_text(results: dict, full: str) -> str:
 def full_text(results: dict) -> str:
     """What is said of a run at half size."""
     width, height = results["image_size"]
-    return f"""
+    text = f"""
 At {width}x{height} (`{" ".join(word for word in results["words"] if word != "--no-video")}`) the field has
 {results["voxels"] / 1e6:.1f} million voxels and {results["psnr"]:.1f} dB on held-out views after
 {results["seconds"]:.0f} s. Choosing took {results["choosing_seconds"]:.1f} s, the cage of {results["cage_vertices"]}
 vertices that the small run made holds {100 * results["enclosed"]:.1f} % of the fox, and outside both cages pixels
 change by {results["still"]:.1g} at most, but for one in a thousand.
-
-{source(results).strip()}
 """
+    return f"\n{textwrap.fill(' '.join(text.split()), 120)}\n\n{source(results).strip()}\n"
 
 
 if __name__ == "__main__":

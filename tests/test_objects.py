@@ -135,6 +135,18 @@ def test_haze_joins_nothing():
     assert 0 < np.count_nonzero(chosen & haze & ~one) < 4000  # what is next to it alone
 
 
+@pytest.mark.parametrize(("length", "depth"), [(40, 2), (300, 6)])
+def test_fur_is_chosen_as_deep_as_the_object_is_fine(length, depth):
+    """Around a bar of so many voxels, ten voxels of what is too faint for a surface."""
+    i, j, k = np.indices((length + 24, 32, 32)) - np.array([12, 16, 16]).reshape(3, 1, 1, 1)
+    beyond = np.max([-i, i - length + 1, np.abs(j) - 4, np.abs(k) - 4], axis=0)  # voxels from the bar
+    voxel = 0.01
+    densities = np.where(beyond <= 0, 2.0, np.where(beyond <= 10, 0.2, 0.0)) / voxel
+    field = GridField(densities, lower=(0, 0, 0), upper=voxel * np.array(densities.shape))
+    chosen = select_object(field, point=voxel * np.array([20.0, 16, 16]), plane=None).mask
+    np.testing.assert_array_equal(chosen, beyond <= depth)
+
+
 def test_a_pixel_shows_the_place_in_front(scene, device):
     field = scene.field.to(device)
     camera = scene.camera()

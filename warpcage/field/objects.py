@@ -21,8 +21,9 @@ from .surface import DensityField, node_grid, surface_density
 if TYPE_CHECKING:
     from .voxel_field import VoxelField
 
-#: What can be seen of an object reaches so many voxels beyond what is dense enough to be its surface.
-FRINGE_VOXELS = 2
+#: What can be seen of an object reaches so many voxels beyond what is dense enough to be its surface, and such a share
+#: of its longest side: fur and dark cloth of a fine field are many voxels deep.
+FRINGE_VOXELS, FRINGE_SHARE = 2, 0.02
 
 #: What messages call each kind of plane.
 PLANE_WORDS = {"ground": "ground plane", "wall": "wall", "any": "plane"}
@@ -53,7 +54,7 @@ def select_object(
     those below it the nearest that goes on around its foot. What lies up to `clearance` above the plane stays with it.
     A click keeps what is connected to it by faces of voxels that are dense enough for the surface
     (`warpcage.field.surface.surface_density`), so that haze connects nothing; what else can be seen within two voxels
-    of that belongs to it.
+    of that, or a fiftieth of its longest side, belongs to it.
 
     Example::
 
@@ -184,8 +185,9 @@ class _Matter:
         from scipy.ndimage import binary_dilation
 
         cells = np.argwhere(mask)
-        low = np.maximum(cells.min(axis=0) - FRINGE_VOXELS, 0)
-        block = tuple(slice(a, b + FRINGE_VOXELS + 1) for a, b in zip(low, cells.max(axis=0), strict=True))
+        steps = max(FRINGE_VOXELS, round(FRINGE_SHARE * int(np.ptp(cells, axis=0).max() + 1)))
+        low = np.maximum(cells.min(axis=0) - steps, 0)
+        block = tuple(slice(a, b + steps + 1) for a, b in zip(low, cells.max(axis=0), strict=True))
         free = self.visible[block] & ~self._solid[block]
         if floor is not None:
             fringe = np.argwhere(free)
@@ -193,7 +195,7 @@ class _Matter:
             free[tuple(fringe[under].T)] = False
         own, other = mask[block], self._solid[block] & ~mask[block]
         cube = np.ones((3, 3, 3), bool)
-        for _ in range(FRINGE_VOXELS):
+        for _ in range(steps):
             grown = np.asarray(binary_dilation(own, cube), bool) & free & ~other
             other = other | (np.asarray(binary_dilation(other, cube), bool) & free & ~own)
             own = own | (grown & ~other)
