@@ -2,8 +2,9 @@
 
     python benchmarks/batch_gpus.py --field lego.npz --cage lego_42.obj --scene ../shared/data/lego_800 --json gpus.json
 
-Frames are written as PNG, and once more as arrays of opacity, which nothing encodes: what encoding holds back is the
-difference. A few items are made first by each, so that no kernel is compiled in what is timed. Of each run:
+Frames are written as PNG; once more as arrays of opacity, which nothing encodes and which are eight times as large; and
+once more as records of a kilobyte, for which no picture leaves the GPU. What encoding and writing hold back are the
+differences. A few items are made first by each, so that no kernel is compiled in what is timed. Of each run:
 
 - `seconds`, all of the command, with the start of Python, the plan, the start of Ray and its end;
 - `until_first`, of these until the first item was begun;
@@ -49,7 +50,7 @@ LOOK = 0.5
 MANY = 100
 
 #: What frames are written as, and all that is timed.
-OUTPUTS = {"png": {"rgb": "{id}.png"}, "arrays": {"alpha": "{id}.npy"}}
+OUTPUTS = {"png": {"rgb": "{id}.png"}, "arrays": {"alpha": "{id}.npy"}, "records": {"record": "{id}.json"}}
 WHAT = [*OUTPUTS, "fits"]
 
 #: Poses that a process draws at once.

@@ -20,6 +20,7 @@ from warpcage.batch.frames import MOST_DEFORMERS
 from warpcage.batch.items import Item
 from warpcage.batch.job_file import JobFile
 from warpcage.batch.missing import Missing
+from warpcage.batch.outputs import write_array
 from warpcage.batch.worker import PARTS, Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
@@ -331,6 +332,14 @@ def test_what_outputs_are_made_of_is_copied_and_nothing_else(files, tmp_path, mo
         for path, write in made.writers.items():
             write(tmp_path / path)
         assert asked <= {name.removesuffix("_bytes") for name in arrays} and begun <= {"rgb_bytes"}
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (3, 4, 3), (0, 3)])
+def test_arrays_are_files_of_numpy(tmp_path, shape):
+    for array in (np.ones(shape, np.float32), np.arange(24).reshape(4, 6)[:, ::2], np.asfortranarray(np.eye(3, 4))):
+        write_array(tmp_path / "a.npy", array)
+        np.save(tmp_path / "b.npy", np.ascontiguousarray(array))
+        assert (tmp_path / "a.npy").read_bytes() == (tmp_path / "b.npy").read_bytes()
 
 
 # -- what is wrong with an item

@@ -109,7 +109,15 @@ def write_array(path: pathlib.Path, array: np.ndarray) -> None:
         path: The file, which is not yet in its place.
         array: The numbers.
     """
-    path.write_bytes(array_data(array))  # np.save's own way tells of a full disk without its error number
+    numbers = np.ascontiguousarray(array)
+    if not numbers.size:
+        path.write_bytes(array_data(numbers))
+        return
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(numbers))
+    with path.open("wb") as file:  # np.save's own way tells of a full disk without its error number
+        file.write(head.getbuffer())
+        file.write(memoryview(numbers).cast("B"))
 
 
 def array_data(array: np.ndarray) -> memoryview:

@@ -131,9 +131,10 @@ class _Staging:
     def _drop_free(self) -> None:
         """Let go of pieces that nobody uses, which may be of other sizes."""
         for size, free in self._free.items():
-            kept = [block for block in free if not _state(block)]
-            self._made -= size * (len(free) - len(kept))
-            free[:] = kept
+            for place in reversed(range(len(free))):  # others may come at the end meanwhile
+                if _state(free[place]):
+                    del free[place]
+                    self._made -= size
 
 
 def _state(block: wp.array) -> int:
