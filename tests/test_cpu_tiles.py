@@ -5,7 +5,7 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, psnr, shiny_field, view
+from deformed_scenes import BOX, make_field, plain, psnr, shiny_field, view
 
 from warpcage.cage.cage import Cage
 from warpcage.core.devices import launch
@@ -81,6 +81,18 @@ def test_an_edit_looks_as_it_does_ray_by_ray(case, monkeypatch):
         a, b = getattr(tiles, part), getattr(threads, part)
         assert (np.abs(a - b).reshape(45 * 45, -1).max(axis=1) > 1e-3).sum() <= 4, part
     assert psnr(tiles.rgb, threads.rgb) > 70
+
+
+def test_rays_whose_first_sample_is_on_a_face_of_the_grid():
+    """There rounding decides whether it is in the grid; all that is behind must be seen in any case."""
+    field = make_field(lambda x: np.full(x.shape[:3], 9.0), plain([0.2, 0.6, 0.3]), device=CPU, resolution=32)
+    deformer = Deformer(field, Cage.box((-0.3, -0.3, 2.7), (0.3, 0.3, 3.3)), resolution=12)
+    face, step = np.array([field.bounds[1, 0] - 1 / 32, 0.5, 0.5]), 1 / 32
+    along = np.array([0.8, 0.4, 0.45]) / np.linalg.norm([0.8, 0.4, 0.45])
+    for k in range(40):
+        eye = face + (k + 0.5) * step * along
+        camera = Camera.look_at(eye, face - along, width=1, height=1, fov_degrees=20)
+        assert deformer.render(camera, step=step).alpha[0, 0] > 0.99
 
 
 def test_densities_that_are_written_in_place_are_seen(monkeypatch):

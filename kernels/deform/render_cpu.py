@@ -241,7 +241,8 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
                 inverse_y * (inverse_spacing * box_y), inverse_z * (inverse_spacing * box_z),
                 __builtin_convertvector(empty, lanes));
             const ints before = t < span_near, beside = before | ~(t < span_far);
-            lanes to = empty > 0 ? t + away : t;
+            // at the grid's faces rounding may put a place beside the grid, where no cell is known
+            lanes to = empty > 0 ? t + (among ? away : (lanes)step) : t;
             to = beside ? (before ? span_near : higher_of(box_far, span_far)) : to;
             to = ((t < box_near) & (box_near < box_far)) ? lower_of(to, box_near) : to;
             leave = off_box ? to : leave;
