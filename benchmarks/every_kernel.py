@@ -49,6 +49,7 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.densities.lay_densities",
              "field.skip.spread_distance", "field.shades.",
              "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
+             "deform.render_part.", "deform.render_part_sides.",
              "splats.composite.", "splats.composite_slopes.", "splats.packed_rows."}  # fmt: skip
 
 launched: set[str] = set()
@@ -207,6 +208,9 @@ def edits(device) -> None:
     deformer.render(camera())
     deformer.to_canonical(POINTS, np.ones((64, 3)))
     warpcage.bake(deformer, resolution=16)
+    beside = warpcage.Cage.box((-1, -1, 1.2), (1, 1, 2))  # a part each
+    apart = warpcage.Deformer(field, [beside, slotted(0.5)], resolution=16, device=device)
+    apart.pose([beside.translate((0, 0, 0.1)), slotted(0.03)]).render(camera())
     held = warpcage.CageEdit(slotted(0.5), falloff=0.4, held="still")
     warpcage.Deformer(field, held, resolution=16, device=device).pose(slotted(0.03)).render(camera())
     low = warpcage.Cage.box((-1, -1, -1), (1, 1, 0.6))  # what stands out of it is a crumb

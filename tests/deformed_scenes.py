@@ -1,9 +1,12 @@
 """Small fields, a cage and cameras that the tests of deformed scenes share."""
 
+import contextlib
+
 import numpy as np
 
 from warpcage.cage.cage import Cage
 from warpcage.field.voxel_field import VoxelField
+from warpcage.kernels.deform.render import render_edits
 from warpcage.view.camera import Camera
 
 KINDS = ("harmonic", "mean_value", "green")
@@ -56,6 +59,32 @@ def view(eye=(2.5, 1.2, 1.0), size=SIZE, **options):
     return Camera.look_at(np.asarray(eye, float), (0, 0, 0), width=size, height=size, fov_degrees=50, **options)
 
 
+def slotted(width):
+    """A prism with a slot of this width between two arms."""
+    half = width / 2
+    outline = np.array([[-0.8, -0.5], [0.8, -0.5], [0.8, 0.6], [half, 0.6], [half, -0.1], [-half, -0.1], [-half, 0.6],
+                        [-0.8, 0.6]])  # fmt: skip
+    top = np.array([[0, 1, 5], [1, 4, 5], [1, 2, 4], [2, 3, 4], [0, 5, 7], [5, 6, 7]])
+    sides = [face for i in range(8) for j in [(i + 1) % 8] for face in ([i, j, j + 8], [i, j + 8, i + 8])]
+    vertices = np.concatenate([np.column_stack([outline, np.full(8, height)]) for height in (-0.4, 0.4)])
+    return Cage(vertices, np.concatenate([top[:, ::-1], top + 8, sides]))
+
+
+def ball(x, centre, radius=0.2):
+    return ellipsoid(x, centre, (radius, radius, radius))
+
+
+def two_balls(device):
+    def density(x):
+        return ball(x, (-0.5, 0, 0)) + ball(x, (0.5, 0, 0))
+
+    return make_field(density, plain([0.8, 0.3, 0.1]), device=device)
+
+
+def box_around(*centre, half=0.3):
+    return Cage.box(np.array(centre) - half, np.array(centre) + half)
+
+
 def psnr(a, b):
     return -10 * np.log10(max(np.mean((a - b) ** 2), 1e-12))
 
@@ -72,3 +101,51 @@ def counter_moved(camera, turn, offset):
     transform = np.eye(4)
     transform[:3, :3], transform[:3, 3] = turn, offset
     return camera.moved(np.linalg.inv(transform))
+
+
+def march_in_numpy(field, deformer, camera, with_directions=True):
+    """Every sample through to_canonical and field.sample, composited in float64 (density="opacity")."""
+    origins, directions = (v.reshape(-1, 3) for v in camera.rays())
+    step = field.step
+    middle, half = field.center, 0.5 * np.ptp(field.bounds, axis=0)
+    far = np.linalg.norm(camera.centre - middle) + 1.5 * np.linalg.norm(half)
+    times = (np.arange(int(far / step)) + 0.5) * step
+    colour, light = np.zeros((len(origins), 3)), np.ones(len(origins))
+    for t in times:
+        x = origins + t * directions
+        here, along, region = deformer.to_canonical(x, directions, step=step)
+        ahead, _, region_ahead = deformer.to_canonical(x + step * directions, directions, step=step)
+        length = np.where((region == 2) & (region_ahead == 2), np.linalg.norm(ahead - here, axis=1), step)
+        rgb, density = field.sample(here, along if with_directions else directions)
+        alpha = 1 - np.exp(-np.where(region == 1, 0, density) * length)
+        colour += (light * alpha)[:, None] * rgb
+        light *= 1 - alpha
+    return (colour + light[:, None]).reshape(camera.height, camera.width, 3)
+
+
+@contextlib.contextmanager
+def kernels_of(edits):
+    """The kernels by which edits are marched meanwhile, in their order."""
+    kernels = []
+
+    def march(view, kernel, *rest):
+        kernels.append(kernel)
+        type(edits).march(edits, view, kernel, *rest)
+
+    edits.march = march
+    try:
+        yield kernels
+    finally:
+        del edits.march
+
+
+@contextlib.contextmanager
+def general_march(edits):
+    """Marches posed edits by the kernel for any edits; they must have been rendered."""
+    usual = edits.render_kernel, edits.scene
+    edits.render_kernel, edits.scene, edits.scene_parts = render_edits, edits.flat_array(), lambda view: None
+    try:
+        yield
+    finally:
+        del edits.scene_parts
+        edits.render_kernel, edits.scene = usual

@@ -2,7 +2,20 @@
 
 import numpy as np
 import pytest
-from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, shiny_field, view
+from deformed_scenes import (
+    BOX,
+    KINDS,
+    box_around,
+    general_march,
+    kernels_of,
+    make_field,
+    plain,
+    psnr,
+    shiny_field,
+    slotted,
+    two_balls,
+    view,
+)
 
 from warpcage.cage.cage import Cage
 from warpcage.deform.deformer import Deformer
@@ -20,13 +33,13 @@ from warpcage.view.camera import Camera
 def both(deformer, camera, **options):
     """The frames of the kernel for one edit and of the one for any number."""
     edits = deformer._edits
-    single = deformer.render(camera, **options)
-    kernel, scene, by_tiles, rays = edits.render_kernel, edits.scene, edits._by_tiles, edits.item_rays
-    of_threads = render_edit_with_sides if scene.has_sides else render_edit
-    assert kernel is (render_edit_tiles if by_tiles else of_threads)
-    edits.render_kernel, edits.scene, edits._by_tiles, edits.item_rays = render_edits, edits.flat_array(), False, 1
-    general = deformer.render(camera, **options)
-    edits.render_kernel, edits.scene, edits._by_tiles, edits.item_rays = kernel, scene, by_tiles, rays
+    with kernels_of(edits) as kernels:
+        single = deformer.render(camera, **options)
+        of_threads = render_edit_with_sides if edits.scene.has_sides else render_edit
+        with general_march(edits):
+            general = deformer.render(camera, **options)
+    by_tiles = deformer.device.is_cpu and marching.TILES_ON_CPU
+    assert kernels == [render_edit_tiles if by_tiles else of_threads, render_edits]
     return single, general
 
 
@@ -83,17 +96,6 @@ def test_samples_sent_out_are_counted_the_same(march, device):
     assert np.abs(single.outside - general.outside).mean() < 0.02 * general.outside.mean()
 
 
-def slotted(width):
-    """A prism with a slot of this width between two arms."""
-    half = width / 2
-    outline = np.array([[-0.8, -0.5], [0.8, -0.5], [0.8, 0.6], [half, 0.6], [half, -0.1], [-half, -0.1], [-half, 0.6],
-                        [-0.8, 0.6]])  # fmt: skip
-    top = np.array([[0, 1, 5], [1, 4, 5], [1, 2, 4], [2, 3, 4], [0, 5, 7], [5, 6, 7]])
-    sides = [face for i in range(8) for j in [(i + 1) % 8] for face in ([i, j, j + 8], [i, j + 8, i + 8])]
-    vertices = np.concatenate([np.column_stack([outline, np.full(8, height)]) for height in (-0.4, 0.4)])
-    return Cage(vertices, np.concatenate([top[:, ::-1], top + 8, sides]))
-
-
 @pytest.mark.parametrize("kind", ["harmonic", "mean_value"])
 def test_a_slot_that_a_pose_closes_to_less_than_a_cell(kind, march, device):
     """What lies on both sides of a slot comes from both sides of a wide one: nothing is drawn over the slot."""
@@ -140,28 +142,6 @@ def test_stores_that_cannot_be_are_refused(options, message):
 # -- Several edits: the march without crumbs and narrow gaps, and cells that no earlier edit has anything in
 
 
-def ball(x, centre, radius=0.2):
-    return ellipsoid(x, centre, (radius, radius, radius))
-
-
-def two_balls(device):
-    def density(x):
-        return ball(x, (-0.5, 0, 0)) + ball(x, (0.5, 0, 0))
-
-    return make_field(density, plain([0.8, 0.3, 0.1]), device=device)
-
-
-def box_around(*centre, half=0.3):
-    return Cage.box(np.array(centre) - half, np.array(centre) + half)
-
-
-def test_two_edits_render_as_two(device):
-    field = two_balls(device)
-    deformer = Deformer(field, [box_around(-0.5, 0, 0), box_around(0.5, 0, 0)], resolution=24)
-    assert deformer._edits.render_kernel is render_plain_edits
-    assert psnr(deformer.render(view()).rgb, field.render(view()).rgb) > 50
-
-
 def into_each_other():
     """Edits and their poses: each turned, the second into where the first is and was, the third nowhere near."""
     rests = [box_around(-0.5, 0, 0), box_around(0.5, 0, 0), box_around(0, 0.7, 0, half=0.25)]
@@ -180,11 +160,12 @@ def removing():
 def test_several_edits_without_crumbs_and_gaps_are_seen_as_with(scene, device):
     rests, posed = scene()
     deformer = Deformer(two_balls(device), rests, resolution=24).pose(posed)
-    plainly = deformer.render(view())
-    edits = deformer._edits
-    assert edits.render_kernel is render_plain_edits
-    edits.render_kernel = render_edits
-    assert_same_frame(plainly, deformer.render(view()))
+    with kernels_of(deformer._edits) as kernels:
+        plainly = deformer.render(view())
+        with general_march(deformer._edits):
+            generally = deformer.render(view())
+    assert kernels == [render_plain_edits, render_edits]
+    assert_same_frame(plainly, generally)
 
 
 @pytest.mark.parametrize("scene", [into_each_other, removing])

@@ -11,6 +11,7 @@ from deformed_scenes import (
     counter_moved,
     ellipsoid,
     make_field,
+    march_in_numpy,
     plain,
     psnr,
     rotation,
@@ -81,26 +82,6 @@ def test_a_scene_far_from_zero(device):
 
 
 # -- The march against a march in NumPy
-
-
-def march_in_numpy(field, deformer, camera, with_directions=True):
-    """Every sample through to_canonical and field.sample, composited in float64 (density="opacity")."""
-    origins, directions = (v.reshape(-1, 3) for v in camera.rays())
-    step = field.step
-    middle, half = field.center, 0.5 * np.ptp(field.bounds, axis=0)
-    far = np.linalg.norm(camera.centre - middle) + 1.5 * np.linalg.norm(half)
-    times = (np.arange(int(far / step)) + 0.5) * step
-    colour, light = np.zeros((len(origins), 3)), np.ones(len(origins))
-    for t in times:
-        x = origins + t * directions
-        here, along, region = deformer.to_canonical(x, directions, step=step)
-        ahead, _, region_ahead = deformer.to_canonical(x + step * directions, directions, step=step)
-        length = np.where((region == 2) & (region_ahead == 2), np.linalg.norm(ahead - here, axis=1), step)
-        rgb, density = field.sample(here, along if with_directions else directions)
-        alpha = 1 - np.exp(-np.where(region == 1, 0, density) * length)
-        colour += (light * alpha)[:, None] * rgb
-        light *= 1 - alpha
-    return (colour + light[:, None]).reshape(camera.height, camera.width, 3)
 
 
 def test_the_march_composites_what_to_canonical_says_and_directions_follow(device):

@@ -3,8 +3,8 @@
 The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
 of one edit on a lattice: flat arrays whose numbers are read many at once, one table of cells, and the map's derivative
 where matter is. Where the map compresses, a sample is cut into sub-samples as in deform/march.
-Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, field/densities, field/grid,
-field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/ray_parts, field/densities,
+field/grid, field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ from ..core.entries import byte_entry, cell_byte
 from ..field.densities import early_density, late_density
 from ..field.grid import VoxelGrid, grid_position
 from ..field.harmonics import sh_basis
-from ..field.render import PENDING_WEIGHT, pending_colour
+from ..field.render import PENDING_WEIGHT
 from ..field.rows import RowTable, row_colour
 from ..field.samples import exit_of_cell, grid_span, safe_inverse, sample_index_after
 from ..lattice.cage_map import side_position
@@ -24,6 +24,7 @@ from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEE
 from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
 from .map_nodes import node_blend, node_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
+from .ray_parts import BEGUN, RayState
 
 wp.set_module_options({"enable_backward": False})
 
@@ -91,11 +92,19 @@ def march_edit(
     origin: wp.vec3,
     direction: wp.vec3,
     options: MarchOptions,
+    state: RayState,
+    end: float,
 ):
-    """Gather radiance along a ray through the deformed scene."""
+    """Gather radiance along a ray through the deformed scene from where `state` has reached up to a distance `end`."""
     seen = DeformedRadiance()
-    seen.transmittance = float(1.0)
-    seen.cleared_transmittance = float(1.0)
+    seen.colour = state.seen.colour
+    seen.transmittance = state.seen.transmittance
+    seen.depth = state.seen.depth
+    seen.cleared_transmittance = state.seen.cleared_transmittance
+    seen.reveal = state.seen.reveal
+    seen.fold = state.seen.fold
+    seen.outside = state.seen.outside
+    pending = float(state.pending)
     step = options.step
     # the ray in lattice cells and in voxels
     lattice_start = (origin - edit.lower) * edit.inverse_spacing
@@ -118,11 +127,11 @@ def march_edit(
     nyz = edit.node_counts[1] * nz
     cells = wp.vec3i(grid.skip.shape[0], grid.skip.shape[1], grid.skip.shape[2])
 
-    k = sample_index_after(near, step)
+    far = wp.min(far, end)
+    k = sample_index_after(wp.max(near, state.reached), step)
     count = int(0)  # sub-samples of sample k; 0: not known, so one
     j = int(0)
     t = (float(k) + 0.5) * step
-    pending = float(0.0)  # weight of samples whose colour is not looked up yet
     while t < far and seen.transmittance > options.stop:
         # the canonical point
         place = lattice_start + t * lattice_rate
@@ -233,5 +242,8 @@ def march_edit(
             j = int(0)
         parts = wp.max(count, 1)
         t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
-    seen.colour += pending_colour(seen.colour, seen.transmittance, pending)
-    return seen
+    after = RayState()
+    after.seen = seen
+    after.pending = pending
+    after.reached = wp.max(far, BEGUN)  # beyond `far` there is nothing up to `end`
+    return after

@@ -5,8 +5,8 @@ The same samples ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5
 lattice, so that along a ray it is a cubic there: its coefficients serve all samples in the cell, and its derivative.
 Densities of a voxel cell lie together (field/matter_cells), and colours wait for their memory while the march goes on
 (field/cpu_samples).
-Needs: deform/cpu_map, deform/flat_edits, deform/march, deform/pictures, field/cpu_samples, field/grid,
-field/matter_cells, field/render, field/rows, field/samples, view/rays.
+Needs: deform/cpu_map, deform/flat_edits, deform/march, deform/pictures, deform/ray_parts, field/cpu_samples,
+field/grid, field/matter_cells, field/render, field/rows, field/samples, view/rays.
 """
 
 import warp as wp
@@ -14,7 +14,7 @@ import warp as wp
 from ..field.cpu_samples import CELL_DENSITY, COLOUR_QUEUE, LANE_DENSITIES, LANES, LAST_COLOURS
 from ..field.grid import VoxelGrid
 from ..field.matter_cells import MatterCells
-from ..field.render import PENDING_WEIGHT, pending_colour
+from ..field.render import PENDING_WEIGHT
 from ..field.rows import RowTable
 from ..field.samples import grid_span
 from ..view.rays import TILE_SIZE, PinholeCamera, box_span, pixel_direction, tile_pixel
@@ -22,16 +22,22 @@ from .cpu_map import ALONG_RAY, CONSTANTS, REST_DISTANCE
 from .flat_edits import FlatEdit
 from .march import DeformedRadiance, MarchOptions
 from .pictures import Picture, fill_pixel
+from .ray_parts import BEGUN, ScenePart, finished, leave_ray, part_end, ray_start, ray_state
 
 wp.set_module_options({"enable_backward": False})
-tile_rays = wp.types.matrix(shape=(32, 9), dtype=wp.float32)
+tile_rays = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
 tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
 
 
 @wp.func_native(
     """
-    wp::mat_t<32, 10, wp::float32> seen;
+    wp::mat_t<32, 10, wp::float32> seen = before;
 #if !defined(__CUDA_ARCH__)
+    bool any = false;
+    for (int ray = 0; ray < 32; ++ray)
+        any |= (rays.data[ray][8] + 0.5f) * options.step < rays.data[ray][7];
+    if (!any)
+        return seen;
     const bool turns = true;
     float bases[1][40] = {};
 """
@@ -87,8 +93,15 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
             end[lane] = ray[7];
             k[lane] = ray[8];
             t[lane] = begin;
-            count[lane] = j[lane] = depth[lane] = reveal[lane] = fold[lane] = outside[lane] = pending[lane] = 0.0f;
-            transmittance[lane] = cleared[lane] = 1.0f;
+            const float* state = before.data[next];
+            transmittance[lane] = state[3];
+            depth[lane] = state[4];
+            cleared[lane] = state[5];
+            reveal[lane] = state[6];
+            fold[lane] = state[7];
+            outside[lane] = state[8];
+            pending[lane] = state[9];
+            count[lane] = j[lane] = 0.0f;
             cell[lane] = -1;
             entry[lane] = 0;
             ray_of[lane] = next++;
@@ -100,8 +113,8 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
         live &= ~(1u << lane);
     };
     for (int ray = 0; ray < 32; ++ray)
-        for (int n = 0; n < 10; ++n)
-            seen.data[ray][n] = n == 3 || n == 5 ? 1.0f : 0.0f;
+        for (int n = 0; n < 3; ++n)
+            colours[ray][n] = before.data[ray][n];
     for (int lane = 0; lane < lane_count; ++lane)
         begin_ray(lane);
 
@@ -338,14 +351,15 @@ def march_tile(
     cells: MatterCells,
     start: wp.vec3,
     rays: tile_rays,
+    before: tile_radiance,
     options: MarchOptions,
     least: float,
 ) -> tile_radiance:
-    """What deform/march_single.march_edit gathers along each ray of a tile, in the order of DeformedRadiance, and what
-    is pending.
+    """What deform/march_single.march_edit gathers along each ray of a tile, beside what was gathered before: in the
+    order of DeformedRadiance, and what is pending.
 
     start: the rays' origin in lattice cells. rays: lattice cells per unit of distance (3), from where to where a ray is
-    in the lattice's box (2) and among the grid's nodes (2), where it ends, and its first sample.
+    in the lattice's box (2) and among the grid's nodes (2), where it ends, its first sample, and a number more.
     """
     ...
 
@@ -357,53 +371,79 @@ def render_edit_tiles(
     table: RowTable,
     cells: MatterCells,
     edit: FlatEdit,
+    part: ScenePart,
     camera: PinholeCamera,
     background: wp.vec3,
     options: MarchOptions,
     picture: Picture,
 ):
-    """As deform/render_single.render_edit and deform/render_sides.render_edit_with_sides, on a CPU alone: one item per
-    tile."""
+    """As the kernels of deform/render_single, render_sides, render_part and render_part_sides, on a CPU alone: one item
+    per tile. A single edit's part is the first and the last."""
     tile = first + wp.tid()
     start = (camera.centre - edit.lower) * edit.inverse_spacing
     counts = edit.node_counts
     corner = wp.vec3(float(counts[0] - 1), float(counts[1] - 1), float(counts[2] - 1))
     rays = tile_rays()
+    values = tile_radiance()
     for r in range(TILE_SIZE):
         column, row = tile_pixel(tile * TILE_SIZE + r, camera.width)
         rays[r, 7] = -1.0
         if column < camera.width and row < camera.height:
             direction = pixel_direction(camera, column, row)
-            rate = direction * edit.inverse_spacing
-            box = box_span(start, rate, wp.vec3(0.0, 0.0, 0.0), corner)
-            span = grid_span(grid, camera.centre, direction)
-            near = float(1.0e30)
-            far = float(-1.0)
-            if box[0] < box[1]:
-                near = box[0]
-                far = box[1]
-            if span[0] < span[1]:
-                near = wp.min(near, span[0])
-                far = wp.max(far, span[1])
-            for axis in range(3):
-                rays[r, axis] = rate[axis]
-            rays[r, 3] = box[0]
-            rays[r, 4] = box[1]
-            rays[r, 5] = span[0]
-            rays[r, 6] = span[1]
-            rays[r, 7] = far
-            rays[r, 8] = wp.ceil(near / options.step - 0.5)
-    values = march_tile(edit, grid, table, cells, start, rays, options, PENDING_WEIGHT)
+            end = part_end(part, camera.centre, direction)
+            rays[r, 9] = end
+            if end > 0.0:
+                ray = ray_state(part, row * camera.width + column)
+                seen = ray.seen
+                for axis in range(3):
+                    values[r, axis] = seen.colour[axis]
+                values[r, 3] = seen.transmittance
+                values[r, 4] = seen.depth
+                values[r, 5] = seen.cleared_transmittance
+                values[r, 6] = seen.reveal
+                values[r, 7] = seen.fold
+                values[r, 8] = seen.outside
+                values[r, 9] = ray.pending
+                if seen.transmittance > options.stop:
+                    rate = direction * edit.inverse_spacing
+                    box = box_span(start, rate, wp.vec3(0.0, 0.0, 0.0), corner)
+                    span = grid_span(grid, camera.centre, direction)
+                    near = float(1.0e30)
+                    far = float(-1.0)
+                    if box[0] < box[1]:
+                        near = box[0]
+                        far = box[1]
+                    if span[0] < span[1]:
+                        near = wp.min(near, span[0])
+                        far = wp.max(far, span[1])
+                    for axis in range(3):
+                        rays[r, axis] = rate[axis]
+                    rays[r, 3] = box[0]
+                    rays[r, 4] = box[1]
+                    rays[r, 5] = span[0]
+                    rays[r, 6] = span[1]
+                    rays[r, 7] = wp.min(far, end)
+                    rays[r, 8] = wp.ceil(wp.max(near, ray.reached) / options.step - 0.5)
+    values = march_tile(edit, grid, table, cells, start, rays, values, options, PENDING_WEIGHT)
     for r in range(TILE_SIZE):
         column, row = tile_pixel(tile * TILE_SIZE + r, camera.width)
         if column < camera.width and row < camera.height:
-            seen = DeformedRadiance()
-            seen.colour = wp.vec3(values[r, 0], values[r, 1], values[r, 2])
-            seen.transmittance = values[r, 3]
-            seen.depth = values[r, 4]
-            seen.cleared_transmittance = values[r, 5]
-            seen.reveal = values[r, 6]
-            seen.fold = values[r, 7]
-            seen.outside = values[r, 8]
-            seen.colour += pending_colour(seen.colour, seen.transmittance, values[r, 9])
-            fill_pixel(picture, row * camera.width + column, seen, background)
+            pixel = row * camera.width + column
+            end = rays[r, 9]
+            ray = ray_start()
+            if end > 0.0:
+                seen = DeformedRadiance()
+                seen.colour = wp.vec3(values[r, 0], values[r, 1], values[r, 2])
+                seen.transmittance = values[r, 3]
+                seen.depth = values[r, 4]
+                seen.cleared_transmittance = values[r, 5]
+                seen.reveal = values[r, 6]
+                seen.fold = values[r, 7]
+                seen.outside = values[r, 8]
+                ray.seen = seen
+                ray.pending = values[r, 9]
+                ray.reached = wp.max(rays[r, 7], BEGUN)
+            if part.is_last == 1:
+                fill_pixel(picture, pixel, finished(ray), background)
+            elif end > 0.0 or part.is_first == 1:
+                leave_ray(part, pixel, ray)

@@ -26,7 +26,7 @@ from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
 from .carried import CarriedCrumbs
-from .edits import CageEdit, PosedEdits, checked_edits
+from .edits import CageEdit, MarchedView, PosedEdits, checked_edits
 from .falloff import FalloffBand
 from .lattice_edits import LatticeEdits
 from .precise_edits import ClosedFormEdits
@@ -327,11 +327,7 @@ class Deformer:
             picture = Picture()
             for name, array in arrays.items():
                 setattr(picture, name, array)
-            cells = edits.cell_tables(self.field, grid)
-            inputs = [grid, *tables, *cells, edits.scene, pinhole, colour, options, picture]
-            rays = edits.item_rays
-            item_work = work * edits.sample_work * rays
-            launch(edits.render_kernel, threads // rays, inputs, device=self.device, work=item_work)
+            edits.render(MarchedView(self.field, grid, tables, pinhole, colour, options, picture, threads, work))
 
         frame = self.field.render_by(
             march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES

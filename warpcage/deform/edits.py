@@ -12,6 +12,7 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..core.checks import checked_number
+from ..core.devices import launch
 from ..field.voxel_field import VoxelField
 from ..mesh.usable import require_usable
 
@@ -111,6 +112,33 @@ def checked_edits(rest: Cage | CageEdit | Sequence[Cage | CageEdit]) -> list[Cag
     return edits
 
 
+@dataclasses.dataclass(frozen=True)
+class MarchedView:
+    """A view that edits are to be marched for.
+
+    Args:
+        field: The field.
+        grid: Its VoxelGrid as it is marched now.
+        rows: What `PosedEdits.row_tables` gave.
+        pinhole: The PinholeCamera, relative to the field's origin.
+        background: Colour behind everything.
+        options: The MarchOptions.
+        picture: The Picture that is filled.
+        threads: Number of rays, in whole tiles.
+        work: Steps that a ray may take, as `core.devices.launch` has them.
+    """
+
+    field: VoxelField
+    grid: Any
+    rows: list[Any]
+    pinhole: Any
+    background: wp.vec3
+    options: Any
+    picture: Any
+    threads: int
+    work: float
+
+
 class PosedEdits(abc.ABC):
     """Edits on a device, as kernels take them.
 
@@ -124,14 +152,13 @@ class PosedEdits(abc.ABC):
         array: (edits,) structs, once the edits are posed.
         scene: What the render kernel takes, once `prepare` has been called for the pose.
         sample_work: Steps that one sample takes at most, as `core.devices.launch` has them.
-        item_rays: Rays that one item of the render kernel follows.
     """
 
     def __init__(self, map_kernel: Any, render_kernel: Any):
         self.map_kernel, self.render_kernel = map_kernel, render_kernel
         self.array: wp.array | None = None
         self.scene: Any = None
-        self.sample_work = self.item_rays = 1
+        self.sample_work = 1
 
     def row_tables(self, field: VoxelField) -> list[Any]:
         """What the render kernel reads of a field beside its VoxelGrid.
@@ -144,17 +171,27 @@ class PosedEdits(abc.ABC):
         """
         return []
 
-    def cell_tables(self, field: VoxelField, grid: Any) -> list[Any]:
-        """What the render kernel reads of the cells of a field, after `row_tables`.
+    def render(self, view: MarchedView) -> None:
+        """March a view, once `prepare` has been called for the pose.
 
         Args:
-            field: The field.
-            grid: Its VoxelGrid as it is marched now.
-
-        Returns:
-            Arguments of the kernel.
+            view: The view.
         """
-        return []
+        self.march(view, self.render_kernel, [self.scene])
+
+    def march(self, view: MarchedView, kernel: Any, scene: Sequence[Any], item_rays: int = 1) -> None:
+        """Launch a kernel that marches a view.
+
+        Args:
+            view: The view.
+            kernel: The kernel.
+            scene: What it takes between the field's tables and the camera.
+            item_rays: Rays that one of its items follows.
+        """
+        end = [view.pinhole, view.background, view.options, view.picture]
+        inputs = [view.grid, *view.rows, *scene, *end]
+        work = view.work * self.sample_work * item_rays
+        launch(kernel, view.threads // item_rays, inputs, device=view.field.device, work=work)
 
     @abc.abstractmethod
     def pose(self, cages: Sequence[Cage | None]) -> None:

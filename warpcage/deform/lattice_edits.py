@@ -25,6 +25,8 @@ from ..kernels.deform import (
     points,
     render,
     render_cpu,
+    render_part,
+    render_part_sides,
     render_plain,
     render_sides,
     render_single,
@@ -53,10 +55,11 @@ from ..lattice.capture import Buffer, BufferPool
 from ..lattice.lattice import CageLattice
 from ..lattice.position_map import PositionMap
 from ..mesh.containment import SURFACE_TOLERANCE
-from ..view.camera import TILE_SIZE
+from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from .carried import CarriedCrumbs
-from .edits import CageEdit, PosedEdits
+from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand, faded_map, folded_cells
+from .parts import render_parts
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
 #: the trilinear signed distance errs by up to half a cell at corners.
@@ -70,13 +73,6 @@ SOLVER_MODULES = {
     "harmonic": (harmonic, harmonic_coarse, cut_rows),
     "mean_value": (closed_form, fans, cut_rows, corrections),
     "green": (closed_form, fans),
-}
-
-#: The kernels of views of one edit on CUDA and on a CPU, and of several that have neither crumbs nor narrow gaps.
-RENDER_KERNELS = {
-    render_single: render_single.render_edit,
-    render_cpu: render_cpu.render_edit_tiles,
-    render_plain: render_plain.render_plain_edits,
 }
 
 
@@ -98,22 +94,26 @@ def load_usual_modules(coordinates: str, device: wp.Device) -> None:
         coordinates: Kind of coordinates.
         device: Warp device.
     """
-    load_pose_modules(coordinates, [*render_modules(device, True), columns], device)
+    load_pose_modules(coordinates, [*render_modules(device), columns], device)
 
 
-def render_modules(device: wp.Device, is_single: bool) -> list[ModuleType]:
-    """The modules of the kernels that render views, the one for most of them first.
+def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = False) -> list[ModuleType]:
+    """The modules of the kernels that render views.
 
     Args:
         device: Warp device.
-        is_single: Whether there is one edit alone, without crumbs.
+        edit_count: Number of edits.
+        has_crumbs: Whether crumbs go with one of them.
 
     Returns:
         The modules.
     """
-    if not is_single:
-        return [render_plain, render]
-    return [render_cpu] if device.is_cpu and marching.TILES_ON_CPU else [render_single, render_sides]
+    if has_crumbs:
+        return [render]
+    several = [render_plain, render] if edit_count > 1 else []
+    if device.is_cpu and marching.TILES_ON_CPU:
+        return [render_cpu, *several]
+    return [render_part, render_part_sides, *several] if several else [render_single, render_sides]
 
 
 class LatticeEdits(PosedEdits):
@@ -144,15 +144,15 @@ class LatticeEdits(PosedEdits):
         bands: Sequence[FalloffBand | None] = (),
         carried: Sequence[CarriedCrumbs | None] = (),
     ):
-        # the march for one edit alone knows no crumbs
-        self._edits, self._device, self._is_single = edits, device, len(edits) == 1 and not any(carried)
-        self._by_tiles = self._is_single and device.is_cpu and marching.TILES_ON_CPU
-        marches = render_modules(device, self._is_single)
-        super().__init__(points.map_points, RENDER_KERNELS[marches[0]])
-        self.item_rays = TILE_SIZE if self._by_tiles else 1
-        load_pose_modules(coordinates, marches, device)
+        # the marches for one edit alone know no crumbs
+        self._edits, self._device, self._origin = edits, device, np.asarray(origin)
+        self._is_single, self._has_crumbs = len(edits) == 1 and not any(carried), any(carried)
+        self._by_tiles = device.is_cpu and marching.TILES_ON_CPU
+        super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
+        load_pose_modules(coordinates, render_modules(device, len(edits), self._has_crumbs), device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
+        self._boxes: EditBoxes | None = None
         pool = BufferPool(device)
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
         self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
@@ -160,12 +160,14 @@ class LatticeEdits(PosedEdits):
     def row_tables(self, field: VoxelField) -> list[Any]:
         return [field.marching.rows()]
 
-    def cell_tables(self, field: VoxelField, grid: Any) -> list[Any]:
-        return [field.marching.cells(grid)] if self._by_tiles else []
-
     def pose(self, cages: Sequence[Cage | None]) -> None:
         self.lattices.pose(cages)
         self.array, self.scene = self.lattices.array, None
+        self._boxes = None
+        if len(self._edits) > 1 and not self._has_crumbs:
+            structs = [struct for struct, _ in self.lattices.posed()]
+            tolerances, slacks = ([float(getattr(each, name)) for each in structs] for name in ("tolerance", "slack"))
+            self._boxes = edit_boxes(self._edits, cages, self._origin, tolerances, slacks)
 
     def prepare(self, grid: Any, step: float) -> None:
         scene, self.scene = self.scene, None  # an interrupt leaves none
@@ -186,9 +188,34 @@ class LatticeEdits(PosedEdits):
             self.render_kernel = render.render_edits if rare else render_plain.render_plain_edits
             return self.flat_array()
         (flat,) = self._flat
-        if not self._by_tiles:  # on a CPU one kernel takes both
-            self.render_kernel = render_sides.render_edit_with_sides if flat.has_sides else render_single.render_edit
+        self.render_kernel = render_sides.render_edit_with_sides if flat.has_sides else render_single.render_edit
         return flat
+
+    def render(self, view: MarchedView) -> None:
+        parts = self.scene_parts(view)
+        if parts is None:
+            super().render(view)
+        else:
+            render_parts(self, view, parts, self._by_tiles)
+
+    def scene_parts(self, view: MarchedView) -> list[tuple[Any, np.ndarray]] | None:
+        """The edits as a view takes them one by one.
+
+        Args:
+            view: The view.
+
+        Returns:
+            The FlatEdit of each and its box (2, 3), front to back. None where one kernel takes the whole scene: one
+            edit on CUDA, crumbs, edits that may meet each other, and boxes that hide each other in a circle.
+        """
+        if self._is_single:
+            return [(self._flat[0], NOWHERE)] if self._by_tiles else None
+        reach = 0.5 * view.options.step  # that of the first and the last part of a sample
+        if self._boxes is None or not self._boxes.are_apart(reach):
+            return None
+        boxes = wider(self._boxes.changed, reach)
+        order = front_to_back(boxes, tuple(view.pinhole.centre))
+        return None if order is None else [(self._flat[index], boxes[index]) for index in order]
 
     def flat_array(self) -> wp.array:
         """(edits,) FlatEdit, as the kernel for several edits takes them."""

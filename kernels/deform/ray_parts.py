@@ -1,0 +1,110 @@
+"""Rays that several marches follow one after the other, each through a part of the scene.
+
+Sample k of a ray lies at t_k = (k + 1/2) dt whatever march takes it (see field/samples), so that several marches take
+the samples of one, and add up what it does ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5).
+Needs: deform/march, field/render.
+"""
+
+import warp as wp
+
+from ..field.render import pending_colour
+from .march import DeformedRadiance
+
+wp.set_module_options({"enable_backward": False})
+
+#: Beyond the end of any ray.
+RAY_END = wp.constant(1.0e30)
+
+#: What a ray that was begun has reached at least.
+BEGUN = wp.constant(1.0e-30)
+
+
+@wp.struct
+class RayState:
+    """A ray that a march is to go on with."""
+
+    seen: DeformedRadiance
+    pending: float  # weight of samples whose colour is not looked up yet
+    reached: float  # distance up to which all is seen, above 0 once a march has followed the ray
+
+
+@wp.struct
+class ScenePart:
+    """A part of the scene that a march takes: from where the ones before it ended up to where a ray leaves a box."""
+
+    lower: wp.vec3  # corners of the box
+    upper: wp.vec3
+    is_first: int  # 1: nothing was marched before
+    is_last: int  # 1: rays are followed to their end, those beside the box too
+    rays: int  # as many have a state
+    states: wp.array(dtype=wp.vec4)  # (3 * rays,); what of a ray's three is not set yet is that of its start
+
+
+@wp.func
+def ray_start():
+    """The state of a ray before its first sample."""
+    state = RayState()
+    seen = DeformedRadiance()
+    seen.transmittance = float(1.0)
+    seen.cleared_transmittance = float(1.0)
+    state.seen = seen
+    return state
+
+
+@wp.func
+def finished(state: RayState):
+    """What a ray has seen that has come to its end."""
+    seen = state.seen
+    seen.colour += pending_colour(seen.colour, seen.transmittance, state.pending)
+    return seen
+
+
+@wp.func
+def part_end(part: ScenePart, origin: wp.vec3, direction: wp.vec3):
+    """Distance at which a part of the scene ends for a ray; 0 for one that has nothing to do with it.
+
+    As view/rays.box_span finds it, but for rays along a face of the box, which may count as beside it or not: without
+    branches, as a march needs all registers.
+    """
+    end = float(RAY_END)
+    if part.is_last == 0:
+        inverse = wp.cw_div(wp.vec3(1.0, 1.0, 1.0), direction)  # infinite for rays across an axis
+        a = wp.cw_mul(part.lower - origin, inverse)
+        b = wp.cw_mul(part.upper - origin, inverse)
+        near = wp.max(wp.max(wp.min(a, b)), 0.0)
+        far = wp.min(wp.max(a, b))
+        end = wp.where(near < far, far, 0.0)
+    return end
+
+
+@wp.func
+def ray_state(part: ScenePart, n: int):
+    """The state in which the marches before left ray n."""
+    state = ray_start()
+    if part.is_first == 0:
+        near = part.states[n]
+        if near[1] > 0.0:
+            middle = part.states[part.rays + n]
+            rest = part.states[2 * part.rays + n]
+            seen = DeformedRadiance()
+            seen.transmittance = near[0]
+            seen.cleared_transmittance = near[2]
+            seen.colour = wp.vec3(middle[0], middle[1], middle[2])
+            seen.depth = middle[3]
+            seen.reveal = rest[0]
+            seen.fold = rest[1]
+            seen.outside = rest[2]
+            state.seen = seen
+            state.pending = near[3]
+            state.reached = near[1]
+    return state
+
+
+@wp.func
+def leave_ray(part: ScenePart, n: int, state: RayState):
+    """Keep the state of ray n for the marches that follow."""
+    seen = state.seen
+    part.states[n] = wp.vec4(seen.transmittance, state.reached, seen.cleared_transmittance, state.pending)
+    if state.reached > 0.0:
+        part.states[part.rays + n] = wp.vec4(seen.colour[0], seen.colour[1], seen.colour[2], seen.depth)
+        part.states[2 * part.rays + n] = wp.vec4(seen.reveal, seen.fold, seen.outside, 0.0)

@@ -1,0 +1,141 @@
+"""Edits that cannot meet each other: boxes that are apart, and their order from a camera."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..cage.cage import Cage
+from .edits import CageEdit
+
+#: A box without a point in it.
+NOWHERE = np.array([[np.inf] * 3, [-np.inf] * 3])
+
+
+@dataclasses.dataclass(frozen=True)
+class EditBoxes:
+    """Boxes around the places that edits of a scene have to do with, lower and upper corners.
+
+    Args:
+        changed: (n, 2, 3) float64, around the posed cage and the rest cage of each: beyond, it changes nothing.
+        sources: (n, 2, 3) float64, around where its map may lead.
+    """
+
+    changed: np.ndarray
+    sources: np.ndarray
+
+    def are_apart(self, reach: float) -> bool:
+        """Whether no place has to do with two edits.
+
+        What an edit maps is then in its own rest cage alone, which no earlier edit has changed.
+
+        Args:
+            reach: How far from its place a sample may look, world units.
+
+        Returns:
+            Whether the boxes are more than twice as far apart, and no map leads into an earlier edit's.
+        """
+        between, beneath = self._least_gaps
+        return between > 2.0 * reach and beneath > 0.0
+
+    @functools.cached_property
+    def _least_gaps(self) -> tuple[float, float]:
+        """Between two boxes, and between what a map leads to and the box of an earlier edit."""
+        later = np.tril_indices(len(self.changed), -1)
+        gaps = (box_gaps(boxes, self.changed)[later] for boxes in (self.changed, self.sources))
+        between, beneath = (float(gap.min(initial=np.inf)) for gap in gaps)
+        return between, beneath
+
+
+def edit_boxes(
+    edits: Sequence[CageEdit],
+    cages: Sequence[Cage | None],
+    origin: ArrayLike,
+    tolerances: Sequence[float],
+    slacks: Sequence[float],
+) -> EditBoxes:
+    """The boxes of posed edits.
+
+    A trilinear signed distance is nowhere below the distance to a plane with the whole cage behind it, as that holds at
+    the nodes: what counts as inside a cage, up to some distance, is in the cage's box, up to that distance.
+
+    Args:
+        edits: The edits.
+        cages: The posed cages, None for an edit that removes.
+        origin: (3,) world point that the boxes are relative to.
+        tolerances: Of each edit: points so far out of a cage count as in it, world units.
+        slacks: Of each edit: its map may lead so far out of the rest cage.
+
+    Returns:
+        The boxes.
+    """
+    changed, sources = [], []
+    for edit, cage, tolerance, slack in zip(edits, cages, tolerances, slacks, strict=True):
+        rest = edit.cage.bounds - np.asarray(origin)
+        posed = rest if cage is None else cage.bounds - np.asarray(origin)
+        both = np.stack([np.minimum(rest[0], posed[0]), np.maximum(rest[1], posed[1])])
+        changed.append(wider(both, tolerance))
+        sources.append(NOWHERE if cage is None else wider(rest, slack + tolerance))
+    return EditBoxes(np.stack(changed), np.stack(sources))
+
+
+def wider(boxes: np.ndarray, by: float) -> np.ndarray:
+    """Boxes that reach further on each side.
+
+    Args:
+        boxes: (..., 2, 3).
+        by: How far.
+
+    Returns:
+        (..., 2, 3).
+    """
+    return boxes + by * np.array([[-1.0], [1.0]])
+
+
+def box_gaps(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """How far boxes are apart along the axis along which they are farthest; negative where they overlap.
+
+    Args:
+        boxes: (n, 2, 3).
+        others: (m, 2, 3).
+
+    Returns:
+        (n, m).
+    """
+    beyond = others[None, :, 0] - boxes[:, None, 1]
+    before = boxes[:, None, 0] - others[None, :, 1]
+    return np.maximum(beyond, before).max(axis=-1)
+
+
+def front_to_back(boxes: np.ndarray, centre: ArrayLike) -> list[int] | None:
+    """An order in which each ray from a point enters the boxes that it meets.
+
+    A ray goes one way along each axis. So it does not meet first the lower and then the upper of two boxes with a gap
+    between them if it starts above the lower one's top, and not the other way round if it starts under the upper one's
+    bottom.
+
+    Args:
+        boxes: (n, 2, 3), no two of which overlap.
+        centre: (3,) where the rays start, in a box or not.
+
+    Returns:
+        The n numbers of the boxes; None where there is no such order, as each of some boxes hides a part of the next in
+        a circle.
+    """
+    lower, upper, centre = boxes[:, 0], boxes[:, 1], np.asarray(centre)
+    below = upper[:, None] < lower[None, :]  # (n, n, 3)
+    never = below & (centre > upper)[:, None] | below.swapaxes(0, 1) & (centre < lower)[:, None]
+    first = ~never.any(axis=-1)
+    np.fill_diagonal(first, False)
+    order, left = [], list(range(len(boxes)))
+    while left:
+        free = [i for i in left if not first[left, i].any()]
+        if not free:
+            return None
+        order.append(free[0])
+        left.remove(free[0])
+    return order
