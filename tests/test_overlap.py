@@ -223,6 +223,7 @@ def test_frames_of_several_kinds_are_refused(tmp_path):
 
 def test_a_gif_that_memory_cannot_hold_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(film, "GIF_LOOK", 4 * 34 * 47 * 3)
+    monkeypatch.setattr("warpcage.core.memory.LITTLE", 0)
     monkeypatch.setattr("warpcage.core.memory.free_host_bytes", lambda: 9 * 3 * 34 * 47)
     write_film(tmp_path / "a.gif", moving(9), 10)
     with pytest.raises(ValueError, match=r"10 frames of a GIF, which are all held \(.mp4 holds few\), need"):

@@ -117,7 +117,7 @@ def write_array(path: pathlib.Path, array: np.ndarray) -> None:
     np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(numbers))
     with path.open("wb") as file:  # np.save's own way tells of a full disk without its error number
         file.write(head.getbuffer())
-        file.write(memoryview(numbers).cast("B"))
+        file.write(numbers.data.cast("B"))
 
 
 def array_data(array: np.ndarray) -> memoryview:

@@ -48,18 +48,19 @@ def is_device_array(array: object) -> bool:
     return hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")
 
 
-def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike) -> wp.array:
+def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike, *, pinned: bool = False) -> wp.array:
     """A Warp array whose values are not set yet: wp.empty, whose annotations know no data type but float.
 
     Args:
         shape: Size along each axis.
         dtype: Warp data type or struct.
         device: Warp device.
+        pinned: Whether memory of the CPU is page-locked, for copies to and from CUDA devices.
 
     Returns:
         The array.
     """
-    return wp.empty(shape, dtype=dtype, device=device)
+    return wp.empty(shape, dtype=dtype, device=device, pinned=pinned)
 
 
 def struct_array(structs: Sequence[WarpStruct], dtype: Any, device: wp.DeviceLike) -> wp.array:

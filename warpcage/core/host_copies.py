@@ -13,7 +13,7 @@ import time
 import numpy as np
 import warp as wp
 
-from .arrays import array_view
+from .arrays import array_view, empty_array
 from .locks import device_turn
 
 #: Bytes of page-locked memory for the copies of a device, at most. Further ones are waited for when they are made.
@@ -41,6 +41,7 @@ class HostCopy:
     """
 
     def __init__(self, array: wp.array, state: wp.array | None = None):
+        assert array.device is not None
         self._device = array.device
         with device_turn(self._device):
             self._piece = _staging(self._device.ordinal).take(array.capacity)
@@ -77,12 +78,7 @@ class _Piece:
     def __init__(self, staging: _Staging, block: wp.array, size: int):
         self._staging, self._block, self._size = staging, block, size
         assert block.ptr is not None
-        self.__array_interface__ = {
-            "version": 3,
-            "shape": (size,),
-            "typestr": "|u1",
-            "data": (block.ptr + HEAD, False),
-        }
+        self.__array_interface__ = {"version": 3, "shape": (size,), "typestr": "|u1", "data": (block.ptr + HEAD, False)}
 
     @property
     def state(self) -> int:
@@ -122,7 +118,7 @@ class _Staging:
             if self._made + rounded > MOST_STAGED:
                 return None
             self._made += rounded
-        return _Piece(self, wp.empty(rounded, dtype=wp.uint8, device="cpu", pinned=True), size)
+        return _Piece(self, empty_array(rounded, wp.uint8, "cpu", pinned=True), size)
 
     def give_back(self, block: wp.array) -> None:
         """Take a piece for used no more. It may be called in any thread, wherever something is freed."""

@@ -215,6 +215,7 @@ def _comes_from_cuda(array: Any) -> bool:
 
 def _copy_bytes(colours: wp.array) -> HostCopy:
     """A copy of (n,) vec3 as (n, 3) bytes."""
+    assert colours.device is not None
     with device_turn(colours.device):
         packed = empty_array((colours.size, 3), wp.uint8, colours.device)
         state = wp.full(1, int(colour_bytes.DONE), dtype=wp.int32, device=colours.device)
