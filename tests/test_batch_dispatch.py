@@ -91,7 +91,7 @@ def test_small_groups_go_together():
 
 
 def test_lots_follow_what_items_take():
-    """Ten seconds a lot: a few slow items, or many quick ones, at most 256; and small ones at the end."""
+    """Ten seconds a lot: a few slow items, or many quick ones, at most 256; few at the beginning and at the end."""
     sizes = {}
     for seconds in (0.01, 1.0, 30.0):
         taken = []
@@ -100,8 +100,8 @@ def test_lots_follow_what_items_take():
             taken.append(len(lots.take(0, 10)[0]))
             lots.note(0, seconds)
         sizes[seconds] = taken
-    assert sizes[0.01][0] == 1 and set(sizes[0.01][1:]) == {256}
-    assert set(sizes[1.0][1:]) == {10} and set(sizes[30.0]) == {1}
+    assert {taken[0] for taken in sizes.values()} == {16} and set(sizes[0.01][1:]) == {256}
+    assert set(sizes[1.0][1:]) == {10} and set(sizes[30.0][1:]) == {1}
     for seconds, first in ((0.1, 13), (0.001, 50)):
         lots = Lots(np.arange(100), np.zeros(100))
         lots.note(0, seconds)
@@ -125,8 +125,30 @@ def test_the_last_lots_are_as_short_as_all_can_have_and_no_shorter():
     assert all(size >= 50 for size in taken[:-8])
 
 
-def test_one_item_alone_says_little_beside_a_lot_and_what_was_loaded_nothing():
+def test_a_lot_of_which_nothing_is_known_ends_with_its_time():
+    """An hour an item or a millisecond: what is not begun within the seconds of a lot goes to others."""
+    for seconds, made in ((3600.0, 1), (1.0, 10), (0.01, 16)):
+        lots = Lots(np.arange(1000), np.zeros(1000), aim=9.5)
+        dispatcher, engine = (
+            Dispatcher(lots),
+            SimulatedEngine(
+                Conditions(np.full(1000, seconds), np.zeros(1000), np.ones(2), load_seconds=min(seconds, 0.5))
+            ),
+        )
+        dispatcher.add_worker("0")
+        lot = dispatcher.next_lot("0", 0.0)
+        assert len(lot.items) == 16 and lot.seconds == 9.5
+        engine.give("0", lot)
+        report = engine.wait(1e6)[0].report
+        assert report.loading and report.done == list(range(made)) and report.left == list(range(made, 16))
+        dispatcher.reported("0", report, 1e6)
+        following = dispatcher.next_lot("0", 1e6)
+        assert following.seconds is None and following.items[0] == made and dispatcher.left == 1000 - made
+
+
+def test_one_item_alone_says_little_beside_a_lot_and_what_was_loaded_nothing(monkeypatch):
     """The first item loads its field, and one that is made alone waits for its files."""
+    monkeypatch.setattr("warpcage.batch.lots.FIRST", 1)
     dispatcher = Dispatcher(Lots(np.arange(10_000), np.zeros(10_000), aim=2.0))
     dispatcher.add_worker("a")
     sizes = []

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+import types
 
 import pytest
 from batch_runs import Making, write_frames
@@ -91,3 +92,43 @@ def test_workers_are_asked_when_an_item_can_be_late():
     assert late.silent(88.0) == [] and late.silent(88.2) == ["1"]
     late.given("1", 90.0)  # another process has its place
     assert late.silent(200.0) == [] and late.due(100.0) == ["1"]
+
+
+class Timed(Making):
+    """Makes items within seconds of a clock that stands else; their files are there at once."""
+
+    def __init__(self, clock, seconds):
+        super().__init__("", ".", "cpu")
+        self.clock, self.left = clock, iter(seconds)
+
+    def submit(self, item, out=None):
+        self.clock.passed += next(self.left)
+        made = concurrent.futures.Future()
+        made.set_result({item.id: 1})
+        return made
+
+
+def test_a_lot_ends_with_its_time_and_loading_is_told_apart(files, tmp_path, monkeypatch):
+    """The first item loads, and its hash is there late: those behind it last what they took to make."""
+    clock = types.SimpleNamespace(passed=0.0, perf_counter=lambda: clock.passed)
+    monkeypatch.setattr("warpcage.batch.lot_runner.time", clock)
+    folder = OutputFolder(tmp_path / "out")
+    folder.prepare()
+
+    def inputs():
+        clock.passed = max(clock.passed, 3.0)
+        return "0"
+
+    with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
+        maker = Timed(clock, [2.0, 0.25, 0.25, 0.25, 5.0, 0.25, 8.0, 0.25])
+        runner = LotRunner(maker, job.reader.item, lambda item: inputs, notes, Place("0", "here", "cpu"))
+
+        def run(number, indices, seconds):
+            lines = [(job.data(index), job.line(index)) for index in indices]
+            return runner.run(LotOrder(number, indices, lines, [0] * len(indices), seconds=seconds))
+
+        first = run(1, [0, 1, 2, 3, 4, 5, 6], 8.9)
+        assert first.loading and first.done == [0, 1, 2, 3, 4, 5] and first.left == [6]
+        assert first.seconds == [2.0, 0.25, 0.25, 0.25, 5.0, 0.25]
+        alone = run(2, [6], 1.0)
+        assert alone.done == [6] and alone.seconds == [8.0] and not alone.loading and runner.recall(2, 1.0) == []

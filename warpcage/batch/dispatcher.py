@@ -31,7 +31,7 @@ class LotReport:
 
     Attributes:
         done: Items that were made.
-        seconds: How long each of those took.
+        seconds: How long each of those took; where something was loaded, how long the worker was at each.
         failed: Items that will not be tried again, with one line each.
         errors: Items that may be tried again, with one line each.
         left: Items that were not begun, or whose making ended without blame.
@@ -325,9 +325,10 @@ class Dispatcher:
         group = self.lots.choose(worker.group, self._sharers)
         if group is None:
             return None
-        items, group = self.lots.take(group, len(self._workers), worker.speed)
-        self._move(worker, group)
-        return self._lot(items, group)
+        items, taken = self.lots.take(group, len(self._workers), worker.speed)
+        self._move(worker, taken)
+        known = self.lots.whole or self.lots.seconds(group) is not None
+        return self._lot(items, taken, None if known else self.lots.aim)
 
     def _retry(self, name: str, worker: _Worker, loaded_only: bool) -> Lot | None:
         """An item that failed, alone and elsewhere where there is an elsewhere."""
@@ -354,9 +355,10 @@ class Dispatcher:
         else:
             self.unpacked.append((lot.shard, reason))
 
-    def _lot(self, items: list[int], group: int) -> Lot:
+    def _lot(self, items: list[int], group: int, seconds: float | None = None) -> Lot:
         self._number += 1
-        return Lot(self._number, items, [self._attempts.get(item, 0) for item in items], group)
+        attempts = [self._attempts.get(item, 0) for item in items]
+        return Lot(self._number, items, attempts, group, seconds=seconds)
 
     def _move(self, worker: _Worker, group: int | None) -> None:
         """Note what a worker has loaded."""

@@ -62,6 +62,7 @@ class LotOrder:
         attempts: How often each was begun before and failed.
         shard: The shard that they belong to; None where there are none.
         packed: The outputs of all items that the shard is to be packed of, by item; None where items are to be made.
+        seconds: After so many no more items are begun, but for the first; None is no limit.
     """
 
     number: int
@@ -70,6 +71,7 @@ class LotOrder:
     attempts: list[int]
     shard: int | None = None
     packed: list[dict[str, str]] | None = None
+    seconds: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,6 +115,7 @@ class _UnderWay:
     index: int
     attempts: int
     begun: float
+    seconds: float = 0.0  # of the thread that makes items
     inputs: Callable[[], str] = str
     future: Future[dict[str, int]] = dataclasses.field(default_factory=Future)
 
@@ -173,9 +176,11 @@ class LotRunner:
             self._order, self._waiting = order, collections.deque(range(len(order.lines)))
             self._begun = {}
         under_way: collections.deque[_UnderWay] = collections.deque()
-        self._settled_at = time.perf_counter()
+        begin = self._settled_at = time.perf_counter()
         try:
             while report.halt is None and report.broken is None and (place := self._next()) is not None:
+                if place and order.seconds is not None and time.perf_counter() - begin > order.seconds:
+                    break
                 self._begin(order, place, under_way)
                 while under_way and under_way[0].future.done():
                     self._settle(under_way.popleft())
@@ -246,6 +251,7 @@ class LotRunner:
             made.future = self._maker.submit(item, self._stage(order))
         except Exception as error:
             made.future.set_exception(error)
+        made.seconds = time.perf_counter() - made.begun
         self._group = item.group
         under_way.append(made)
 
@@ -279,7 +285,8 @@ class LotRunner:
             return
         if error is None:
             report.done.append(made.index)
-            report.seconds.append(seconds)
+            # behind what waits for hashes of what was loaded, others seem to take nothing
+            report.seconds.append(made.seconds if report.loading else seconds)
             return
         (report.failed if final else report.errors).append((made.index, one_line(error)))
         if not isinstance(error, BAD_INPUT) and report.broken is None:

@@ -17,6 +17,10 @@ LOTS_PER_WORKER = 4
 #: files are written.
 LEAST = 0.5
 
+#: Most items of a lot of which nobody knows what they take, which ends after the seconds that a lot should take. It is
+#: more than one, as the first item waits for the hash of what it loads: others are made meanwhile.
+FIRST = 16
+
 #: Weight of the newest lot in the seconds that an item of a group is taken for, where it has as many items as those
 #: before it.
 NEWEST = 0.25
@@ -32,6 +36,7 @@ class Lot:
         attempts: How often each was begun before and failed.
         group: What the worker has loaded afterwards.
         shard: The shard that is to be packed, in a lot without items; None else.
+        seconds: After so many no more of its items are begun; None where it is known what they take.
     """
 
     number: int
@@ -39,6 +44,7 @@ class Lot:
     attempts: Sequence[int]
     group: int
     shard: int | None = None
+    seconds: float | None = None
 
 
 @dataclasses.dataclass
@@ -70,6 +76,7 @@ class Lots:
 
     Attributes:
         left: Items that nobody has.
+        aim, whole: As given.
     """
 
     def __init__(
@@ -99,7 +106,7 @@ class Lots:
         self._open: set[int] = set()  # groups that were claimed and have items left
         self._seconds: dict[int, _Seconds] = {}  # an item of a group takes
         self._kind_seconds: dict[int, _Seconds] = {}
-        self._aim, self._largest, self._whole = aim, largest, whole
+        self.aim, self._largest, self.whole = aim, largest, whole
         self.left = len(self._items)
 
     @property
@@ -177,7 +184,7 @@ class Lots:
         """
         size = self._size(group, workers, speed)
         taken = self._cut(group, size)
-        while not self._whole and len(taken) < size and self._unclaimed < len(self._by_size):
+        while not self.whole and len(taken) < size and self._unclaimed < len(self._by_size):
             following = int(self._by_size[self._unclaimed])
             fits = self.left_in(following) <= size - len(taken) and self._kinds[following] == self._kinds[group]
             if not fits or following in self._open:
@@ -196,14 +203,14 @@ class Lots:
             self.left += len(items)
 
     def _size(self, group: int, workers: int, speed: float) -> int:
-        if self._whole:
+        if self.whole:
             return self.left_in(group)
+        fair, equal = (-(-self.left // (lots * max(workers, 1))) for lots in (LOTS_PER_WORKER, 1))
         seconds = self.seconds(group)
         if seconds is None:
-            return 1
+            return min(FIRST, fair, self._largest)
         each = max(seconds * speed, 1e-9)
-        aimed, least = int(self._aim / each), int(min(self._aim, LEAST) / each)
-        fair, equal = (-(-self.left // (lots * max(workers, 1))) for lots in (LOTS_PER_WORKER, 1))
+        aimed, least = int(self.aim / each), int(min(self.aim, LEAST) / each)
         return max(1, min(aimed, max(fair, min(least, equal)), self._largest))
 
     def _cut(self, group: int, size: int) -> list[int]:

@@ -201,7 +201,7 @@ class _Orders:
             return LotOrder(lot.number, [], [], [], lot.shard, self._packed(lot.shard))
         lines = [(self._job.data(index), self._job.line(index)) for index in lot.items]
         shard = lot.items[0] // self._shard_size if self._shard_size else None
-        return LotOrder(lot.number, list(lot.items), lines, list(lot.attempts), shard)
+        return LotOrder(lot.number, list(lot.items), lines, list(lot.attempts), shard, seconds=lot.seconds)
 
     def _packed(self, shard: int) -> list[dict[str, str]]:
         """The outputs of all items of a shard that are there: what was to be made of it is settled."""

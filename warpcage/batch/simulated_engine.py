@@ -55,6 +55,7 @@ class _Work:
 
     number: int
     items: list[int]
+    left: list[int]  # that are not begun, as the time of the lot is over
     starts: np.ndarray
     ends: np.ndarray
     death: float  # when the worker dies, infinity where it does not
@@ -167,7 +168,6 @@ class SimulatedEngine:
         seconds[[item in given.bad for item in lot.items] if given.bad else []] = 0.001
         groups = given.groups[items]
         changes = np.diff(groups, prepend=self._loaded.get(worker, -1)) != 0
-        self._loaded[worker] = int(groups[-1])
         ends = self._time + given.latency + np.cumsum(seconds + changes * given.load_seconds)
         starts = np.concatenate([[self._time + given.latency], ends[:-1]])
         death = np.inf
@@ -176,7 +176,10 @@ class SimulatedEngine:
         for place, item in enumerate(lot.items if given.poison else ()):
             if item in given.poison:
                 death = min(death, 0.5 * (starts[place] + ends[place]))
-        self._work[worker] = work = _Work(lot.number, list(lot.items), starts, ends, death, bool(changes[0]), 0)
+        begun = len(items) if lot.seconds is None else int(np.count_nonzero(starts - starts[0] <= lot.seconds))
+        made, left = list(lot.items[:begun]), list(lot.items[begun:])
+        loading, self._loaded[worker] = bool(changes[0]), int(groups[begun - 1])
+        self._work[worker] = work = _Work(lot.number, made, left, starts[:begun], ends[:begun], death, loading, 0)
         self._schedule(worker, work)
 
     def _shorten(self, worker: str, work: _Work, keep: int) -> list[int]:
@@ -209,7 +212,7 @@ class SimulatedEngine:
 
     def _report(self, work: _Work, settled: int) -> LotReport:
         """What becomes of the first items of a lot."""
-        report, given = LotReport(loading=work.loading), self.conditions
+        report, given = LotReport(left=work.left, loading=work.loading), self.conditions
         taken = (work.ends - work.starts)[:settled]
         self.worked += float(taken.sum())
         flaky = self._random.random(settled) < given.flaky if given.flaky else np.zeros(settled, bool)
