@@ -26,6 +26,7 @@ from warpcage.core.devices import launch
 from warpcage.core.kernel_files import kernel_names
 from warpcage.core.threads import limit_threads
 from warpcage.editor.picture import frame_pixels
+from warpcage.field.sparse import harmonics_on_device
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.kernels.coordinates.green import map_green
 from warpcage.kernels.reference.sample_count import count_samples
@@ -46,7 +47,7 @@ CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add
             "mesh.shell.", "mesh.collapses.", "splats.composite_tiles.", "splats.composite_slopes_tiles.",
             "splats.pose.carry_bound"}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
-             "field.densities.lay_densities",
+             "field.densities.lay_densities", "field.halves.widen_rows",
              "field.skip.spread_distance", "field.shades.",
              "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
              "deform.render_part.", "deform.render_part_sides.",
@@ -118,6 +119,7 @@ def fields(device) -> None:
     frame_pixels(frame, "rgb", 1.0, 8.0, 8, 6)
     field.render(warpcage.Camera.look_at((0, 0, 0.1), (0, 0, 0), width=8, height=8))  # too near for shaded voxels
     field.sample(POINTS, np.ones((64, 3)))
+    harmonics_on_device(np.zeros((5, 24), np.float16), wp.get_device(device))
     CAGE.contains(2.2 * POINTS, device=device)  # in it, at it and beside it
     cameras = camera_array([camera()], field.center, field.device)
     counts = [wp.empty(256, dtype=wp.int32, device=device) for _ in range(2)]

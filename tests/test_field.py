@@ -6,6 +6,9 @@ import pytest
 import warp as wp
 
 import warpcage
+from warpcage.core.devices import launch
+from warpcage.field.sparse import harmonics_on_device
+from warpcage.kernels.field import halves
 from warpcage.kernels.field import harmonics as spherical_harmonics
 
 
@@ -30,6 +33,23 @@ def test_basis_is_the_real_spherical_harmonics(device):
     )
     expected = oracle.basis(d, 4)
     np.testing.assert_allclose(values.numpy(), expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("shape", [(301, 24), (301, 9, 3), (0, 24)])
+def test_halves_become_single_on_the_device(device, shape):
+    """As files have them: the smallest, the largest, and without order in memory."""
+    random = np.random.default_rng(0)
+    sh = (random.normal(size=shape) * 10.0 ** random.uniform(-7, 4, shape)).astype(np.float16)
+    expected = harmonics_on_device(sh.astype(np.float32), wp.get_device(device))
+    for given in (sh, np.asfortranarray(sh)):
+        found = harmonics_on_device(given, wp.get_device(device))
+        assert found.dtype == wp.float32 and found.shape == expected.shape and str(found.device) == device
+        assert np.array_equal(found.numpy(), expected.numpy())
+    rows = sh.reshape(len(sh), np.prod(shape[1:]))
+    runs = wp.array(rows, dtype=wp.float16, device=device)
+    singles = wp.full(runs.shape, 7.0, dtype=wp.float32, device=device)
+    launch(halves.widen_rows, runs.size // int(halves.RUN), [runs], [singles], device=device)
+    assert np.array_equal(singles.numpy(), rows.astype(np.float32))
 
 
 @oracle.both_kinds

@@ -10,9 +10,10 @@ import warp as wp
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.flags import HostFlag
+from ..kernels.field import halves as grid_halves
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
-from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS
+from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS, as_single
 from .matter_cells import DensityWatch
 
 
@@ -190,8 +191,8 @@ def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
     """Harmonics on a device, as kernels take them.
 
     Args:
-        sh: NumPy (rows, 9, 3) of red, green and blue, or (rows, 24) of luminance and differences of colour; or numbers
-            that kernels take already.
+        sh: NumPy (rows, 9, 3) of red, green and blue, or (rows, 24) of luminance and differences of colour, halves or
+            others; or numbers that kernels take already.
         device: Warp device.
 
     Returns:
@@ -205,13 +206,23 @@ def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
         if array.ndim != 2 or array.shape[1] not in (LUMINANCE_NUMBERS, RGB_NUMBERS):
             raise ValueError(f"sh on a device must be (rows, 24) or (rows, 27) float32, got {array.shape}")
         return array if array.is_contiguous else array.contiguous()
-    host = np.asarray(sh, np.float32)
-    if host.ndim == 2 and host.shape[1] == LUMINANCE_NUMBERS:
-        return wp.array(np.ascontiguousarray(host), dtype=wp.float32, device=device)
-    if host.ndim != 3 or host.shape[1:] != (BASIS_COUNT, 3):
+    host = np.asarray(sh)
+    if host.ndim == 3 and host.shape[1:] == (BASIS_COUNT, 3):
+        host = host.transpose(0, 2, 1).reshape(len(host), RGB_NUMBERS)
+    elif host.ndim != 2 or host.shape[1] != LUMINANCE_NUMBERS:
         raise ValueError(f"sh must be (rows, 9, 3) or (rows, 24), got {host.shape}")
-    rows = host.transpose(0, 2, 1).reshape(len(host), RGB_NUMBERS)
-    return wp.array(np.ascontiguousarray(rows), dtype=wp.float32, device=device)
+    if host.dtype == np.float16 and device.is_cuda:
+        return _widened(wp.array(np.ascontiguousarray(host), dtype=wp.float16, device=device))
+    if host.dtype == np.float16:
+        host = as_single(host)
+    return wp.array(np.ascontiguousarray(host, np.float32), dtype=wp.float32, device=device)
+
+
+def _widened(halves: wp.array) -> wp.array:
+    """(rows, n) float16 as float32."""
+    singles = empty_array(halves.shape, wp.float32, halves.device)
+    launch(grid_halves.widen_rows, halves.size // int(grid_halves.RUN), [halves], [singles], device=halves.device)
+    return singles
 
 
 def harmonics_on_host(sh: wp.array) -> np.ndarray:

@@ -99,8 +99,8 @@ class FieldContents:
         bounds: (2, 3) float64, world units.
         links: (nx, ny, nz) int32, row of each voxel or -1.
         density: (rows,) float32 per world unit.
-        sh: (rows, 9, 3) float32 coefficients of red, green and blue, or (rows, 24) of luminance and differences of
-            colour.
+        sh: (rows, 9, 3) coefficients of red, green and blue, or (rows, 24) of luminance and differences of colour;
+            float32, or float16 as files have them.
         weights: (rows,) float32 largest rendering weights, or None.
         background: (3,) colour, or None where the file does not say.
         up: (3,) direction, or None where the file does not say.

@@ -84,10 +84,13 @@ def _file_harmonics(sh: np.ndarray) -> np.ndarray:
 
 
 def _read_harmonics(contents: dict[str, np.ndarray], rows: int, path: pathlib.Path) -> np.ndarray:
-    """Harmonics of either kind, in float32."""
-    if "sh" in contents and contents["sh"].ndim == 2:
-        return as_single(require_numbers(contents, "sh", (rows, LUMINANCE_NUMBERS), path))
-    return as_single(require_numbers(contents, "sh", (rows, 3, BASIS_COUNT), path)).transpose(0, 2, 1)
+    """Harmonics of either kind; halves stay halves."""
+    luminous = "sh" in contents and contents["sh"].ndim == 2
+    shape = (rows, LUMINANCE_NUMBERS) if luminous else (rows, 3, BASIS_COUNT)
+    sh = require_numbers(contents, "sh", shape, path)
+    if sh.dtype != np.float16:
+        sh = as_single(sh)
+    return sh if luminous else sh.transpose(0, 2, 1)
 
 
 def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
