@@ -96,6 +96,30 @@ def test_samples_sent_out_are_counted_the_same(march, device):
     assert np.abs(single.outside - general.outside).mean() < 0.02 * general.outside.mean()
 
 
+def test_only_what_a_map_moved_counts_as_folded(march, device):
+    """Not the matter around a posed cage, in cells that its walls cut; the positions are mirrored by hand."""
+    field = make_field(lambda x: np.full(x.shape[:3], 2.0), plain([0.5, 0.5, 0.5]), device=device)
+    cage = box_around(0.1, 0, 0, half=0.3)
+    deformer = Deformer(field, CageEdit(cage, keep_source=True), coordinates="mean_value", resolution=8)
+    position_map = deformer._edits.lattices.maps[0]
+    pose = position_map.pose
+
+    def mirrored_pose(posed):
+        pose(posed)
+        position_map.data.positions.assign(position_map.data.positions.numpy() * np.float32([-1, 1, 1]))
+        return position_map
+
+    position_map.pose = mirrored_pose
+    camera = view((2.5, 0.4, 0.3))
+    single, general = both(deformer.pose(cage), camera)
+    origins, directions = camera.rays()
+    ends = (cage.bounds[:, None, None] - origins) / directions
+    meets = ends.min(axis=0).max(axis=-1) < ends.max(axis=0).min(axis=-1) + 1e-3
+    assert single.fold[meets].max() > 0.15 and single.alpha[~meets].max() > 0.5
+    assert single.fold[~meets].max() == 0
+    np.testing.assert_allclose(single.fold, general.fold, atol=0.05)  # a sample at a wall counts or not
+
+
 @pytest.mark.parametrize("kind", ["harmonic", "mean_value"])
 def test_a_slot_that_a_pose_closes_to_less_than_a_cell(kind, march, device):
     """What lies on both sides of a slot comes from both sides of a wide one: nothing is drawn over the slot."""

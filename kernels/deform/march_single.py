@@ -229,7 +229,7 @@ def march_edit(
                     pending = float(0.0)
                 seen.depth += weight * t
                 seen.transmittance *= kept
-                if (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
+                if mapped and (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
                     seen.fold += weight
         elif empty > 1 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
             hollow = float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH

@@ -321,7 +321,7 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
             pending = shows ? (lanes)0.0f : pending;
             depth += weight * t;
             transmittance *= drawn ? kept : (lanes)1.0f;
-            fold += (drawn & ((flags & cell_folded) != 0) & (weight > fold_weight)) ? weight : (lanes)0.0f;
+            fold += (drawn & mapped & ((flags & cell_folded) != 0) & (weight > fold_weight)) ? weight : (lanes)0.0f;
         }
 
         // the next sample
