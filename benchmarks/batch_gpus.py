@@ -182,28 +182,34 @@ def timed(path: pathlib.Path, out: pathlib.Path, workers: int, device: str | Non
     with Busy() as busy:
         subprocess.run([*words, *(["--device", device] if device else [])], stdout=subprocess.DEVNULL, check=True)
     seconds = time.time() - called
-    with open(out / "manifest.jsonl", encoding="utf-8") as manifest:
+    begin, course = course_of(out / "manifest.jsonl")
+    end = begin + course["items"] / course["rate"]
+    return {"seconds": seconds, "until_first": begin - called, **course, "gpu_busy": busy.share(begin, end)}
+
+
+def course_of(path: pathlib.Path) -> tuple[float, dict]:
+    """When the first item of a run was begun, seconds since 1970, and the figures from there on; path: its manifest."""
+    with open(path, encoding="utf-8") as manifest:
         records = [json.loads(line) for line in manifest]
     of_workers: dict[str, list[tuple[float, float]]] = {}  # when each item was made, and how long it took
     for record in records:
         end = datetime.datetime.fromisoformat(record["finished"]).timestamp()
         of_workers.setdefault(record["worker"], []).append((end, record["seconds"]))
-    firsts, lasts = ([pick(made) for made in of_workers.values()] for pick in (min, max))
+    # items that are settled together seem to take nothing: the first of them began first
+    firsts = [min(made, key=lambda item: item[0] - item[1]) for made in of_workers.values()]
+    lasts = [max(made) for made in of_workers.values()]
     ends = sorted(end for made in of_workers.values() for end, _ in made)
     begin = min(end - taken for end, taken in firsts)
     low, high = len(ends) // 10, len(ends) - 1 - len(ends) // 10
     steady = {"steady": (high - low) / (ends[high] - ends[low])} if len(ends) >= MANY else {}
-    return {
+    return begin, {
         "items": len(records),
-        "seconds": seconds,
-        "until_first": begin - called,
         "rate": len(records) / (ends[-1] - begin),
         **steady,
         "first_item": [round(taken, 3) for _, taken in firsts],
         "item": statistics.median(record["seconds"] for record in records),
         "items_of_workers": [len(made) for made in of_workers.values()],
         "end_spread": max(lasts)[0] - min(lasts)[0],
-        "gpu_busy": busy.share(begin, ends[-1]),
     }
 
 

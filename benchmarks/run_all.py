@@ -172,6 +172,7 @@ def quick_runs(out: pathlib.Path) -> dict[str, list]:
             *("--field", field, "--cage", cage, "--scene", scene, "--frames", 12, "--size", 48, "--fits", 2),
             *("--downscale", 4, "--workers", 1, 2, "--device", "cpu", "--json", out / "batch_gpus.json"),
         ],
+        "batch_handing_out": ["--items", 120, "--turns", 1, "--megabytes", 8, "--json", out / "handing_out.json"],
         "batch_memory": ["--items", 200, "--json", out / "batch_memory.json"],
         "page": ["--results", out, "--page", out / "page.md"],
     }

@@ -17,10 +17,6 @@ LOTS_PER_WORKER = 4
 #: files are written.
 LEAST = 0.5
 
-#: Most items of a lot of which nobody knows what they take, which ends after the seconds that a lot should take. It is
-#: more than one, as the first item waits for the hash of what it loads: others are made meanwhile.
-FIRST = 16
-
 #: Weight of the newest lot in the seconds that an item of a group is taken for, where it has as many items as those
 #: before it.
 NEWEST = 0.25
@@ -207,8 +203,8 @@ class Lots:
             return self.left_in(group)
         fair, equal = (-(-self.left // (lots * max(workers, 1))) for lots in (LOTS_PER_WORKER, 1))
         seconds = self.seconds(group)
-        if seconds is None:
-            return min(FIRST, fair, self._largest)
+        if seconds is None:  # the lot ends with its time; its first item may wait long for the hash of what it loads
+            return min(fair, self._largest)
         each = max(seconds * speed, 1e-9)
         aimed, least = int(self.aim / each), int(min(self.aim, LEAST) / each)
         return max(1, min(aimed, max(fair, min(least, equal)), self._largest))

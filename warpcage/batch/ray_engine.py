@@ -86,7 +86,10 @@ def ray_session(cluster: str | None) -> Iterator[types.ModuleType]:
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             if cluster is None:
                 raise
-            raise ValueError(f"no Ray cluster answers at {cluster!r}: {one_line(error)}") from error
+            raise ValueError(
+                f"no Ray cluster answers at {cluster!r}: {one_line(error)}. One that asks for a token wants "
+                "RAY_AUTH_MODE=token and its own token in ~/.ray/auth_token"
+            ) from error
     _silence()
     try:
         yield ray
