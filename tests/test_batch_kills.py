@@ -11,13 +11,15 @@ import subprocess
 import sys
 import threading
 import time
+import types
 
 import numpy as np
 import pytest
 from batch_runs import Deadly, Making, Moody, left_over, number_of, pictures, records, run_with, write_frames
 
 import warpcage
-from warpcage.batch.ray_engine import RayEngine
+from warpcage.batch.ray_engine import RayEngine, Share
+from warpcage.batch.runners import RunnerSettings
 from warpcage.cli import main
 
 ray = pytest.importorskip("ray", reason="several workers need Ray")
@@ -333,6 +335,37 @@ def test_workers_share_the_cores():
     with pytest.raises(ValueError, match="Ray sees no GPU"):
         shares(two, 2, False, "cuda")
     assert np.isfinite(found.cpus)
+
+
+def test_a_run_ends_in_one_line_when_ray_itself_has_ended_here(monkeypatch):
+    """Ray would let it wait for two minutes, and then end the process without a word."""
+    alive = {"here": True, "asked": 0}
+
+    def nodes():
+        alive["asked"] += 1
+        return [{"Alive": alive["here"], "Resources": {}}]
+
+    never = types.SimpleNamespace(remote=lambda *_: types.SimpleNamespace(future=concurrent.futures.Future))
+    made = types.SimpleNamespace(remote=lambda settings: types.SimpleNamespace(facts=never))
+    fake = types.SimpleNamespace(
+        remote=lambda actor: types.SimpleNamespace(options=lambda **words: made), nodes=nodes, kill=lambda actor: None
+    )
+    settings = RunnerSettings("job", None, "out", "run")
+    for cluster in (False, True):
+        engine = RayEngine(fake, settings, Share(1, 0, 0, 1, "cpu"), None, None, cluster)
+        now = [100.0]
+        monkeypatch.setattr(engine, "now", lambda now=now: now[0])
+        alive |= {"here": True, "asked": 0}
+        engine.launch("0")
+        for _ in range(3):
+            assert engine.wait(0.0) == []  # it may still start
+        assert alive["asked"] == (0 if cluster else 1)  # not at each turn
+        alive["here"], now[0] = False, 110.0
+        if cluster:  # whose machines may come back
+            assert engine.wait(0.0) == []
+        else:
+            with pytest.raises(RuntimeError, match="^Ray's own processes on this machine have ended: the same command"):
+                engine.wait(0.0)
 
 
 LOST_NODE = """\

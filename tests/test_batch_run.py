@@ -95,7 +95,7 @@ def test_bad_items_are_listed_and_the_rest_is_made(files, tmp_path, capsys):
     found = records(out)
     assert [name for name, each in found.items() if each["state"] == "failed"] == [f"shot/f000{n}" for n in (2, 5, 6)]
     assert all(found[f"shot/f000{place}"]["attempts"] == 1 for place in changes) and len(pictures(out)) == 9
-    assert "none.obj" in found["shot/f0006"]["error"] and "\n" not in found["shot/f0006"]["error"]
+    assert found["shot/f0006"]["error"] == f"cage file {str(files / 'none.obj')!r} is not there"
     write_frames(files, 12, "bad.jsonl")
     assert started(path, out) == 0 and len(pictures(out)) == 12
     assert {each["state"] for each in records(out).values()} == {"done"}

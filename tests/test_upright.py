@@ -1,6 +1,7 @@
 """Cages whose files have another axis up than is expected: found from their object and from their rest cage."""
 
 import functools
+import types
 import warnings
 
 import numpy as np
@@ -9,6 +10,7 @@ import trimesh
 from cli_runs import run, succeed
 
 from warpcage.cage.cage import Cage
+from warpcage.cage.upright import restood, standing_of_rest
 from warpcage.field.selection import select_nodes, some_visible_nodes, visible_nodes
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.pictures import read_image
@@ -156,6 +158,21 @@ def test_cages_of_a_part_stay_as_they_are(files, tmp_path, capsys):
             edit = f"{tmp_path / up}.obj:translate:0:0:0.1"
             succeed(files, "render", "@post.npz", "-o", tmp_path / "x.png", *VIEW, "--edit", edit)
             assert (told in capsys.readouterr().err) == (up == "y")
+
+
+@pytest.mark.parametrize(
+    "low, high, times", [((-0.5, -0.45, -0.55), (0.5, 0.5, 0.1), 1.08), ((-0.5, -0.5, -0.9), (0.5, 0.5, 0.1), 1.67)]
+)
+def test_another_axis_is_mentioned_where_it_would_hold_clearly_more(low, high, times):
+    """Of a plate of 2 x 2 x 1, where every part holds a little more or less when it is turned."""
+    across, up = np.linspace(-1, 1, 40), np.linspace(-0.5, 0.5, 40)
+    plate = types.SimpleNamespace(vertices=np.stack(np.meshgrid(across, across, up), axis=-1).reshape(-1, 3))
+    cage = Cage.box(low, high, segments=2)
+    here, there = (each.contains(plate.vertices).mean() for each in (cage, restood(cage, "z", "y")))
+    assert there / here == pytest.approx(times, abs=0.01)
+    note = standing_of_rest(cage, "z", plate).note
+    assert "the rest of it stays where it is" in note
+    assert ("; with y up it would hold" in note) == (times > 1.25)
 
 
 def test_a_cage_that_holds_all_either_way_is_kept_and_doubted(tmp_path):

@@ -94,7 +94,8 @@ def one_line(error: BaseException) -> str:
     if (line := system_error_line(error)) is not None:
         return line
     text = " ".join(str(error).split())
-    return text if text and isinstance(error, ValueError) else f"{type(error).__name__}{': ' if text else ''}{text}"
+    told = isinstance(error, (ValueError, FileNotFoundError))  # both are raised with a sentence that says it all
+    return text if text and told else f"{type(error).__name__}{': ' if text else ''}{text}"
 
 
 def leaves_no_room(error: BaseException) -> bool:

@@ -36,6 +36,9 @@ CONNECT = 10.0
 #: Seconds within which the first worker must have started, here and on a cluster, which may have to wait for machines.
 START_HERE, START_THERE = 120.0, 900.0
 
+#: Seconds between two looks for whether Ray itself still runs here, while no worker does.
+LOOK = 2.0
+
 #: Bytes of Ray's store of objects on this machine: messages are small and do not go through it.
 STORE = 100 * 2**20
 
@@ -218,6 +221,7 @@ class RayEngine:
             num_gpus=share.gpus, num_cpus=share.cpus, max_concurrency=2, max_restarts=0, **placing
         )
         self._patience = START_THERE if cluster else START_HERE
+        self._here, self._next_look = not cluster, 0.0
         self._events: queue.SimpleQueue[tuple[str, str, int, Any]] = queue.SimpleQueue()
         self._actors: dict[str, Any] = {}
         self._starts: dict[str, int] = {}  # how often each was started
@@ -269,7 +273,7 @@ class RayEngine:
         """What actors answered.
 
         Raises:
-            RuntimeError: Where none could start for a long time.
+            RuntimeError: Where none could start for a long time, or Ray itself has ended on this machine.
         """
         events: list[Event] = []
         with contextlib.suppress(queue.Empty):
@@ -279,11 +283,8 @@ class RayEngine:
                 events += [] if event is None else [event]
                 answer = self._events.get_nowait()
         events += self._look()
-        if not self._ready and self._waiting_since is not None and self.now() - self._waiting_since > self._patience:
-            raise RuntimeError(
-                f"no worker started within {self._patience:.0f} s: Ray has no place for one with "
-                f"{self._share.gpus} GPUs and {self._share.cpus:g} CPUs"
-            )
+        if not self._ready and self._waiting_since is not None:
+            self._require_start(self.now() - self._waiting_since)
         return events
 
     def close(self, patience: float = 0.0) -> None:
@@ -304,6 +305,18 @@ class RayEngine:
         if self._lost_notes is not None:
             self._lost_notes.close()
             self._lost_notes = None
+
+    def _require_start(self, waited: float) -> None:
+        """Raise RuntimeError where no worker can start any more, or none did for a long time."""
+        if waited > self._patience:
+            raise RuntimeError(
+                f"no worker started within {self._patience:.0f} s: Ray has no place for one with "
+                f"{self._share.gpus} GPUs and {self._share.cpus:g} CPUs"
+            )
+        if self._here and self.now() >= self._next_look:  # Ray would end this process, too, after a minute or two
+            self._next_look = self.now() + LOOK
+            if not any(node["Alive"] for node in self._ray.nodes()):
+                raise RuntimeError("Ray's own processes on this machine have ended: the same command goes on")
 
     def _ask(self, worker: str, what: str, reference: Any) -> None:
         """Let the answer come into the queue, from a thread of Ray."""

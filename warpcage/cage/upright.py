@@ -42,8 +42,9 @@ _SOMETHING = 0.01
 #: Points of the object that are looked at: fewer for cages of many faces, whose sides each of them asks for.
 _LEAST_POINTS, _MOST_POINTS, _WORK = 1000, 20_000, 20_000_000
 
-#: A part that holds so many times more of the object with another axis may have been written with it.
-_FAR_MORE = 2.0
+#: A part that holds so many times more of the object with another axis may have been written with it; from the lesser
+#: number on that is mentioned. Most parts hold a little more or less when they are turned.
+_FAR_MORE, _MORE = 2.0, 1.25
 
 #: A vertex stays in a pose within this share of the cage's size: files hold 6 digits.
 _STAYS = 1e-4
@@ -159,7 +160,7 @@ def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = 
         places = f"{_span(*cage.bounds)}, the object {_span(points.min(axis=0), points.max(axis=0))}"
         nothing = f"holds nothing of the object, with z up or with y up: it lies at {places}"
         return Standing(up, note=nothing, doubtful=True, lost=True)
-    more = f"; with {other} up it would hold {_percent(there)}" if there > here else ""
+    more = f"; with {other} up it would hold {_percent(there)}" if there > _MORE * here else ""
     note = f"holds {_percent(here)} of the object, the rest of it stays where it is{more}"
     return Standing(up, note=note, likelier=there > _FAR_MORE * here)
 
