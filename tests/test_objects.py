@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from outer_oracles import random_outer
 from table_scene import BALL, CRUMB, LAMP, TABLE, TableScene
 from test_surface import GridField
 
@@ -10,6 +11,7 @@ from warpcage.field.objects import select_object
 from warpcage.field.picking import pick_point
 from warpcage.field.planes import Plane
 from warpcage.field.selection import NodeSelection, select_nodes
+from warpcage.field.voxel_field import VoxelField
 from warpcage.view.camera import Camera
 
 VOXEL = 2.0 / 64
@@ -201,6 +203,27 @@ def test_refusals(table, options, message):
     with pytest.raises(ValueError) as error:
         select_object(table.field, **given)
     assert message in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("top", [0.8, 1.0])
+@pytest.mark.parametrize("around", [False, True])
+def test_an_object_that_reaches_a_side_of_the_box_is_told(top, around):
+    """A post that ends below the box or at its top, before one colour or in an outer field that goes on there."""
+    x, y, z = (np.indices((32,) * 3) + 0.5) / 16 - 1
+    post = (np.abs(x) < 0.2) & (np.abs(y) < 0.2) & (z > -0.6) & (z < top)
+    outer = random_outer("cpu")[0] if around else None
+    sh = np.zeros((32, 32, 32, 9, 3), np.float32)
+    field = VoxelField.from_dense(np.where(post, 60.0, 0.0), sh, [[-1.0] * 3, [1.0] * 3], device="cpu")
+    field.background_model = outer
+    chosen = select_object(field, point=(0, 0, 0), plane=None)
+    notes = [note for note in chosen.notes if "of the field's box" in note]
+    if around and top == 1.0:
+        assert notes == [
+            "the object reaches the side +z (z = 1) of the field's box and may be cut off there: "
+            "fit with larger --bounds"
+        ]
+    else:
+        assert notes == []
 
 
 def test_what_cannot_be_rendered_takes_no_pixels():

@@ -13,6 +13,7 @@ from ..core.checks import checked_number, checked_vector
 from ..core.names import PLANES, require_name
 from ..mesh.closed_mesh import ClosedMesh
 from ..view.camera import Camera
+from .outer import OuterField
 from .picking import pick_point
 from .planes import Plane, find_planes, plane_below, plane_through
 from .selection import SEED_VOXELS, NodeSelection, _centres, root_field, select_nodes
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 #: What can be seen of an object reaches so many voxels beyond what is dense enough to be its surface, and such a share
 #: of its longest side: fur and dark cloth of a fine field are many voxels deep.
 FRINGE_VOXELS, FRINGE_SHARE = 2, 0.02
+
+#: From so many dense nodes on at a side of the field's box an object may go on beyond it.
+AT_SIDE = 4
 
 #: What messages call each kind of plane.
 PLANE_WORDS = {"ground": "ground plane", "wall": "wall", "any": "plane"}
@@ -82,7 +86,8 @@ def select_object(
         floaters: Connected parts with fewer than this share of the largest part's nodes are dropped. 0 keeps all.
 
     Returns:
-        The selection. Its `floor` is where it was cut.
+        The selection. Its `floor` is where it was cut; its `notes` tell of sides of the field's box that it reaches
+        where a fitted outer field goes on, which no cage moves.
 
     Raises:
         ValueError: In one line: a click on nothing or on the plane, no such plane, nothing left, or values that make no
@@ -122,6 +127,7 @@ def select_object(
     if not mask.any():
         where = "" if floor is None else " above the plane"
         raise ValueError(f"nothing is selected: no matter that is dense enough for a surface is left{where}")
+    notes += _cut_off(field, mask)
     mask = matter.with_fringe(mask, floor)
     chosen = NodeSelection(region.field, mask, tuple(notes), floor)
     if parts is None and floaters == 0.0:
@@ -202,6 +208,22 @@ class _Matter:
         result = mask.copy()
         result[block] |= own
         return result
+
+
+def _cut_off(field: DensityField, mask: np.ndarray) -> list[str]:
+    """Notes of the sides of the box at which an object goes on into what is around the field, where there is some."""
+    if not isinstance(getattr(root_field(field), "background_model", None), OuterField):
+        return []
+    ends = [(sign + name, axis, end) for axis, name in enumerate("xyz") for sign, end in (("-", 0), ("+", -1))]
+    sides = [
+        f"{name} ({name[1]} = {field.bounds[end, axis]:.4g})"
+        for name, axis, end in ends
+        if np.count_nonzero(np.take(mask, end, axis=axis)) >= AT_SIDE
+    ]
+    if not sides:
+        return []
+    where = f"side{'s' if len(sides) > 1 else ''} {', '.join(sides)}"
+    return [f"the object reaches the {where} of the field's box and may be cut off there: fit with larger --bounds"]
 
 
 def _region(field, box, sphere, cage, cameras, masks, depth) -> NodeSelection:
