@@ -5,6 +5,7 @@ import threading
 
 import numpy as np
 import pytest
+import warp as wp
 from deformed_scenes import (
     ball,
     box_around,
@@ -20,16 +21,18 @@ from deformed_scenes import (
 )
 
 from warpcage.cage.cage import Cage
+from warpcage.deform import parts
 from warpcage.deform.apart import EditBoxes, box_gaps, edit_boxes, front_to_back
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.deform.edits import CageEdit, MarchedView
 from warpcage.field import marching
+from warpcage.kernels.deform.march import MarchOptions
 from warpcage.kernels.deform.render import render_edits
 from warpcage.kernels.deform.render_cpu import render_edit_tiles
 from warpcage.kernels.deform.render_part import render_edit_part
 from warpcage.kernels.deform.render_part_sides import render_edit_part_with_sides
 from warpcage.kernels.deform.render_plain import render_plain_edits
-from warpcage.view.camera import Camera
+from warpcage.view.camera import Camera, camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))
 HIGH, SLOTTED = box_around(0, 0, 0.85, half=0.14), slotted(0.4).scale(0.5, centre=(0, 0, 0)).translate((0, 0, -0.2))
@@ -194,6 +197,35 @@ def test_other_cameras_steps_and_rays_per_pixel(march, device):
         by_parts, at_once, kernels = both(deformer, camera_at(eye), **options)
         assert len(kernels) == 4
         assert_alike(by_parts, at_once)
+
+
+def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
+    """Three numbers of each would be more; none is touched, as nobody has so much memory."""
+    dot = wp.zeros(1, dtype=wp.vec4, device="cpu")
+    marched_parts = []
+
+    def untouched(shape, dtype, device):
+        return wp.array(ptr=dot.ptr, shape=shape, dtype=dtype, device=device, copy=False)
+
+    def march(view, kernel, scene, item_rays):
+        marched_parts.append(scene[-1])
+
+    deformer = Deformer(two_balls("cpu"), [LEFT, RIGHT], device="cpu", resolution=16)
+    deformer.render(view(size=8))
+    edits = deformer._edits
+    monkeypatch.setattr(parts, "empty_array", untouched)
+    monkeypatch.setattr(edits, "march", march)
+    width, height = 46340, 46340
+    camera = camera_struct(Camera(4e4, 4e4, width / 2, height / 2, width, height, view().camera_to_world), (0, 0, 0))
+    options = MarchOptions()
+    options.step = deformer.field.step
+    marched = MarchedView(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
+    parts.render_parts(edits, marched, edits.scene_parts(marched), by_tiles=False)
+    assert [(part.is_first, part.is_last) for part in marched_parts] == [(1, 0), (0, 1)]
+    for part in marched_parts:
+        arrays = part.progress, part.colours, part.masks
+        assert [array.shape for array in arrays] == 3 * [(width * height,)]
+        assert [array.ptr - dot.ptr for array in arrays] == [16 * row * width * height for row in range(3)]
 
 
 def test_threads_that_share_a_deformer_see_their_own_views(march, device):

@@ -36,8 +36,10 @@ class ScenePart:
     upper: wp.vec3
     is_first: int  # 1: nothing was marched before
     is_last: int  # 1: rays are followed to their end, those beside the box too
-    rays: int  # as many have a state
-    states: wp.array(dtype=wp.vec4)  # (3 * rays,); what of a ray's three is not set yet is that of its start
+    # (rays,) each, as three times as many may be more than an array holds; unset for the first and only part
+    progress: wp.array(dtype=wp.vec4)  # light that is left, distance reached, light left by what is cleared, pending
+    colours: wp.array(dtype=wp.vec4)  # colour and depth; not set before a ray has reached anything
+    masks: wp.array(dtype=wp.vec4)  # reveal, fold, outside; likewise
 
 
 @wp.func
@@ -82,21 +84,21 @@ def ray_state(part: ScenePart, n: int):
     """The state in which the marches before left ray n."""
     state = ray_start()
     if part.is_first == 0:
-        near = part.states[n]
-        if near[1] > 0.0:
-            middle = part.states[part.rays + n]
-            rest = part.states[2 * part.rays + n]
+        progress = part.progress[n]
+        if progress[1] > 0.0:
+            colour = part.colours[n]
+            masks = part.masks[n]
             seen = DeformedRadiance()
-            seen.transmittance = near[0]
-            seen.cleared_transmittance = near[2]
-            seen.colour = wp.vec3(middle[0], middle[1], middle[2])
-            seen.depth = middle[3]
-            seen.reveal = rest[0]
-            seen.fold = rest[1]
-            seen.outside = rest[2]
+            seen.transmittance = progress[0]
+            seen.cleared_transmittance = progress[2]
+            seen.colour = wp.vec3(colour[0], colour[1], colour[2])
+            seen.depth = colour[3]
+            seen.reveal = masks[0]
+            seen.fold = masks[1]
+            seen.outside = masks[2]
             state.seen = seen
-            state.pending = near[3]
-            state.reached = near[1]
+            state.pending = progress[3]
+            state.reached = progress[1]
     return state
 
 
@@ -104,7 +106,7 @@ def ray_state(part: ScenePart, n: int):
 def leave_ray(part: ScenePart, n: int, state: RayState):
     """Keep the state of ray n for the marches that follow."""
     seen = state.seen
-    part.states[n] = wp.vec4(seen.transmittance, state.reached, seen.cleared_transmittance, state.pending)
+    part.progress[n] = wp.vec4(seen.transmittance, state.reached, seen.cleared_transmittance, state.pending)
     if state.reached > 0.0:
-        part.states[part.rays + n] = wp.vec4(seen.colour[0], seen.colour[1], seen.colour[2], seen.depth)
-        part.states[2 * part.rays + n] = wp.vec4(seen.reveal, seen.fold, seen.outside, 0.0)
+        part.colours[n] = wp.vec4(seen.colour[0], seen.colour[1], seen.colour[2], seen.depth)
+        part.masks[n] = wp.vec4(seen.reveal, seen.fold, seen.outside, 0.0)

@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.arrays import empty_array
+from ..core.arrays import array_view, empty_array
 from ..kernels.deform.ray_parts import ScenePart
 from ..kernels.deform.render_cpu import render_edit_tiles
 from ..kernels.deform.render_part import render_edit_part
 from ..kernels.deform.render_part_sides import render_edit_part_with_sides
 from ..view.camera import TILE_SIZE
 from .edits import MarchedView, PosedEdits
+
+#: One of the three arrays that hold the state of rays takes so much for a ray.
+STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)
 
 
 def render_parts(edits: PosedEdits, view: MarchedView, parts: Sequence[tuple[Any, np.ndarray]], by_tiles: bool) -> None:
@@ -27,16 +30,33 @@ def render_parts(edits: PosedEdits, view: MarchedView, parts: Sequence[tuple[Any
             edits' origin; front to back. What is behind the last box goes with it.
         by_tiles: Whether the rays of a tile go side by side, on a CPU alone.
     """
-    rays = view.pinhole.width * view.pinhole.height
-    # the view's own: it is freed once the last launch is through
-    states = empty_array(3 * rays if len(parts) > 1 else 0, wp.vec4, view.field.device)
+    # the view's own: freed once the last launch is through
+    states = ray_states(view.pinhole.width * view.pinhole.height, view.field.device) if len(parts) > 1 else {}
     tables = [view.field.marching.cells(view.grid)] if by_tiles else []
     for number, (flat, box) in enumerate(parts):
         part = ScenePart()
         part.lower, part.upper = (wp.vec3(*corner) for corner in box.tolist())
         part.is_first, part.is_last = int(number == 0), int(number == len(parts) - 1)
-        part.rays, part.states = rays, states
+        for name, array in states.items():
+            setattr(part, name, array)
         kernel = render_edit_part_with_sides if flat.has_sides else render_edit_part
         if by_tiles:
             kernel = render_edit_tiles  # which takes both
         edits.march(view, kernel, [*tables, flat, part], TILE_SIZE if by_tiles else 1)
+
+
+def ray_states(rays: int, device: wp.Device) -> dict[str, wp.array]:
+    """The arrays in which the rays of a picture keep their state from part to part, in one allocation.
+
+    Args:
+        rays: Their number, as many as an array holds or fewer.
+        device: Warp device.
+
+    Returns:
+        (rays,) vec4 each by their names in ScenePart, not set yet.
+    """
+    block = empty_array((3, rays), wp.vec4, device)
+    return {
+        name: array_view(block, wp.vec4, rays, offset=row * rays * STATE_BYTES)
+        for row, name in enumerate(("progress", "colours", "masks"))
+    }
