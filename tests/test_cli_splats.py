@@ -121,6 +121,26 @@ def test_small_splats_can_be_drawn_as_they_were_fitted(folder, capsys):
         assert len(job) == 2
 
 
+@pytest.mark.parametrize("order", [[], ["--antialias"], ["--map", "backward"], ["--map", "backward", "--antialias"]])
+def test_pictures_of_a_sweep_are_those_of_render(order, folder):
+    camera = warpcage.Camera.look_at((0, -8, 2), (0, 0, 0), width=64, height=48)
+    warpcage.CameraFile([camera]).save("eye.json")
+    how = ["--cage", "cage.obj", "--coordinates", "mean_value", "--resolution", "24", "--background", "grey"]
+    sweep = ["sweep", "scene.ply", "-o", "sweep.jsonl", "--poses", "twist:30", "--cameras", "eye.json", "--quiet"]
+    assert main([*sweep, *how, *order]) == 0
+    with JobFile("sweep.jsonl") as job, Worker(job.folder, "made", "cpu") as worker:
+        (item,) = job
+        assert (item.antialias, item.map) == ("--antialias" in order, "backward" if "--map" in order else None)
+        worker.run(item)
+    eye = ["--camera", "eye.json", "--posed", "twist:30"]
+    assert main(["render", "scene.ply", "-o", "same.png", *eye, *how, *order]) == 0
+    made = folder / "made" / item.outputs["rgb"]
+    assert made.read_bytes() == (folder / "same.png").read_bytes()
+    if order:
+        assert main(["render", "scene.ply", "-o", "plain.png", *eye, *how]) == 0
+        assert made.read_bytes() != (folder / "plain.png").read_bytes()
+
+
 def test_pictures_and_films(folder, capsys):
     size = ["--size", "64", "48"]
     moved = ["--cage", "cage.obj", "--posed", "bend:30:z:x", "--coordinates", "mean_value"]
@@ -150,6 +170,9 @@ def test_pictures_and_films(folder, capsys):
         (["info", "scene.ply", "--scene-scale", "2"], "--scene-scale is for fields"),
         (["render", "scene.ply", "-o", "a.png", "--scene-scale", "2"], "--scene-scale is for fields"),
         (["render", "scene.npz", "-o", "a.png", "--antialias"], "--antialias is for files of splats"),
+        (["render", "scene.npz", "-o", "a.png", "--map", "forward"], "--map forward is for files of splats"),
+        (["sweep", "scene.npz", "-o", "a.jsonl", "--cage", "cage.obj", "--map", "forward"], "--map forward is for fi"),
+        (["sweep", "scene.npz", "-o", "a.jsonl", "--cage", "cage.obj", "--antialias"], "--antialias is for files of"),
         (["cage", "scene.ply", "-o", "a.ply", "--vertices", "2"], "--vertices must be a whole number, 8 to 2000"),
         (["cage", "scene.ply", "-o", "a.ply", "--in-box", "7", "7", "7", "8", "8", "8"], "visible cells are outside"),
         (

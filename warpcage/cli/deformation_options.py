@@ -62,7 +62,12 @@ def add_deformation(
         help="opacity: parts keep their opacity when they are scaled; paper: they keep their density, as in the paper "
         "(default: %(default)s)",
     )
-    group.add_argument(
+    add_map(group)
+
+
+def add_map(parser: options.Arguments) -> None:
+    """The way that splats move."""
+    parser.add_argument(
         "--map",
         choices=SPLAT_MAPS,
         help="splats only. forward: they move by the coordinates of the cage at rest; backward: they go where voxels "

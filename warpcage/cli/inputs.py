@@ -50,6 +50,8 @@ def read_field(args: argparse.Namespace) -> AnyField:
         require_field_scale(args)
     elif getattr(args, "antialias", None):
         raise ValueError(f"--antialias is for files of splats, got {args.field!r}")
+    elif getattr(args, "map", None) == "forward":
+        raise ValueError(f"--map forward is for files of splats, voxels are looked up backward, got {args.field!r}")
     field = load_field(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
     if getattr(args, "up", field) is None:  # a command with a view
         args.up = tuple(field.up)

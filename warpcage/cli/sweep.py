@@ -41,6 +41,8 @@ def run(args: argparse.Namespace) -> None:
     given = _given_cameras(args)
     defaults = {
         "density": args.density,
+        "map": args.map,
+        "antialias": args.antialias,
         "background": background,
         "resolution": None if args.resolution == options.BY_SIZE else args.resolution or "precise",
         "up": args.cage_up,

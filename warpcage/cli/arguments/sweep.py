@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ...core.names import COORDINATES, DENSITIES
-from .. import options
+from .. import deformation_options, options
 
 NAME = "sweep"
 HELP = "write a job file of many poses of a field from many cameras, for data sets"
@@ -56,6 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='lattice cells along the longest side of the cage, or "precise" (default: by the size of the picture)',
     )
     group.add_argument("--density", choices=DENSITIES, default="opacity", help="as for render (default: %(default)s)")
+    deformation_options.add_map(group)
+    options.add_antialias(group)
     options.add_background(
         group,
         f"{options.TRANSPARENT}; of JPEG files white",
