@@ -174,6 +174,17 @@ def test_gaps_narrower_than_a_cell_are_reported(kind, device):
         PositionMap(narrow, coordinates=kind, resolution=32, device=device).pose(narrow.twist(5))  # nothing opens
 
 
+@pytest.mark.parametrize("resolution", [16, 64])
+def test_creases_of_a_twisted_box_are_no_gaps(resolution, device):
+    """Its sides fold inward along their diagonals: links cross the cage twice there, over grooves as long as the box.
+    What the map changes over them are so and so many cells, whatever the resolution; an opened slot keeps its width."""
+    box = Cage.box((-0.7, -0.7, 0.0), (0.7, 0.7, 0.7))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        position_map = PositionMap(box, resolution=resolution, device=device).pose(box.twist(60))
+    assert position_map.thin_nodes > 0 and position_map.gap_jump == 0.0
+
+
 def test_memory_for_the_sides_of_gaps_is_refused_before_it_is_taken(device, monkeypatch):
     narrow, wide, _ = slot_cages(1 / 32, 0)
     position_map = PositionMap(wide, resolution=32, device=device)

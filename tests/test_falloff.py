@@ -176,3 +176,17 @@ def test_a_cage_that_cuts_nothing_needs_no_band(field):
     with pytest.raises(ValueError, match="no wall of the cage cuts matter") as caught:
         Deformer(field, CageEdit(around, falloff=0.1))
     assert '"' not in str(caught.value) and "are held: still" in str(caught.value)  # as a command says it, too
+
+
+def test_a_cage_that_its_falloff_squeezes_is_told_from_one_with_gaps(field):
+    """The pose as it is given has neither gaps nor crossing faces; held walls beside turned vertices make them."""
+    cage = Cage.box([0.0, -0.5, -0.5], [0.97, 0.5, 0.5], segments=3)
+    posed = cage.twist(90)
+    assert not len(posed.check().intersecting_faces)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Deformer(field, CageEdit(cage), resolution=32).pose(posed)
+    squeezed = Deformer(field, CageEdit(cage, falloff=0.2), resolution=32)
+    with pytest.warns(UserWarning, match="faces that pass through each other.*the falloff of edit 0 holds walls"):
+        squeezed.pose(posed)
+    assert len(squeezed.deformed[0].check().intersecting_faces)

@@ -56,16 +56,25 @@ def set_boundary_values(
 
 @wp.kernel
 def measure_jumps(
-    first: int, levels: NodeLevels, rows: CutRows, boundary: wp.array2d(dtype=wp.vec3), jump: wp.array(dtype=float)
+    first: int,
+    levels: NodeLevels,
+    rows: CutRows,
+    boundary: wp.array2d(dtype=wp.vec3),
+    steepest: float,
+    jump: wp.array(dtype=float),
 ):
-    """jump (1,) is raised to the largest that `boundary` makes over a link that leaves the cage and enters it again."""
+    """jump (1,) is raised to the largest that `boundary` makes over a link that leaves the cage and enters it again,
+    and that is more than `steepest` times the cells between: less is what the map stretches over a shallow groove."""
     row = first + wp.tid()
     if row < cut_row_count(levels) and (rows.links[row] & DOUBLE_CUT) != 0:
         node = levels.nodes[levels.starts[cut_section(levels)] + row]
         for direction in range(6):
             other = levels.codes[node + node_step(levels, direction)]
             if rows.faces[row, direction] >= 0 and other >= 0:
-                wp.atomic_max(jump, 0, wp.length(boundary[other, direction ^ 1] - boundary[row, direction]))
+                change = wp.length(boundary[other, direction ^ 1] - boundary[row, direction])
+                cells = 1.0 - rows.fractions[row, direction] - rows.fractions[other, direction ^ 1]
+                if change > steepest * cells:
+                    wp.atomic_max(jump, 0, change)
 
 
 @wp.func

@@ -135,6 +135,21 @@ def faded_map(cage_map: Any, walls: Any, held: Any = None) -> Any:
     return faded
 
 
+def squeezed_remedy(index: int) -> str:
+    """What a warning of narrow gaps says of an edit with a band: held walls stay, and the cage is squeezed beside them.
+
+    Args:
+        index: Number of the edit.
+
+    Returns:
+        What is done, and what callers can do.
+    """
+    return (
+        f"the falloff of edit {index} holds walls of the cage, and the pose squeezes it beside them: move it less, or "
+        "give it another width of the falloff or other vertices there"
+    )
+
+
 def folded_cells(flags: np.ndarray) -> np.ndarray:
     """Which cells wholly inside a posed cage are turned over by its map.
 

@@ -31,6 +31,11 @@ SIDE_NODE_BYTES, SIDE_SURFACE_BYTES, SIDE_FIXED_BYTES = 5, 700, 1 << 16
 #: A jump of the map over less than a cell that is larger than this share of the rest cage's size is reported.
 REPORTED_JUMP = 2e-2
 
+#: What the remainder of a map stretches over a shallow groove where nothing is open, lengths as shares of both cages'
+#: sizes: boxes that are twisted by 60 and 90 degrees make 2 and 3 at the creases of their sides, an opened slot of 0.6 of
+#: 64 cells makes 8.
+GROOVE_STRETCH = 3.0
+
 
 def side_bytes(node_count: int, surface: float) -> int:
     """The most bytes that tables of narrow gaps take.
@@ -66,11 +71,14 @@ class MapTarget:
         affine: (4,) vec3 on the device, the affine part of the map; see add_affine.
         vertex_values: (v,) vec3 on the device, what the map takes at the vertices besides, as a share of the rest
             cage's size.
+        steepest: What these values change over a gap, for its length as a share of the posed cage's size, that is no
+            jump.
     """
 
     rest: ClosedMesh
     affine: wp.array
     vertex_values: wp.array
+    steepest: float = GROOVE_STRETCH
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +115,8 @@ class MapSides:
         index: `side_index` of CageMap.
         table: `sides` of CageMap.
         length: Rows of the table. 0 is not known yet.
-        jump: The largest that the map less its affine part makes over a gap narrower than a cell.
+        jump: The largest that the map less its affine part makes over a gap narrower than a cell, but for grooves over
+            which it stretches alone; see MapTarget.
     """
 
     def __init__(self, device: wp.DeviceLike):
@@ -186,7 +195,8 @@ class MapSides:
         self._launch(place_sides, 4 * room, [levels, rows, *heights, *table], [sides])
         jump = self._jump.take(1)
         jump.zero_()
-        self._launch(measure_jumps, sizes.lists.cut, [levels, rows, nodes.boundary], [jump], threads=1)
+        steepest = target.steepest / lattice.resolution  # a cell is that share of the cage
+        self._launch(measure_jumps, sizes.lists.cut, [levels, rows, nodes.boundary, steepest], [jump], threads=1)
         self._launch(gather_side_status, 1, [counts, offsets, jump], [self._status.array])
 
     def _launch(self, kernel, count: int, inputs: list, outputs: list, threads: int | None = None) -> None:

@@ -47,7 +47,7 @@ class PositionMap:
 
     Where the deformed cage has gaps narrower than about two cells that the pose opens, the map keeps values for each
     side (kernels/lattice/side_values.py), which hold down to gaps of one cell. `pose` warns where it opens gaps
-    narrower than that by more than 2e-2 of the size.
+    narrower than that by more than 2e-2 of the size; faces of the posed cage that pass through each other count too.
 
     Source: "Deforming Radiance Fields with Cages" (ECCV 2022), sections 3.3, 4.1.
 
@@ -70,7 +70,10 @@ class PositionMap:
         device: Warp device.
         origin: (3,) float64.
         lattice: The lattice, None before the first pose.
-        gap_jump: By how much the pose opens gaps narrower than a cell, as a share of the rest cage's size.
+        gap_jump: By how much the pose opens gaps narrower than a cell, as a share of the rest cage's size. Grooves over
+            which the map stretches by up to 3 alone are none.
+        gap_remedy: What the warning of them says that callers can do, where the cage is not posed as they gave it; empty
+            is to open the gaps, or to take a finer lattice.
         lock: Held while buffers are in use. Threads that share a map hold it over `pose` and what then reads `data`.
 
     Raises:
@@ -98,7 +101,7 @@ class PositionMap:
         self.origin = np.array(rest.bounds.mean(axis=0) if origin is None else origin, dtype=np.float64).reshape(3)
         self.lock = owner_lock(self.device)
         self.lattice: CageLattice | None = None
-        self.gap_jump = 0.0
+        self.gap_jump, self.gap_remedy = 0.0, ""
         self._launches: PoseLaunches | None = None
         self._weights: LatticeWeights | None = None
         self._data: WarpStruct | None = None
@@ -338,10 +341,11 @@ class PositionMap:
             self._take_sides(data, launches, graph)
         self._data = data  # whole: sides that there is no memory for leave none
         if self.gap_jump > REPORTED_JUMP:
+            usual = f"open the gaps in the cage, or take a finer lattice, a resolution above {self.resolution}"
             warn_caller(
-                f"a cage has gaps narrower than a cell of its {self.coordinates} lattice, which the pose opens by "
-                f"up to {self.gap_jump:.2g} of its size: the picture is rough there; open the gaps in the cage, or "
-                f"take a finer lattice, a resolution above {self.resolution}"
+                f"a cage has gaps narrower than a cell of its {self.coordinates} lattice, or faces that pass through "
+                f"each other, which the pose opens by up to {self.gap_jump:.2g} of its size: the picture is rough "
+                f"there; {self.gap_remedy or usual}"
             )
 
     def _take_sides(self, data: WarpStruct, launches: PoseLaunches, graph: PoseGraph | None) -> None:
