@@ -15,6 +15,7 @@ import os
 import pathlib
 
 import numpy as np
+import warp as wp
 
 import warpcage
 from warpcage.view.overlay import draw_cage
@@ -25,6 +26,7 @@ DATA = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data"))
 
 def main(argv=None) -> dict:
     args = parse_arguments(argv)
+    wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
     out = pathlib.Path(args.out)
     field = warpcage.SplatField.load(args.splats, device=args.device)
     cage = warpcage.Cage.from_field(field, args.vertices, method="voxel")

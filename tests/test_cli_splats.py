@@ -84,6 +84,12 @@ def test_a_shorter_sequence_says_what_is_left_of_a_longer_one(folder, capsys):
     assert "beside the 2 files of this sequence lie 2 of another one" in text
     assert "walk_03.ply, walk_04.ply" in text and "walk_1" not in text and "walk_2b" not in text
     assert (folder / "walk_04.ply").read_bytes() == before
+    assert main([*order, "-o", "walk_##.ply", "--frames", "3", "--cage", "none.obj", "--overwrite"]) == 2
+    assert (folder / "walk_04.ply").exists() and said(capsys)  # nothing is removed for a sequence that does not begin
+    assert main([*order, "-o", "walk_##.ply", "--frames", "2", "--overwrite"]) == 0
+    assert "warning" not in said(capsys)
+    left = {path.name for path in folder.glob("*walk_*")}
+    assert left == {"walk_01.ply", "walk_02.ply", "walk_1.ply", "walk_02.ply.bak", "walk_2b.ply", "old_walk_03.ply"}
 
 
 def test_small_splats_can_be_drawn_as_they_were_fitted(folder, capsys):
@@ -166,6 +172,10 @@ def test_pictures_and_films(folder, capsys):
         (
             ["bake", "scene.ply", "-o", "a_##.ply", "--frames", "1", "--cage", "cage.obj", "--posed", "twist:9"],
             "the pose at rest alone",
+        ),
+        (
+            [*"bake scene.ply -o a.ply --overwrite --cage cage.obj --posed twist:9".split()],
+            "--overwrite is for numbered files: give --frames",
         ),
         (["info", "scene.ply", "--scene-scale", "2"], "--scene-scale is for fields"),
         (["render", "scene.ply", "-o", "a.png", "--scene-scale", "2"], "--scene-scale is for fields"),

@@ -23,6 +23,8 @@ def run(args: argparse.Namespace) -> None:
         raise ValueError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
     if args.frames is not None and (not of_splats or "#" not in output.name):
         raise ValueError("--frames writes numbered files of splats: give -o NAME_####.ply, the # for the number")
+    if args.overwrite and args.frames is None:
+        raise ValueError("--overwrite is for numbered files: give --frames, how many; one file is replaced anyway")
     if args.frames == 1:
         raise ValueError("--frames 1 would write the pose at rest alone: give 2 or more, or leave it out")
     if args.frames is None and of_splats and "##" in output.name:
@@ -55,5 +57,5 @@ def run(args: argparse.Namespace) -> None:
 def _write_sequence(deformer: SplatDeformer, deformation: Deformation, args: argparse.Namespace) -> None:
     """Files of the poses from rest to the last one, evenly."""
     places = np.linspace(0.0, deformation.pose_count - 1.0, args.frames)
-    written = deformer.save_sequence(args.output, (deformation.at(place) for place in places))
+    written = deformer.save_sequence(args.output, (deformation.at(place) for place in places), overwrite=args.overwrite)
     print(f"wrote {len(written)} files, {written[0]} to {written[-1]}")

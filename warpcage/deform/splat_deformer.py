@@ -14,7 +14,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.checks import listed, require_type
+from ..core.checks import checked_whole, listed, require_type
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
 from ..core.names import DENSITIES, SPLAT_MAPS, require_coordinates, require_name
@@ -157,33 +157,44 @@ class SplatDeformer(Deformer):
             return _baked(self.field, posed, edits)
 
     def save_sequence(
-        self, path: str | os.PathLike, poses: Iterable[Cage | Sequence[Cage | None]], *, first: int = 1
+        self,
+        path: str | os.PathLike,
+        poses: Iterable[Cage | Sequence[Cage | None]],
+        *,
+        first: int = 1,
+        overwrite: bool = False,
     ) -> list[pathlib.Path]:
         """Write a file for each of several poses, for viewers and programs that play such sequences.
 
         Each file is written whole or not at all; those before a failure stay. Files of the same name with other
-        numbers, as a longer sequence before has left them, stay too, with a warning that names them.
+        numbers, as a longer sequence before has left them, stay too, with a warning that names them, unless they are to
+        be replaced.
 
         Args:
             path: The files, with a run of # where the number goes (`walk_####.ply`), in any format that is saved.
             poses: As `pose` takes them.
-            first: Number of the first file.
+            first: Number of the first file, from 0.
+            overwrite: Whether all files of such a name are removed, whatever their numbers, as soon as the first one of
+                this sequence is made.
 
         Returns:
             The files.
 
         Raises:
-            ValueError: For a path without a run of #, or as `pose`.
+            ValueError: For a path without a run of #, a first number that is none, or as `pose`.
         """
         pattern = pathlib.Path(path)
         marks = re.findall("#+", pattern.name)
         if len(marks) != 1:
             raise ValueError(f"a sequence needs one run of # in its name, such as walk_####.ply, got {pattern.name!r}")
         splat_ending(pattern)
-        written = []
+        checked_whole(first, "first", 0)
+        written: list[pathlib.Path] = []
         for number, cages in enumerate(poses, first):
             with self.lock:
                 baked = self.pose(cages).baked()
+            for other in [] if written or not overwrite else _numbered(pattern, marks[0]):
+                other.unlink()
             written.append(pattern.with_name(pattern.name.replace(marks[0], str(number).zfill(len(marks[0])))))
             baked.save(written[-1])
         _warn_of_others(pattern, marks[0], written)
@@ -222,17 +233,22 @@ class SplatDeformer(Deformer):
 
 def _warn_of_others(pattern: pathlib.Path, marks: str, written: list[pathlib.Path]) -> None:
     """Say which files of another sequence a player would take for this one's."""
-    before, after = (re.escape(part) for part in pattern.name.split(marks))
-    numbered = re.compile(f"{before}[0-9]{{{len(marks)},}}{after}")
     ours = {path.name for path in written}
-    names = (path.name for path in pattern.parent.iterdir()) if written else ()
-    others = sorted(name for name in names if numbered.fullmatch(name) and name not in ours)
+    others = [path.name for path in _numbered(pattern, marks) if path.name not in ours] if written else []
     if others:
         warnings.warn(
             f"beside the {counted(len(written), 'file')} of this sequence lie {len(others)} of another one, which "
-            f"players take for its own: {listed(others, 3)}",
+            f"players take for its own: {listed(others, 3)}; they are removed with overwrite",
             stacklevel=3,
         )
+
+
+def _numbered(pattern: pathlib.Path, marks: str) -> list[pathlib.Path]:
+    """The files of a name with a number for its marks, in their order; none where there is no such folder."""
+    before, after = (re.escape(part) for part in pattern.name.split(marks))
+    numbered = re.compile(f"{before}[0-9]{{{len(marks)},}}{after}")
+    names = sorted(pattern.parent.iterdir()) if pattern.parent.is_dir() else []
+    return [path for path in names if numbered.fullmatch(path.name) and path.is_file()]
 
 
 def _baked(field: SplatField, posed: Any, edits: SplatEdits) -> SplatField:

@@ -32,8 +32,8 @@ SIDE_NODE_BYTES, SIDE_SURFACE_BYTES, SIDE_FIXED_BYTES = 5, 700, 1 << 16
 REPORTED_JUMP = 2e-2
 
 #: What the remainder of a map stretches over a shallow groove where nothing is open, lengths as shares of both cages'
-#: sizes: boxes that are twisted by 60 and 90 degrees make 2 and 3 at the creases of their sides, an opened slot of 0.6 of
-#: 64 cells makes 8.
+#: sizes: boxes that are twisted by 60 and 90 degrees make 2 and 3 at the creases of their sides, a slot of 0.6 of 64
+#: cells that a pose opens by 0.08 makes 8.
 GROOVE_STRETCH = 3.0
 
 

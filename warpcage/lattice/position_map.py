@@ -72,8 +72,8 @@ class PositionMap:
         lattice: The lattice, None before the first pose.
         gap_jump: By how much the pose opens gaps narrower than a cell, as a share of the rest cage's size. Grooves over
             which the map stretches by up to 3 alone are none.
-        gap_remedy: What the warning of them says that callers can do, where the cage is not posed as they gave it; empty
-            is to open the gaps, or to take a finer lattice.
+        gap_remedy: What the warning of them says that callers can do, where the cage is not posed as they gave it;
+            empty is to open the gaps, or to take a finer lattice.
         lock: Held while buffers are in use. Threads that share a map hold it over `pose` and what then reads `data`.
 
     Raises:

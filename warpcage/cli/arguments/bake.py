@@ -40,6 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="splats only: so many files from rest to the pose, -o walk_####.ply with the # for the number",
     )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="of --frames: also remove the files of a longer sequence of that name (default: a warning names them)",
+    )
     options.add_selection(parser, "only what is chosen, cut out of its scene,")
     deformation_options.add_deformation(parser, usual_resolution="128")
     options.add_scene_scale(parser)
