@@ -139,7 +139,7 @@ def test_binary_ply_of_another_writer(tmp_path, order):
         ("c.obj", "", "no vertices"),
         ("c.off", "FOO\n1 1 0\n", "c.off:1: an OFF file begins"),
         ("c.off", "", "c.off:1: an OFF file begins"),
-        ("c.off", "OFF\n3 1 0\n0 0 0\n", "3 vertices and 1 faces announced, 1 and 0 found"),
+        ("c.off", "OFF\n3 1 0\n0 0 0\n", "3 vertices and 1 face announced, 1 and 0 found"),
         ("c.off", "OFF\n1 1 0\n0 0 0\n3 0 0\n", "c.off:4: a face of 3"),
         ("c.ply", "pli\n", "c.ply:1: a PLY file begins"),
         ("c.ply", "ply\nformat ascii 1.0\nelement vertex 1\n", "no end_header"),

@@ -19,10 +19,10 @@ def broken():
         "merged": soup(box),
         "flipped 3 faces": Cage(ball.vertices, some),
         "looked inward": Cage(ball.vertices, ball.faces[:, ::-1]),
-        "of 1 parts": Cage(two, np.concatenate([ball.faces, ball.faces[:, ::-1] + len(ball.vertices)])),
+        "of 1 part that looked": Cage(two, np.concatenate([ball.faces, ball.faces[:, ::-1] + len(ball.vertices)])),
         "closed a hole of 3 edges": Cage(ball.vertices, ball.faces[1:]),
         f"closed a hole of {len(around)} edges": Cage(ball.vertices, np.delete(ball.faces, around, axis=0)),
-        "name a vertex twice": Cage(ball.vertices, np.concatenate([ball.faces, [[1, 1, 2]]])),
+        "1 face that names a vertex twice": Cage(ball.vertices, np.concatenate([ball.faces, [[1, 1, 2]]])),
         "on the vertices of another": Cage(ball.vertices, np.concatenate([ball.faces, ball.faces[:2]])),
     }
 
@@ -37,7 +37,7 @@ def test_what_can_be_mended_is_and_said(what):
     assert len(notes) == 1 and what in notes[0] and "\n" not in notes[0]
     assert np.array_equal(mended.vertices, cage.vertices)  # so poses of the broken file still match
     assert mended.check().intersecting_faces == ()
-    whole = 6.0 if what == "merged" else Cage.icosphere([0, 0, 0], 1.0).volume * (2 if "parts" in what else 1)
+    whole = 6.0 if what == "merged" else Cage.icosphere([0, 0, 0], 1.0).volume * (2 if "1 part" in what else 1)
     assert mended.volume == pytest.approx(whole, rel=0.1)
 
 

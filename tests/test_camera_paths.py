@@ -144,7 +144,7 @@ def test_paths_that_cannot_be():
     one, two = some_cameras(2)
     for keys, said in (
         ([], "at least one camera"),
-        ([CameraKey(one, 1.0), CameraKey(two)], "1 of 2 cameras have no time"),
+        ([CameraKey(one, 1.0), CameraKey(two)], "1 of 2 cameras has no time"),
         ([CameraKey(one, 1.0), CameraKey(two, 1.0)], "two cameras of a path are at 1 s"),
         ([CameraKey(one), CameraKey(two.resized(30, 20))], "one picture size"),
     ):

@@ -261,9 +261,9 @@ def test_harmonic_moves_points_and_refuses_those_outside(device, monkeypatch):
     deformed = rest.with_vertices(rest.vertices @ matrix.T)
     moved = coordinates.deform_points(points, rest, deformed, "harmonic", device=device)
     assert np.abs(moved - points @ matrix.T).max() < 1e-4 * rest.size
-    with pytest.raises(ValueError, match="1 of 1 points are outside"):
+    with pytest.raises(ValueError, match="1 of 1 points is outside"):
         coordinates.deform_points(rest.vertices[:1] + 10.0, rest, deformed, "harmonic", device=device)
-    with pytest.raises(ValueError, match="1 of 1 points are outside"):
+    with pytest.raises(ValueError, match="1 of 1 points is outside"):
         coordinates.harmonic_coordinates(rest.vertices[:1] + 10.0, rest, 32, device=device)
 
 

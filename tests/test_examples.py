@@ -206,7 +206,7 @@ def test_splats_are_bent(tmp_path, monkeypatch):
     splats_in_box("cpu", count=300, scales=(-3.2, -2.6)).save(tmp_path / "made.ply")
     monkeypatch.chdir(tmp_path)
     words = ["made.ply", "--out", "out", "--vertices", "40", "--size", "64", "--device", "cpu", "--axis", "z"]
-    run("bend_splats.py", *words, cwd=tmp_path)  # quiet
+    run("bend_splats.py", *words, "--towards", "x", cwd=tmp_path)  # quiet
     found = runpy.run_path(str(EXAMPLES / "bend_splats.py"))["main"]([*words, "--towards", "x"])
     assert found["moved"] < 35.0 and found["saved"] > 60.0 and found["count"] >= 300
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"cage.obj", "bent.ply", "splats.png"}

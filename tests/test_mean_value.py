@@ -174,7 +174,7 @@ def test_points_too_far_for_the_formula_are_refused(distance, on_device, device)
         lambda: mean_value_coordinates(points, cage, device=device),
         lambda: deform_points(points, cage, cage, device=device),
     ):
-        with pytest.raises(ValueError, match="1 of 3 points are 1000 times .* the first is point 1 at"):
+        with pytest.raises(ValueError, match="1 of 3 points is 1000 times .* the first is point 1 at"):
             call()
     phi, _ = green_coordinates(points, cage, device=device, outside="nan")
     phi = np.asarray(phi.numpy() if on_device else phi)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.checks import axis_index, checked_number, checked_whole
+from ..core.words import agreed, counted
 from ..mesh.closed_mesh import ClosedMesh
 
 
@@ -74,7 +75,8 @@ def symmetrised(cage: ClosedMesh, axis: str = "x", *, centre: float | None = Non
     alone = np.flatnonzero(partner[partner] != np.arange(len(own)))
     if len(alone):
         raise ValueError(
-            f"{len(alone)} vertices have no partner across the plane {axis} = {middle:.4g}, the first "
+            f"{counted(len(alone), 'vertex', 'vertices')} {agreed(len(alone), 'has', 'have')} no partner "
+            f"across the plane {axis} = {middle:.4g}, the first "
             f"{alone[0]}: move the plane with centre, or make the cage with symmetry={axis!r}"
         )
     across = mirrored[partner]

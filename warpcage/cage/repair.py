@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.checks import checked_whole
+from ..core.words import agreed, counted
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.topology import MeshTopology
 from ..mesh.usable import coincident_vertices, inward_parts
@@ -49,7 +50,8 @@ def _merged(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.nda
         place[pairs[:, 1]] = pairs[:, 0]
         faces = place[faces]
         notes.append(
-            f"merged {len(pairs)} vertices into others at their place, the first {pairs[0, 1]} into "
+            f"merged {counted(len(pairs), 'vertex', 'vertices')} into others at their place, the first "
+            f"{pairs[0, 1]} into "
             f"{pairs[0, 0]}; they stay in the list, unused"
         )
     return faces
@@ -59,14 +61,15 @@ def _without_repeats(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) 
     proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     if not proper.all():
         notes.append(
-            f"removed {np.count_nonzero(~proper)} faces that name a vertex twice, the first "
+            f"removed {counted(int(np.count_nonzero(~proper)), 'face')} that "
+            f"{agreed(int(np.count_nonzero(~proper)), 'names', 'name')} a vertex twice, the first "
             f"{np.flatnonzero(~proper)[0]}"
         )
     faces = faces[proper]
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     if len(first) < len(faces):
         repeated = np.setdiff1d(np.arange(len(faces)), first)
-        notes.append(f"removed {len(repeated)} faces on the vertices of another")
+        notes.append(f"removed {counted(len(repeated), 'face')} on the vertices of another")
     return faces[np.sort(first)]
 
 
@@ -104,7 +107,8 @@ def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> n
     if len(MeshTopology(len(vertices), flipped).clashing_edges) >= len(topology.clashing_edges):
         return faces  # a surface with one side
     notes.append(
-        f"flipped {np.count_nonzero(flip)} faces that were wound against their neighbours, the first "
+        f"flipped {counted(int(np.count_nonzero(flip)), 'face')} that "
+        f"{agreed(int(np.count_nonzero(flip)), 'was', 'were')} wound against their neighbours, the first "
         f"{np.flatnonzero(flip)[0]}"
     )
     return flipped
@@ -132,7 +136,7 @@ def _closed(vertices: np.ndarray, faces: np.ndarray, largest_hole: int, notes: l
             continue
         faces = np.concatenate([faces, patch])
         taken |= {(min(a, b), max(a, b)) for f in patch.tolist() for a, b in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))}
-        notes.append(f"closed a hole of {len(loop)} edges at vertex {first} with {len(patch)} faces")
+        notes.append(f"closed a hole of {len(loop)} edges at vertex {first} with {counted(len(patch), 'face')}")
     return faces
 
 
@@ -178,5 +182,5 @@ def _outward(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.nd
         notes.append(f"flipped all {len(faces)} faces: the cage looked inward")
         return faces[:, ::-1]
     rows = np.isin(topology.parts, inward)
-    notes.append(f"flipped the {np.count_nonzero(rows)} faces of {len(inward)} parts that looked inward")
+    notes.append(f"flipped the {np.count_nonzero(rows)} faces of {counted(len(inward), 'part')} that looked inward")
     return np.where(rows[:, None], faces[:, ::-1], faces)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core.checks import checked_whole, listed
 from ..core.files import atomic_path
-from ..core.words import counted
+from ..core.words import agreed, counted
 from ..view.pictures import write_png
 from .found import Found, found_of
 from .placing import placed
@@ -136,7 +136,8 @@ def _capture(
     publish(new, output)
     if report.left_out:
         warnings.warn(
-            f"{len(report.left_out)} of {len(sources)} pictures have no camera and are left out "
+            f"{len(report.left_out)} of {len(sources)} pictures "
+            f"{agreed(len(report.left_out), 'has no camera and is', 'have no camera and are')} left out "
             f"({listed(report.left_out, 4)}): they overlap too little with the others, show something else, or are "
             "blurred",
             stacklevel=3,

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..core.checks import listed
+from ..core.words import agreed, counted
 from ..view.pictures import contact_sheet
 from .found import Found
 
@@ -90,7 +91,8 @@ class CaptureReport:
         low, high = self.elevation
         return (
             f"cameras of {self.registered_count} of {len(self.pictures)} pictures, reprojection error "
-            f"{self.error:.2f} pixels, {self.points} points, views around {360 - self.around:.0f} degrees at heights "
+            f"{self.error:.2f} pixels, {counted(self.points, 'point')}, views around "
+            f"{360 - self.around:.0f} degrees at heights "
             f"of {low:.0f} to {high:.0f}"
         )
 
@@ -260,7 +262,8 @@ def _advice(report: CaptureReport) -> list[str]:
     left_out, blurred = len(report.left_out), len(report.blurred)
     if left_out:
         sentences.append(
-            f"{left_out} pictures have no camera ({listed(report.left_out[:5])}): they overlap too little with the "
+            f"{counted(left_out, 'picture')} {agreed(left_out, 'has', 'have')} no camera "
+            f"({listed(report.left_out[:5])}): they overlap too little with the "
             "others, show something else, or are blurred."
         )
     if report.around > LARGE_GAP:
@@ -272,9 +275,14 @@ def _advice(report: CaptureReport) -> list[str]:
     if high - low < 15.0:
         sentences.append("All cameras stand at one height: a second round from higher up shows tops and hollows.")
     if report.registered_count < FEW_PICTURES:
-        sentences.append(f"{report.registered_count} pictures are few: 60 to 150 give a cleaner field.")
+        sentences.append(
+            f"{counted(report.registered_count, 'picture')} "
+            f"{agreed(report.registered_count, 'is', 'are')} few: 60 to 150 give a cleaner field."
+        )
     if blurred:
-        sentences.append(f"{blurred} pictures are blurred: move slower, or find more light.")
+        sentences.append(
+            f"{counted(blurred, 'picture')} {agreed(blurred, 'is', 'are')} blurred: move slower, or find more light."
+        )
     if report.error > LARGE_ERROR * max(report.size) / 1000.0:
         sentences.append(
             "The reprojection error is large: something moved, shines like a mirror, or the lens zoomed on the way."

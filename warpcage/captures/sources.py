@@ -10,6 +10,7 @@ import warnings
 import numpy as np
 
 from ..core.checks import listed
+from ..core.words import agreed
 from ..view.pictures import MAX_PIXELS
 
 #: Endings of pictures that are read, and of those that are not but are often there.
@@ -83,7 +84,8 @@ def read_sources(folder: pathlib.Path) -> list[Source]:
         )
     if broken:
         warnings.warn(
-            f"{len(broken)} of {len(files)} pictures of {str(folder)!r} cannot be read and are left out: "
+            f"{len(broken)} of {len(files)} pictures of {str(folder)!r} cannot be read and "
+            f"{agreed(len(broken), 'is', 'are')} left out: "
             f"{listed([name for name, _ in broken])}",
             stacklevel=3,
         )

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.words import agreed, counted
 from .progress import bar
 from .sharpness import COMPARED_SIZE, MOTION_SIZE, motion, sharpness, shrunk_grey
 
@@ -66,7 +67,11 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
     if size is None:
         raise ValueError(f"video {str(path)!r} has no frame that can be decoded: it may be cut off, or not a video")
     if broken[0]:
-        warnings.warn(f"{broken[0]} frames of {str(path)!r} cannot be decoded and are left out", stacklevel=3)
+        warnings.warn(
+            f"{counted(broken[0], 'frame')} of {str(path)!r} cannot be decoded and "
+            f"{agreed(broken[0], 'is', 'are')} left out",
+            stacklevel=3,
+        )
     return FrameScores(np.array(times, np.int64), np.array(scores), np.cumsum(np.array(steps)), size, broken[0])
 
 
@@ -122,7 +127,10 @@ def write_frames(path: pathlib.Path, times: np.ndarray, files: list[pathlib.Path
                     shown.update()
                 if not missing:
                     return
-    raise ValueError(f"video {str(path)!r}: {len(missing)} frames are not found again: it changed while it was read")
+    raise ValueError(
+        f"video {str(path)!r}: {counted(len(missing), 'frame')} {agreed(len(missing), 'is', 'are')} not "
+        "found again: it changed while it was read"
+    )
 
 
 def _opened(path: pathlib.Path) -> Any:

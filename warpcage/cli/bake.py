@@ -7,6 +7,7 @@ import argparse
 import numpy as np
 
 from ..core.files import require_file
+from ..core.words import counted
 from ..deform.bake import bake
 from ..deform.splat_deformer import SplatDeformer
 from ..field.selection import NodeSelection
@@ -46,16 +47,19 @@ def run(args: argparse.Namespace) -> None:
                 return _write_sequence(deformer, deformation, args)
             splats = deformer.baked()
             splats.save(output)
-            print(f"wrote {output}: {splats.splat_count} splats, {output.stat().st_size / 1e6:.1f} MB")
+            print(f"wrote {output}: {counted(splats.splat_count, 'splat')}, {output.stat().st_size / 1e6:.1f} MB")
             return
         baked = bake(deformer, resolution=args.voxels)
     baked.save(output, format=args.format or "warpcage")
     size = "x".join(map(str, baked.resolution))
-    print(f"wrote {output}: {baked.voxel_count} voxels in a grid of {size}, {output.stat().st_size / 1e6:.1f} MB")
+    print(
+        f"wrote {output}: {counted(baked.voxel_count, 'voxel')} in a grid of {size}, "
+        f"{output.stat().st_size / 1e6:.1f} MB"
+    )
 
 
 def _write_sequence(deformer: SplatDeformer, deformation: Deformation, args: argparse.Namespace) -> None:
     """Files of the poses from rest to the last one, evenly."""
     places = np.linspace(0.0, deformation.pose_count - 1.0, args.frames)
     written = deformer.save_sequence(args.output, (deformation.at(place) for place in places), overwrite=args.overwrite)
-    print(f"wrote {len(written)} files, {written[0]} to {written[-1]}")
+    print(f"wrote {counted(len(written), 'file')}, {written[0]} to {written[-1]}")

@@ -12,6 +12,7 @@ from fractions import Fraction
 from ..cage.cage import Cage
 from ..cage.motion import are_numbered, gltf_poses, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
+from ..core.words import counted
 from ..view.keys import EASINGS, frame_rate, frame_times
 from .options import CAGE_ENDINGS
 from .standing import ending
@@ -117,7 +118,7 @@ def note_jumps(file: PoseFile, path: str) -> None:
         (one, two), more = jumps[0], len(jumps) - 1
         print(
             f"warpcage: {path}: keyframes {one!r} and {two!r} are both at {file.times[one]:g} s: the film jumps there"
-            + (f", and at {more} other times" if more else ""),
+            + (f", and at {counted(more, 'other time')}" if more else ""),
             file=sys.stderr,
         )
 

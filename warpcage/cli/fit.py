@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..core.names import FIT_BACKGROUNDS
+from ..core.words import counted
 from ..fitting.fit import fit
 from ..fitting.memory import memory_size
 from . import inputs, options
@@ -41,9 +42,10 @@ def run(args: argparse.Namespace) -> None:
     field.save(output)
     if field.refined_cameras is not None:
         beside = field.refined_cameras.save(output.with_suffix(".cameras.json"))
-        print(f"wrote {beside}: {len(field.refined_cameras)} refined cameras")
+        print(f"wrote {beside}: {counted(len(field.refined_cameras), 'refined camera')}")
     size = "x".join(str(n) for n in field.resolution)
     behind = "" if field.background_model is None else f", {field.background_model.summary}"
     print(
-        f"wrote {output}: {field.voxel_count} voxels in a grid of {size}{behind}, {output.stat().st_size / 1e6:.1f} MB"
+        f"wrote {output}: {counted(field.voxel_count, 'voxel')} in a grid of {size}{behind}, "
+        f"{output.stat().st_size / 1e6:.1f} MB"
     )

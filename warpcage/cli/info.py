@@ -14,6 +14,7 @@ from ..cage.pose_file import PoseFile
 from ..core.json_files import read_json
 from ..core.modules import start_warp
 from ..core.threads import cpu_threads
+from ..core.words import counted
 from ..field.background import LayeredBackground
 from ..field.outer import OuterField
 from ..scene.load import detect_format, load_scene
@@ -75,7 +76,7 @@ def _machine() -> Rows:
 
 def _device_line(device: wp.Device) -> str:
     if device.is_cpu:
-        return f"{platform.processor() or device.name}, {cpu_threads()} threads"
+        return f"{platform.processor() or device.name}, {counted(cpu_threads(), 'thread')}"
     return f"{device.name}, {device.total_memory / 2**30:.1f} GiB, sm_{device.arch}"
 
 
@@ -204,7 +205,12 @@ def _poses(path: pathlib.Path) -> Rows:
     for name in (*poses.timed, *(name for name in poses.names if name not in poses.times)):
         moved = np.linalg.norm(poses[name].vertices - rest.vertices, axis=1)
         at = f"at {poses.times[name]:g} s, {poses.easings.get(name, 'smooth')}: " if name in poses.times else ""
-        rows.append((f"pose {name!r}", f"{at}{int((moved > 0).sum())} vertices moved by up to {moved.max():.4g}"))
+        rows.append(
+            (
+                f"pose {name!r}",
+                f"{at}{counted(int((moved > 0).sum()), 'vertex', 'vertices')} moved by up to {moved.max():.4g}",
+            )
+        )
     rows += [(f"camera {key.name!r}", f"at {key.time:g} s, {key.easing}") for key in poses.cameras]
     return rows
 

@@ -6,6 +6,7 @@ import argparse
 
 import numpy as np
 
+from ..core.words import counted
 from ..field.objects import select_object
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> None:
         view.save_cameras(args, [camera])
     low, high = chosen.points.min(axis=0), chosen.points.max(axis=0)
     print(
-        f"wrote {output}: {np.count_nonzero(chosen.mask)} voxels, from {low.round(3).tolist()} to "
+        f"wrote {output}: {counted(int(np.count_nonzero(chosen.mask)), 'voxel')}, from {low.round(3).tolist()} to "
         f"{high.round(3).tolist()}{'' if preview is None else f', and {preview}'}"
     )
 

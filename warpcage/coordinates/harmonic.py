@@ -17,6 +17,7 @@ from ..core.arrays import (
 from ..core.checks import warn_caller
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
+from ..core.words import agreed
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.lattice.weights import sample_weights
 from ..lattice.gaps import MapTarget, lattice_side_bytes
@@ -75,7 +76,8 @@ def harmonic_weights(
     if len(outside):
         first = int(outside[0])
         raise ValueError(
-            f"{len(outside)} of {len(host)} points are outside the cage, the first is row {first} at "
+            f"{len(outside)} of {len(host)} points {agreed(len(outside), 'is', 'are')} outside the cage, "
+            f"the first is row {first} at "
             f"{host[first].tolist()}: harmonic coordinates are defined inside only"
         )
     vertex_count = len(cage.vertices)

@@ -10,6 +10,7 @@ import warp as wp
 from ..core.arrays import PointsLike, as_host_points, as_points, empty_array, is_device_array
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
+from ..core.words import agreed
 from ..kernels.coordinates import local_points
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.containment import SURFACE_TOLERANCE, inside_mesh
@@ -86,7 +87,8 @@ def _require_near(local: _Local, cage: ClosedMesh) -> None:
         away = np.abs(local.world(slice(None)) - cage.bounds.mean(axis=0)).max(axis=1) / cage.size
         lost = np.flatnonzero(away >= local_points.FARTHEST)
         raise ValueError(
-            f"{len(lost)} of {local.count} points are {local_points.FARTHEST:.0f} times the cage's size "
+            f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} "
+            f"{local_points.FARTHEST:.0f} times the cage's size "
             f"away or more, the first is point {lost[0]} at ({local.place(lost[0])}): leave them out"
         )
 
@@ -140,7 +142,8 @@ def _require_inside(local: _Local, cage: ClosedMesh, kind: str) -> None:
 
 def _outside_message(local: _Local, lost: np.ndarray, kind: str) -> str:
     return (
-        f"{len(lost)} of {local.count} points are outside the cage by more than {SURFACE_TOLERANCE:g} of its size, "
+        f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} outside the cage by more "
+        f"than {SURFACE_TOLERANCE:g} of its size, "
         f"the first is point {lost[0]} at ({local.place(lost[0])}): {kind} coordinates are for points inside, "
         "mean_value for any"
     )

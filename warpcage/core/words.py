@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 
-def counted(count: int, noun: str) -> str:
+def counted(count: int, noun: str, plural: str = "") -> str:
     """A number of things.
 
     Args:
         count: How many.
-        noun: What one of them is called, whose plural ends in "s".
+        noun: What one of them is called.
+        plural: What several are called. Empty adds an "s".
 
     Returns:
         Such as "1 frame", "2 frames".
     """
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+    return f"{count} {agreed(count, noun, plural or f'{noun}s')}"
+
+
+def agreed(count: int, one: str, several: str) -> str:
+    """A word as a number has it.
+
+    Args:
+        count: How many.
+        one: The word of one thing, such as "is".
+        several: That of none or several, such as "are".
+
+    Returns:
+        One of both.
+    """
+    return one if count == 1 else several
 
 
 def system_error_line(error: object) -> str | None:

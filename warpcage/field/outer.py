@@ -14,6 +14,7 @@ from ..core.arrays import empty_array
 from ..core.checks import checked_vector
 from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
+from ..core.words import counted
 from ..kernels.field.background import BackgroundLayers
 from ..kernels.field.outer import OuterGrid, compose_outer, dim_pixels, sample_outer
 from ..view.camera import Camera, camera_struct, tile_threads
@@ -139,7 +140,7 @@ class OuterField:
     @property
     def summary(self) -> str:
         """What it is, in a few words."""
-        return f"{self.voxel_count} voxels around it in {self.side}^3 of contracted space"
+        return f"{counted(self.voxel_count, 'voxel')} around it in {self.side}^3 of contracted space"
 
     def __repr__(self) -> str:
         center = self.center.round(4).tolist()

@@ -328,7 +328,9 @@ def select_nodes(
     if parts is not None:
         parts = checked_whole(parts, "parts", 1)
         labels, sizes, order = _parts(mask)
-        mask = _kept(mask, np.isin(labels, order[:parts]), notes, f"in {max(len(order) - parts, 0)} smaller parts")
+        mask = _kept(
+            mask, np.isin(labels, order[:parts]), notes, f"in {counted(max(len(order) - parts, 0), 'smaller part')}"
+        )
     if not 0.0 <= floaters < 1.0:
         raise ValueError(f"floaters must be a share of the largest part, 0 to below 1, got {floaters}")
     if floaters > 0.0:

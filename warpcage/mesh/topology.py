@@ -7,6 +7,7 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.words import agreed, counted
 from .fans import FaceFans, face_fans
 
 
@@ -77,25 +78,30 @@ class MeshTopology:
         if len(self.open_edges):
             a, b = self.open_edges[0]
             return (
-                f"is open: {len(self.open_edges)} edges have one face only, the first from vertex {a} to {b}: close it"
+                f"is open: {counted(len(self.open_edges), 'edge')} "
+                f"{agreed(len(self.open_edges), 'has', 'have')} one face only, the first from "
+                f"vertex {a} to {b}: close it"
             )
         if len(self.crowded_edges):
             a, b = self.crowded_edges[0]
             return (
-                f"is not manifold: {len(self.crowded_edges)} edges have more than two faces, the first from vertex "
+                f"is not manifold: {counted(len(self.crowded_edges), 'edge')} "
+                f"{agreed(len(self.crowded_edges), 'has', 'have')} more than two faces, the first from vertex "
                 f"{a} to {b}"
             )
         if len(self.repeated_faces):
             return f"has degenerate faces: face {self.repeated_faces[0]} names a vertex twice"
         if len(self.pinched_vertices):
             return (
-                f"is not manifold: parts of it only touch at {len(self.pinched_vertices)} vertices, the first "
+                "is not manifold: parts of it only touch at "
+                f"{counted(len(self.pinched_vertices), 'vertex', 'vertices')}, the first "
                 f"{self.pinched_vertices[0]}: split them"
             )
         if len(self.clashing_edges):
             a, b = self.clashing_edges[0]
             return (
-                f"is wound inconsistently: the two faces at {len(self.clashing_edges)} edges clash, the first from "
+                f"is wound inconsistently: the two faces at {counted(len(self.clashing_edges), 'edge')} "
+                "clash, the first from "
                 f"vertex {a} to {b}: flip faces until all are anticlockwise seen from outside"
             )
         return ""

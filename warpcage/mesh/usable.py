@@ -6,6 +6,7 @@ import weakref
 
 import numpy as np
 
+from ..core.words import counted
 from .closed_mesh import ClosedMesh
 from .faces import column_cross, column_dot, face_edges
 
@@ -178,7 +179,8 @@ def first_geometric_problem(mesh: ClosedMesh) -> str:
     if len(coincident):
         a, b = coincident[0]
         return (
-            f"has {len(coincident)} vertices at the place of another, the first {b} at that of {a}: merge or move them"
+            f"has {counted(len(coincident), 'vertex', 'vertices')} at the place of another, the first "
+            f"{b} at that of {a}: merge or move them"
         )
     degenerate = degenerate_faces(mesh)
     if len(degenerate):

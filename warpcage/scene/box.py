@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..core.words import agreed
 from ..view.camera import Camera
 
 #: Where all cameras look the same way, the object is taken to be this many times their largest spread ahead.
@@ -70,7 +71,8 @@ def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np
     away = sum((box.mean(axis=0) - camera.centre) @ camera.rotation[:, 2] <= 0 for camera in cameras)
     if 2 * away > len(cameras):
         raise ValueError(
-            f"{away} of {len(cameras)} cameras look away from what the views have in common: check the "
+            f"{away} of {len(cameras)} cameras {agreed(away, 'looks', 'look')} away from what the views "
+            "have in common: check the "
             "cameras' axes, or give the bounds of what should be fitted"
         )
     if not (box[1] > box[0]).all():

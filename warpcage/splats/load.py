@@ -7,6 +7,7 @@ from typing import TypeAlias
 import warp as wp
 
 from ..core.files import PathLike
+from ..core.words import counted
 from ..field.voxel_field import VoxelField
 from .files.files import is_splat_file
 from .splat_field import SplatField
@@ -46,4 +47,4 @@ def field_size(field: AnyField) -> str:
     Returns:
         Such as "12000 voxels".
     """
-    return f"{len(field)} splats" if isinstance(field, SplatField) else f"{field.voxel_count} voxels"
+    return counted(len(field), "splat") if isinstance(field, SplatField) else counted(field.voxel_count, "voxel")

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..core.checks import checked_number, checked_vector
 from ..core.names import require_name
+from ..core.words import agreed
 from .camera import Camera, common_up
 from .keys import EASINGS, value_at
 
@@ -72,7 +73,10 @@ def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[C
         spread = np.linspace(0.0, len(keys) - 1.0 if length is None else length, len(keys)).tolist()
         keys = [dataclasses.replace(key, time=time) for key, time in zip(keys, spread, strict=True)]
     elif untimed:
-        raise ValueError(f"{len(untimed)} of {len(keys)} cameras have no time: give all of them one, or none")
+        raise ValueError(
+            f"{len(untimed)} of {len(keys)} cameras {agreed(len(untimed), 'has', 'have')} no time: give "
+            "all of them one, or none"
+        )
     ordered = sorted(keys, key=lambda key: key.time or 0.0)
     for one, two in zip(ordered, ordered[1:], strict=False):
         if one.time == two.time:

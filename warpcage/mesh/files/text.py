@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.checks import shown
 from ...core.files import TEXT_ROOM, read_limited
+from ...core.words import counted
 
 #: (line, indices of vertices) of each polygon of a file.
 Polygons = list[tuple[int, list[int]]]
@@ -98,8 +99,8 @@ def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
             polygons.append((line, whole(words[1 : size + 1], path, line)))
     if len(vertices) < counts[0] or len(polygons) < counts[1]:
         raise ValueError(
-            f"{path}:{line}: {counts[0]} vertices and {counts[1]} faces announced, {len(vertices)} and "
-            f"{len(polygons)} found"
+            f"{path}:{line}: {counted(counts[0], 'vertex', 'vertices')} and {counted(counts[1], 'face')} announced, "
+            f"{len(vertices)} and {len(polygons)} found"
         )
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
 
