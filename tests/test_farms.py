@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 
 import pytest
@@ -96,6 +97,19 @@ def test_a_task_of_an_array_makes_its_part(farm):
     environment["SLURM_ARRAY_TASK_ID"] = "7"
     assert sbatch("array.sbatch", "a film.jsonl", "out", "16", environment=environment).wait(60) == 0
     assert log.read_text() == "warpcage run a film.jsonl -o out --part 7/16 --quiet\n"
+
+
+def test_a_job_file_of_no_film_is_told_in_one_line(tmp_path):
+    """The program that the template's last step holds, on a job file by hand."""
+    lines = (RECIPES / "frames.openjd.yaml").read_text().split("          data: |\n")[1]
+    (tmp_path / "encode.py").write_text(textwrap.dedent(lines))
+    (tmp_path / "jobs.jsonl").write_text(
+        '{"format": "warpcage jobs", "version": 1}\n{"id": "rest", "field": "ball.npz", "camera": "cameras.json#0"}\n'
+    )
+    words = [sys.executable, "encode.py", "jobs.jsonl", "frames", "film.mp4"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("jobs.jsonl is of no film, as `warpcage animate --jobs` writes it")
 
 
 def test_the_template_of_a_render_farm_makes_the_film_of_animate(farm, tmp_path):
