@@ -129,7 +129,15 @@ def test_what_is_cut_out_is_alone(table, lamp, device):
     ways = np.broadcast_to([0.0, 0.0, 1.0], (inside.sum(), 3))
     for one, two in zip(field.sample(table.cells[inside], ways), alone.sample(table.cells[inside], ways), strict=True):
         assert np.allclose(one, two, atol=1e-6)
-    assert not alone.node_densities().ravel()[~inside].any() and alone.voxel_count < 0.4 * field.voxel_count
+    assert alone.voxel_count < 0.4 * field.voxel_count
+    # the box ends a voxel beyond the lamp, and what else is in it is empty
+    voxel, own = np.asarray(field.voxel_size), table.cells[inside]
+    expected = np.clip([own.min(axis=0) - 1.5 * voxel, own.max(axis=0) + 1.5 * voxel], *field.bounds)
+    assert np.allclose(alone.bounds, expected, atol=1e-9) and np.allclose(alone.voxel_size, voxel, atol=1e-9)
+    within = ((table.cells > alone.bounds[0]) & (table.cells < alone.bounds[1])).all(axis=1)
+    assert not alone.node_densities().ravel()[~inside[within]].any()
+    with pytest.raises(ValueError, match="nothing is chosen"):
+        NodeSelection(field, np.zeros_like(lamp.mask)).cut_out()
     with pytest.raises(ValueError, match="must be of a VoxelField"):
         select_nodes(GridField(np.ones((8, 8, 8)) * 50)).cut_out()
 
@@ -169,7 +177,9 @@ def test_commands_take_a_selection(files, table, lamp, capsys):
     assert red[0] > 2 * red[1:].max()
     succeed(files, "bake", "@table.npz", "-o", "@alone.npz", "--selection", "@lamp.npz")
     alone = warpcage.VoxelField.load(files / "alone.npz", device="cpu")
-    assert np.array_equal(alone.node_densities() > 0, lamp.mask)
+    ends = np.rint((alone.bounds - lamp.bounds[0]) / lamp.voxel_size).astype(int)
+    assert np.array_equal(alone.node_densities() > 0, lamp.mask[tuple(map(slice, *ends))])
+    assert np.count_nonzero(alone.node_densities() > 0) == np.count_nonzero(lamp.mask)
     words = ("--cage", "@lamp.obj", "--posed", "scale:0.8", "--voxels", "32", "--resolution", "24")
     succeed(files, "bake", "@table.npz", "-o", "@small.npz", "--selection", "@lamp.npz", *words)
     small = warpcage.VoxelField.load(files / "small.npz", device="cpu")

@@ -27,13 +27,24 @@ def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
         mask: (nx, ny, nz) bool, the chosen voxels.
 
     Returns:
-        A field of the same box and resolution. Density falls to zero over the voxel around what was chosen.
+        A field of the same voxels. Its box ends a voxel beyond what was chosen, so that views show that large; density
+        falls to zero over this voxel.
+
+    Raises:
+        ValueError: If nothing is chosen.
     """
     from scipy.ndimage import binary_dilation
 
+    if not mask.any():
+        raise ValueError("nothing is chosen that could be cut out")
     links = field.grid.links.numpy()
-    kept = np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool))) & (links >= 0)
+    grown = np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool)))
+    ends = [np.flatnonzero(grown.any(axis=others))[[0, -1]] + (0, 1) for others in ((1, 2), (0, 2), (0, 1))]
+    block = tuple(slice(*each) for each in ends)
+    links, mask = links[block], mask[block]
+    kept = grown[block] & (links >= 0)
     rows, inside = links[kept], mask[kept]
+    bounds = field.bounds[0] + np.transpose(ends) * field.voxel_size
     density = field.grid.density.numpy()[rows]
     density = np.where(inside, density, np.minimum(density, 0.0)).astype(np.float32)
     new = np.full(links.shape, -1, np.int32)
@@ -41,7 +52,7 @@ def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
     weights = None if field.weights is None else np.where(inside, field.weights.numpy()[rows], np.float32(0.0))
     options = {**field.view_options(), "background_model": None}
     sh = harmonics_on_host(field.grid.sh)[rows]
-    return VoxelField(field.bounds, new, density, sh, weights=weights, device=field.device, **options)
+    return VoxelField(bounds, new, density, sh, weights=weights, device=field.device, **options)
 
 
 def tinted_view(

@@ -181,10 +181,10 @@ class NodeSelection:
         """The chosen voxels as a field of their own, before the colour of the field that they are of.
 
         Returns:
-            A field of the same box and resolution.
+            A field of the same voxels, whose box ends a voxel beyond them.
 
         Raises:
-            ValueError: If the selection is not of a VoxelField.
+            ValueError: If the selection is not of a VoxelField, or of nothing.
         """
         return cut_out(self._voxels("to be cut out"), self.mask)
 
