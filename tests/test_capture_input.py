@@ -173,6 +173,31 @@ def test_an_interrupt_ends_what_colmap_does(tmp_path, glances):
     assert not any(thread.name == "colmap" for thread in threading.enumerate())
 
 
+def test_an_interrupt_waits_for_what_cannot_be_cancelled():
+    """What still ran when the process ended took it down with a stack of C++."""
+    import signal
+    import threading
+    import time
+
+    from warpcage.captures.solver import Solver
+
+    ended = []
+
+    def work():
+        time.sleep(0.6)
+        ended.append(time.monotonic())
+
+    timer = threading.Timer(0.25, signal.raise_signal, [signal.SIGINT])
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        Solver._run_plain(object.__new__(Solver), work)
+    assert ended and ended[0] <= time.monotonic()
+    timer.join()
+    with pytest.raises(ZeroDivisionError):
+        Solver._run_plain(object.__new__(Solver), lambda: 1 / 0)
+    assert Solver._run_plain(object.__new__(Solver), lambda: 3) == 3
+
+
 def test_other_pictures_begin_anew(tmp_path, glances):
     folder, work = save_pictures(tmp_path / "in", glances[0][:5]), tmp_path / ".out.capture"
     work.mkdir()

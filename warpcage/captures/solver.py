@@ -293,20 +293,25 @@ class Solver:
         outcome: list[Any] = []
         failure: list[BaseException] = []
 
+        ended = threading.Event()  # Python 3.11 takes a thread whose `join` is interrupted for one that has ended
+
         def work() -> None:
             try:
                 outcome.append(function(*arguments, **options))
             except BaseException as error:
                 failure.append(error)
+            finally:
+                ended.set()
 
         thread = threading.Thread(target=work, name="colmap")
-        thread.start()
         try:
-            while thread.is_alive():
-                thread.join(0.1)
+            thread.start()
+            while not ended.wait(0.1):
+                pass
         except BaseException:
             cancel()
-            thread.join()
+            if thread.ident is not None:  # it was started
+                ended.wait()
             raise
         if failure:
             raise failure[0]
