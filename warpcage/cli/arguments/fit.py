@@ -23,10 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_scene(parser, split="train")
     options.add_background(
         parser,
-        "white",
+        "white, behind pictures with opacity",
         "; or what is behind the object during the fit: random (random colours, for pictures with opacity), outer "
-        "(voxels before and behind the object's box, to infinity), layers (of pictures behind it), constant, or auto "
-        "(default): random for pictures with opacity, outer for whole ones",
+        "(voxels before and behind the object's box, to infinity), layers (of pictures behind it), constant, or auto: "
+        "random for pictures with opacity, outer for whole ones (default: auto)",
     )
     parser.add_argument(
         "--straighten",
