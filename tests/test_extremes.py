@@ -115,7 +115,7 @@ def test_cages_of_sizes_beyond_numbers_are_refused(scale, device):
 
 def test_points_beyond_numbers_are_refused(device):
     for place in (1e300, -1e300):
-        with pytest.raises(ValueError, match="are 1000 times the cage's size away"):
+        with pytest.raises(ValueError, match="is 1000 times the cage's size away"):
             mean_value_coordinates([[place, 0, 0]], BOX, device=device)
         with pytest.raises(ValueError, match="1 of 1 points"):
             green_coordinates([[place, 0, 0]], BOX, device=device)

@@ -184,7 +184,7 @@ def test_turntable_goes_round():
     "changes, word",
     [
         ({"fx": 0.0}, "focal"),
-        ({"width": 0}, "1x1"),
+        ({"width": 0}, "whole number of at least 1"),
         ({"camera_to_world": np.eye(3)}, "4, 4"),
         ({"camera_to_world": np.diag([1, 1, -1, 1.0])}, "rotation"),
     ],

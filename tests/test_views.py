@@ -35,7 +35,7 @@ def test_orbit_of_one_point_and_what_it_refuses():
         framing_orbit(np.zeros((0, 3)), 1)
     with pytest.raises(ValueError, match="fov"):
         framing_orbit([[0, 0, 0]], 1, fov_degrees=180)
-    with pytest.raises(ValueError, match="at least one view"):
+    with pytest.raises(ValueError, match="whole number of at least 1"):
         framing_orbit([[0, 0, 0]], 0)
 
 

@@ -11,6 +11,19 @@ CAGE = warpcage.Cage.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
 POINTS = np.zeros((2, 3))
 CAMERA = warpcage.Camera.look_at([0, -4, 0], [0, 0, 0], width=4, height=4)
 SCENE = warpcage.Scene(np.zeros((1, 4, 4, 3)), None, [CAMERA])
+SPLAT = (np.zeros((2, 3)), np.full((2, 3), -2.0), np.ones((2, 4)), np.zeros(2), np.zeros((2, 1, 3)))
+SPLATS = warpcage.SplatField(*SPLAT, device="cpu")
+DENSE = (np.full((6, 6, 6), 5.0), np.zeros((6, 6, 6, 9, 3)))
+YES_OR_NO = "antialias must be True or False, got "
+
+
+def deformer(field):
+    return warpcage.Deformer(field, CAGE, resolution=16)
+
+
+def look(**options):
+    return warpcage.Camera.look_at([0, -4, 0], [0, 0, 0], **options)
+
 
 WRONG = {
     "path as a cage": (lambda field: warpcage.mean_value_coordinates(POINTS, "cage.obj"), "a Cage, got str"),
@@ -36,6 +49,65 @@ WRONG = {
     "path as a scene": (lambda field: warpcage.fit("data/lego"), "a Scene, got str"),
     "evaluate the wrong way round": (lambda field: warpcage.evaluate(SCENE, field), "a Scene, got VoxelField"),
     "points as a mesh": (lambda field: warpcage.Cage.from_mesh(POINTS), "vertices and faces, .* got ndarray"),
+    "text as antialias of voxels": (lambda field: deformer(field).render(CAMERA, antialias="x"), YES_OR_NO),
+    "text as antialias of splats": (lambda field: SPLATS.render(CAMERA, antialias="x"), YES_OR_NO),
+    "text as antialias of posed splats": (lambda field: deformer(SPLATS).render(CAMERA, antialias="x"), YES_OR_NO),
+    "text as antialias of a pose": (lambda field: deformer(SPLATS).posed(CAGE).render(CAMERA, antialias=2), YES_OR_NO),
+    "text as antialias of a fit": (
+        lambda field: warpcage.fit_splats(SPLATS, [CAMERA], np.zeros((1, 4, 4, 3)), antialias="x", progress=False),
+        YES_OR_NO,
+    ),
+    "a table as an angle": (lambda field: CAGE.bend(np.zeros((2, 2))), r"degrees must be one finite number, got array"),
+    "a huge number as an angle": (lambda field: CAGE.bend(10**5000), "degrees must be one finite number, got a number"),
+    "a huge number among bounds": (lambda field: field.from_dense(*DENSE, [[-(10**400)] * 3, [1] * 3]), "real numbers"),
+    "words as limits": (lambda field: CAGE.bend(10, limits="ab"), "limits must be real numbers, got 'ab'"),
+    "a width of none": (
+        lambda field: CAMERA.resized(None, 4),
+        "width of a picture must be a whole number of at least 1",
+    ),
+    "a width of text": (
+        lambda field: look(width="4"),
+        "width of look_at must be a whole number of at least 1, got '4'",
+    ),
+    "half a pixel": (lambda field: look(height=4.5), "height of look_at must be a whole number of at least 1, got 4.5"),
+    "a view of 180 degrees": (lambda field: look(fov_degrees=180), "must be between 0 and 180, got 180"),
+    "text as a view": (lambda field: look(fov_degrees="40"), "fov_degrees of look_at must be one finite number"),
+    "text as an eye": (lambda field: warpcage.Camera.look_at("eye", [0, 0, 0]), "eye of look_at must be 3 finite"),
+    "text as points of a picture": (lambda field: CAMERA.project("abc"), "points must be real numbers, got 'abc'"),
+    "text as a motion": (lambda field: CAMERA.moved("turned"), "must be real numbers, got 'turned'"),
+    "no count of a turntable": (
+        lambda field: warpcage.turntable([0] * 3, 1, 0, None),
+        "cameras of a turntable must be",
+    ),
+    "a number as a background": (lambda field: field.render(CAMERA, background={"a": 1}), "must be real numbers, got"),
+    "text as harmonics": (
+        lambda field: warpcage.SplatField(*SPLAT[:4], "x"),
+        "harmonics must be real numbers, got 'x'",
+    ),
+    "a number as a path to read": (lambda field: warpcage.Cage.load(7), "must be a path, got int"),
+    "a number as a path to write": (lambda field: CAGE.save(7), "must be a path, got int"),
+    "no path of a field": (lambda field: warpcage.VoxelField.load(None), "the field file must be a path, got NoneType"),
+    "no path of splats": (lambda field: warpcage.SplatField.load(None), "must be a path, got NoneType"),
+    "no path of a scene": (lambda field: warpcage.load_scene(None), "the scene must be a path, got NoneType"),
+    "text as a field to cage": (lambda field: warpcage.Cage.from_field("lego.npz"), "a field is needed, .* got str"),
+    "text as a field to select": (lambda field: warpcage.select_nodes("lego.npz"), "a field is needed, .* got str"),
+    "text as a threshold": (lambda field: field.extract_mesh(threshold="1"), "a density, must be positive and finite"),
+    "text as a margin": (lambda field: warpcage.Cage.from_field(field, 40, margin="1"), "margin must be finite"),
+    "text as a share": (lambda field: warpcage.select_nodes(field, floaters="1"), "floaters must be one finite number"),
+    "a number as a camera to select by": (lambda field: warpcage.select_nodes(field, cameras=3), "a list of cameras"),
+    "a path as edits": (lambda field: warpcage.Deformer(field, "cage.obj"), "got str"),
+    "a field as a renderer": (lambda field: warpcage.evaluate("lego.npz", SCENE), "a field or a Deformer, got str"),
+    "text as a time": (lambda field: warpcage.PoseFile(CAGE, {"a": CAGE}).at("0"), "time must be one finite number"),
+    "a list as weights": (lambda field: warpcage.PoseFile(CAGE).blend([1.0]), "weights must be numbers by names"),
+    "numbers as the keys of a path": (lambda field: warpcage.camera_at([1, 2], 0.5), "a CameraKey, got int"),
+    "a number as a name of a camera": (lambda field: warpcage.CameraFile([CAMERA]).named(1.5), "a str, got float"),
+    "a number as modes": (lambda field: CAGE.random_pose(modes=3), "modes of random poses must be a list of bend"),
+    "a mode alone": (lambda field: CAGE.random_pose(modes="bend"), "modes of random poses must be a list of bend"),
+    "a list as a frame's picture": (
+        lambda field: warpcage.Frame(1, 1, [0] * 3, None, None),
+        "must be an array, got list",
+    ),
+    "a camera alone": (lambda field: warpcage.Scene(SCENE.images, None, CAMERA), "cameras of a scene must be a list"),
 }
 
 

@@ -38,6 +38,8 @@ class PoseChance:
     modes: Sequence[str] = POSE_MODES
 
     def __post_init__(self) -> None:
+        if isinstance(self.modes, str) or not isinstance(self.modes, Sequence):
+            raise ValueError(f"modes of random poses must be a list of {', '.join(POSE_MODES)}, got {self.modes!r}")
         found = {
             "seed": checked_whole(self.seed, "the seed of random poses", 0),
             "stretch": _pair(self.stretch, "stretch"),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_number, checked_positive, listed
+from ..core.checks import checked_number, checked_positive, listed, shown
 from ..core.files import PathLike, atomic_path, require_file
 from ..core.json_files import DAMAGED, damage, read_json
 from ..core.names import require_name
@@ -108,6 +108,8 @@ class PoseFile:
             ValueError: For unknown names or weights that are not finite.
         """
         vertices = self.rest.vertices.copy()
+        if not isinstance(weights, Mapping):
+            raise ValueError(f"weights must be numbers by names of keyframes, got {shown(weights)}")
         for name, weight in weights.items():
             weight = checked_number(weight, f"the weight of keyframe {name!r}")
             vertices += weight * (self[name].vertices - self.rest.vertices)
@@ -126,7 +128,9 @@ class PoseFile:
         Raises:
             ValueError: For a time outside the sequence or unknown names.
         """
-        names = list(self.names if names is None else names)
+        if names is not None and (isinstance(names, str) or not isinstance(names, Iterable)):
+            raise ValueError(f"names must be a list of keyframes, got {shown(names)}")
+        names, time = list(self.names if names is None else names), checked_number(time, "time")
         if not names or not 0.0 <= time <= len(names) - 1:
             raise ValueError(f"time must be 0 to {len(names) - 1} for {len(names)} keyframes, got {time}")
         return self.rest.with_vertices(value_along([self[name].vertices for name in names], time))
@@ -156,7 +160,7 @@ class PoseFile:
         Raises:
             ValueError: If no keyframe has a time, or one has an easing that is not known.
         """
-        names = self.timed
+        seconds, names = checked_number(seconds, "a time of the film"), self.timed
         if not len(self):
             return self.rest
         if not names:

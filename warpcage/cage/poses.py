@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arrays import PointsLike, as_host_points
-from ..core.checks import AXES, axis_index, checked_number, checked_positive, checked_vector
+from ..core.checks import AXES, axis_index, checked_number, checked_positive, checked_vector, real_array, shown
 from .directions import direction, frame_along, signed_axis
 
 
@@ -366,9 +366,9 @@ def _prepared(
 
 def _limits(limits: Sequence[float], bounds: np.ndarray, along: int) -> tuple[float, float]:
     """Where the limits begin along the axis and how far apart they are, world units."""
-    shares = np.asarray(limits, dtype=np.float64)
+    shares = real_array(limits, "limits")
     if shares.shape != (2,) or not np.isfinite(shares).all() or not shares[0] < shares[1]:
-        raise ValueError(f"limits must be two shares of the bounding box, the lower first, got {limits}")
+        raise ValueError(f"limits must be two shares of the bounding box, the lower first, got {shown(limits)}")
     extent = bounds[1, along] - bounds[0, along]
     if extent == 0.0:
         raise ValueError(f"the bounding box is flat along axis {AXES[along]!r}: pose along another axis")

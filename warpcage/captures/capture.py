@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import checked_whole, listed
+from ..core.checks import checked_path, checked_whole, listed
 from ..core.files import atomic_path
 from ..core.words import agreed, counted
 from ..view.pictures import write_png
@@ -85,7 +85,7 @@ def capture(
     Warns:
         UserWarning: For pictures and frames that cannot be read, and for pictures without a camera.
     """
-    source, output = pathlib.Path(path), pathlib.Path(output)
+    source, output = checked_path(path, "the capture"), checked_path(output, "the output folder")
     frames = checked_whole(frames, "frames", LEAST_PICTURES, MOST_FRAMES)
     feature_size = checked_whole(feature_size, "feature_size", LEAST_SIZE, MOST_SIZE)
     seed = checked_whole(seed, "seed", 0, 2**31 - 1)

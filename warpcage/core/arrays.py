@@ -165,7 +165,7 @@ def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
     try:
         host = np.asarray(points.numpy() if isinstance(points, wp.array) else points)
         host = host.astype(np.float64, casting="unsafe" if host.dtype == object else "same_kind")
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be (n, 3) real numbers, got {type(points).__name__}") from None
     if host.shape == (0,):  # an empty list
         host = host.reshape(0, 3)

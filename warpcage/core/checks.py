@@ -58,7 +58,7 @@ def checked_number(value: Any, name: str) -> float:
     """
     number = _number(value)
     if not math.isfinite(number):
-        raise ValueError(f"{name} must be one finite number, got {value!r}")
+        raise ValueError(f"{name} must be one finite number, got {shown(value)}")
     return number
 
 
@@ -77,7 +77,7 @@ def checked_positive(value: Any, name: str) -> float:
     """
     number = _number(value)
     if not (math.isfinite(number) and number > 0.0):
-        raise ValueError(f"{name} must be positive and finite, got {value!r}")
+        raise ValueError(f"{name} must be positive and finite, got {shown(value)}")
     return number
 
 
@@ -115,7 +115,9 @@ def checked_march(step: float | None, default: float, diagonal: float, distance:
     """
     number, shortest = checked_step(step, default), diagonal / MOST_SAMPLES
     if step is not None and number < shortest:
-        raise ValueError(f"the march step must be at least {shortest:.3g} ({MOST_SAMPLES} in the field), got {step!r}")
+        raise ValueError(
+            f"the march step must be at least {shortest:.3g} ({MOST_SAMPLES} in the field), got {shown(step)}"
+        )
     told = 2.0 * float32_spacing(distance + diagonal)
     if not told <= number:
         farthest = 2.0**21 * number - diagonal
@@ -172,7 +174,7 @@ def checked_margin(margin: float) -> float:
     """
     number = _number(margin)
     if not (math.isfinite(number) and number >= 0.0):
-        raise ValueError(f"margin must be finite and not negative, got {margin!r}")
+        raise ValueError(f"margin must be finite and not negative, got {shown(margin)}")
     return number
 
 
@@ -194,8 +196,67 @@ def checked_whole(value: Any, name: str, least: int, most: int | None = None) ->
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < least or (most is not None and value > most):
         span = f"of at least {least}" if most is None else f"from {least} to {most}"
-        raise ValueError(f"{name} must be a whole number {span}, got {value!r}")
+        raise ValueError(f"{name} must be a whole number {span}, got {shown(value)}")
     return int(value)
+
+
+def checked_flag(value: Any, name: str) -> bool:
+    """Yes or no.
+
+    Args:
+        value: A bool, of Python or NumPy.
+        name: How the message calls it.
+
+    Returns:
+        The same as a bool of Python.
+
+    Raises:
+        ValueError: For anything else, such as words, which would all be yes.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False, got {shown(value)}")
+    return bool(value)
+
+
+def checked_path(path: Any, name: str) -> pathlib.Path:
+    """The name of a file or a folder.
+
+    Args:
+        path: Text or a path.
+        name: How the message calls it.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    if not isinstance(path, str | os.PathLike) or isinstance(os.fspath(path), bytes):
+        raise ValueError(f"{name} must be a path, got {type(path).__name__}")
+    return pathlib.Path(path)
+
+
+def real_array(values: Any, name: str, dtype: Any = np.float64) -> np.ndarray:
+    """Real numbers of any shape.
+
+    Args:
+        values: Numbers, sequences of them, or an array.
+        name: How the message calls them.
+        dtype: Of the array.
+
+    Returns:
+        An array, the one that was given where it fits.
+
+    Raises:
+        ValueError: For anything else: text, None, sequences of unequal lengths, numbers that are too large.
+    """
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind in "biuf" or given.dtype == object:
+            return given.astype(dtype, copy=False)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(f"{name} must be real numbers, got {shown(values)}")
 
 
 def checked_vector(value: ArrayLike, name: str) -> np.ndarray:
@@ -213,10 +274,10 @@ def checked_vector(value: ArrayLike, name: str) -> np.ndarray:
     """
     try:
         vector = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         vector = np.empty(0)
     if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ValueError(f"{name} must be 3 finite numbers, got {value!r}")
+        raise ValueError(f"{name} must be 3 finite numbers, got {shown(value)}")
     return vector
 
 
@@ -233,11 +294,11 @@ def checked_bounds(bounds: ArrayLike, name: str = "bounds") -> np.ndarray:
     Raises:
         ValueError: For another shape, corners that are not finite, or a lower corner that is not below the upper one.
     """
-    bounds = np.array(bounds, dtype=np.float64)
-    if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
-        raise ValueError(f"{name} must be (2, 3), finite, lower below upper, got {bounds.tolist()}")
-    bounds.setflags(write=False)
-    return bounds
+    box = real_array(bounds, name).copy()
+    if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[1] > box[0]).all():
+        raise ValueError(f"{name} must be (2, 3), finite, lower below upper, got {box.tolist()}")
+    box.setflags(write=False)
+    return box
 
 
 def axis_index(axis: str) -> int:
@@ -253,7 +314,7 @@ def axis_index(axis: str) -> int:
         ValueError: For anything else.
     """
     if not isinstance(axis, str) or len(axis) != 1 or axis not in AXES:
-        raise ValueError(f"axis must be 'x', 'y' or 'z', got {axis!r}")
+        raise ValueError(f"axis must be 'x', 'y' or 'z', got {shown(axis)}")
     return AXES.index(axis)
 
 
@@ -281,9 +342,12 @@ def shown(value: object) -> str:
         value: The value.
 
     Returns:
-        What `repr` makes of it, or its beginning.
+        What `repr` makes of it, or its beginning, in one line.
     """
-    return _cut(repr(value))
+    try:
+        return _cut(" ".join(repr(value).split()))
+    except ValueError:  # a whole number of too many digits
+        return f"a number of type {type(value).__name__}"
 
 
 def _cut(text: str) -> str:

@@ -17,6 +17,7 @@ from typing import IO
 
 import numpy as np
 
+from .checks import checked_path
 from .crc import joined_crc
 from .memory import MemoryShortage, free_host_bytes, require_host_memory
 from .threads import run_parallel
@@ -290,7 +291,7 @@ def atomic_path(path: PathLike) -> Iterator[pathlib.Path]:
     Yields:
         The path of the temporary file, in the folder of the file that is replaced, and with the same ending.
     """
-    path = pathlib.Path(path)
+    path = checked_path(path, "the file to write")
     path.parent.mkdir(parents=True, exist_ok=True)
     target = pathlib.Path(os.path.realpath(path)) if path.is_symlink() else path
     temporary = target.with_name(_temporary_name(target.stem, path.suffix))
@@ -342,7 +343,7 @@ def require_file(path: PathLike, what: str) -> pathlib.Path:
     Raises:
         FileNotFoundError: If it is not a file.
     """
-    path = pathlib.Path(path)
+    path = checked_path(path, f"the {what}")
     if path.is_dir():
         raise FileNotFoundError(f"{what} {str(path)!r} is a folder")
     if not path.is_file():

@@ -51,7 +51,7 @@ def require_name(value: object, names: Sequence[str], what: str) -> str:
         ValueError: For anything else.
     """
     if not isinstance(value, str) or value not in names:
-        raise ValueError(f"{what} must be one of {', '.join(names)}, got {value!r}")
+        raise ValueError(f"{what} must be one of {', '.join(names)}, got {' '.join(repr(value)[:60].split())}")
     return value
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
-from ..core.checks import MOST_SAMPLES, checked_step, require_type
+from ..core.checks import MOST_SAMPLES, checked_flag, checked_step, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
 from ..core.names import COORDINATES, DENSITIES, STORES
@@ -308,7 +308,7 @@ class Deformer:
         antialias: bool,
     ) -> Frame:
         """`render` of a pose, which is worked out once the rest is checked."""
-        if antialias:
+        if checked_flag(antialias, "antialias"):
             raise ValueError("antialias is for splats: voxels take more rays a pixel (supersampling)")
         options = MarchOptions()
         options.step, work = self.field.march_step(step, camera)

@@ -105,7 +105,7 @@ def checked_edits(rest: Cage | CageEdit | Sequence[Cage | CageEdit]) -> list[Cag
     Raises:
         ValueError: For anything else, or more than MAX_EDITS.
     """
-    given = [rest] if isinstance(rest, Cage | CageEdit) else list(rest)
+    given: list[Any] = list(rest) if isinstance(rest, list | tuple) else [rest]
     edits = [edit if isinstance(edit, CageEdit) else CageEdit(edit) for edit in given]
     if not 1 <= len(edits) <= MAX_EDITS:
         raise ValueError(f"a Deformer takes 1 to {MAX_EDITS} edits, got {len(edits)}")

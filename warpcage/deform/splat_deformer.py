@@ -14,7 +14,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.checks import checked_whole, listed, require_type
+from ..core.checks import checked_flag, checked_path, checked_whole, listed, require_type
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
 from ..core.names import DENSITIES, SPLAT_MAPS, require_coordinates, require_name
@@ -183,7 +183,7 @@ class SplatDeformer(Deformer):
         Raises:
             ValueError: For a path without a run of #, a first number that is none, or as `pose`.
         """
-        pattern = pathlib.Path(path)
+        pattern = checked_path(path, "the name of a sequence")
         marks = re.findall("#+", pattern.name)
         if len(marks) != 1:
             raise ValueError(f"a sequence needs one run of # in its name, such as walk_####.ply, got {pattern.name!r}")
@@ -227,7 +227,7 @@ class SplatDeformer(Deformer):
             origin=field.center,
             near=field.near,
             supersampling=1 if supersampling is None else supersampling,
-            antialias=antialias,
+            antialias=checked_flag(antialias, "antialias"),
         )
 
 

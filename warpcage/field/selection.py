@@ -13,7 +13,15 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_bounds, checked_positive, checked_vector, checked_whole, require_type, shown
+from ..core.checks import (
+    checked_bounds,
+    checked_number,
+    checked_positive,
+    checked_vector,
+    checked_whole,
+    require_type,
+    shown,
+)
 from ..core.files import PathLike
 from ..core.words import counted
 from ..mesh.closed_mesh import ClosedMesh
@@ -104,8 +112,8 @@ def visible_mask(field: DensityField, threshold: float | None = None) -> np.ndar
     """
     densities, voxel_size = node_grid(field)
     weights = getattr(field, "node_weights", lambda: None)() if threshold is None else None
-    if threshold is not None and not (np.isfinite(threshold) and threshold > 0.0):
-        raise ValueError(f"threshold must be a positive density, got {threshold}")
+    if threshold is not None:
+        threshold = checked_positive(threshold, "threshold, a density,")
     if weights is not None:
         return (np.asarray(weights) >= VISIBLE_OPACITY) & (densities > 0.0)
     if threshold is not None:
@@ -311,6 +319,8 @@ def select_nodes(
         mask = _kept(mask, _in_sphere(field, mask, sphere), notes, "outside the sphere")
     if cage is not None:
         mask = _kept(mask, _in_mesh(field, mask, cage), notes, "outside the cage")
+    if cameras is not None and (isinstance(cameras, str) or not isinstance(cameras, Iterable)):
+        raise ValueError(f"cameras must be a list of cameras, got {type(cameras).__name__}")
     cameras = None if cameras is None else list(cameras)
     if (cameras is None) != (masks is None and depth is None):
         raise ValueError("cameras and masks go together, one mask per camera; so do cameras and depth")
@@ -331,8 +341,9 @@ def select_nodes(
         mask = _kept(
             mask, np.isin(labels, order[:parts]), notes, f"in {counted(max(len(order) - parts, 0), 'smaller part')}"
         )
+    floaters = checked_number(floaters, "floaters")
     if not 0.0 <= floaters < 1.0:
-        raise ValueError(f"floaters must be a share of the largest part, 0 to below 1, got {floaters}")
+        raise ValueError(f"floaters must be a share of the largest part, 0 to below 1, got {floaters:g}")
     if floaters > 0.0:
         labels, sizes, order = _parts(mask)
         large = order[sizes[order] >= floaters * sizes[order[0]]]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.checks import checked_positive
 from ..mesh.topology import connected_parts
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ def extract_mesh(
     densities, voxel_size = node_grid(field)
     if threshold is None:
         threshold = surface_density(densities, voxel_size)
-    elif not (np.isfinite(threshold) and threshold > 0.0):
-        raise ValueError(f"threshold must be a positive density, got {threshold}")
+    else:
+        threshold = checked_positive(threshold, "threshold, a density,")
     solid = densities > threshold
     if not solid.any():
         raise ValueError(
@@ -129,6 +130,19 @@ def half_opaque_density(voxel_size: ArrayLike) -> float:
     return float(0.5 * np.log(2.0) / np.prod(np.asarray(voxel_size, dtype=np.float64)) ** (1.0 / 3.0))
 
 
+def require_field(field: object) -> None:
+    """Refuse what is no field.
+
+    Args:
+        field: What was given.
+
+    Raises:
+        ValueError: If it has no densities at nodes.
+    """
+    if not hasattr(field, "node_densities"):
+        raise ValueError(f"a field is needed, or a selection of one, got {type(field).__name__}")
+
+
 def node_grid(field: DensityField) -> tuple[np.ndarray, np.ndarray]:
     """The node densities and voxel size of a field, checked.
 
@@ -141,6 +155,7 @@ def node_grid(field: DensityField) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         ValueError: For another shape, or values that are not finite.
     """
+    require_field(field)
     densities = np.asarray(field.node_densities())
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
     if densities.ndim != 3 or densities.size == 0:

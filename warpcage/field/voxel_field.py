@@ -108,6 +108,8 @@ class VoxelField:
         self.straightening = None if straightening is None else rigid_motion(straightening, "straightening")
         self.supersampling = checked_supersampling(supersampling)
         self.refined_cameras: RefinedCameras | None = None
+        if not hasattr(links, "shape"):
+            raise ValueError(f"links must be an array (nx, ny, nz), got {type(links).__name__}")
         if len(links.shape) != 3 or min(links.shape) < 2:
             raise ValueError(f"links must be (nx, ny, nz) with at least 2 along each axis, got {tuple(links.shape)}")
         self.resolution: tuple[int, ...] = tuple(int(n) for n in links.shape)

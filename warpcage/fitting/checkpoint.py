@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import array_view
+from ..core.checks import checked_path
 from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.threads import run_parallel
 from ..scene.scene import Scene
@@ -68,7 +69,7 @@ _fingerprints: weakref.WeakKeyDictionary[Fit, str] = weakref.WeakKeyDictionary()
 
 def require_writable(path: str | pathlib.Path) -> pathlib.Path:
     """A checkpoint's path. Raises ValueError where it does not end in .npz or is a folder."""
-    path = pathlib.Path(path)
+    path = checked_path(path, "the checkpoint")
     if path.suffix != ".npz" or path.is_dir():
         raise ValueError(f"a checkpoint is a file that ends in .npz, got {str(path)!r}")
     return path

@@ -143,6 +143,8 @@ def evaluate(
         ValueError: For anything but a Scene.
     """
     require_type(scene, Scene, "evaluate compares with")
+    if not hasattr(renderer, "render"):
+        raise ValueError(f"evaluate needs a field or a Deformer, got {type(renderer).__name__}")
     scene = in_world_of(renderer, scene)
     from tqdm import tqdm
 

@@ -205,6 +205,8 @@ def require_usable(mesh: ClosedMesh, name: str = "cage") -> None:
     Raises:
         ValueError: One line that names the first problem and where it is.
     """
+    if not hasattr(mesh, "topology"):
+        raise ValueError(f"{name} must be a Cage, got {type(mesh).__name__}")
     problem = _known_problems.get(mesh)
     if problem is None:
         problem = _known_problems[mesh] = first_problem(mesh)

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import listed
+from ..core.checks import checked_path, listed
 from ..view.backgrounds import parse_background
 from ..view.camera import rigid_motion
 from ..view.camera_file import CameraFile
@@ -94,7 +94,7 @@ def load_scene(
         FileNotFoundError: For a missing folder, split, image or camera file.
         ValueError: For contents that cannot be used.
     """
-    folder = pathlib.Path(path)
+    folder = checked_path(path, "the scene")
     if not folder.is_dir():
         what = "is a file" if folder.is_file() else "is not there"
         raise FileNotFoundError(f"scene folder {str(folder)!r} {what}")

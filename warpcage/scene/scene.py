@@ -65,6 +65,9 @@ class Scene:
     def __post_init__(self) -> None:
         images = _checked_images(self.images)
         count = len(images)
+        for name, given in (("cameras", self.cameras), ("names", self.names)):
+            if isinstance(given, str) or not isinstance(given, Sequence):
+                raise ValueError(f"{name} of a scene must be a list, got {type(given).__name__}")
         if len(self.cameras) != count:
             raise ValueError(f"a scene needs one camera per image: {count} images, {len(self.cameras)} cameras")
         names = list(self.names) or [f"{i:04d}" for i in range(count)]
@@ -230,6 +233,8 @@ def _checked_matrix(matrix: ArrayLike | None, name: str) -> np.ndarray | None:
 
 def _checked_images(images: np.ndarray) -> np.ndarray:
     """(n, h, w, 3) float32, n at least 1."""
+    if not isinstance(images, Sequence | np.ndarray) or isinstance(images, str | bytes):
+        raise ValueError(f"images of a scene must be an array (n, h, w, 3), got {type(images).__name__}")
     if len(images) == 0:
         raise ValueError("a scene needs at least one image")
     sizes = [np.shape(image)[:2] for image in images]

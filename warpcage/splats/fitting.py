@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import empty_array
-from ..core.checks import checked_number, checked_positive, checked_whole, require_type
+from ..core.checks import checked_flag, checked_number, checked_positive, checked_whole, require_type
 from ..core.devices import launch
 from ..core.locks import device_turn
 from ..kernels.splats import adam, picture_slopes
@@ -143,7 +143,7 @@ def fit_splats(
         loss=loss,
         supersampling=checked_supersampling(supersampling),
         blur=checked_positive(blur, "blur"),
-        antialias=antialias,
+        antialias=checked_flag(antialias, "antialias"),
         background=field.background if background is None else parse_background(background),
         growth=math.inf if growth is None else checked_growth(growth),
         rates=rates,

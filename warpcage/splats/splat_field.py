@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import empty_array
-from ..core.checks import checked_vector, require_type
+from ..core.checks import checked_flag, checked_vector, real_array, require_type
 from ..core.devices import resolve_device
 from ..core.locks import in_turn
 from ..kernels.splats.splats import Splats
@@ -78,11 +78,10 @@ class SplatField:
         up: ArrayLike = (0.0, -1.0, 0.0),
         device: wp.DeviceLike = None,
     ):
-        places = np.asarray(centres)
-        places = places if places.dtype in (np.float32, np.float64) else places.astype(np.float32)
-        scales, turns, opacities, colours = (
-            np.asarray(values, np.float32) for values in (log_scales, quaternions, logits, harmonics)
-        )
+        held = np.asarray(centres)
+        places = held if held.dtype in (np.float32, np.float64) else real_array(held, "centres", np.float32)
+        others = {"log_scales": log_scales, "quaternions": quaternions, "logits": logits, "harmonics": harmonics}
+        scales, turns, opacities, colours = (real_array(each, name, np.float32) for name, each in others.items())
         if places.ndim != 2 or colours.ndim != 3:
             raise ValueError(f"centres must be (n, 3) and harmonics (n, b, 3), got {places.shape}, {colours.shape}")
         self.contents = checked_contents(SplatContents(places, scales, turns, opacities, colours, layout))
@@ -329,7 +328,7 @@ class SplatField:
             origin=self.center,
             near=self.near,
             supersampling=1 if supersampling is None else supersampling,
-            antialias=antialias,
+            antialias=checked_flag(antialias, "antialias"),
         )
 
     @functools.cached_property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.checks import real_array, shown
 from ..core.names import BACKGROUNDS
 
 
@@ -27,9 +28,11 @@ def parse_background(background: str | ArrayLike) -> np.ndarray:
                 "load with a colour and fit with background='random'"
             )
         if background not in BACKGROUNDS:
-            raise ValueError(f"background {background!r} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]")
+            raise ValueError(
+                f"background {shown(background)} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]"
+            )
         background = BACKGROUNDS[background]
-    colour = np.asarray(background, dtype=np.float32)
+    colour = real_array(background, "a background that is no colour name", np.float32)
     if colour.shape != (3,) or not np.isfinite(colour).all() or colour.min() < 0 or colour.max() > 1:
-        raise ValueError(f"background must be a colour name or three numbers in [0, 1], got {background}")
+        raise ValueError(f"background must be a colour name or three numbers in [0, 1], got {shown(background)}")
     return colour

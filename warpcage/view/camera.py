@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points
-from ..core.checks import checked_number
+from ..core.checks import checked_number, checked_vector, checked_whole, real_array
 from ..core.files import PathLike
 from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
 
@@ -46,8 +47,8 @@ class Camera:
 
     def __post_init__(self) -> None:
         pose = rigid_motion(self.camera_to_world, "camera_to_world")
-        if int(self.width) < 1 or int(self.height) < 1:
-            raise ValueError(f"a camera needs an image of at least 1x1 pixel, got {self.width}x{self.height}")
+        for name in ("width", "height"):
+            object.__setattr__(self, name, checked_pixels(getattr(self, name), f"{name} of a camera"))
         for name in ("fx", "fy", "cx", "cy"):
             object.__setattr__(self, name, checked_number(getattr(self, name), f"{name} of a camera"))
         if not (self.fx > 0 and self.fy > 0):
@@ -55,8 +56,6 @@ class Camera:
         pose = pose.copy()
         pose.setflags(write=False)
         object.__setattr__(self, "camera_to_world", pose)
-        object.__setattr__(self, "width", int(self.width))
-        object.__setattr__(self, "height", int(self.height))
 
     @classmethod
     def look_at(
@@ -83,9 +82,16 @@ class Camera:
             The camera, with square pixels.
 
         Raises:
-            ValueError: If `target` is `eye`.
+            ValueError: If `target` is `eye`, for places that are not 3 finite numbers, for a size that is not whole and
+                positive, or a field of view that is not between 0 and 180 degrees.
         """
-        place, goal, upward = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
+        place, goal, upward = (
+            checked_vector(v, f"{name} of look_at") for v, name in ((eye, "eye"), (target, "target"), (up, "up"))
+        )
+        width, height = checked_pixels(width, "width of look_at"), checked_pixels(height, "height of look_at")
+        fov_degrees = checked_number(fov_degrees, "fov_degrees of look_at")
+        if not 0.0 < fov_degrees < 180.0:
+            raise ValueError(f"fov_degrees of look_at must be between 0 and 180, got {fov_degrees:g}")
         with np.errstate(over="ignore"):
             forward = goal - place
         if not np.isfinite(forward).all():
@@ -162,6 +168,7 @@ class Camera:
         Returns:
             The camera whose picture shows the same, stretched to the new size.
         """
+        width, height = checked_pixels(width, "width of a picture"), checked_pixels(height, "height of a picture")
         sx, sy = width / self.width, height / self.height
         return dataclasses.replace(
             self, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height
@@ -179,7 +186,8 @@ class Camera:
         Raises:
             ValueError: If the transform is not rigid.
         """
-        return dataclasses.replace(self, camera_to_world=np.asarray(transform, np.float64) @ self.camera_to_world)
+        motion = real_array(transform, "the motion of a camera")
+        return dataclasses.replace(self, camera_to_world=motion @ self.camera_to_world)
 
     def rays(self) -> tuple[np.ndarray, np.ndarray]:
         """The rays through the pixel centres.
@@ -203,11 +211,31 @@ class Camera:
         Returns:
             Pixels (n, 2) float64 and depths along the optical axis (n,) float64, world units.
         """
-        local = (np.asarray(points, np.float64) - self.centre) @ self.rotation
+        places = real_array(points, "points")
+        if places.ndim != 2 or places.shape[1] != 3:
+            raise ValueError(f"points must be (n, 3), got {places.shape}")
+        local = (places - self.centre) @ self.rotation
         with np.errstate(divide="ignore", invalid="ignore"):
             u = self.fx * local[:, 0] / local[:, 2] + self.cx
             v = self.fy * local[:, 1] / local[:, 2] + self.cy
         return np.stack([u, v], axis=-1), local[:, 2]
+
+
+def checked_pixels(value: Any, name: str) -> int:
+    """How wide or high a picture is.
+
+    Args:
+        value: A whole number; a float that is one will do.
+        name: How the message calls it.
+
+    Returns:
+        Pixels, at least 1.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    whole = isinstance(value, float | np.floating) and math.isfinite(value) and value == int(value)
+    return checked_whole(int(value) if whole else value, name, 1)
 
 
 def turntable(
@@ -241,9 +269,19 @@ def turntable(
     Raises:
         ValueError: If `count` is below one.
     """
-    if count < 1:
-        raise ValueError(f"a turntable needs at least one view, got {count}")
-    axis = np.asarray(up, np.float64) / np.linalg.norm(up)
+    count = checked_whole(count, "the number of cameras of a turntable", 1)
+    radius, elevation_degrees, start_degrees = (
+        checked_number(value, f"{name} of a turntable")
+        for value, name in (
+            (radius, "radius"),
+            (elevation_degrees, "elevation_degrees"),
+            (start_degrees, "start_degrees"),
+        )
+    )
+    target, axis = checked_vector(target, "target of a turntable"), checked_vector(up, "up of a turntable")
+    if not axis.any():
+        raise ValueError("up of a turntable must be a direction, got 0 0 0")
+    axis = axis / np.linalg.norm(axis)
     side = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
     front = np.cross(side, axis)
@@ -326,7 +364,7 @@ def rigid_motion(matrix: ArrayLike, name: str = "a rigid motion") -> np.ndarray:
     Raises:
         ValueError: For another shape, numbers that are not finite, or a matrix that is not rigid.
     """
-    motion = np.asarray(matrix, dtype=np.float64)
+    motion = real_array(matrix, name)
     if motion.shape != (4, 4) or not np.isfinite(motion).all():
         raise ValueError(f"{name} must be a finite (4, 4) matrix, got shape {motion.shape}")
     rotation = motion[:3, :3]

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import pathlib
 from collections.abc import Sequence
 from typing import Any
 
-from ..core.checks import checked_positive, listed
+from ..core.checks import checked_path, checked_positive, listed, require_type
 from ..core.files import PathLike, atomic_path, require_file
 from ..core.json_files import DAMAGED, damage, read_json
 from ..core.names import require_name
@@ -34,6 +33,7 @@ class CameraFile(list[CameraKey]):
     """
 
     def __init__(self, keys: Sequence[Camera | CameraKey] = (), *, fps: float | None = None, loop: str | None = None):
+        require_type(keys, Sequence, "cameras of a file must be")
         super().__init__(key if isinstance(key, CameraKey) else CameraKey(key) for key in keys)
         self.fps = None if fps is None else checked_positive(fps, "the rate of a camera file")
         if loop is not None:
@@ -72,6 +72,7 @@ class CameraFile(list[CameraKey]):
         Raises:
             ValueError: If there is no such camera, or several of that name.
         """
+        require_type(name, str, "the name of a camera must be")
         found = [key for key in self if key.name == name] if name else list(self)
         if not found and name.isdigit() and int(name) < len(self):
             found = [self[int(name)]]
@@ -101,7 +102,7 @@ class CameraFile(list[CameraKey]):
         Raises:
             ValueError: For another ending, or no cameras.
         """
-        path = pathlib.Path(path)
+        path = checked_path(path, "the camera file")
         if path.suffix.lower() != ".json":
             raise ValueError(f"camera file {str(path)!r} must end in .json")
         if not self:

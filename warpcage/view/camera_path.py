@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..core.checks import checked_number, checked_vector
+from ..core.checks import checked_number, checked_vector, require_type
 from ..core.names import require_name
 from ..core.words import agreed
 from .camera import Camera, common_up
@@ -43,6 +43,7 @@ class CameraKey:
     target: np.ndarray | None = None
 
     def __post_init__(self) -> None:
+        require_type(self.camera, Camera, "a camera key needs")
         if self.time is not None:
             time = checked_number(self.time, "the time of a camera")
             if time < 0.0:
@@ -66,6 +67,9 @@ def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[C
     Raises:
         ValueError: For no keys, for times of some keys alone, and for two keys at one time.
     """
+    require_type(keys, Sequence, "keys of a camera path must be")
+    for key in keys:
+        require_type(key, CameraKey, "a key of a camera path must be")
     if not keys:
         raise ValueError("a camera path needs at least one camera")
     untimed = [key for key in keys if key.time is None]
@@ -103,7 +107,7 @@ def camera_at(keys: Sequence[CameraKey], time: float, *, closed: bool = False) -
     Raises:
         ValueError: For no keys, keys without times, or pictures of several sizes.
     """
-    ordered = timed_keys(keys)
+    time, ordered = checked_number(time, "the time of a camera path"), timed_keys(keys)
     sizes = sorted({(key.camera.width, key.camera.height) for key in ordered})
     if len(sizes) > 1:
         raise ValueError(f"cameras of a path must have one picture size, got {sizes}")

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array
+from ..core.checks import checked_whole, shown
 from ..core.devices import launch
 from ..core.host_copies import HostCopy
 from ..core.locks import device_turn
@@ -61,8 +62,7 @@ class Frame:
     layered = False
 
     def __init__(self, width: int, height: int, rgb: Any, alpha: Any, depth: Any, **masks: Any):
-        if width < 1 or height < 1:
-            raise ValueError(f"a frame needs at least 1x1 pixel, got {width}x{height}")
+        width, height = checked_whole(width, "width of a frame", 1), checked_whole(height, "height of a frame", 1)
         unknown = sorted(set(masks) - {*MASK_NAMES, *LATER_MASKS})
         if unknown:
             raise ValueError(f"a frame has no mask {unknown[0]!r}, it has {', '.join(MASK_NAMES)}")
@@ -70,6 +70,8 @@ class Frame:
         self.arrays: dict[str, Any] = {"rgb": rgb, "alpha": alpha, "depth": depth}
         self.arrays.update({name: mask for name, mask in masks.items() if mask is not None})
         for name, array in self.arrays.items():
+            if not hasattr(array, "shape"):
+                raise ValueError(f"{name} of a frame must be an array, got {type(array).__name__}")
             shape = tuple(array.shape)
             if isinstance(array, wp.array) and array.dtype == wp.vec3:
                 shape += (3,)
@@ -179,6 +181,8 @@ class Frame:
             names: Of `arrays`, or "rgb_bytes".
         """
         for name in names:
+            if not isinstance(name, str) or name not in (*self.arrays, RGB_BYTES):
+                raise ValueError(f"a frame has no array {shown(name)}, only {', '.join(self.arrays)}")
             array = self.arrays["rgb" if name == RGB_BYTES else name]
             if name in self._host or name in self._coming or not _comes_from_cuda(array):
                 continue

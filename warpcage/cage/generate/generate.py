@@ -10,11 +10,13 @@ import sys
 
 import numpy as np
 
+from ...core.checks import checked_margin
 from ...field.planes import Plane
 from ...field.selection import visible_nodes
+from ...field.surface import require_field
 from .floor import ended_at
 from .offset import shell_cage
-from .points import _checked_margin, _spacing, checked_count, surface_points
+from .points import _spacing, checked_count, surface_points
 from .voxel import voxel_cage
 
 #: Points of a mesh that are all looked at; of more, one in each cell of a tenth of a voxel.
@@ -61,7 +63,7 @@ def cage_around_mesh(
     size = np.ptp(vertices, axis=0).max()
     if size == 0.0:
         raise ValueError("the mesh has no extent: all its vertices are in one place")
-    margin = _checked_margin(0.01 * size if margin is None else margin)
+    margin = checked_margin(0.01 * size if margin is None else margin)
     spacing = _spacing(np.ptp(vertices, axis=0), vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
     # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
@@ -95,8 +97,9 @@ def cage_around_field(
     Raises ValueError for a field with nothing to see, densities that are not finite, a bad count or margin.
     """
     vertex_count = checked_count(vertex_count)
+    require_field(field)
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
-    margin = _checked_margin(1.0 if margin is None else margin) * voxel_size.max()
+    margin = checked_margin(1.0 if margin is None else margin) * voxel_size.max()
     points = visible_nodes(field, threshold)
     if not len(points):
         raise ValueError("the field shows nothing to put a cage around: lower the threshold")

@@ -37,9 +37,3 @@ def checked_count(vertex_count, name: str = "vertex_count") -> int:
     if not whole or not _LEAST_COUNT <= vertex_count <= _MOST_COUNT:
         raise ValueError(f"{name} must be a whole number, {_LEAST_COUNT} to {_MOST_COUNT}, got {vertex_count!r}")
     return int(vertex_count)
-
-
-def _checked_margin(margin) -> float:
-    if not (np.isfinite(margin) and margin >= 0.0):
-        raise ValueError(f"margin must be finite and not negative, got {margin}")
-    return float(margin)

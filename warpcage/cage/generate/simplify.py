@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...core.checks import checked_margin
 from ...field.selection import visible_nodes
 from ...mesh.closed_mesh import ClosedMesh
 from ...mesh.containment import inside_mesh
@@ -48,8 +49,7 @@ def simplified(
     vertex_count = checked_count(vertex_count)
     if vertex_count >= len(cage.vertices):
         raise ValueError(f"the cage has {len(cage.vertices)} vertices already: ask for fewer, got {vertex_count}")
-    if not (np.isfinite(margin) and margin >= 0.0):
-        raise ValueError(f"margin must be finite and not negative, got {margin}")
+    margin = checked_margin(margin)
     thing = cage if mesh is None and field is None else mesh
     spacing, slack, points = cage.size / 96.0, 0.0, []
     if thing is not None:

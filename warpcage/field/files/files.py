@@ -8,7 +8,7 @@ import pathlib
 
 import numpy as np
 
-from ...core.checks import checked_positive, listed
+from ...core.checks import checked_path, checked_positive, listed
 from ...core.files import atomic_path, npz_names, read_npz
 from . import compact
 from .contents import FieldContents, are_finite, voxel_side
@@ -79,7 +79,7 @@ def load_field(path: str | os.PathLike, *, scene_scale: float = 1.0) -> FieldCon
         ValueError: For a file of neither format, or whose parts do not fit.
     """
     scene_scale = checked_positive(scene_scale, "scene_scale")
-    path = pathlib.Path(path)
+    path = checked_path(path, "the field file")
     field = _read(read_npz(path, "field file", KNOWN_NAMES.__contains__, room=ROOM), path)
     _check(field, path)
     return dataclasses.replace(

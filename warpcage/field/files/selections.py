@@ -6,11 +6,11 @@ import dataclasses
 import hashlib
 import json
 import math
-import pathlib
 from typing import Any
 
 import numpy as np
 
+from ...core.checks import checked_path
 from ...core.files import PathLike, atomic_path, read_npz, require_file
 from ...core.json_files import DAMAGED, damage, not_a, read_json
 
@@ -67,7 +67,7 @@ def save_selection(contents: SelectionContents, path: PathLike) -> None:
     Raises:
         ValueError: For another ending.
     """
-    ending = pathlib.Path(path).suffix.lower()
+    ending = checked_path(path, "the selection file").suffix.lower()
     if ending not in SELECTION_ENDINGS:
         raise ValueError(f"selection file {str(path)!r} must end in {' or '.join(SELECTION_ENDINGS)}")
     cells = np.argwhere(contents.mask)

@@ -11,6 +11,7 @@ import pathlib
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core.checks import checked_path
 from ...core.files import PathLike, atomic_path, require_file
 from ..polygons import cut_polygon
 from .gltf import read_gltf, write_glb, write_gltf
@@ -70,7 +71,7 @@ def turned_up(vertices: np.ndarray, was: str, up: str) -> np.ndarray:
 
 def file_up(path: PathLike) -> str:
     """The axis that points up in a mesh file by its format: "y" for glTF, as its specification says, "z" for others."""
-    return "y" if _format(pathlib.Path(path)) in (".glb", ".gltf") else "z"
+    return "y" if _format(checked_path(path, "the mesh file")) in (".glb", ".gltf") else "z"
 
 
 def _cut(path: pathlib.Path, vertices: np.ndarray, polygons: Polygons) -> np.ndarray:
@@ -103,7 +104,7 @@ def write_mesh(path: PathLike, vertices: ArrayLike, faces: ArrayLike, up: str | 
     Raises:
         ValueError: For another ending or another axis.
     """
-    path = pathlib.Path(path)
+    path = checked_path(path, "the mesh file")
     writer = _WRITERS[_format(path)]
     vertices = np.asarray(vertices, dtype=np.float64)
     if _turned(path, up):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pathlib
 
+from ...core.checks import checked_path
 from ...core.files import PathLike, atomic_path, require_file
 from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
 from .contents import SplatContents, checked_contents
@@ -28,7 +29,7 @@ def splat_ending(path: PathLike) -> str:
     Raises:
         ValueError: For any other.
     """
-    name = pathlib.Path(path).name.lower()
+    name = checked_path(path, "the file of splats").name.lower()
     for ending in SPLAT_ENDINGS:
         if name.endswith(ending):
             return ending
