@@ -146,6 +146,7 @@ def test_paths_that_cannot_be():
         ([], "at least one camera"),
         ([CameraKey(one, 1.0), CameraKey(two)], "1 of 2 cameras has no time"),
         ([CameraKey(one, 1.0), CameraKey(two, 1.0)], "two cameras of a path are at 1 s"),
+        ([CameraKey(one, 1.0, "a"), CameraKey(two, 1.0, "b")], r"two cameras of a path \('a' and 'b'\) are at 1 s"),
         ([CameraKey(one), CameraKey(two.resized(30, 20))], "one picture size"),
     ):
         with pytest.raises(ValueError, match=said):

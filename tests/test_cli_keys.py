@@ -12,6 +12,8 @@ from gltf_writer import GltfWriter
 
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
+from warpcage.scene.load import load_scene
+from warpcage.view.camera_path import CameraKey
 from warpcage.view.pictures import read_image
 
 LOOK = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, "--size", 24, "--coordinates", "mean_value", "--resolution", 16]
@@ -262,6 +264,17 @@ def test_two_keys_at_one_time_are_refused_or_told(files, tmp_path, capsys):
     said = capsys.readouterr()
     line = f"{poses}: keyframes 'b' and 'c' are both at 0.5 s: the film jumps there"
     assert said.err.count(line) == 1 and "3 frames" in said.out
+
+
+def test_two_cameras_at_one_time_are_named_with_their_file(files, tmp_path, capsys):
+    poses = tmp_path / "poses.json"
+    file = PoseFile(Cage.load(files / "cage.obj"))
+    camera = load_scene(files / "scene").cameras[0]
+    file["a"], file.times["a"] = file.rest.bend(20), 1.0
+    file.cameras = [CameraKey(camera, 0.5, "near"), CameraKey(camera, 0.5, "far")]
+    file.save(poses)
+    assert run(files, "animate", "@ball.npz", *FILM, "--posed", poses, "-o", tmp_path / "film") == 2
+    assert f"{poses}: two cameras of a path ('near' and 'far') are at 0.5 s" in capsys.readouterr().err
 
 
 def test_an_unknown_easing_is_named_with_its_file(files, tmp_path, capsys):

@@ -13,6 +13,7 @@ from ..cage.cage import Cage
 from ..cage.motion import are_numbered, gltf_poses, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
 from ..core.words import counted
+from ..view.camera_path import timed_keys
 from ..view.keys import EASINGS, frame_rate, frame_times
 from .options import CAGE_ENDINGS
 from .standing import ending
@@ -101,6 +102,11 @@ def _timed(file: PoseFile, path: str) -> PoseFile | None:
             raise ValueError(
                 f"{path}: keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}"
             )
+    if file.cameras:
+        try:
+            timed_keys(file.cameras)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
     note_jumps(file, path)
     return file
 

@@ -84,7 +84,8 @@ def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[C
     ordered = sorted(keys, key=lambda key: key.time or 0.0)
     for one, two in zip(ordered, ordered[1:], strict=False):
         if one.time == two.time:
-            raise ValueError(f"two cameras of a path are at {one.time:g} s: give each a time of its own")
+            names = f" ({one.name!r} and {two.name!r})" if one.name and two.name else ""
+            raise ValueError(f"two cameras of a path{names} are at {one.time:g} s: give each a time of its own")
     return ordered
 
 
