@@ -39,6 +39,7 @@ from warpcage.reference.fit_scenes import synthetic_scene
 from warpcage.reference.inverse_map import InverseMap
 from warpcage.splats.density import SplatDensity
 from warpcage.view.camera import camera_array
+from warpcage.view.frame import RGB_BYTES
 
 #: Kernels that only one kind of device launches.
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
@@ -51,7 +52,8 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.skip.spread_distance", "field.shades.",
              "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
              "deform.render_part.", "deform.render_part_sides.",
-             "splats.composite.", "splats.composite_slopes.", "splats.packed_rows."}  # fmt: skip
+             "splats.composite.", "splats.composite_slopes.", "splats.packed_rows.",
+             "view.colour_bytes."}  # fmt: skip
 
 launched: set[str] = set()
 
@@ -117,6 +119,7 @@ def fields(device) -> None:
     field = ball_field(device)
     frame = field.render(camera(), supersampling=2)
     frame_pixels(frame, "rgb", 1.0, 8.0, 8, 6)
+    frame.begin_copies(RGB_BYTES)
     field.render(warpcage.Camera.look_at((0, 0, 0.1), (0, 0, 0), width=8, height=8))  # too near for shaded voxels
     field.sample(POINTS, np.ones((64, 3)))
     harmonics_on_device(np.zeros((5, 24), np.float16), wp.get_device(device))

@@ -255,5 +255,8 @@ def test_what_frames_hold_beside_the_field(device):
     rows_now = row_table(field.grid, table)
     for array, size in ((rows_now.packed, 32 * rows), (rows_now.laid, 2 * nx * ny * nz)):
         assert (array is None or array.size == 0) if is_cpu else array.capacity == size
+    if not is_cpu:  # both stay
+        again = row_table(field.grid, table)
+        assert (again.packed.ptr, again.laid.ptr) == (rows_now.packed.ptr, rows_now.laid.ptr)
     shades = shaded_grid(field.grid, table, wp.vec3(9.0, 0.0, 0.0), field.step).shades
     assert shades.capacity == (16 if is_cpu else 8) * rows

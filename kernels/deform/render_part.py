@@ -20,7 +20,7 @@ from .ray_parts import ScenePart, finished, leave_ray, part_end, ray_start, ray_
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 
-@wp.kernel(cuda_max_registers=96)
+@wp.kernel(cuda_max_registers=128)
 def render_edit_part(
     first: int,
     grid: VoxelGrid,

@@ -58,7 +58,7 @@ class ColumnTable:
         launch(columns.find_unsorted, row_count, [order], [unsorted], device=device)
         if unsorted.numpy()[0]:
             self.columns.order = order
-        self._node_count, self._laid = math.prod(links.shape), None
+        self._node_count, self._laid, self._packed = math.prod(links.shape), None, None
 
     def laid_densities(self) -> wp.array:
         """(nodes,) float16, one for each node of the grid, made when it is first asked for; 0 without a row."""
@@ -66,6 +66,16 @@ class ColumnTable:
             self._laid = empty_array(self._node_count, wp.float16, self.nodes.device)
             self._laid.zero_()
         return self._laid
+
+    def packed_rows(self) -> wp.array:
+        """(rows, PACKED_WORDS) uint32, made when it is first asked for.
+
+        It is kept, as CUDA takes longer to hand out as much memory than to fill it. Frames that pack the rows at the same
+        time on several streams write the same into it.
+        """
+        if self._packed is None:
+            self._packed = empty_array((self.nodes.shape[0], PACKED_WORDS), wp.uint32, self.nodes.device)
+        return self._packed
 
 
 def whole_warps(rows: int, device: wp.Device) -> int:
@@ -98,7 +108,7 @@ def row_table(grid: Any, table: ColumnTable) -> Any:
         result.laid = table.laid_densities()
         inputs = [grid.density, table.columns.order, table.nodes, 1.0 / result.unit]
         launch(lay_densities, rows, inputs, [result.laid], device=device)
-        result.packed = empty_array((rows, PACKED_WORDS), wp.uint32, device)
+        result.packed = table.packed_rows()
         launch(pack_rows, whole_warps(rows, device), [grid, table.columns], [result.packed], device=device)
     return result
 
