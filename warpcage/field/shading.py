@@ -70,8 +70,8 @@ class ColumnTable:
     def packed_rows(self) -> wp.array:
         """(rows, PACKED_WORDS) uint32, made when it is first asked for.
 
-        It is kept, as CUDA takes longer to hand out as much memory than to fill it. Frames that pack the rows at the same
-        time on several streams write the same into it.
+        It is kept, as CUDA takes longer to hand out as much memory than to fill it. Frames that pack rows on several
+        streams at a time write the same into it.
         """
         if self._packed is None:
             self._packed = empty_array((self.nodes.shape[0], PACKED_WORDS), wp.uint32, self.nodes.device)
