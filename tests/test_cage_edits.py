@@ -139,5 +139,5 @@ def test_bad_points_and_steps_are_refused():
 
 @pytest.mark.parametrize(("width", "height"), [(0, 4), (4, 0), (-1, 4)])
 def test_pictures_without_pixels_are_refused(width, height):
-    with pytest.raises(ValueError, match="at least 1x1 pixel"):
+    with pytest.raises(ValueError, match="must be a whole number of at least 1"):
         Camera(10.0, 10.0, 2.0, 2.0, width, height, np.eye(4))

@@ -55,7 +55,7 @@ def test_a_frame_takes_numpy():
     ("size", "rgb", "masks", "message"),
     [
         ((2, 1), np.zeros((1, 3, 3)), {}, "rgb of a 2x1 frame"),
-        ((0, 1), np.zeros((1, 0, 3)), {}, "at least 1x1"),
+        ((0, 1), np.zeros((1, 0, 3)), {}, "whole number of at least 1"),
         ((2, 1), np.zeros((1, 2, 3)), {"shadow": np.zeros(2)}, "no mask 'shadow'"),
         ((2, 1), np.zeros((1, 2, 3)), {"fold": np.zeros(3)}, "fold of a 2x1 frame"),
     ],
