@@ -89,7 +89,7 @@ def test_largest_part_drops_floaters_and_cavities():
         (GridField(np.full((4, 4, 4), -1.0)), {}, "empty"),
         (GridField(np.full((4, 4, 4), np.nan)), {}, "not finite"),
         (GridField(np.ones((4, 4, 4))), {"threshold": 2.0}, "above the threshold 2"),
-        (GridField(np.ones((4, 4, 4))), {"threshold": -1.0}, "positive density"),
+        (GridField(np.ones((4, 4, 4))), {"threshold": -1.0}, "threshold, a density, must be positive"),
         (GridField(np.ones((4, 4, 4))), {"components": "some"}, "largest"),
     ],
 )
