@@ -43,8 +43,9 @@ def object_box(found: Found) -> np.ndarray:
     Returns:
         (2, 3) lower and upper corner.
     """
-    seen = view_box(_cameras(found))
-    box = bulk_box(found.points, seen)
+    cameras = _cameras(found)
+    seen = view_box(cameras)
+    box = bulk_box(found.points, seen, common_up(cameras))
     return seen if box is None else box
 
 

@@ -18,6 +18,12 @@ MAX_CONDITION = 1e6
 #: Fewer points of a reconstruction say nothing about where the object is.
 MIN_POINTS = 8
 
+#: A point is no mistake where so many others are within this share of the diagonal of the bulk of them.
+COMPANY, COMPANY_WITHIN = 5, 0.03
+
+#: A box reaches upwards along axes with more of the direction up than this.
+UPWARD = 0.5
+
 #: Half side of the box over the radius of the object that a camera sees whole; most of it may be of its distance.
 BOX_ROOM, MOST_OF_DISTANCE = 1.2, 0.95
 
@@ -83,23 +89,50 @@ def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np
     return box
 
 
-def bulk_box(points: np.ndarray, seen_box: np.ndarray) -> np.ndarray | None:
+def bulk_box(points: np.ndarray, seen_box: np.ndarray, up: np.ndarray) -> np.ndarray | None:
     """A box around the bulk of the points of a reconstruction that lie where the cameras look, or of all of them.
+
+    Most of them lie on the floor. Above the bulk the box also holds points that have company: an arm or an ear has few,
+    beside each other, and mistakes of the reconstruction are alone.
 
     Args:
         points: (n, 3) world units.
         seen_box: (2, 3) what the cameras look at: see `view_box`.
+        up: (3,) unit vector.
 
     Returns:
         (2, 3) float64 lower and upper corner, world units; None where there are too few points, or no extent.
     """
     low, high = seen_box
     seen = points[((points > low) & (points < high)).all(axis=1)]
-    bulk = seen if len(seen) >= max(MIN_POINTS, len(points) // 4) else points
+    is_seen = len(seen) >= max(MIN_POINTS, len(points) // 4)
+    bulk = seen if is_seen else points
     if len(bulk) < MIN_POINTS:
         return None
     low, high = np.percentile(bulk, [1.0, 99.0], axis=0)  # a few are always far off
     margin = 0.1 * float((high - low).max())
     if not (np.isfinite(margin) and margin > 0):
         return None
+    together = bulk[have_company(bulk, COMPANY_WITHIN * float(np.linalg.norm(high - low)))] if is_seen else bulk[:0]
+    top, bottom = together.max(axis=0, initial=-np.inf), together.min(axis=0, initial=np.inf)
+    high = np.where(up > UPWARD, np.maximum(high, top), high)
+    low = np.where(up < -UPWARD, np.minimum(low, bottom), low)
     return np.stack([low - margin, high + margin])
+
+
+def have_company(points: np.ndarray, within: float) -> np.ndarray:
+    """Which points have COMPANY others near them.
+
+    Args:
+        points: (n, 3).
+        within: Distance, in their units.
+
+    Returns:
+        (n,) bool.
+    """
+    from scipy.spatial import KDTree
+
+    if len(points) <= COMPANY:
+        return np.zeros(len(points), bool)
+    distances = np.asarray(KDTree(points).query(points, COMPANY + 1)[0])  # the first is the point itself
+    return distances[:, -1] <= within

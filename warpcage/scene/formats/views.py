@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ...core.memory import free_host_bytes
-from ...view.camera import Camera
+from ...view.camera import Camera, common_up
 from ...view.pictures import image_size, read_rows, shrink, shrunk_size
 from ..box import bulk_box, view_box
 from ..scene import Scene
@@ -152,7 +152,7 @@ def make_scene(
     cameras = [camera.resized(width, height) for camera in cameras]
     opaque = all((alpha == 1.0).all() for alpha in alphas)  # such images say nothing about the object's outline
     if bounds is None and points is not None:
-        bounds = bulk_box(points, view_box(cameras))
+        bounds = bulk_box(points, view_box(cameras), common_up(cameras))
     return Scene(
         images,
         None if opaque else alphas,
