@@ -8,6 +8,7 @@ import sys
 import types
 import warnings
 
+from ..core import compiling
 from ..core.words import system_error_line
 from . import verbosity
 from .parser import build_parser
@@ -56,6 +57,8 @@ def _run_command(argv: list[str] | None) -> int:
         parser.print_help()
         return 2
     verbosity.verbose = arguments.verbose
+    watched = sys.stderr.isatty() and not getattr(arguments, "quiet", False)
+    compiling.say = _tell_of_compiling if watched else None
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         return _command(arguments.command).run(arguments) or 0
@@ -71,6 +74,11 @@ def _command(name: str) -> types.ModuleType:
         gc.freeze()
         if collecting:
             gc.enable()
+
+
+def _tell_of_compiling() -> None:
+    """Whoever sits before a terminal would wonder."""
+    print("warpcage: compiling kernels, once on this machine, which may take a minute", file=sys.stderr)
 
 
 def _said(what: str, status: int) -> int:

@@ -8,11 +8,12 @@ import shutil
 import sys
 import threading
 import types
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeAlias
 
 import warp as wp
 
+from . import compiling
 from .locks import device_turn
 from .stderr import without_driver_note
 from .threads import cpu_threads
@@ -57,6 +58,7 @@ def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> 
     warp_modules = [wp.get_module(module.__name__) for module in modules]
     with device_turn(device), _loading:
         _ask_cpu_target()
+        _tell(warp_modules, device)
         try:
             wp.force_load(device, warp_modules, max_workers=min(len(warp_modules), cpu_threads()))
         except Exception:
@@ -81,6 +83,7 @@ def require_loaded(kernel: Kernel, device: wp.Device, block_dim: int) -> None:
         return
     with device_turn(device), _loading:
         _ask_cpu_target()
+        _tell([kernel.module], device, block_dim)
         _load(kernel.module, device, place[2])
         _loaded.add(place)
 
@@ -102,6 +105,15 @@ def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
             f"the compiled kernels in {folder} are damaged, and the folder cannot be removed: remove it, or set "
             "WARP_CACHE_PATH to another one"
         ) from error
+
+
+def _tell(modules: Sequence[wp.Module], device: wp.Device, block_dim: int | None = None) -> None:
+    """Say that modules are about to be compiled, if some of them are not in the cache; block_dim: None is their own."""
+    if compiling.say is None:
+        return
+    threads = [1 if device.is_cpu else block_dim or module.options["block_dim"] for module in modules]
+    if not all(_cache_folder(module, count).exists() for module, count in zip(modules, threads, strict=True)):
+        compiling.told()
 
 
 def _unwritable(error: OSError) -> RuntimeError:

@@ -1,0 +1,57 @@
+"""Whoever waits for kernels to be compiled is told so: once, before a terminal, and where they are compiled at all."""
+
+import io
+import os
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from warpcage.cli import main
+from warpcage.core import compiling
+
+PROGRAM = """
+    import warp as wp
+    from warpcage.core import compiling
+    from warpcage.core.devices import launch
+    from warpcage.core.modules import load_modules
+    from warpcage.kernels.field import halves
+
+    compiling.say = lambda: print("told")
+    load_modules([halves], "cpu")
+    assert (compiling.say is None) == {said}
+    compiling.say = lambda: print("told again")
+    ones, singles = (wp.full((4, 3), value, dtype=kind, device="cpu") for value, kind in ((1, wp.float16), (0, float)))
+    launch(halves.widen_rows, 4, [ones], [singles], device="cpu")
+    assert (singles.numpy() == 1).all()
+"""
+
+
+def test_it_is_said_once_and_only_where_something_is_compiled(tmp_path):
+    """By a process with an empty cache, and by the next one."""
+    surroundings = os.environ | {"WARP_CACHE_PATH": str(tmp_path)}
+    for said in (True, False):
+        program = textwrap.dedent(PROGRAM).format(said=said)
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=surroundings)
+        assert done.returncode == 0, done.stderr
+        assert ("told\n" in done.stdout) == said and "told again" not in done.stdout
+
+
+class Terminal(io.StringIO):
+    """What somebody looks at."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(("stream", "words", "watched"), [
+    (Terminal, (), True), (Terminal, ("--quiet",), False), (io.StringIO, (), False),
+])  # fmt: skip
+def test_a_command_says_it_before_a_terminal(monkeypatch, stream, words, watched):
+    monkeypatch.setattr(compiling, "say", None)
+    monkeypatch.setattr(sys, "stderr", stream())
+    assert main(["render", "nothing.npz", "-o", "a.png", *words]) == 2  # there is no such file
+    assert (compiling.say is not None) == watched
+    compiling.told()
+    assert ("compiling kernels" in sys.stderr.getvalue()) == watched and compiling.say is None
