@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warpcage.scene.box import bulk_box, have_company
+from warpcage.scene.box import are_inliers, bulk_box
 
 SEEN = np.array([[-2.0] * 3, [2.0] * 3])
 
@@ -41,8 +41,8 @@ def test_points_alone_are_those_without_others_near_them():
     random = np.random.default_rng(1)
     points = random.normal(size=(300, 3))
     apart = np.sort(np.linalg.norm(points[:, None] - points[None], axis=-1), axis=1)
-    assert np.array_equal(have_company(points, 0.5), apart[:, 5] <= 0.5)
-    assert 20 < have_company(points, 0.5).sum() < 280 and not have_company(points[:5], 1e9).any()
+    assert np.array_equal(are_inliers(points, 0.5), apart[:, 5] <= 0.5)
+    assert 20 < are_inliers(points, 0.5).sum() < 280 and not are_inliers(points[:5], 1e9).any()
 
 
 def test_few_points_and_points_in_one_place_make_no_box():

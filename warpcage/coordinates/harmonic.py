@@ -136,7 +136,9 @@ class WeightGaps:
             if self._launches is None:
                 message = f"sides of gaps at resolution {lattice.resolution} need {{size}}: take a lower resolution"
                 require_memory(lattice_side_bytes(lattice), solver.device, message)
-                self._launches = PoseLaunches(solver, MapTarget(lattice.cage, self._affine, vertex_values, 0.0))
+                self._launches = PoseLaunches(
+                    solver, MapTarget(lattice.cage, self._affine, vertex_values, steepest=0.0)
+                )
             self._launches.find_sides(solver.sizes)
             sides = self._launches.sides
             data.side_index, data.sides = sides.index, sides.table

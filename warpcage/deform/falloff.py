@@ -18,6 +18,7 @@ from ..kernels.deform import falloff as kernels
 from ..kernels.deform.edits import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.walls import Walls
+from ..lattice.position_map import PositionMap
 from .edits import CageEdit
 
 #: Vertices nearer to rest than this share of the cage's size are in place.
@@ -135,19 +136,20 @@ def faded_map(cage_map: Any, walls: Any, held: Any = None) -> Any:
     return faded
 
 
-def squeezed_remedy(index: int) -> str:
-    """What a warning of narrow gaps says of an edit with a band: held walls stay, and the cage is squeezed beside them.
+def tell_of_squeezing(maps: Sequence[PositionMap | None], bands: Sequence[FalloffBand | None]) -> None:
+    """Let the maps of edits with a band say what their narrow gaps come from: held walls stay, and the cage is squeezed
+    beside them.
 
     Args:
-        index: Number of the edit.
-
-    Returns:
-        What is done, and what callers can do.
+        maps: The map of each edit, None for one that removes.
+        bands: The band of each edit, None for one without a falloff.
     """
-    return (
-        f"the falloff of edit {index} holds walls of the cage, and the pose squeezes it beside them: move it less, or "
-        "give it another width of the falloff or other vertices there"
-    )
+    for index, (position_map, band) in enumerate(zip(maps, bands, strict=True)):
+        if position_map is not None and band is not None:
+            position_map.gap_remedy = (
+                f"the falloff of edit {index} holds walls of the cage, and the pose squeezes it beside them: move it "
+                "less, or give it another width of the falloff or other vertices there"
+            )
 
 
 def folded_cells(flags: np.ndarray) -> np.ndarray:

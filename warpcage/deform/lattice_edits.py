@@ -58,7 +58,7 @@ from ..mesh.containment import SURFACE_TOLERANCE
 from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from .carried import CarriedCrumbs
 from .edits import CageEdit, MarchedView, PosedEdits
-from .falloff import FalloffBand, faded_map, folded_cells, squeezed_remedy
+from .falloff import FalloffBand, faded_map, folded_cells, tell_of_squeezing
 from .parts import render_parts
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
@@ -305,9 +305,7 @@ class EditLattices:
             "store": store,
         }
         self.maps = [None if edit.remove else PositionMap(edit.cage, **options).warm() for edit in edits]
-        for index, (position_map, band) in enumerate(zip(self.maps, self._bands, strict=True)):
-            if position_map is not None and band is not None:
-                position_map.gap_remedy = squeezed_remedy(index)
+        tell_of_squeezing(self.maps, self._bands)
         self.skips: list[wp.array] = []
         pool = BufferPool(device)  # poses differ in shape, and an allocation takes as long as a launch
         self._cell_buffers, self._skip_buffers = ([pool.buffer(wp.uint8) for _ in edits] for _ in range(2))

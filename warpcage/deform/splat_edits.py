@@ -20,7 +20,7 @@ from ..splats.binding import RESOLUTION, CageBinding
 from ..splats.splat_field import SplatField
 from ..splats.splitting import split_tree
 from .edits import CageEdit
-from .falloff import FalloffBand, squeezed_remedy
+from .falloff import FalloffBand, tell_of_squeezing
 from .splat_instances import BOUND, CLEARED, FOLLOWED, LEFT, make_instances, shared_ways
 
 #: A splat of a cage is cut in pieces, which a pose may draw in its place, where twice its standard deviation is more
@@ -211,9 +211,7 @@ class SplatEdits:
             self.maps = [
                 None if edit.remove else PositionMap(edit.cage, **options, device=self.device).warm() for edit in edits
             ]
-            for index, (position_map, band) in enumerate(zip(self.maps, self.bands, strict=True)):
-                if position_map is not None and band is not None:
-                    position_map.gap_remedy = squeezed_remedy(index)
+            tell_of_squeezing(self.maps, self.bands)
         self._cut(edits)
         instances = self.instances = make_instances(edits, self.shares)
         count, device = len(instances.nodes), self.device

@@ -18,8 +18,8 @@ MAX_CONDITION = 1e6
 #: Fewer points of a reconstruction say nothing about where the object is.
 MIN_POINTS = 8
 
-#: A point is no mistake where so many others are within this share of the diagonal of the bulk of them.
-COMPANY, COMPANY_WITHIN = 5, 0.03
+#: A point is no outlier where so many others are within this share of the diagonal of the bulk of them.
+NEIGHBOURS, NEIGHBOUR_RADIUS = 5, 0.03
 
 #: A box reaches upwards along axes with more of the direction up than this.
 UPWARD = 0.5
@@ -92,8 +92,8 @@ def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np
 def bulk_box(points: np.ndarray, seen_box: np.ndarray, up: np.ndarray) -> np.ndarray | None:
     """A box around the bulk of the points of a reconstruction that lie where the cameras look, or of all of them.
 
-    Most of them lie on the floor. Above the bulk the box also holds points that have company: an arm or an ear has few,
-    beside each other, and mistakes of the reconstruction are alone.
+    Most of them lie on the floor. Above the bulk the box also holds points that have others near them: an arm or an
+    ear has few, beside each other, and mistakes of the reconstruction are alone.
 
     Args:
         points: (n, 3) world units.
@@ -113,26 +113,27 @@ def bulk_box(points: np.ndarray, seen_box: np.ndarray, up: np.ndarray) -> np.nda
     margin = 0.1 * float((high - low).max())
     if not (np.isfinite(margin) and margin > 0):
         return None
-    together = bulk[have_company(bulk, COMPANY_WITHIN * float(np.linalg.norm(high - low)))] if is_seen else bulk[:0]
+    radius = NEIGHBOUR_RADIUS * float(np.linalg.norm(high - low))
+    together = bulk[are_inliers(bulk, radius)] if is_seen else bulk[:0]
     top, bottom = together.max(axis=0, initial=-np.inf), together.min(axis=0, initial=np.inf)
     high = np.where(up > UPWARD, np.maximum(high, top), high)
     low = np.where(up < -UPWARD, np.minimum(low, bottom), low)
     return np.stack([low - margin, high + margin])
 
 
-def have_company(points: np.ndarray, within: float) -> np.ndarray:
-    """Which points have COMPANY others near them.
+def are_inliers(points: np.ndarray, radius: float) -> np.ndarray:
+    """Which points have NEIGHBOURS others within a radius (radius outlier removal).
 
     Args:
-        points: (n, 3).
-        within: Distance, in their units.
+        points: (n, 3) world units.
+        radius: World units.
 
     Returns:
         (n,) bool.
     """
     from scipy.spatial import KDTree
 
-    if len(points) <= COMPANY:
+    if len(points) <= NEIGHBOURS:
         return np.zeros(len(points), bool)
-    distances = np.asarray(KDTree(points).query(points, COMPANY + 1)[0])  # the first is the point itself
-    return distances[:, -1] <= within
+    distances = np.asarray(KDTree(points).query(points, NEIGHBOURS + 1)[0])  # the first is the point itself
+    return distances[:, -1] <= radius
