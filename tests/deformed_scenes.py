@@ -1,10 +1,13 @@
 """Small fields, a cage and cameras that the tests of deformed scenes share."""
 
 import contextlib
+import math
 
 import numpy as np
+import pytest
 
 from warpcage.cage.cage import Cage
+from warpcage.field import marching
 from warpcage.field.voxel_field import VoxelField
 from warpcage.kernels.deform.render import render_edits
 from warpcage.view.camera import Camera
@@ -142,10 +145,26 @@ def kernels_of(edits):
 @contextlib.contextmanager
 def general_march(edits):
     """Marches posed edits by the kernel for any edits; they must have been rendered."""
-    usual = edits.render_kernel, edits.scene
-    edits.render_kernel, edits.scene, edits.scene_parts = render_edits, edits.flat_array(), lambda view: None
+    usual = edits.render_kernel, edits.scene, edits._most_shades
+    edits.render_kernel, edits.scene, edits._most_shades = render_edits, edits.flat_array(), -1
+    edits.scene_parts = lambda *_: None
     try:
         yield
     finally:
         del edits.scene_parts
-        edits.render_kernel, edits.scene = usual
+        edits.render_kernel, edits.scene, edits._most_shades = usual
+
+
+#: On a CPU by tiles; as CUDA marches near cameras and copies, by rows; and as it does else, of shaded voxels.
+MARCHES = ("tiles", "rows", "shaded")
+
+
+def use_march(name, device, monkeypatch):
+    """Views by one of MARCHES, on any device that has it."""
+    if name == "tiles" and device != "cpu":
+        pytest.skip("rays of a tile go side by side on a CPU alone")
+    monkeypatch.setattr(marching, "TILES_ON_CPU", name == "tiles")
+    monkeypatch.setattr(marching, "SHADES_ON_CPU", name == "shaded")
+    if name == "rows":
+        monkeypatch.setattr(marching, "NEAR_VOXELS", math.inf)
+    return name

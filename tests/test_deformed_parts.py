@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from deformed_scenes import (
+    MARCHES,
     ball,
     box_around,
     general_march,
@@ -17,6 +18,7 @@ from deformed_scenes import (
     shiny,
     slotted,
     two_balls,
+    use_march,
     view,
 )
 
@@ -32,18 +34,18 @@ from warpcage.kernels.deform.render_cpu import render_edit_tiles
 from warpcage.kernels.deform.render_part import render_edit_part
 from warpcage.kernels.deform.render_part_sides import render_edit_part_with_sides
 from warpcage.kernels.deform.render_plain import render_plain_edits
+from warpcage.kernels.deform.shaded_part import render_shaded_part
+from warpcage.kernels.deform.shaded_part_sides import render_shaded_part_with_sides
 from warpcage.view.camera import Camera, camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))
 HIGH, SLOTTED = box_around(0, 0, 0.85, half=0.14), slotted(0.4).scale(0.5, centre=(0, 0, 0)).translate((0, 0, -0.2))
 
 
-@pytest.fixture(params=["tiles", "threads"])
+@pytest.fixture(params=MARCHES)
 def march(request, device, monkeypatch):
-    """The march of a CPU, and that of CUDA."""
-    if request.param == "tiles" and device != "cpu":
-        pytest.skip("rays of a tile go side by side on a CPU alone")
-    monkeypatch.setattr(marching, "TILES_ON_CPU", request.param == "tiles")
+    """Each march that there is."""
+    return use_march(request.param, device, monkeypatch)
 
 
 def shiny_balls(device):
@@ -99,10 +101,21 @@ def both(deformer, camera, **options):
     return by_parts, at_once, launched
 
 
-def assert_alike(by_parts, at_once):
+SHADED_KERNELS = (render_shaded_part, render_shaded_part_with_sides)
+
+
+def is_shaded(kernels):
+    """Whether a view was marched through shaded voxels: all of it or nothing."""
+    found = {kernel in SHADED_KERNELS for kernel in kernels}
+    assert len(found) == 1
+    return found.pop()
+
+
+def assert_alike(by_parts, at_once, shaded):
     least = 100 if by_parts.arrays["rgb"].device.is_cpu else 70  # compilers for GPUs join products and sums
-    for name in ("rgb", "alpha", "reveal"):
+    for name in ("alpha", "reveal"):
         assert psnr(getattr(by_parts, name), getattr(at_once, name)) > least, name
+    assert psnr(by_parts.rgb, at_once.rgb) > (60 if shaded else least)
     seen = at_once.alpha > 0.1
     assert np.abs(by_parts.depth[seen] - at_once.depth[seen]).mean() < 1e-4
     for name in ("fold", "outside"):  # a sample at a wall counts or not
@@ -119,16 +132,20 @@ def test_edits_one_by_one_are_seen_as_all_at_once(scene, march, device):
     orders = set()
     for eye in EYES:
         by_parts, at_once, kernels = both(deformer, camera_at(eye))
-        assert_alike(by_parts, at_once)
+        assert_alike(by_parts, at_once, is_shaded(kernels))
         assert at_once.alpha.max() > 0.9
         if deformer.device.is_cpu and marching.TILES_ON_CPU:
             assert kernels == len(rests) * [render_edit_tiles]
         else:
             gaps = sum(flat.has_sides for flat in deformer._edits._flat)
-            assert kernels.count(render_edit_part_with_sides) == gaps
-            assert kernels.count(render_edit_part) == len(rests) - gaps > 0
+            is_far = np.linalg.norm(eye) > 1.5 and not any(isinstance(rest, CageEdit) for rest in rests)
+            turns_over = scene == "with a slot"  # the map, where its slot closes
+            assert is_shaded(kernels) == (march == "shaded" and is_far and not turns_over)
+            plain, slotted_part = SHADED_KERNELS if is_shaded(kernels) else (render_edit_part, render_edit_part_with_sides)
+            assert kernels.count(slotted_part) == gaps
+            assert kernels.count(plain) == len(rests) - gaps > 0
             assert gaps > 0 or scene != "with a slot"
-            orders.add(tuple(kernels))
+            orders.add(tuple(kernel in (slotted_part,) for kernel in kernels))
     assert len(orders) > 1 or scene != "with a slot" or marching.TILES_ON_CPU  # the slot's is first, second or last
 
 
@@ -139,7 +156,7 @@ def test_samples_sent_out_are_counted_in_each_part(march, device):
     deformer = Deformer(field, [LEFT, RIGHT], coordinates="green", resolution=40).pose(posed)
     by_parts, at_once, kernels = both(deformer, view())
     assert len(kernels) == 2 and at_once.outside.max() > 3
-    assert_alike(by_parts, at_once)
+    assert_alike(by_parts, at_once, is_shaded(kernels))
 
 
 def test_folds_and_what_is_revealed_are_kept_from_part_to_part(march, device):
@@ -158,7 +175,7 @@ def test_folds_and_what_is_revealed_are_kept_from_part_to_part(march, device):
     deformer.pose([LEFT, RIGHT.scale((1, 0.5, 0.5), centre=(0.7, 0, 0))])
     by_parts, at_once, kernels = both(deformer, view((-2.5, 0.4, 0.6)))
     assert len(kernels) == 2 and at_once.fold.max() > 0.9 and at_once.reveal.max() > 0.1
-    assert_alike(by_parts, at_once)
+    assert_alike(by_parts, at_once, is_shaded(kernels))
 
 
 @pytest.mark.parametrize("density", ["opacity", "paper"])
@@ -196,7 +213,7 @@ def test_other_cameras_steps_and_rays_per_pixel(march, device):
     ):
         by_parts, at_once, kernels = both(deformer, camera_at(eye), **options)
         assert len(kernels) == 4
-        assert_alike(by_parts, at_once)
+        assert_alike(by_parts, at_once, is_shaded(kernels))
 
 
 def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
@@ -204,8 +221,9 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     dot = wp.zeros(1, dtype=wp.vec4, device="cpu")
     marched_parts = []
 
-    def untouched(shape, dtype, device):
-        return wp.array(ptr=dot.ptr, shape=shape, dtype=dtype, device=device, copy=False)
+    class Untouched:
+        def take(self, shape):
+            return wp.array(ptr=dot.ptr, shape=shape, dtype=wp.vec4, device="cpu", copy=False)
 
     def march(view, kernel, scene, item_rays):
         marched_parts.append(scene[-1])
@@ -213,14 +231,14 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     deformer = Deformer(two_balls("cpu"), [LEFT, RIGHT], device="cpu", resolution=16)
     deformer.render(view(size=8))
     edits = deformer._edits
-    monkeypatch.setattr(parts, "empty_array", untouched)
     monkeypatch.setattr(edits, "march", march)
     width, height = 46340, 46340
     camera = camera_struct(Camera(4e4, 4e4, width / 2, height / 2, width, height, view().camera_to_world), (0, 0, 0))
     options = MarchOptions()
     options.step = deformer.field.step
     marched = MarchedView(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
-    parts.render_parts(edits, marched, edits.scene_parts(marched), by_tiles=False)
+    kernels = (render_edit_part, render_edit_part_with_sides)
+    parts.render_parts(edits, marched, edits.scene_parts(camera.centre, options.step), kernels, Untouched())
     assert [(part.is_first, part.is_last) for part in marched_parts] == [(1, 0), (0, 1)]
     for part in marched_parts:
         arrays = part.progress, part.colours, part.masks

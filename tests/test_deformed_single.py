@@ -5,6 +5,7 @@ import pytest
 from deformed_scenes import (
     BOX,
     KINDS,
+    MARCHES,
     box_around,
     general_march,
     kernels_of,
@@ -14,6 +15,7 @@ from deformed_scenes import (
     shiny_field,
     slotted,
     two_balls,
+    use_march,
     view,
 )
 
@@ -27,6 +29,8 @@ from warpcage.kernels.deform.render_cpu import render_edit_tiles
 from warpcage.kernels.deform.render_plain import render_plain_edits
 from warpcage.kernels.deform.render_sides import render_edit_with_sides
 from warpcage.kernels.deform.render_single import render_edit
+from warpcage.kernels.deform.shaded_sides import render_shaded_edit_with_sides
+from warpcage.kernels.deform.shaded_single import render_shaded_edit
 from warpcage.view.camera import Camera
 
 
@@ -35,20 +39,20 @@ def both(deformer, camera, **options):
     edits = deformer._edits
     with kernels_of(edits) as kernels:
         single = deformer.render(camera, **options)
-        of_threads = render_edit_with_sides if edits.scene.has_sides else render_edit
+        of_rows = render_edit_with_sides if edits.scene.has_sides else render_edit
+        of_shades = render_shaded_edit_with_sides if edits.scene.has_sides else render_shaded_edit
+        expected = of_shades if edits._plan.is_shaded else of_rows
         with general_march(edits):
             general = deformer.render(camera, **options)
     by_tiles = deformer.device.is_cpu and marching.TILES_ON_CPU
-    assert kernels == [render_edit_tiles if by_tiles else of_threads, render_edits]
+    assert kernels == [render_edit_tiles if by_tiles else expected, render_edits]
     return single, general
 
 
-@pytest.fixture(params=["tiles", "threads"])
+@pytest.fixture(params=MARCHES)
 def march(request, device, monkeypatch):
-    """The march of a CPU, and that of CUDA."""
-    if request.param == "tiles" and device != "cpu":
-        pytest.skip("rays of a tile go side by side on a CPU alone")
-    monkeypatch.setattr(marching, "TILES_ON_CPU", request.param == "tiles")
+    """Each march that there is."""
+    return use_march(request.param, device, monkeypatch)
 
 
 SLAB = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
@@ -70,7 +74,7 @@ def test_the_march_for_one_edit_sees_what_the_general_one_sees(case, density, ma
     deformer = Deformer(shiny_field(device), CageEdit(rest, **options), resolution=40, density=density).pose(pose)
     single, general = both(deformer, view())
     # sub-samples take differences of their own length in the one, of a whole step in the other
-    assert psnr(single.rgb, general.rgb) > (45 if case in ("squeeze", "twist that folds") else 80)
+    assert psnr(single.rgb, general.rgb) > (45 if case in ("squeeze", "twist that folds") else 60 if march == "shaded" else 80)
     for name in ("alpha", "reveal", "fold"):
         np.testing.assert_allclose(getattr(single, name), getattr(general, name), atol=0.06)
         assert np.abs(getattr(single, name) - getattr(general, name)).mean() < 1e-3

@@ -3,8 +3,8 @@
 The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
 of one edit on a lattice: flat arrays whose numbers are read many at once, one table of cells, and the map's derivative
 where matter is. Where the map compresses, a sample is cut into sub-samples as in deform/march.
-Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/ray_parts, field/densities,
-field/grid, field/harmonics, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/matter_rows,
+deform/ray_parts, field/densities, field/grid, field/render, field/samples, lattice/cage_map, view/rays.
 """
 
 from typing import Any
@@ -12,17 +12,14 @@ from typing import Any
 import warp as wp
 
 from ..core.entries import byte_entry, cell_byte
-from ..field.densities import early_density, late_density
 from ..field.grid import VoxelGrid, grid_position
-from ..field.harmonics import sh_basis
-from ..field.render import PENDING_WEIGHT
-from ..field.rows import RowTable, row_colour
-from ..field.samples import exit_of_cell, grid_span, safe_inverse, sample_index_after
+from ..field.samples import exit_of_cell, grid_span, safe_inverse
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
 from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
 from .map_nodes import node_blend, node_slope, side_slope
+from .matter_rows import early_matter, late_matter, least_pending, matter_colour
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .ray_parts import BEGUN, RayState
 
@@ -88,7 +85,7 @@ def march_edit(
     sides: Any,
     edit: FlatEdit,
     grid: VoxelGrid,
-    table: RowTable,
+    table: Any,
     origin: wp.vec3,
     direction: wp.vec3,
     options: MarchOptions,
@@ -128,21 +125,19 @@ def march_edit(
     cells = wp.vec3i(grid.skip.shape[0], grid.skip.shape[1], grid.skip.shape[2])
 
     far = wp.min(far, end)
-    k = sample_index_after(wp.max(near, state.reached), step)
-    count = int(0)  # sub-samples of sample k; 0: not known, so one
-    j = int(0)
-    t = (float(k) + 0.5) * step
+    inverse_step = 1.0 / step
+    # whole numbers, for a loop without conversions
+    k = wp.ceil(wp.max(near, state.reached) * inverse_step - 0.5)
+    j = float(0.0)
+    share = float(1.0)  # of sample k that a sub-sample stands for
+    is_cut = bool(False)  # whether that is known, where it is asked for
+    t = (k + 0.5) * step
     while t < far and seen.transmittance > options.stop:
-        # the canonical point
         place = lattice_start + t * lattice_rate
-        position = edit.lower + spacing * place  # from few numbers that a ray keeps: registers are short
-        mapped = bool(False)
-        flags = int(0)
-        leave = t
-        n = int(0)
-        entry = int(0)
-        f = wp.vec3(0.0, 0.0, 0.0)
         in_box = t >= box[0] and t < box[1]
+        flags = int(0)
+        n = int(0)
+        f = wp.vec3(0.0, 0.0, 0.0)
         if in_box:
             ci = wp.clamp(int(place[0]), 0, tops[0])
             cj = wp.clamp(int(place[1]), 0, tops[1])
@@ -153,65 +148,69 @@ def march_edit(
             if flags >= LOOK_SKIP:
                 leave = t + exit_of_cell(f, lattice_inverse, flags - LOOK_SKIP)
                 leave = wp.max(wp.min(leave, box[1]), t + 0.5 * step)
-            elif edit.removes == 0:
-                if (flags & CELL_OUTSIDE) == 0:
-                    node = node_blend(edit.nodes, n, nyz, nz, f)
-                    mapped = (flags & CELL_INSIDE) != 0 or node[3] <= edit.tolerance
-                    if mapped:
-                        entry = side_entry(sides, edit, n)
-                        position = map_position(sides, edit, entry, f, wp.vec3(node[0], node[1], node[2]))
+                k = wp.max(k + 1.0, wp.ceil(leave * inverse_step - 0.5))
+                j = float(0.0)
+                share = float(1.0)
+                is_cut = bool(False)
+                t = (k + 0.5) * step
+                continue
+        # the canonical point
+        position = edit.lower + spacing * place  # from few numbers that a ray keeps: registers are short
+        mapped = bool(False)
+        entry = int(0)
+        if in_box and edit.removes == 0 and (flags & CELL_OUTSIDE) == 0:
+            node = node_blend(edit.nodes, n, nyz, nz, f)
+            mapped = (flags & CELL_INSIDE) != 0 or node[3] <= edit.tolerance
+            if mapped:
+                entry = side_entry(sides, edit, n)
+                position = map_position(sides, edit, entry, f, wp.vec3(node[0], node[1], node[2]))
         g = grid_position(grid, position)
         gi = int(wp.floor(g[0]))
         gj = int(wp.floor(g[1]))
         gk = int(wp.floor(g[2]))
         offset = g - wp.vec3(float(gi), float(gj), float(gk))
         empty = int(1)
-        sigma = float(0.0)
-        if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2] and leave <= t:
-            # both are waited for at once
+        matter = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2]:
             empty = cell_byte(grid.skip, gi, gj, gk)
-            sigma = early_density(table.laid, table.unit, table.columns, gi, gj, gk, offset)
-        if not in_box:
-            if t < span[0] or not (t < span[1]):
-                leave = wp.where(t < span[0], span[0], wp.max(box[1], span[1]))
-            elif empty > 0:
-                inverse = wp.cw_mul(lattice_inverse, edit.inverse_spacing * grid.voxel_size)
-                leave = t + exit_of_cell(offset, inverse, empty)
-            if t < box[0] and box[0] < box[1]:
-                leave = wp.min(leave, box[0])
-        if leave > t:
-            k = wp.max(k + 1, int(wp.ceil(leave / step - 0.5)))
-            count = int(0)
-            j = int(0)
-            t = (float(k) + 0.5) * step
-            continue
+            matter = early_matter(table, gi, gj, gk, offset)
+        next_index = k + 1.0
+        if empty > 0:
+            matter = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            if not in_box:
+                leave = t
+                if t < span[0] or not (t < span[1]):
+                    leave = wp.where(t < span[0], span[0], wp.max(box[1], span[1]))
+                else:
+                    inverse = wp.cw_mul(lattice_inverse, edit.inverse_spacing * grid.voxel_size)
+                    leave = t + exit_of_cell(offset, inverse, empty)
+                if t < box[0] and box[0] < box[1]:
+                    leave = wp.min(leave, box[0])
+                next_index = wp.max(next_index, wp.ceil(leave * inverse_step - 0.5))
+        else:
+            matter = late_matter(table, grid, matter, step, gi, gj, gk, offset)
         # each function of the map stands once in this loop: registers are short
         clears = not mapped and edit.keeps_source == 0 and empty == 0
         room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage
         if clears or (mapped and (flags & CELL_STAYS) == 0):
             room = 0.5 * (edit.slack - rest_distance(edit, position))
         leaves = mapped and room < 0.0
-        if leaves or empty > 0:
-            sigma = float(0.0)
-        else:
-            sigma = late_density(sigma, grid.density, table.columns, gi, gj, gk, offset)
-        asks_length = mapped and count == 0 and (flags & CELL_STEEP) != 0
+        asks_length = mapped and not is_cut and (flags & CELL_STEEP) != 0
         slope = spacing * lattice_rate
-        if mapped and (asks_length or sigma > 0.0):
+        stretch = float(1.0)
+        if mapped and (asks_length or (matter[3] > 0.0 and not leaves)):
             slope = map_slope(sides, edit, n, entry, f, lattice_rate)
-        stretch = wp.length(slope)
+            stretch = wp.length(slope)
         if asks_length:
-            count = int(1)
+            is_cut = bool(True)
             if stretch > CUT_LENGTH:
-                count = wp.clamp(int(wp.ceil(stretch - 1.0e-3)), 1, MAX_SUB_SAMPLES)
-                t = (float(k) + 0.5 / float(count)) * step
+                share = 1.0 / wp.clamp(wp.ceil(stretch - 1.0e-3), 1.0, float(MAX_SUB_SAMPLES))
+                t = (k + 0.5 * share) * step
                 continue
-        parts = wp.max(count, 1)
-        next_index = k + 1
         if leaves:
             seen.outside += 1.0
-        elif sigma > 0.0:
-            depth = sigma * step / float(parts)
+        elif matter[3] > 0.0:
+            depth = matter[3] * share
             if mapped and options.arc_opacity == 1:
                 depth = depth * stretch
             kept = wp.exp(-depth)
@@ -222,9 +221,8 @@ def march_edit(
             else:
                 weight = seen.transmittance * (1.0 - kept)
                 pending += weight
-                if pending > PENDING_WEIGHT:
-                    along = wp.where(stretch > 1.0e-6, slope / stretch, spacing * lattice_rate)
-                    colour = row_colour(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
+                if pending > least_pending(table):
+                    colour = matter_colour(table, grid, matter, gi, gj, gk, offset, slope, spacing * lattice_rate)
                     seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
                     pending = float(0.0)
                 seen.depth += weight * t
@@ -234,14 +232,14 @@ def march_edit(
         elif empty > 1 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
             hollow = float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH
             leave = t + wp.min(wp.min(exit_of_cell(f, lattice_inverse, 1), hollow), room)
-            next_index = wp.max(next_index, int(wp.ceil(leave / step - 0.5)))
-        j += 1
-        if j >= parts:
+            next_index = wp.max(next_index, wp.ceil(leave * inverse_step - 0.5))
+        j += share
+        if j > 1.0 - 0.5 * share:
             k = next_index
-            count = int(0)
-            j = int(0)
-        parts = wp.max(count, 1)
-        t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
+            j = float(0.0)
+            share = float(1.0)
+            is_cut = bool(False)
+        t = (k + j + 0.5 * share) * step
     after = RayState()
     after.seen = seen
     after.pending = pending

@@ -139,3 +139,50 @@ def blended_shades(data: wp.array2d(dtype=wp.uint32), rows: eight_rows, offset: 
 def shade_at(shaded: ShadedGrid, i: int, j: int, k: int, offset: wp.vec3):
     """Trilinear shade at a place, 0 to 1, in the cell above node (i, j, k); the colour still lacks its 0.5."""
     return blended_shades(shaded.shades, cell_rows(shaded.columns, i, j, k), offset)
+
+
+@wp.struct
+class LaidShades:
+    """Shades at the nodes of a grid, 0 where a node has no row."""
+
+    node_counts: wp.vec3i
+    shades: wp.array2d(dtype=wp.uint32)  # (nodes, words)
+
+
+@wp.func_native("""
+    const int nz = table.node_counts.c[2], nyz = table.node_counts.c[1] * nz;
+    const size_t begin = (size_t)(unsigned)i * (unsigned)nyz + (unsigned)(j * nz + k);
+#if defined(__CUDA_ARCH__)
+    const uint2* low = reinterpret_cast<const uint2*>(table.shades.data) + begin;
+    const uint2* high = low + nyz;
+    const uint2 s[8] = {__ldg(low), __ldg(low + 1), __ldg(low + nz), __ldg(low + nz + 1),
+        __ldg(high), __ldg(high + 1), __ldg(high + nz), __ldg(high + nz + 1)};
+    float r = 0.0f, g = 0.0f, b = 0.0f, d = 0.0f;
+    #pragma unroll
+    for (int c = 0; c < 8; ++c)
+    {
+        const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0]) * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1])
+            * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
+        wp::half h;
+        h.u = s[c].x & 0xffffu; r += weight * wp::half_to_float(h);
+        h.u = s[c].x >> 16; g += weight * wp::half_to_float(h);
+        h.u = s[c].y & 0xffffu; b += weight * wp::half_to_float(h);
+        h.u = s[c].y >> 16; d += weight * wp::half_to_float(h);
+    }
+    return wp::vec_t<4, wp::float32>(r, g, b, d);
+#else
+    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
+    const four* low = reinterpret_cast<const four*>(table.shades.data) + begin;
+    const four* high = low + nyz;
+    const four a = low[0] + offset.c[2] * (low[1] - low[0]);
+    const four b = low[nz] + offset.c[2] * (low[nz + 1] - low[nz]);
+    const four c = high[0] + offset.c[2] * (high[1] - high[0]);
+    const four d = high[nz] + offset.c[2] * (high[nz + 1] - high[nz]);
+    const four u = a + offset.c[1] * (b - a), v = c + offset.c[1] * (d - c);
+    const four r = u + offset.c[0] * (v - u);
+    return wp::vec_t<4, wp::float32>(r.x, r.y, r.z, r.w);
+#endif
+""")
+def laid_shade(table: LaidShades, i: wp.int32, j: wp.int32, k: wp.int32, offset: wp.vec3) -> wp.vec4:
+    """Trilinear shade at a place, 0 to 1, in the cell above node (i, j, k); the colour still lacks its 0.5."""
+    ...

@@ -314,15 +314,19 @@ class Deformer:
         options.step, work = self.field.march_step(step, camera)
         options.stop = STOP_TRANSMITTANCE
         options.arc_opacity = int(self.density == "opacity")
-
-        # the device is at work while the host goes on
-        self.field.marching.begin()
-        tables = self._edits.row_tables(self.field)
+        marching = self.field.marching
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
+            # the device is at work while the host goes on: with what is known first, and with most work
+            poses_first = self._held is None
+            if poses_first:
+                marching.begin()
             edits = posed_edits()
             require_short_march(self._held or (), options.step)
-            grid = self.field.marching.grid()
+            tables = edits.row_tables(self.field, pinhole, options.step)
+            if not poses_first:
+                marching.begin()
+            grid = marching.grid()
             edits.prepare(grid, options.step)
             picture = Picture()
             for name, array in arrays.items():

@@ -160,14 +160,16 @@ class PosedEdits(abc.ABC):
         self.scene: Any = None
         self.sample_work = 1
 
-    def row_tables(self, field: VoxelField) -> list[Any]:
-        """What the render kernel reads of a field beside its VoxelGrid.
+    def row_tables(self, field: VoxelField, pinhole: Any, step: float) -> list[Any]:
+        """Start on what the render kernel reads of a field beside its VoxelGrid, before that is waited for.
 
         Args:
             field: The field.
+            pinhole: The PinholeCamera, relative to the field's origin.
+            step: March step, world units.
 
         Returns:
-            Arguments of the kernel.
+            Arguments of the kernel; none where `render` is to find them.
         """
         return []
 

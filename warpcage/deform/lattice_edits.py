@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -19,10 +21,12 @@ from ..field import marching
 from ..field.sparse import spread_along
 from ..field.voxel_field import VoxelField
 from ..kernels.deform import (
+    carried_shades,
     carry,
     carry_cells,
     flat_edits,
     points,
+    posed_places,
     render,
     render_cpu,
     render_part,
@@ -30,6 +34,10 @@ from ..kernels.deform import (
     render_plain,
     render_sides,
     render_single,
+    shaded_part,
+    shaded_part_sides,
+    shaded_sides,
+    shaded_single,
 )
 from ..kernels.deform import cells as cell_tables
 from ..kernels.deform.edits import LatticeEdit
@@ -57,6 +65,7 @@ from ..lattice.position_map import PositionMap
 from ..mesh.containment import SURFACE_TOLERANCE
 from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from .carried import CarriedCrumbs
+from .carried_shading import CarriedShades
 from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand, faded_map, folded_cells, tell_of_squeezing
 from .parts import render_parts
@@ -74,6 +83,15 @@ SOLVER_MODULES = {
     "mean_value": (closed_form, fans, cut_rows, corrections),
     "green": (closed_form, fans),
 }
+
+#: Kernels for an edit, or a part of a scene, whose map has no narrow gaps, and for one whose map has.
+SHADED_KERNELS = (shaded_single.render_shaded_edit, shaded_sides.render_shaded_edit_with_sides)
+PART_KERNELS = (render_part.render_edit_part, render_part_sides.render_edit_part_with_sides)
+SHADED_PART_KERNELS = (shaded_part.render_shaded_part, shaded_part_sides.render_shaded_part_with_sides)
+TILE_KERNELS = (render_cpu.render_edit_tiles, render_cpu.render_edit_tiles)
+
+#: Share of a GPU's memory that shades of a grid's nodes may take.
+MOST_SHADES = 0.25
 
 
 def load_pose_modules(coordinates: str, others: Sequence[ModuleType], device: wp.Device) -> None:
@@ -113,7 +131,22 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = Fa
     several = [render_plain, render] if edit_count > 1 else []
     if device.is_cpu and marching.TILES_ON_CPU:
         return [render_cpu, *several]
-    return [render_part, render_part_sides, *several] if several else [render_single, render_sides]
+    if device.is_cpu and not marching.SHADES_ON_CPU:
+        return [render_part, render_part_sides, *several] if several else [render_single, render_sides]
+    shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_sides]
+    return [posed_places, carried_shades, *shaded, *several]
+
+
+class Plan(NamedTuple):
+    """How a view is marched.
+
+    Args:
+        parts: The FlatEdit of each edit and its box, front to back; None where one kernel takes the whole scene.
+        is_shaded: Whether voxels are shaded for the view.
+    """
+
+    parts: list[tuple[Any, np.ndarray]] | None
+    is_shaded: bool
 
 
 class LatticeEdits(PosedEdits):
@@ -152,17 +185,54 @@ class LatticeEdits(PosedEdits):
         load_pose_modules(coordinates, render_modules(device, len(edits), self._has_crumbs), device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
+        self._plan, self._lattice_boxes = Plan(None, False), []
+        self._keeps_source = any(edit.keep_source for edit in edits)
+        self._shades = CarriedShades(len(edits), device)
+        self._most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
         self._boxes: EditBoxes | None = None
         pool = BufferPool(device)
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
         self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
+        self._ray_buffer = pool.buffer(wp.vec4)
 
-    def row_tables(self, field: VoxelField) -> list[Any]:
-        return [field.marching.rows()]
+    def row_tables(self, field: VoxelField, pinhole: Any, step: float) -> list[Any]:
+        if not self._flat:
+            return []  # where a new pose leads to is not known yet
+        self._plan = self._planned(field, pinhole.centre, step)
+        if not self._plan.is_shaded:
+            return [field.marching.rows()]
+        if not self._shades.is_posed:
+            return []
+        return self._shaded_tables(field, pinhole, step)
+
+    def _shaded_tables(self, field: VoxelField, pinhole: Any, step: float) -> list[Any]:
+        """Voxels shaded for a view; rows where its pose turns matter over."""
+        if self._shades.is_known_folded:
+            self._plan = Plan(self._plan.parts, False)
+            return [field.marching.rows()]
+        tables = [self._shades.shades(field.grid, field.marching.columns, pinhole.centre, step)]
+        if self._shades.is_folded():  # asked behind what is launched for all others
+            return self._shaded_tables(field, pinhole, step)
+        return tables
+
+    def _planned(self, field: VoxelField, centre: wp.vec3, step: float) -> Plan:
+        """How a view is marched."""
+        parts = self.scene_parts(centre, step)
+        # where each voxel is seen from one direction only, which hardly changes over it, and where there is memory
+        is_shaded = (
+            not self._by_tiles
+            and not self._has_crumbs
+            and not self._keeps_source
+            and (self._is_single or parts is not None)
+            and field.marching.is_shaded(centre, self._lattice_boxes)
+            and field.marching.columns.shade_bytes() <= self._most_shades
+        )
+        return Plan(parts, is_shaded)
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         self.lattices.pose(cages)
         self.array, self.scene = self.lattices.array, None
+        self._flat = []
         self._boxes = None
         if len(self._edits) > 1 and not self._has_crumbs:
             structs = [struct for struct, _ in self.lattices.posed()]
@@ -183,6 +253,7 @@ class LatticeEdits(PosedEdits):
         """
         posed = zip(self.lattices.posed(), self._look_buffers, self._node_buffers, strict=True)
         self._flat = [flat_edit(edit, skip, look, nodes) for (edit, skip), look, nodes in posed]
+        self._lattice_boxes, self._shades.is_posed = [lattice_box(flat) for flat in self._flat], False
         if not self._is_single:
             rare = any(self.lattices.carried) or any(flat.has_sides for flat in self._flat)
             self.render_kernel = render.render_edits if rare else render_plain.render_plain_edits
@@ -192,17 +263,30 @@ class LatticeEdits(PosedEdits):
         return flat
 
     def render(self, view: MarchedView) -> None:
-        parts = self.scene_parts(view)
-        if parts is None:
-            super().render(view)
+        field, pinhole, step = view.field, view.pinhole, view.options.step
+        if not view.rows or (self._plan.is_shaded and not self._shades.is_posed):
+            rows = self.row_tables(field, pinhole, step)
+            if self._plan.is_shaded:
+                cells = [struct.cells for struct, _ in self.lattices.posed()]
+                self._shades.pose(self._flat, cells, view.grid)
+                rows = self._shaded_tables(field, pinhole, step)
+            view = dataclasses.replace(view, rows=rows)
+        parts, is_shaded = self._plan
+        if parts is not None:
+            kernels = SHADED_PART_KERNELS if is_shaded else PART_KERNELS
+            render_parts(self, view, parts, TILE_KERNELS if self._by_tiles else kernels, self._ray_buffer)
+        elif is_shaded:
+            (flat,) = self._flat
+            self.march(view, SHADED_KERNELS[flat.has_sides], [flat])
         else:
-            render_parts(self, view, parts, self._by_tiles)
+            super().render(view)
 
-    def scene_parts(self, view: MarchedView) -> list[tuple[Any, np.ndarray]] | None:
+    def scene_parts(self, centre: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
         """The edits as a view takes them one by one.
 
         Args:
-            view: The view.
+            centre: Of the camera, relative to the edits' origin.
+            step: March step, world units.
 
         Returns:
             The FlatEdit of each and its box (2, 3), front to back. None where one kernel takes the whole scene: one
@@ -210,11 +294,11 @@ class LatticeEdits(PosedEdits):
         """
         if self._is_single:
             return [(self._flat[0], NOWHERE)] if self._by_tiles else None
-        reach = 0.5 * view.options.step  # that of the first and the last part of a sample
+        reach = 0.5 * step  # that of the first and the last part of a sample
         if self._boxes is None or not self._boxes.are_apart(reach):
             return None
         boxes = wider(self._boxes.changed, reach)
-        order = front_to_back(boxes, tuple(view.pinhole.centre))
+        order = front_to_back(boxes, tuple(centre))
         return None if order is None else [(self._flat[index], boxes[index]) for index in order]
 
     def flat_array(self) -> wp.array:
@@ -254,6 +338,19 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
         flat_edits.join_nodes, node_count, [positions, edit.deformed.distance.flatten()], [flat.nodes], device=device
     )
     return flat
+
+
+def lattice_box(flat: Any) -> list[list[float]]:
+    """The box of the lattice over a posed cage.
+
+    Args:
+        flat: A FlatEdit.
+
+    Returns:
+        Its lower and its upper corner, (3,) each, relative to the edits' origin.
+    """
+    lower, counts, spacing = tuple(flat.lower), tuple(flat.node_counts), 1.0 / flat.inverse_spacing
+    return [list(lower), [low + (count - 1) * spacing for low, count in zip(lower, counts, strict=True)]]
 
 
 class EditLattices:

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.arrays import array_view, empty_array
+from ..core.arrays import array_view
 from ..kernels.deform.ray_parts import ScenePart
 from ..kernels.deform.render_cpu import render_edit_tiles
-from ..kernels.deform.render_part import render_edit_part
-from ..kernels.deform.render_part_sides import render_edit_part_with_sides
+from ..lattice.capture import Buffer
 from ..view.camera import TILE_SIZE
 from .edits import MarchedView, PosedEdits
 
@@ -20,7 +19,9 @@ from .edits import MarchedView, PosedEdits
 STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)
 
 
-def render_parts(edits: PosedEdits, view: MarchedView, parts: Sequence[tuple[Any, np.ndarray]], by_tiles: bool) -> None:
+def render_parts(
+    edits: PosedEdits, view: MarchedView, parts: Sequence[tuple[Any, np.ndarray]], kernels: Sequence[Any], rays: Buffer
+) -> None:
     """March a view through edits that are apart, a launch for each; rays keep their state in between.
 
     Args:
@@ -28,10 +29,11 @@ def render_parts(edits: PosedEdits, view: MarchedView, parts: Sequence[tuple[Any
         view: The view.
         parts: The FlatEdit of each edit and the box (2, 3) of what it has to do with, half a step more, relative to the
             edits' origin; front to back. What is behind the last box goes with it.
-        by_tiles: Whether the rays of a tile go side by side, on a CPU alone.
+        kernels: That for an edit whose map has no narrow gaps, and that for one whose map has.
+        rays: Of vec4, for the states of rays.
     """
-    # the view's own: freed once the last launch is through
-    states = ray_states(view.pinhole.width * view.pinhole.height, view.field.device) if len(parts) > 1 else {}
+    states = ray_states(view.pinhole.width * view.pinhole.height, rays) if len(parts) > 1 else {}
+    by_tiles = render_edit_tiles in kernels
     tables = [view.field.marching.cells(view.grid)] if by_tiles else []
     for number, (flat, box) in enumerate(parts):
         part = ScenePart()
@@ -39,23 +41,21 @@ def render_parts(edits: PosedEdits, view: MarchedView, parts: Sequence[tuple[Any
         part.is_first, part.is_last = int(number == 0), int(number == len(parts) - 1)
         for name, array in states.items():
             setattr(part, name, array)
-        kernel = render_edit_part_with_sides if flat.has_sides else render_edit_part
-        if by_tiles:
-            kernel = render_edit_tiles  # which takes both
+        kernel = kernels[int(flat.has_sides)]
         edits.march(view, kernel, [*tables, flat, part], TILE_SIZE if by_tiles else 1)
 
 
-def ray_states(rays: int, device: wp.Device) -> dict[str, wp.array]:
-    """The arrays in which the rays of a picture keep their state from part to part, in one allocation.
+def ray_states(rays: int, buffer: Buffer) -> dict[str, wp.array]:
+    """The arrays in which the rays of a picture keep their state from part to part.
 
     Args:
         rays: Their number, as many as an array holds or fewer.
-        device: Warp device.
+        buffer: Of vec4, in which they lie: kept, as CUDA takes longer to hand out as much memory than to fill it.
 
     Returns:
         (rays,) vec4 each by their names in ScenePart, not set yet.
     """
-    block = empty_array((3, rays), wp.vec4, device)
+    block = buffer.take((3, rays))
     return {
         name: array_view(block, wp.vec4, rays, offset=row * rays * STATE_BYTES)
         for row, name in enumerate(("progress", "colours", "masks"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -88,10 +89,11 @@ class MarchTables:
         Returns:
             A kernel, its first inputs, and the rays that one of its items follows.
         """
-        self.begin()
-        if self._is_shaded(centre):
+        if self.is_shaded(centre):
             shaded = shaded_grid(self._grid, self.columns, centre, step)
+            self.begin()  # behind what takes longer
             return render_shaded_image, [self.grid(), shaded], 1
+        self.begin()
         rows = self.rows()
         if self.by_tiles:
             grid = self.grid()
@@ -115,9 +117,31 @@ class MarchTables:
         with self._lock:
             return self._cells.cells(grid.density, grid.skip, self._matter.version)
 
-    def _is_shaded(self, centre: wp.vec3) -> bool:
-        """Whether voxels are shaded for a camera."""
+    def is_shaded(self, centre: Sequence[float], others: Sequence[Sequence[Sequence[float]]] = ()) -> bool:
+        """Whether voxels are shaded for a camera: where none is near it.
+
+        Args:
+            centre: Of the camera, relative to the grid's origin.
+            others: (2, 3) boxes that voxels are moved into.
+
+        Returns:
+            Whether they are.
+        """
         if self._grid.links.device.is_cpu and not SHADES_ON_CPU:
             return False
-        away = [max(low - x, x - high, 0.0) for low, x, high in zip(self._box[0], centre, self._box[1], strict=True)]
-        return math.hypot(*away) > NEAR_VOXELS * self._longest
+        nearest = min(box_distance(lower, upper, centre) for lower, upper in [self._box, *others])
+        return nearest > NEAR_VOXELS * self._longest
+
+
+def box_distance(lower: Sequence[float], upper: Sequence[float], point: Sequence[float]) -> float:
+    """How far a point is from a box; 0 within.
+
+    Args:
+        lower: (3,) corner of the box.
+        upper: (3,) corner.
+        point: (3,).
+
+    Returns:
+        The distance.
+    """
+    return math.hypot(*(max(low - x, x - high, 0.0) for low, x, high in zip(lower, point, upper, strict=True)))

@@ -59,6 +59,7 @@ class ColumnTable:
         if unsorted.numpy()[0]:
             self.columns.order = order
         self._node_count, self._laid, self._packed = math.prod(links.shape), None, None
+        self._shades: dict[str, tuple[int, wp.array]] = {}
 
     def laid_densities(self) -> wp.array:
         """(nodes,) float16, one for each node of the grid, made when it is first asked for; 0 without a row."""
@@ -66,6 +67,34 @@ class ColumnTable:
             self._laid = empty_array(self._node_count, wp.float16, self.nodes.device)
             self._laid.zero_()
         return self._laid
+
+    def laid_shades(self) -> wp.array:
+        """(nodes, words) uint32 for shades at the nodes of rows; 0 at others. See `shade_bytes` for its size."""
+        return self._kept("laid", self._node_count, True)
+
+    def row_shades(self) -> wp.array:
+        """(rows, words) uint32 for shades of rows, not set yet."""
+        return self._kept("rows", self.nodes.shape[0], False)
+
+    def shade_bytes(self) -> int:
+        """Bytes of `laid_shades`."""
+        return 4 * self._node_count * shade_words(self.nodes.device)
+
+    def _kept(self, name: str, count: int, clears: bool) -> wp.array:
+        """An array for the shades of a frame: the one of the frame before on a CUDA stream, whose frames follow each
+        other, as CUDA takes longer to hand out as much memory than to fill it. A new one for frames of other streams,
+        and on a CPU, whose threads may render at a time."""
+        device = self.nodes.device
+        stream = 0 if device.is_cpu else int(device.stream.cuda_stream or 0)
+        kept = self._shades.get(name)
+        if kept is not None and kept[0] == stream:
+            return kept[1]
+        array = empty_array((count, shade_words(device)), wp.uint32, device)
+        if clears:
+            array.zero_()
+        if kept is None and not device.is_cpu:
+            self._shades[name] = stream, array
+        return array
 
     def packed_rows(self) -> wp.array:
         """(rows, PACKED_WORDS) uint32, made when it is first asked for.
@@ -76,6 +105,18 @@ class ColumnTable:
         if self._packed is None:
             self._packed = empty_array((self.nodes.shape[0], PACKED_WORDS), wp.uint32, self.nodes.device)
         return self._packed
+
+
+def shade_words(device: wp.Device) -> int:
+    """32-bit words of a shade (kernels/field/shades).
+
+    Args:
+        device: Warp device.
+
+    Returns:
+        The number.
+    """
+    return CPU_SHADE_WORDS if device.is_cpu else CUDA_SHADE_WORDS
 
 
 def whole_warps(rows: int, device: wp.Device) -> int:
@@ -128,6 +169,6 @@ def shaded_grid(grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> 
     device, rows = grid.links.device, table.nodes.shape[0]
     shaded = ShadedGrid()
     shaded.columns, shaded.centre, shaded.step = table.columns, centre, step
-    shaded.shades = empty_array((rows, CPU_SHADE_WORDS if device.is_cpu else CUDA_SHADE_WORDS), wp.uint32, device)
+    shaded.shades = table.row_shades()
     launch(shade_rows, whole_warps(rows, device), [grid, table.nodes, shaded], device=device)
     return shaded

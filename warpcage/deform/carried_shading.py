@@ -1,0 +1,105 @@
+"""Voxels of a field that edits deform, shaded once for a camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from ..core.arrays import empty_array, struct_array
+from ..core.devices import launch
+from ..core.flags import HostFlag
+from ..field.shading import ColumnTable, whole_warps
+from ..kernels.deform.carried_shades import AimedCage, aim_nodes, shade_carried_rows
+from ..kernels.deform.posed_places import NO_CELL, claim_nodes, settle_nodes
+from ..kernels.field.shades import LaidShades, ShadedGrid
+from ..lattice.capture import BufferPool
+
+
+class CarriedShades:
+    """Where the poses of edits take the matter of their rest cages, and from where a camera sees it.
+
+    Args:
+        edit_count: Number of edits.
+        device: Warp device.
+
+    Attributes:
+        is_posed: Whether `pose` was called for the pose that is to be seen; whoever poses anew unsets it.
+    """
+
+    def __init__(self, edit_count: int, device: wp.Device):
+        self._device = device
+        pool = BufferPool(device)
+        self._owners = pool.buffer(wp.int32)
+        self._places, self._aims = ([pool.buffer(wp.vec4) for _ in range(edit_count)] for _ in range(2))
+        self._posed: list[tuple[Any, wp.array, Any]] = []
+        self._cages: wp.array | None = None
+        self._folds = HostFlag(device)
+        self._is_folded: bool | None = None
+        self.is_posed = False
+
+    def pose(self, edits: Sequence[Any], cells: Sequence[wp.array], grid: Any) -> None:
+        """Find where matter is; once per pose.
+
+        Args:
+            edits: The posed FlatEdits.
+            cells: (nx-1, ny-1, nz-1) uint8 CELL_... flags of each edit's cells.
+            grid: VoxelGrid of the field as it is marched.
+        """
+        self._posed, self.is_posed, self._is_folded = [], False, None  # an interrupt leaves none
+        self._folds.clear()
+        for edit, flags, places, aims in zip(edits, cells, self._places, self._aims, strict=True):
+            if edit.removes:
+                continue
+            shape = edit.rest.distance.shape
+            owners = self._owners.take(shape)
+            owners.fill_(int(NO_CELL))
+            found = places.take(shape)
+            # one thread on a CPU, where atomics are none
+            claims = [owners, self._folds.array]
+            launch(claim_nodes, flags.size, [edit, flags, grid], claims, device=self._device, threads=1)
+            launch(settle_nodes, owners.size, [edit, owners], [found], device=self._device)
+            cage = AimedCage()
+            cage.lower, cage.inverse_spacing = edit.rest.lower, edit.rest.inverse_spacing
+            cage.node_counts, cage.aims = wp.vec3i(*shape), aims.take(math.prod(shape))
+            self._posed.append((edit, found, cage))
+        self._folds.send()
+        cages, device = [cage for _, _, cage in self._posed], self._device
+        self._cages = struct_array(cages, AimedCage, device) if cages else empty_array(0, AimedCage, device)
+        self.is_posed = True
+
+    @property
+    def is_known_folded(self) -> bool:
+        """Whether `is_folded` has said so of the pose."""
+        return bool(self._is_folded)
+
+    def is_folded(self) -> bool:
+        """Whether the pose turns matter over: it is in several places then, and seen from several directions."""
+        if self._is_folded is None:
+            self._is_folded = bool(self._folds.wait())
+        return self._is_folded
+
+    def shades(self, grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> Any:
+        """The voxels of a field as a camera sees them in the pose.
+
+        Args:
+            grid: VoxelGrid.
+            table: Of its links.
+            centre: Of the camera, relative to the grid's origin.
+            step: March step, world units.
+
+        Returns:
+            A LaidShades of kernels/field/shades.py, of the values that the grid has now.
+        """
+        device, rows = self._device, table.nodes.shape[0]
+        for edit, places, cage in self._posed:
+            launch(aim_nodes, places.size, [edit, centre, places], [cage.aims], device=device)
+        shaded = ShadedGrid()
+        shaded.columns, shaded.centre, shaded.step, shaded.shades = table.columns, centre, step, table.laid_shades()
+        inputs = [grid, table.nodes, self._cages, shaded]
+        launch(shade_carried_rows, whole_warps(rows, device), inputs, device=device)
+        laid = LaidShades()
+        laid.node_counts, laid.shades = table.columns.node_counts, shaded.shades
+        return laid
