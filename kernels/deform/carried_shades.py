@@ -5,15 +5,18 @@ A voxel of the rest cage is seen where the pose has taken it, at y with phi(y) =
 "Deforming Radiance Fields with Cages" (ECCV 2022) has there: d_c = norm(J (y - o)) with the derivative J of phi and the
 camera at o. The direction is found at the nodes of the rest cage's lattice and blended. All other voxels are seen as
 they are (field/shades).
-Needs: deform/flat_edits, deform/map_nodes, field/grid, field/harmonics, field/shades.
+Needs: deform/flat_edits, deform/laid_shades, deform/map_nodes, field/grid, field/harmonics, field/shades,
+lattice/cage_map.
 """
 
 import warp as wp
 
 from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
-from ..field.shades import ShadedGrid, shade_colour, write_shade
+from ..field.shades import ShadedGrid, shade_colour
+from ..lattice.cage_map import CageMap, map_distance
 from .flat_edits import FlatEdit
+from .laid_shades import write_sided_shade
 from .map_nodes import node_blend, node_slope, side_slope
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
@@ -67,23 +70,90 @@ def aim_nodes(
     aims[item] = wp.vec4(along[0], along[1], along[2], edit.rest.distance[i, j, k])
 
 
+@wp.struct
+class RowView:
+    """How a row is seen."""
+
+    along: wp.vec3  # canonical view direction
+    carried: int  # 1: it lies in a rest cage
+
+
 @wp.func
-def carried_direction(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
-    """Direction under which a voxel at x is seen: `plain` where it is in none of the rest cages."""
-    along = plain
+def aim_at(cage: AimedCage, g: wp.vec3):
+    """Blended aims at node coordinates g among the nodes: direction of any length, and signed distance."""
+    counts = cage.node_counts
+    cell = wp.vec3i()
+    for axis in range(3):
+        cell[axis] = wp.min(int(g[axis]), counts[axis] - 2)
+    f = g - wp.vec3(float(cell[0]), float(cell[1]), float(cell[2]))
+    nyz = counts[1] * counts[2]
+    return node_blend(cage.aims, cell[0] * nyz + cell[1] * counts[2] + cell[2], nyz, counts[2], f)
+
+
+@wp.func
+def row_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
+    """How a row at x is seen: as the pose has it of the rest cage that it is in, else from `plain`."""
+    seen = RowView()
+    seen.along = plain
     for index in range(cages.shape[0]):
         cage = cages[index]
-        counts = cage.node_counts
         g = (x - cage.lower) * cage.inverse_spacing
-        cell = wp.vec3i(int(wp.floor(g[0])), int(wp.floor(g[1])), int(wp.floor(g[2])))
-        if wp.min(cell) >= 0 and cell[0] < counts[0] - 1 and cell[1] < counts[1] - 1 and cell[2] < counts[2] - 1:
-            nyz = counts[1] * counts[2]
-            f = g - wp.vec3(float(cell[0]), float(cell[1]), float(cell[2]))
-            aim = node_blend(cage.aims, cell[0] * nyz + cell[1] * counts[2] + cell[2], nyz, counts[2], f)
+        top = wp.vec3(float(cage.node_counts[0] - 1), float(cage.node_counts[1] - 1), float(cage.node_counts[2] - 1))
+        if wp.min(g) >= 0.0 and wp.min(top - g) >= 0.0:
+            aim = aim_at(cage, g)
             turned = wp.vec3(aim[0], aim[1], aim[2])
-            if aim[3] <= 0.0 and wp.length_sq(turned) > 1.0e-6:
+            if aim[3] <= 0.0:
+                seen.carried = 1
+                if wp.length_sq(turned) > 1.0e-6:
+                    seen.along = wp.normalize(turned)
+    return seen
+
+
+@wp.func
+def nearest_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
+    """How a row at x, not far out of a rest cage, would be seen if it went with it: as what lies just within the cage."""
+    along = plain
+    least = float(1.0e30)
+    for index in range(cages.shape[0]):
+        cage = cages[index]
+        g = (x - cage.lower) * cage.inverse_spacing
+        top = wp.vec3(float(cage.node_counts[0] - 1), float(cage.node_counts[1] - 1), float(cage.node_counts[2] - 1))
+        near = wp.max(wp.min(g, top), wp.vec3(0.0, 0.0, 0.0))
+        aim = aim_at(cage, near)
+        away = aim[3] + wp.length(g - near) / cage.inverse_spacing
+        if away < least:
+            least = away
+            slope = wp.vec3(0.0, 0.0, 0.0)
+            for axis in range(3):
+                ahead = near
+                behind = near
+                ahead[axis] = wp.min(near[axis] + 0.5, top[axis])
+                behind[axis] = wp.max(near[axis] - 0.5, 0.0)
+                slope[axis] = aim_at(cage, ahead)[3] - aim_at(cage, behind)[3]
+            within = near - wp.normalize(slope) * (aim[3] * cage.inverse_spacing + 0.75)
+            aim = aim_at(cage, wp.max(wp.min(within, top), wp.vec3(0.0, 0.0, 0.0)))
+            turned = wp.vec3(aim[0], aim[1], aim[2])
+            if wp.length_sq(turned) > 1.0e-6:
                 along = wp.normalize(turned)
     return along
+
+
+@wp.func
+def row_place(grid: VoxelGrid, node_counts: wp.vec3i, node: int):
+    """Where the node of a row is."""
+    k = node % node_counts[2]
+    j = (node // node_counts[2]) % node_counts[1]
+    i = node // (node_counts[2] * node_counts[1])
+    return grid.lower + wp.cw_mul(grid.voxel_size, wp.vec3(float(i), float(j), float(k)))
+
+
+@wp.func
+def own_row(shaded: ShadedGrid, n: int):
+    """The grid's number of a row."""
+    row = int(n)
+    if shaded.columns.order.shape[0] > 0:
+        row = shaded.columns.order[n]
+    return row
 
 
 @wp.kernel
@@ -100,16 +170,51 @@ def shade_carried_rows(
     """
     item = first + wp.tid()
     n = wp.min(item, nodes.shape[0] - 1)
-    node = nodes[n]
-    counts = shaded.columns.node_counts
-    k = node % counts[2]
-    j = (node // counts[2]) % counts[1]
-    i = node // (counts[2] * counts[1])
-    row = int(n)
-    if shaded.columns.order.shape[0] > 0:
-        row = shaded.columns.order[n]
-    x = grid.lower + wp.cw_mul(grid.voxel_size, wp.vec3(float(i), float(j), float(k)))
-    along = carried_direction(cages, x, wp.normalize(x - shaded.centre))
-    colour = shade_colour(grid.sh, row, sh_basis(along))
+    row = own_row(shaded, n)
+    x = row_place(grid, shaded.columns.node_counts, nodes[n])
+    seen = row_view(cages, x, wp.normalize(x - shaded.centre))
+    colour = shade_colour(grid.sh, row, sh_basis(seen.along))
     if item < nodes.shape[0]:
-        write_shade(shaded.shades, node, wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step))
+        shade = wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step)
+        write_sided_shade(shaded.shades, nodes[n], shade, seen.carried)
+
+
+@wp.kernel
+def shade_wall_rows(
+    first: int,
+    grid: VoxelGrid,
+    nodes: wp.array(dtype=wp.int32),
+    wall_rows: wp.array(dtype=wp.int32),
+    cages: wp.array(dtype=AimedCage),
+    shaded: ShadedGrid,
+):
+    """Of rows near a rest cage, how samples on the other side of it see them. One thread for each of wall_rows (m,), in
+    whole warps; shaded: its shades are the `others` of LaidShades."""
+    item = first + wp.tid()
+    n = wall_rows[wp.min(item, wall_rows.shape[0] - 1)]
+    x = row_place(grid, shaded.columns.node_counts, nodes[n])
+    plain = wp.normalize(x - shaded.centre)
+    along = plain
+    if row_view(cages, x, plain).carried == 0:
+        along = nearest_view(cages, x, plain)
+    colour = shade_colour(grid.sh, own_row(shaded, n), sh_basis(along))
+    if item < wall_rows.shape[0]:
+        write_sided_shade(shaded.shades, n, wp.vec4(colour[0], colour[1], colour[2], 0.0), 0)
+
+
+@wp.kernel
+def mark_wall_rows(
+    first: int,
+    grid: VoxelGrid,
+    nodes: wp.array(dtype=wp.int32),
+    node_counts: wp.vec3i,
+    rest: CageMap,
+    depth: float,
+    height: float,
+    marks: wp.array(dtype=wp.uint8),
+):
+    """1 for the rows that lie up to `depth` within a rest cage, or up to `height` out of it. marks: (rows,), 0 before."""
+    n = first + wp.tid()
+    distance = map_distance(rest, row_place(grid, node_counts, nodes[n]))
+    if distance > -depth and distance < height:
+        marks[n] = wp.uint8(1)

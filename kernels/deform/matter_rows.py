@@ -3,7 +3,7 @@ shaded for the camera.
 
 Of rows, densities are asked early, while the march waits for something else, and colours only where enough weighs;
 shades hold both.
-Needs: field/densities, field/grid, field/harmonics, field/render, field/rows, field/shades.
+Needs: deform/laid_shades, field/densities, field/grid, field/harmonics, field/render, field/rows.
 """
 
 import warp as wp
@@ -13,7 +13,7 @@ from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
 from ..field.render import PENDING_WEIGHT
 from ..field.rows import RowTable, row_colour
-from ..field.shades import LaidShades, laid_shade
+from .laid_shades import LaidShades, laid_shade
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,19 +32,19 @@ def early_matter(table: LaidShades, i: int, j: int, k: int, offset: wp.vec3):  #
 
 @wp.func
 def late_matter(
-    table: RowTable, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3
+    table: RowTable, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3, mapped: bool
 ):
     """Colour, if it comes with the rest, and optical depth of a step at such a place, in a cell that may hold
-    something."""
+    something. mapped: whether a map has led there."""
     sigma = late_density(early[3], grid.density, table.columns, i, j, k, offset)
     return wp.vec4(0.0, 0.0, 0.0, sigma * step)
 
 
 @wp.func
 def late_matter(  # noqa: F811
-    table: LaidShades, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3
+    table: LaidShades, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3, mapped: bool
 ):
-    return laid_shade(table, i, j, k, offset)
+    return laid_shade(table, i, j, k, offset, int(mapped))
 
 
 @wp.func

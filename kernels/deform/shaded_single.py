@@ -1,16 +1,16 @@
 """Views of a voxel field whose voxels were shaded for the camera that one edit deforms whose map has no narrow gaps ("Deforming Radiance Fields with Cages",
 ECCV 2022, Eq. 4 and 5); see deform/march_single.
 
-Needs: deform/flat_edits, deform/march, deform/march_single, deform/pictures, deform/ray_parts, field/grid,
-field/shades, view/rays.
+Needs: deform/flat_edits, deform/laid_shades, deform/march, deform/march_single, deform/pictures, deform/ray_parts, field/grid,
+view/rays.
 """
 
 import warp as wp
 
 from ..field.grid import VoxelGrid
-from ..field.shades import LaidShades
 from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
 from .flat_edits import FlatEdit
+from .laid_shades import LaidShades
 from .march import MarchOptions
 from .march_single import NoSides, march_edit
 from .pictures import Picture, fill_pixel

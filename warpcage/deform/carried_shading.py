@@ -6,15 +6,17 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array, struct_array
 from ..core.devices import launch
 from ..core.flags import HostFlag
 from ..field.shading import ColumnTable, whole_warps
-from ..kernels.deform.carried_shades import AimedCage, aim_nodes, shade_carried_rows
+from ..kernels.deform.carried_shades import AimedCage, aim_nodes, mark_wall_rows, shade_carried_rows, shade_wall_rows
+from ..kernels.deform.laid_shades import LaidShades
 from ..kernels.deform.posed_places import NO_CELL, claim_nodes, settle_nodes
-from ..kernels.field.shades import LaidShades, ShadedGrid
+from ..kernels.field.shades import ShadedGrid
 from ..lattice.capture import BufferPool
 
 
@@ -36,6 +38,7 @@ class CarriedShades:
         self._places, self._aims = ([pool.buffer(wp.vec4) for _ in range(edit_count)] for _ in range(2))
         self._posed: list[tuple[Any, wp.array, Any]] = []
         self._cages: wp.array | None = None
+        self._walls: tuple[ColumnTable, wp.array] | None = None
         self._folds = HostFlag(device)
         self._is_folded: bool | None = None
         self.is_posed = False
@@ -91,9 +94,9 @@ class CarriedShades:
             step: March step, world units.
 
         Returns:
-            A LaidShades of kernels/field/shades.py, of the values that the grid has now.
+            A LaidShades of kernels/deform/laid_shades.py, of the values that the grid has now.
         """
-        device, rows = self._device, table.nodes.shape[0]
+        device, rows, walls = self._device, table.nodes.shape[0], self._walls_of(grid, table)
         for edit, places, cage in self._posed:
             launch(aim_nodes, places.size, [edit, centre, places], [cage.aims], device=device)
         shaded = ShadedGrid()
@@ -101,5 +104,24 @@ class CarriedShades:
         inputs = [grid, table.nodes, self._cages, shaded]
         launch(shade_carried_rows, whole_warps(rows, device), inputs, device=device)
         laid = LaidShades()
-        laid.node_counts, laid.shades = table.columns.node_counts, shaded.shades
+        laid.columns, laid.shades = table.columns, shaded.shades
+        if walls.shape[0]:
+            shaded.shades = laid.others = table.other_shades()
+            inputs = [grid, table.nodes, walls, self._cages, shaded]
+            launch(shade_wall_rows, whole_warps(walls.shape[0], device), inputs, device=device)
         return laid
+
+    def _walls_of(self, grid: Any, table: ColumnTable) -> wp.array:
+        """(m,) int32, the rows of a field that a pose may show on both sides of a rest cage, the same for all poses: those
+        near it, and all of a cage that keeps its source."""
+        if self._walls is None or self._walls[0] is not table:
+            device, rows = self._device, table.nodes.shape[0]
+            marks = wp.zeros(rows, dtype=wp.uint8, device=device)
+            diagonal = math.hypot(*grid.voxel_size)
+            for edit, _, _ in self._posed:
+                depth = math.inf if edit.keeps_source else diagonal
+                inputs = [grid, table.nodes, table.columns.node_counts, edit.rest, depth, edit.slack + diagonal]
+                launch(mark_wall_rows, rows, inputs, [marks], device=device)
+            found = np.flatnonzero(marks.numpy()).astype(np.int32)
+            self._walls = table, wp.array(found, dtype=wp.int32, device=device)
+        return self._walls[1]

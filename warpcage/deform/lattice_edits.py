@@ -186,7 +186,6 @@ class LatticeEdits(PosedEdits):
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
         self._plan, self._lattice_boxes = Plan(None, False), []
-        self._keeps_source = any(edit.keep_source for edit in edits)
         self._shades = CarriedShades(len(edits), device)
         self._most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
         self._boxes: EditBoxes | None = None
@@ -222,7 +221,6 @@ class LatticeEdits(PosedEdits):
         is_shaded = (
             not self._by_tiles
             and not self._has_crumbs
-            and not self._keeps_source
             and (self._is_single or parts is not None)
             and field.marching.is_shaded(centre, self._lattice_boxes)
             and field.marching.columns.shade_bytes() <= self._most_shades

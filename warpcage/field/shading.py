@@ -69,8 +69,12 @@ class ColumnTable:
         return self._laid
 
     def laid_shades(self) -> wp.array:
-        """(nodes, words) uint32 for shades at the nodes of rows; 0 at others. See `shade_bytes` for its size."""
+        """(nodes, words) uint32 for shades at the nodes of rows (kernels/deform/laid_shades); 0 at others. See `shade_bytes` for its size."""
         return self._kept("laid", self._node_count, True)
+
+    def other_shades(self) -> wp.array:
+        """(rows, words) uint32 for second shades of some rows; 0 or those of a frame before at others."""
+        return self._kept("others", self.nodes.shape[0], True)
 
     def row_shades(self) -> wp.array:
         """(rows, words) uint32 for shades of rows, not set yet."""

@@ -1,0 +1,279 @@
+"""Voxels that a pose moves, shaded once for a camera: where the pose takes them, from where they are seen, and views."""
+
+import numpy as np
+import pytest
+from deformed_scenes import (
+    BOX,
+    KINDS,
+    ball,
+    box_around,
+    counter_moved,
+    kernels_of,
+    make_field,
+    psnr,
+    shiny,
+    shiny_field,
+    slotted,
+    use_march,
+    view,
+)
+
+from warpcage.cage.cage import Cage
+from warpcage.deform.deformer import Deformer
+from warpcage.deform.edits import CageEdit
+from warpcage.field import marching
+from warpcage.kernels.deform.render_part import render_edit_part
+from warpcage.kernels.deform.render_part_sides import render_edit_part_with_sides
+from warpcage.kernels.deform.render_sides import render_edit_with_sides
+from warpcage.kernels.deform.render_single import render_edit
+from warpcage.kernels.deform.shaded_part import render_shaded_part
+from warpcage.kernels.deform.shaded_part_sides import render_shaded_part_with_sides
+from warpcage.kernels.deform.shaded_sides import render_shaded_edit_with_sides
+from warpcage.kernels.deform.shaded_single import render_shaded_edit
+
+TURN = BOX.rotate(35, axis="z").translate([0.2, -0.1, 0.15])
+BEND = BOX.bend(60, axis="x", towards="z")
+
+OF_SHADES = {render_shaded_edit, render_shaded_edit_with_sides, render_shaded_part, render_shaded_part_with_sides}
+OF_ROWS = {render_edit, render_edit_with_sides, render_edit_part, render_edit_part_with_sides}
+
+
+@pytest.fixture(autouse=True)
+def march(device, monkeypatch):
+    return use_march("shaded", device, monkeypatch)
+
+
+def shaded(deformer, camera):
+    """A frame of shaded voxels."""
+    with kernels_of(deformer._edits) as kernels:
+        frame = deformer.render(camera)
+    assert kernels and set(kernels) <= OF_SHADES
+    return frame
+
+
+def of_rows(deformer, camera):
+    """The same, whose colours are looked up at each sample."""
+    with pytest.MonkeyPatch.context() as patch, kernels_of(deformer._edits) as kernels:
+        patch.setattr(marching, "NEAR_VOXELS", np.inf)
+        frame = deformer.render(camera)
+    assert kernels and set(kernels) <= OF_ROWS
+    return frame
+
+
+def trilinear(values, g):
+    """(n, m) values (x, y, z, m) at node coordinates g (n, 3), in float64."""
+    cell = np.clip(np.floor(g).astype(int), 0, np.array(values.shape[:3]) - 2)
+    f = g - cell
+    total = 0
+    for corner in np.ndindex(2, 2, 2):
+        share = np.prod(np.where(corner, f, 1 - f), axis=1)
+        total = total + share[:, None] * values[tuple((cell + corner).T)].astype(float)
+    return total
+
+
+def found_places(deformer):
+    """Of the only edit: nodes of the rest lattice that are taken somewhere (m, 3), where in the posed lattice (m, 3), the
+    signed distance of all nodes to the rest cage, and whether each is taken somewhere."""
+    ((edit, places, _),) = deformer._edits._shades._posed
+    places, distance = places.numpy(), edit.rest.distance.numpy()
+    taken = places[..., 3] > 0
+    return edit, np.argwhere(taken), places[taken][:, :3], distance, taken
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("pose", [TURN, BEND, BOX.scale([0.5, 1.4, 1.0])], ids=["turn", "bend", "squeeze"])
+def test_the_map_leads_back_from_where_nodes_are_taken(pose, kind, device):
+    deformer = Deformer(shiny_field(device), BOX, coordinates=kind, resolution=24).pose(pose)
+    deformer.render(view())
+    edit, nodes, places, distance, taken = found_places(deformer)
+    counts = tuple(edit.node_counts)
+    canonical = trilinear(edit.nodes.numpy().reshape(*counts, 4), places.astype(float))[:, :3]
+    back = (canonical - np.array(edit.rest.lower)) * edit.rest.inverse_spacing
+    assert np.abs(back - nodes).max() < 5e-3
+    if kind != "green":  # whose map leaves some of the rest cage out
+        assert taken[distance < -1.5 * edit.rest.spacing].all()
+    assert (distance < 0).any()
+
+
+@pytest.mark.parametrize("kind", ["harmonic", "mean_value"])
+def test_directions_of_affine_poses(kind, device):
+    """They reproduce those exactly: a voxel at x is seen along x - M^-1 (eye - b) where y = M x + b."""
+    matrix, offset = np.array([[0.9, 0.3, 0.0], [-0.2, 1.1, 0.1], [0.0, 0.2, 0.8]]), np.array([0.1, 0.2, -0.1])
+    pose = BOX.with_vertices(BOX.vertices @ matrix.T + offset)
+    deformer = Deformer(shiny_field(device), BOX, coordinates=kind, resolution=24).pose(pose)
+    camera = view()
+    shaded(deformer, camera)
+    edit, nodes, _, distance, taken = found_places(deformer)
+    ((_, _, cage),) = deformer._edits._shades._posed
+    aims = cage.aims.numpy().reshape(*taken.shape, 4)
+    x = np.array(edit.rest.lower) + edit.rest.spacing * np.argwhere(taken) + deformer.field.center
+    along = x - np.linalg.solve(matrix, camera.centre - offset)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    inside = distance[taken] < 0
+    assert inside.sum() > 500
+    np.testing.assert_allclose(aims[taken][inside, :3], along[inside], atol=2e-3)
+    np.testing.assert_array_equal(aims[..., 3], distance)
+    assert (aims[~taken][:, :3] == 0).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_views_are_those_of_colours_looked_up_at_each_sample(kind, device):
+    deformer = Deformer(shiny_field(device), BOX, coordinates=kind, resolution=40)
+    for pose, least in ((BOX, 75), (TURN, 75), (BEND, 65), (BOX.twist(80, axis="x"), 60)):
+        for eye in ((2.6, 0.9, 1.2), (-1.2, 2.4, -1.5)):
+            camera = view(eye)
+            deformer.pose(pose)
+            frame, expected = shaded(deformer, camera), of_rows(deformer, camera)
+            assert psnr(frame.rgb, expected.rgb) > least
+            for name in ("alpha", "reveal"):
+                assert psnr(getattr(frame, name), getattr(expected, name)) > 60, name
+            np.testing.assert_allclose(frame.fold, expected.fold, atol=2e-3)
+            assert np.abs(frame.outside - expected.outside).mean() < 0.05
+    assert psnr(frame.rgb, deformer.field.render(camera).rgb) < 30
+
+
+def test_a_rigid_pose_is_the_field_seen_by_the_camera_moved_back(device):
+    field = shiny_field(device)
+    turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1.0]])
+    pose = BOX.with_vertices(BOX.vertices @ turn.T + [0.2, 0.1, 0.0])
+    frame = shaded(Deformer(field, BOX, coordinates="mean_value", resolution=64).pose(pose), view())
+    still = field.render(counter_moved(view(), turn, [0.2, 0.1, 0.0]))
+    assert psnr(frame.rgb, still.rgb) > 45
+
+
+def test_matter_beside_the_cage_is_seen_as_it_is(device):
+    """A cage cuts the field in two; what it leaves alone keeps its colours, up to a voxel from the cage."""
+    field = make_field(lambda x: ball(x, (-0.5, 0, 0)) + ball(x, (0.5, 0, 0)), shiny, device=device)
+    half = box_around(0.5, 0, 0, half=0.45)
+    camera = view((0.3, 2.8, 0.9))
+    frame = shaded(Deformer(field, half, coordinates="mean_value", resolution=32).pose(half.rotate(90)), camera)
+    expected = field.render(camera)
+    left = camera.rays()[1][..., 0] < 0.05 if camera.rays()[1][0, 0, 0] < 0 else camera.rays()[1][..., 0] < -0.05
+    assert expected.alpha[left].max() > 0.9
+    assert psnr(frame.rgb[left], expected.rgb[left]) > 55
+    assert psnr(frame.rgb, expected.rgb) < 40
+
+
+@pytest.mark.filterwarnings("ignore:a cage has gaps narrower")
+def test_gaps_whose_cells_have_sides(device):
+    """In such cells each side of the gap has a map of its own; where it does not turn matter over, views agree."""
+    field = make_field(lambda x: np.full(x.shape[:3], 6.0), shiny, device=device)
+    deformer = Deformer(field, slotted(0.12), coordinates="mean_value", resolution=20)
+    deformer.pose(slotted(0.06).rotate(20, axis="x"))
+    camera = view((0.4, 2.6, 1.4))
+    assert psnr(shaded(deformer, camera).rgb, of_rows(deformer, camera).rgb) > 50
+    assert deformer._edits._flat[0].has_sides
+
+
+def mirrored(deformer):
+    """Lets the map of a deformer's only edit turn all matter over."""
+    position_map = deformer._edits.lattices.maps[0]
+    pose = position_map.pose
+
+    def mirrored_pose(posed):
+        pose(posed)
+        position_map.data.positions.assign(position_map.data.positions.numpy() * np.float32([-1, 1, 1]))
+        return position_map
+
+    position_map.pose = mirrored_pose
+
+
+def test_poses_that_turn_matter_over_take_rows(device):
+    """Matter is in several places then. The first frame of a pose finds out, and others know."""
+    deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=24)
+    mirrored(deformer)
+    deformer.pose(BOX.rotate(10))
+    for _ in range(2):
+        with kernels_of(deformer._edits) as kernels:
+            frame = deformer.render(view())
+        assert kernels == [render_edit]
+        assert psnr(frame.rgb, of_rows(deformer, view()).rgb) > 100
+    assert frame.fold.max() > 0.9
+
+
+def test_what_takes_rows(device):
+    """Cameras near the field or the posed cage, and fields for whose shades memory is short."""
+    field = shiny_field(device)
+    near, far = view(), view((7.5, 2.5, 3.4))
+    away = BOX.translate([3.4, 1.0, 1.5])
+
+    def used(edit, pose, camera, most=np.inf):
+        deformer = Deformer(field, edit, resolution=16).pose(pose)
+        deformer._edits._most_shades = most
+        with kernels_of(deformer._edits) as kernels:
+            frame = deformer.render(camera)
+        return kernels, frame
+
+    assert used(BOX, TURN, near)[0] == [render_shaded_edit]
+    assert used(BOX, away, near)[0] == [render_edit]
+    assert used(BOX, away, far)[0] == [render_shaded_edit]
+    assert used(BOX, TURN, view((0.3, 0.2, 0.1)))[0] == [render_edit]
+    kernels, frame = used(BOX, TURN, near, most=1000)
+    assert kernels == [render_edit]
+    assert psnr(frame.rgb, used(BOX, TURN, near)[1].rgb) > 60
+
+
+def test_copies_and_what_they_are_copies_of(device):
+    """The same voxels are seen in two places, each from a direction of its own."""
+    field = shiny_field(device)
+    edit = CageEdit(BOX, keep_source=True)
+    deformer = Deformer(field, edit, coordinates="mean_value", resolution=24)
+    deformer.pose(BOX.rotate(100, axis="z").translate([0.3, 0.9, 0.6]))
+    camera = view((3.6, 1.5, 1.4))
+    frame = shaded(deformer, camera)
+    assert psnr(frame.rgb, of_rows(deformer, camera).rgb) > 60
+    assert psnr(frame.rgb, field.render(camera).rgb) < 30
+
+
+def test_removed_matter_and_what_it_uncovers(device):
+    field = shiny_field(device)
+    slab = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
+    deformer = Deformer(field, CageEdit(slab, remove=True), resolution=24).pose([None])
+    frame, expected = shaded(deformer, view()), of_rows(deformer, view())
+    assert psnr(frame.rgb, expected.rgb) > 65 and psnr(frame.reveal, expected.reveal) > 80
+    assert expected.reveal.max() > 0.3
+
+
+def test_several_edits_each_with_its_own_directions(device):
+    boxes = [box_around(x, 0, 0, half=0.22) for x in (-0.7, 0.0, 0.7)]
+    field = make_field(lambda x: sum(ball(x, (c, 0, 0)) for c in (-0.7, 0.0, 0.7)), shiny, device=device)
+    posed = [boxes[0].rotate(50, axis="x"), boxes[1].rotate(-70, axis="z"), boxes[2].twist(30, axis="x")]
+    deformer = Deformer(field, boxes, coordinates="mean_value", resolution=24).pose(posed)
+    for eye in ((2.4, 1.1, 1.0), (-0.4, 2.6, -1.0)):
+        camera = view(eye)
+        frame = shaded(deformer, camera)
+        assert psnr(frame.rgb, of_rows(deformer, camera).rgb) > 60
+    assert psnr(frame.rgb, field.render(camera).rgb) < 35
+
+
+def test_frames_do_not_depend_on_the_ones_before(device):
+    """Shades are kept from frame to frame, and so are those of other deformers of the field."""
+    field = shiny_field(device)
+    cameras = [view(), view((-1.4, 2.2, 1.6))]
+    deformers = [
+        Deformer(field, BOX, coordinates="mean_value", resolution=24).pose(pose) for pose in (TURN, BEND)
+    ]
+    alone = [[deformer.render(camera).rgb.copy() for camera in cameras] for deformer in deformers]
+    for first in range(2):
+        for second in range(2):
+            deformers[first].render(cameras[second])
+            field.render(cameras[1 - second])
+            for number, deformer in enumerate(deformers):
+                for camera, rgb in zip(cameras, alone[number], strict=True):
+                    np.testing.assert_array_equal(deformer.render(camera).rgb, rgb)
+    # another pose, and back
+    deformers[0].pose(BEND).render(cameras[0])
+    np.testing.assert_array_equal(deformers[0].pose(TURN).render(cameras[1]).rgb, alone[0][1])
+
+
+def test_numbers_of_a_field_may_change_between_frames(device):
+    field = shiny_field(device)
+    deformer = Deformer(field, BOX, coordinates="mean_value", resolution=24).pose(BEND)
+    before = shaded(deformer, view()).rgb
+    field.grid.sh.assign(0.5 * field.grid.sh.numpy())
+    pale = shaded(deformer, view())
+    assert psnr(pale.rgb, of_rows(deformer, view()).rgb) > 60 and psnr(pale.rgb, before) < 40
+    field.grid.density.assign(np.where(np.arange(field.grid.density.size) % 2, field.grid.density.numpy(), -1.0))
+    thin = shaded(deformer, view())
+    assert psnr(thin.alpha, of_rows(deformer, view()).alpha) > 60
+    assert np.abs(thin.alpha - pale.alpha).max() > 0.1
