@@ -51,7 +51,8 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.densities.lay_densities", "field.halves.widen_rows",
              "field.skip.spread_distance", "field.shades.",
              "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
-             "deform.render_part.", "deform.render_part_sides.",
+             "deform.render_part.", "deform.render_part_sides.", "deform.shaded_",
+             "deform.carried_shades.", "deform.posed_places.",
              "splats.composite.", "splats.composite_slopes.", "splats.packed_rows.",
              "view.colour_bytes."}  # fmt: skip
 
@@ -72,7 +73,7 @@ def main() -> int:
         wp.set_mempool_enabled(args.device, False)
     watch_launches()
     with limit_threads(2):  # on one thread no gradients are joined
-        for part in (fields, fits, coordinates, frames, edits, references, splats, posed_splats):
+        for part in (fields, fits, coordinates, frames, edits, near_frames, references, splats, posed_splats):
             part(args.device)
             wp.synchronize_device(args.device)
             print(f"{part.__name__}: {len(launched)} kernels so far", flush=True)
@@ -224,6 +225,16 @@ def edits(device) -> None:
         part.pose(low.bend(20)).render(camera())
     precise = warpcage.Deformer(field, cages, coordinates="mean_value", resolution=None, device=device)
     precise.pose([CAGE.translate((0, 0, 3)), POSE]).render(camera())
+
+
+def near_frames(device) -> None:
+    """Deformed frames of cameras that are too near for shaded voxels."""
+    field, near = ball_field(device), warpcage.Camera.look_at((0.3, 0.2, 0.1), (0, 0, 0), width=8, height=8)
+    warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(near)
+    warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(near)
+    beside = warpcage.Cage.box((-1, -1, 1.2), (1, 1, 2))
+    apart = warpcage.Deformer(field, [beside, slotted(0.5)], resolution=16, device=device)
+    apart.pose([beside.translate((0, 0, 0.1)), slotted(0.03)]).render(near)
 
 
 def references(device) -> None:
