@@ -11,7 +11,7 @@ differences. A few items are made first by each, so that no kernel is compiled i
 - `rate`, items a second from then until the last one was made, with what loading takes;
 - `steady`, of many items, from when a tenth was made until nine tenths were;
 - `first_item`, seconds of the first item of each worker, with what it loads, and `item`, the median;
-- `end_spread`, seconds between the last items of the workers;
+- `begin_spread` and `end_spread`, seconds between the first items of the workers, and between the last;
 - `gpu_busy`, the share of the time of `rate` in which a GPU had something to do, as nvidia-smi sees it: the rest is the
   host's.
 
@@ -199,7 +199,8 @@ def course_of(path: pathlib.Path) -> tuple[float, dict]:
     firsts = [min(made, key=lambda item: item[0] - item[1]) for made in of_workers.values()]
     lasts = [max(made) for made in of_workers.values()]
     ends = sorted(end for made in of_workers.values() for end, _ in made)
-    begin = min(end - taken for end, taken in firsts)
+    begins = [end - taken for end, taken in firsts]
+    begin = min(begins)
     low, high = len(ends) // 10, len(ends) - 1 - len(ends) // 10
     steady = {"steady": (high - low) / (ends[high] - ends[low])} if len(ends) >= MANY else {}
     return begin, {
@@ -209,6 +210,7 @@ def course_of(path: pathlib.Path) -> tuple[float, dict]:
         "first_item": [round(taken, 3) for _, taken in firsts],
         "item": statistics.median(record["seconds"] for record in records),
         "items_of_workers": [len(made) for made in of_workers.values()],
+        "begin_spread": max(begins) - begin,
         "end_spread": max(lasts)[0] - min(lasts)[0],
     }
 

@@ -10,7 +10,8 @@ import warp as wp
 from ..core.arrays import array_bytes
 from ..core.memory import free_bytes
 from ..core.recent import Recent
-from ..splats.load import AnyField, load_field
+from ..splats.load import AnyField, read_field
+from .expected_field import ExpectedField
 from .references import References
 
 #: Most fields that stay loaded, and the share of the memory that is free at first for them and what is bound to them.
@@ -25,6 +26,7 @@ class LoadedFields:
         device: Warp device.
         memory: Bytes that fields may take together; one stays whatever it takes. None is a quarter of what is free on
             the device.
+        expected: A field that is being read already. None is none.
 
     Attributes:
         device: As given.
@@ -32,9 +34,16 @@ class LoadedFields:
         dropped: Called with a field that is let go, before it is.
     """
 
-    def __init__(self, references: References, device: wp.Device, memory: int | None = None):
+    def __init__(
+        self,
+        references: References,
+        device: wp.Device,
+        memory: int | None = None,
+        expected: ExpectedField | None = None,
+    ):
         self.references, self.device, self.read_count = references, device, 0
         self.dropped: Callable[[AnyField], Any] = lambda field: None
+        self._expected = expected
         limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
         self._fields: Recent[AnyField] = Recent(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
 
@@ -61,7 +70,9 @@ class LoadedFields:
 
         def load() -> AnyField:
             self.read_count += 1
-            return load_field(path, scene_scale=scene_scale, device=self.device)
+            expected, self._expected = self._expected, None  # what nobody asked for is let go
+            found = None if expected is None else expected.take(path, stamp, scene_scale)
+            return (found or read_field(path, scene_scale=scene_scale))(self.device)
 
         key = path, stamp, scene_scale
         return key, self._fields.get(key, load)
@@ -72,4 +83,5 @@ class LoadedFields:
 
     def forget(self) -> None:
         """Let go of all fields."""
+        self._expected = None
         self._fields.clear()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import hashlib
 import json
 import os
 import pathlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -19,11 +21,60 @@ from .words import split_reference
 #: Bytes that are hashed at once, and files whose hashes are kept.
 CHUNK, MOST_FILES = 1 << 20, 200_000
 
-#: Bytes from which on a file is hashed by a thread, beside whoever reads it too.
-LARGE = 1 << 22
+#: Bytes from which on a file is hashed by a thread, beside whoever reads it too, and bytes of such a file that are
+#: hashed at once: between them the thread waits for the interpreter, up to 5 ms while another one imports modules.
+LARGE, LARGE_CHUNK = 1 << 22, 1 << 24
 
 #: Bytes of a hash.
 HASH_BYTES = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class LargeHash:
+    """The hash of a large file, which a thread makes.
+
+    Attributes:
+        path: The file.
+        stamp: As it was when that began.
+        future: Becomes the hash of its bytes.
+    """
+
+    path: pathlib.Path
+    stamp: tuple[int, int]
+    future: Future[str]
+
+    def settled(self) -> str:
+        """Wait for the hash: that of a file that is still as it was, so that who read it since read the same bytes."""
+        try:
+            found = self.future.result()
+        except OSError as error:
+            return _unreadable(error)
+        with contextlib.suppress(OSError):
+            if file_stamp(self.path) == self.stamp:
+                return found
+        return _changed(self.stamp, found)
+
+
+class Begun:
+    """A fingerprint of which some hashes may be under way.
+
+    Args:
+        words: What the item says.
+        inputs: The hashes of what it reads.
+    """
+
+    def __init__(self, words: str, inputs: list[str | LargeHash]):
+        self._words, self._inputs = words, inputs
+
+    @property
+    def ready(self) -> bool:
+        """Whether a call waits for nothing."""
+        return all(isinstance(each, str) or each.future.done() for each in self._inputs)
+
+    def __call__(self) -> str:
+        """Wait for the hashes; returns the fingerprint."""
+        parts = [self._words, *map(_settled, self._inputs)]
+        return hashlib.blake2b("\n".join(parts).encode(), digest_size=HASH_BYTES).hexdigest()
 
 
 class Fingerprints:
@@ -40,7 +91,7 @@ class Fingerprints:
     def __init__(self, base: PathLike, out: PathLike | None = None):
         self.base = pathlib.Path(base)
         self._out = None if out is None else os.path.realpath(out)
-        self._hashes: Recent[str | Future[str]] = Recent(MOST_FILES)
+        self._hashes: Recent[str | LargeHash] = Recent(MOST_FILES)
         self._thread: ThreadPoolExecutor | None = None
         self._arrays: Recent[NpyFile] = Recent(32)
 
@@ -55,23 +106,28 @@ class Fingerprints:
         """
         return self.begun(item)()
 
-    def begun(self, item: Item) -> Callable[[], str]:
+    def begun(self, item: Item) -> Begun:
         """The fingerprint of an item as its files are now, while large ones are hashed beside what the caller does.
 
         Args:
             item: The item.
 
         Returns:
-            Waits for the hashes, and returns what `of` does. A file that was written to meanwhile has a hash that it
-            never has again.
+            Waits for the hashes, and returns what `of` does. A large file that was written to meanwhile, or is another
+            one when this is asked for, has a hash that it never has again.
         """
-        words, inputs = canonical(item.to_json()), [self._of_reference(each) for each in references_of(item)]
+        return Begun(canonical(item.to_json()), [self._of_reference(each) for each in references_of(item)])
 
-        def joined() -> str:
-            parts = [words, *map(_settled, inputs)]
-            return hashlib.blake2b("\n".join(parts).encode(), digest_size=HASH_BYTES).hexdigest()
+    def expect(self, name: str) -> None:
+        """Begin to hash a large file that items will name.
 
-        return joined
+        Args:
+            name: The file. Nothing is done where it is small or not there.
+        """
+        path = self.base / name
+        with contextlib.suppress(OSError):
+            if path.is_file() and file_stamp(path)[0] >= LARGE:
+                self._hash(path)
 
     def of_inputs(self, item: Item) -> tuple[str, ...]:
         """The fingerprints of what an item reads, whatever it says beside.
@@ -84,7 +140,7 @@ class Fingerprints:
         """
         return tuple(_settled(self._of_reference(each)) for each in references_of(item))
 
-    def _of_reference(self, reference: str) -> str | Future[str]:
+    def _of_reference(self, reference: str) -> str | LargeHash:
         name, place = split_reference(reference)
         try:
             path = self.base / name
@@ -103,15 +159,15 @@ class Fingerprints:
             return " ".join([found, *(self._of_file(each) for each in _gltf_files(path))])
         return found
 
-    def _hash(self, path: pathlib.Path) -> str | Future[str]:
+    def _hash(self, path: pathlib.Path) -> str | LargeHash:
         """The hash of a file alone; of a large one it may be under way."""
         stamp = file_stamp(path)
 
-        def begin() -> str | Future[str]:
+        def begin() -> str | LargeHash:
             if stamp[0] < LARGE:
                 return _file_hash(path)
             self._thread = self._thread or ThreadPoolExecutor(1, "warpcage-hashes")
-            return self._thread.submit(_stamped_hash, path, stamp)
+            return LargeHash(path, stamp, self._thread.submit(_stamped_hash, path, stamp))
 
         return self._hashes.get((os.fspath(path), stamp), begin)
 
@@ -169,22 +225,24 @@ def _files_of_frame(item: FrameItem) -> Iterator[str]:
 def _file_hash(path: pathlib.Path) -> str:
     found = hashlib.blake2b(digest_size=HASH_BYTES)
     with path.open("rb") as file:
-        while chunk := file.read(CHUNK):
+        size = os.fstat(file.fileno()).st_size
+        while chunk := file.read(CHUNK if size < LARGE else LARGE_CHUNK):
             found.update(chunk)
     return found.hexdigest()
 
 
 def _stamped_hash(path: pathlib.Path, stamp: tuple[int, int]) -> str:
     """The hash of a file that is still as it was when another thread began to read it."""
-    try:
-        found = _file_hash(path)
-        return found if file_stamp(path) == stamp else f"changed while it was read: {stamp}, {found}"
-    except OSError as error:
-        return _unreadable(error)
+    found = _file_hash(path)
+    return found if file_stamp(path) == stamp else _changed(stamp, found)
 
 
-def _settled(found: str | Future[str]) -> str:
-    return found if isinstance(found, str) else found.result()
+def _changed(stamp: tuple[int, int], found: str) -> str:
+    return f"changed while it was read: {stamp}, {found}"
+
+
+def _settled(found: str | LargeHash) -> str:
+    return found if isinstance(found, str) else found.settled()
 
 
 def _unreadable(error: Exception) -> str:

@@ -130,7 +130,7 @@ class FrameMaker:
             FileNotFoundError: For a file that is not there.
             ValueError: For what cannot be used, with its name.
         """
-        self._begin_kernels(item)
+        self.begin_kernels(item)
         field_key, field = self.fields.get(item.field, item.scene_scale)
         camera = self.references.camera(item, field)
         posed: list[Cage | None] = []
@@ -151,8 +151,12 @@ class FrameMaker:
         self._bound.settle(bound_key)
         return Made(writers, sum(_host_bytes(frame, name) for name in needed_arrays(item, frame)))
 
-    def _begin_kernels(self, item: FrameItem) -> None:
-        """Load the kernels that a frame needs beside its field, once for each kind of coordinates."""
+    def begin_kernels(self, item: FrameItem) -> None:
+        """Let a thread load the kernels that a frame needs, once for each kind of coordinates.
+
+        Args:
+            item: The frame.
+        """
         looked_up = item.edits and item.resolution != "precise" and not is_splat_file(item.field)
         if looked_up and item.coordinates not in self._kernels:
             thread = ThreadPoolExecutor(1, "warpcage-kernels")

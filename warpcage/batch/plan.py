@@ -45,6 +45,19 @@ class Plan:
     failed_before: int
     group_count: int
 
+    def first_items(self, most: int) -> list[int]:
+        """The items with which workers will probably begin: the first of each group, the largest groups before others.
+
+        Args:
+            most: How many at most.
+
+        Returns:
+            Their numbers in the job file.
+        """
+        starts = np.flatnonzero(np.diff(self.groups, prepend=self.groups[:1] - 1))
+        sizes = np.diff(starts, append=len(self.groups))
+        return self.items[starts[np.argsort(-sizes, kind="stable")[:most]]].tolist()
+
     def lots(self, *, aim: float, whole: bool) -> Lots:
         """What is to be made, as workers take it."""
         return Lots(self.items, self.groups, self.kinds, aim=aim, whole=whole)

@@ -38,6 +38,9 @@ WORKERS_PER_SECOND = 100
 #: Items between two calls of `progress` while they are checked.
 CHECKED_AT_ONCE = 100
 
+#: Items that are told to workers which start, so that they read what those need.
+MOST_LIKELY = 64
+
 Progress = Callable[[RunProgress], None]
 
 
@@ -151,6 +154,7 @@ def _run(
             options.device,
             retries=options.retries,
             maker=maker,
+            likely=tuple((job.data(index), job.line(index)) for index in plan.first_items(MOST_LIKELY)),
         )
         if not len(plan.items):
             # there is nothing but shards to be packed

@@ -7,13 +7,16 @@ import os
 import pathlib
 import platform
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import warp as wp
 
 from ..core.devices import resolve_device
+from ..core.locks import device_turn
 from .fingerprints import Fingerprints
 from .item_reader import ItemReader
+from .items import EvaluateItem, FrameItem, Item
 from .lot_runner import LotRunner, Maker, Place
 from .output_folder import OutputFolder
 
@@ -33,6 +36,8 @@ class RunnerSettings:
         retries: How often an item may be tried again.
         threads: Threads for kernels on the CPU; 0 is what there is.
         maker: Makes what makes items, of `base`, `out` and `device`. None is `Worker`.
+        likely: Lines of items, as `reader` takes them, with one of which a worker will probably begin: what the first
+            of them needs is read while the worker starts.
     """
 
     base: str
@@ -45,6 +50,7 @@ class RunnerSettings:
     retries: int = 2
     threads: int = 0
     maker: Callable[[str, str, Any], Maker] | None = None
+    likely: tuple[tuple[bytes, int], ...] = ()
 
 
 def make_runner(settings: RunnerSettings) -> LotRunner:
@@ -67,12 +73,19 @@ def make_runner(settings: RunnerSettings) -> LotRunner:
                 f"{platform.node()} does not see {str(path)!r}: all machines need the folders under the same path"
             )
     held = folder.worked_in()
-    device = resolve_device(settings.device)
-    maker = (settings.maker or _worker)(settings.base, settings.out, device)
+    fingerprints = Fingerprints(settings.base, settings.out)
+    first = settings.reader.item(*settings.likely[0]) if settings.likely else None
+    if isinstance(first, FrameItem | EvaluateItem):
+        fingerprints.expect(first.field)
+    if settings.maker is None:
+        maker, device = _worker(settings, first)
+    else:
+        device = resolve_device(settings.device)
+        maker = settings.maker(settings.base, settings.out, device)
     runner = LotRunner(
         maker,
         settings.reader.item,
-        Fingerprints(settings.base, settings.out).begun,
+        fingerprints.begun,
         folder.new_notes(settings.notes or f"{settings.run}-{settings.worker}"),
         Place(settings.worker, platform.node(), device.name),
         retries=settings.retries,
@@ -83,11 +96,23 @@ def make_runner(settings: RunnerSettings) -> LotRunner:
     return runner
 
 
-def _worker(base: str, out: str, device: wp.Device) -> Maker:
-    """What makes items. It is loaded here, as the driver of a cluster needs nothing of it."""
-    from .worker import Worker
+def _worker(settings: RunnerSettings, first: Item | None) -> tuple[Maker, wp.Device]:
+    """What makes items, and its device. It is loaded here, as the driver of a cluster needs nothing of it.
 
-    return Worker(base, out, device)
+    The first field is read meanwhile, and the device prepared.
+    """
+    from .expected_field import ExpectedField
+
+    expected = None
+    if isinstance(first, FrameItem | EvaluateItem):
+        expected = ExpectedField(os.path.join(settings.base, first.field), first.scene_scale)
+    device = resolve_device(settings.device)
+    with ThreadPoolExecutor(1, "warpcage-device") as beside:
+        prepared = beside.submit(check_device, device)  # which makes its context
+        from .worker import Worker
+
+        prepared.result()
+    return Worker(settings.base, settings.out, device, first=first, expected=expected), device
 
 
 def check_device(device: wp.Device) -> None:
@@ -97,8 +122,9 @@ def check_device(device: wp.Device) -> None:
         device: The device.
     """
     if device.is_cuda:
-        wp.zeros(1, dtype=float, device=device).numpy()
-        wp.synchronize_device(device)
+        with device_turn(device):  # another thread may render
+            wp.zeros(1, dtype=float, device=device).numpy()
+            wp.synchronize_device(device)
 
 
 def run_name() -> str:

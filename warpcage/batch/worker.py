@@ -15,6 +15,7 @@ from ..core.memory import is_shortage
 from ..core.overlap import SPARE, TASK_THREADS, Gate
 from ..core.threads import cpu_threads
 from .evaluations import make_evaluation
+from .expected_field import ExpectedField
 from .fields import LoadedFields
 from .fingerprints import Fingerprints
 from .fits import FitMaker
@@ -35,6 +36,8 @@ class Worker:
             half of what is free on the device.
         encoders: Threads that encode pictures while the next ones are rendered. None is one for each CPU thread, 16 at
             most.
+        first: The item that it will probably make first: the kernels of that are loaded by a thread. None is none.
+        expected: The field of that, which is being read. None is none.
 
     Attributes:
         out: The folder of outputs.
@@ -52,12 +55,16 @@ class Worker:
         *,
         memory: int | None = None,
         encoders: int | None = None,
+        first: Item | None = None,
+        expected: ExpectedField | None = None,
     ):
         self.out, self.device = pathlib.Path(out), resolve_device(device)
         self.references = References(base)
         half = None if memory is None else memory // 2
-        self.fields = LoadedFields(self.references, self.device, half)
+        self.fields = LoadedFields(self.references, self.device, half, expected)
         self.frames = FrameMaker(self.references, self.fields, half)
+        if isinstance(first, FrameItem):
+            self.frames.begin_kernels(first)
         self._fingerprints = Fingerprints(self.references.base, self.out)
         self.fits = FitMaker(self.references, self._fingerprints, self.device)
         threads = min(TASK_THREADS, cpu_threads()) if encoders is None else encoders

@@ -425,7 +425,11 @@ class VoxelField:
             FileNotFoundError: If there is no such file.
             ValueError: For a file of neither format, or whose parts do not fit.
         """
-        held = load_field(path, scene_scale=scene_scale)
+        return cls.of_file(load_field(path, scene_scale=scene_scale), path, device)
+
+    @classmethod
+    def of_file(cls, held: FieldContents, path: str | os.PathLike, device: wp.DeviceLike = None) -> VoxelField:
+        """The field of what `load_field` has read of a file. Raises ValueError for parts that do not fit."""
         try:
             model = None if held.layers is None else LayeredBackground.from_contents(held.layers, device)
             if held.outer is not None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import TypeAlias
 
 import warp as wp
 
 from ..core.files import PathLike
 from ..core.words import counted
+from ..field.files.files import load_field as load_voxels
 from ..field.voxel_field import VoxelField
-from .files.files import is_splat_file
+from .files.files import is_splat_file, read_splats
 from .splat_field import SplatField
 
 #: What a Deformer poses.
@@ -31,11 +34,29 @@ def load_field(path: PathLike, *, scene_scale: float = 1.0, device: wp.DeviceLik
         FileNotFoundError: If there is no such file.
         ValueError: For a file that cannot be read, or a scale with splats.
     """
+    return read_field(path, scene_scale=scene_scale)(device)
+
+
+def read_field(path: PathLike, *, scene_scale: float = 1.0) -> Callable[[wp.DeviceLike], AnyField]:
+    """Read a field into the host's memory, for which no device is needed.
+
+    Args:
+        path: The file.
+        scene_scale: As for `load_field`.
+
+    Returns:
+        Makes the field on a device, of what was read. It may raise a ValueError of parts that do not fit.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: For a file that cannot be read, or a scale with splats.
+    """
     if not is_splat_file(path):
-        return VoxelField.load(path, scene_scale=scene_scale, device=device)
+        return functools.partial(VoxelField.of_file, load_voxels(path, scene_scale=scene_scale), path)
     if scene_scale != 1.0:
         raise ValueError(f"{path} holds splats, which keep their scale: leave the scene scale out")
-    return SplatField.load(path, device=device)
+    splats = read_splats(path)
+    return lambda device: SplatField.from_contents(splats, device=device)
 
 
 def field_size(field: AnyField) -> str:
