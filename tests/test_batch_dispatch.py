@@ -46,8 +46,10 @@ def test_every_item_is_made_once():
     assert seconds < 1.1 * (2000 * 0.5 / 8) + 2  # all are at work nearly all of the time
 
 
+@pytest.mark.parametrize("write_seconds", [0.0, 2.0])
 @pytest.mark.parametrize("seed", range(12))
-def test_nothing_is_lost_or_made_twice_whatever_happens(seed):
+def test_nothing_is_lost_or_made_twice_whatever_happens(seed, write_seconds):
+    """Files that take longer than most items: workers have several lots, and die with all of them."""
     random = np.random.default_rng(seed)
     count, workers = int(random.integers(1, 3000)), int(random.integers(2, 40))
     some = random.permutation(count)
@@ -59,6 +61,8 @@ def test_nothing_is_lost_or_made_twice_whatever_happens(seed):
         item_seconds=random.gamma(2.0, 0.5, count),
         speeds=random.choice([1.0, 1.0, 1.0, 12.0], workers),
         load_seconds=random.choice([0.0, 3.0]),
+        write_seconds=write_seconds,
+        overlapping=True,
         deaths_per_hour=60.0,
         flaky=0.05,
         stalls=(0.05, 50.0),

@@ -75,6 +75,35 @@ def assert_whole(out, whole):
         assert all((out / name).stat().st_size == size for name, size in record["outputs"].items())
 
 
+class Late(Making):
+    """Files are there a while after the next items were begun. Item 23 kills its worker in the midst of that."""
+
+    def __init__(self, base, out, device):
+        super().__init__(base, out, device)
+        self.pool = concurrent.futures.ThreadPoolExecutor(40)
+
+    def submit(self, item, out=None):
+        if number_of(item) == 23 and not (self.out / ".warpcage" / "died").exists():
+            (self.out / ".warpcage" / "died").write_text("")
+            os.kill(os.getpid(), signal.SIGKILL)
+
+        def write():
+            time.sleep(0.3)
+            return Making.submit(self, item, out).result()
+
+        time.sleep(0.01)
+        return self.pool.submit(write)
+
+
+def test_a_worker_killed_between_two_lots_loses_nothing(address, job, whole, tmp_path):
+    """While it makes items of a lot and writes files of the one before."""
+    out, lines = tmp_path / "out", []
+    assert run_with(job, out, Late, workers=2, cluster=address, warn=lines.append).complete
+    assert len(lines) == 1 and "its worker died" in lines[0] and left_over(out) == ["died"]
+    assert [name for name, each in records(out).items() if each["attempts"] > 1] == ["shot/f0023"]
+    assert len(records(out)) == len(whole) == len(list((out / "shot").iterdir()))
+
+
 def test_two_workers_make_what_one_does(address, job, whole, tmp_path):
     out = tmp_path / "out"
     report = run_with(job, out, workers=2)

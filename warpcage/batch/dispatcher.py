@@ -18,6 +18,9 @@ MOST_BARREN = 3
 #: Weight of the newest lot in how fast a worker is taken for, and how far that may be from the others.
 NEWEST, MOST_RATIO = 0.5, 100.0
 
+#: Lots that a worker has at most: one of which it makes items, the others while their last files are being written.
+MOST_LOTS = 2
+
 #: A lot is shortened for the sake of a worker that has nothing to do where it would take this many more seconds.
 LEAST_SHARED = 2.0
 
@@ -56,12 +59,18 @@ class LotReport:
 class _Worker:
     """A place where a process works; when that dies, another takes its place."""
 
-    lot: Lot | None = None
+    lot: Lot | None = None  # of which items are made
+    ending: dict[int, Lot] = dataclasses.field(default_factory=dict)  # whose files are being written, by number
     began: float = 0.0
     group: int | None = None
     speed: float = 1.0
     barren: int = 0  # deaths in a row without an item
     recalled: bool = False  # whether its lot was asked back
+
+    @property
+    def lots(self) -> list[Lot]:
+        """All that it has, the oldest first."""
+        return [*self.ending.values(), *([] if self.lot is None else [self.lot])]
 
 
 class Dispatcher:
@@ -114,7 +123,7 @@ class Dispatcher:
     @property
     def left(self) -> int:
         """Items that are neither made nor failed."""
-        held = sum(len(worker.lot.items) for name in self._busy if (worker := self._workers[name]).lot)
+        held = sum(len(lot.items) for name in self._busy for lot in self._workers[name].lots)
         return self.lots.left + len(self._retries) + held
 
     @property
@@ -131,16 +140,17 @@ class Dispatcher:
         """How often an item was begun and failed."""
         return self._attempts.get(item, 0)
 
-    def lot_of(self, name: str) -> Lot | None:
-        """What a worker works at."""
-        return self._workers[name].lot
+    def takes(self, name: str) -> bool:
+        """Whether a worker can make the items of another lot."""
+        worker = self._workers[name]
+        return worker.lot is None and len(worker.ending) < MOST_LOTS
 
     def add_worker(self, name: str) -> None:
         """A place where work can be done; its process may start later."""
         self._workers[name] = _Worker()
 
     def next_lot(self, name: str, now: float) -> Lot | None:
-        """The next lot of a worker that has none.
+        """The next lot of a worker that makes items of none.
 
         Args:
             name: The worker.
@@ -160,16 +170,37 @@ class Dispatcher:
         self._busy.add(name)
         return lot
 
-    def reported(self, name: str, report: LotReport, now: float) -> None:
-        """A worker is done with its lot.
+    def begun(self, name: str, number: int) -> bool:
+        """A worker has begun all items of a lot: it could make those of another one while files are written.
+
+        Args:
+            name: The worker.
+            number: Of the lot. Nothing happens where it is not what the worker makes, as its report was there before.
+
+        Returns:
+            Whether the worker takes another one.
+        """
+        worker = self._workers.get(name)
+        if worker is None or worker.lot is None or worker.lot.number != number:
+            return False
+        worker.ending[number], worker.lot = worker.lot, None
+        return self.takes(name)
+
+    def reported(self, name: str, report: LotReport, now: float, number: int | None = None) -> None:
+        """A worker is done with a lot.
 
         Args:
             name: The worker.
             report: What became of it.
             now: Seconds.
+            number: Of the lot. None is the one of which it makes items.
         """
         worker = self._workers[name]
-        lot = self._settle(name, report)
+        lot = worker.ending.pop(number, None) if number is not None else None
+        if lot is None:
+            lot, worker.lot = worker.lot, None
+        assert lot is not None and number in (None, lot.number)
+        self._settle(name, [lot], report)
         if lot.shard is not None and report.pack_error is not None:
             self._pack_again(lot, report.pack_error)
         if report.done:
@@ -197,7 +228,7 @@ class Dispatcher:
 
         Args:
             name: The worker.
-            report: What it had settled of its lot.
+            report: What it had settled of its lots.
             begun: The items that it had begun and not settled, the newest last.
             reason: One line.
 
@@ -207,8 +238,8 @@ class Dispatcher:
         worker = self._workers[name]
         self._move(worker, None)  # what takes its place has nothing loaded
         worker.barren = 0 if report.done else worker.barren + (not begun)
-        lot = worker.lot
-        if lot is None:
+        lots, worker.lot, worker.ending = worker.lots, None, {}
+        if not lots:
             return []
         lost: list[tuple[int, str]] = []
         charged = begun[-1] if begun else None
@@ -219,11 +250,13 @@ class Dispatcher:
         elif charged is not None:
             report.errors.append((charged, reason))
         settled = {*report.done, *(item for item, _ in [*report.failed, *report.errors]), *begun}
-        report.left = [item for item in lot.items if item not in settled]
-        self._settle(name, report)
-        self._retries.extend((item, lot.group, "") for item in begun[:-1])
-        if lot.shard is not None:
-            self._pack_again(lot, reason)
+        report.left = [item for lot in lots for item in lot.items if item not in settled]
+        self._settle(name, lots, report)
+        groups = {item: lot.group for lot in lots for item in lot.items}
+        self._retries.extend((item, groups[item], "") for item in begun[:-1])
+        for lot in lots:
+            if lot.shard is not None:
+                self._pack_again(lot, reason)
         return lost
 
     def given_up(self, name: str) -> bool:
@@ -280,7 +313,7 @@ class Dispatcher:
         """
         worker = self._workers.get(name)
         if worker is None or worker.lot is None or worker.lot.number != number or not items:
-            return  # the lot ended meanwhile: its report says what was left
+            return  # the lot ended meanwhile, or soon will: its report says what was left
         back = set(items)
         kept = [k for k, item in enumerate(worker.lot.items) if item not in back]
         lot = worker.lot
@@ -294,13 +327,11 @@ class Dispatcher:
         """Hand out no more."""
         self.stopped = True
 
-    def _settle(self, name: str, report: LotReport) -> Lot:
-        """Count what a report says, and put the rest where it is handed out again."""
-        worker = self._workers[name]
-        lot = worker.lot
-        assert lot is not None
-        worker.lot = None
-        self._busy.discard(name)
+    def _settle(self, name: str, lots: Sequence[Lot], report: LotReport) -> None:
+        """Count what a report of lots says that a worker has no more, and put the rest where it is handed out again."""
+        if not self._workers[name].lots:
+            self._busy.discard(name)
+        groups = {item: lot.group for lot in lots for item in lot.items}  # without what it gave back meanwhile
         self.done += len(report.done)
         self.failures.update(report.failed)
         settled = [*report.done, *(item for item, _ in report.failed)]
@@ -308,16 +339,16 @@ class Dispatcher:
             self._attempts.pop(item, None)
         for item, _ in report.errors:
             self._attempts[item] = self._attempts.get(item, 0) + 1
-            self._retries.append((item, lot.group, name))
-        held = set(lot.items)  # without what it gave back meanwhile
-        self.lots.put_back(lot.group, [item for item in report.left if item in held])
-        if self._shards is not None and settled:
-            shard = self.lots.name(lot.group)
-            self._shards[shard] -= len(settled)
-            if not self._shards[shard]:
-                del self._shards[shard]
-                self._packs.append((shard, 0))
-        return lot
+            self._retries.append((item, groups[item], name))
+        for group in dict.fromkeys(groups.values()):
+            self.lots.put_back(group, [item for item in report.left if groups.get(item) == group])
+        if self._shards is not None:
+            for group, count in collections.Counter(groups[item] for item in settled).items():
+                shard = self.lots.name(group)
+                self._shards[shard] -= count
+                if not self._shards[shard]:
+                    del self._shards[shard]
+                    self._packs.append((shard, 0))
 
     def _cut(self, worker: _Worker) -> Lot | None:
         if not self.lots.left:

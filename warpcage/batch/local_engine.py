@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import queue
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 
-from .loop import Event, Finished, Ready, Returned
+from .dispatcher import MOST_LOTS, LotReport
+from .loop import Begun, Event, Finished, Ready, Returned
 from .lot_runner import LotOrder, LotRunner
 from .lots import Lot
 
+#: Seconds of an item from which on a lot is settled before the next one: this thread tells of it only after that one.
+SLOW = 0.5
+
 
 class LocalEngine:
-    """Runs lots in this process, one after the other.
+    """Runs lots in this process, one after the other: items in the thread that waits, while others wait for files.
 
     Args:
         runner: Makes the items.
@@ -23,6 +29,9 @@ class LocalEngine:
         self._lot: Lot | None = None
         self._events: list[Event] = []
         self._launches: list[float] = []
+        self._settling = ThreadPoolExecutor(MOST_LOTS, "warpcage-settling")
+        self._settled: queue.SimpleQueue[tuple[str, int, Future[LotReport]]] = queue.SimpleQueue()
+        self._ending = 0
 
     def now(self) -> float:
         """Seconds of a clock that never goes back."""
@@ -56,13 +65,32 @@ class LocalEngine:
         self._runner.stop()
 
     def wait(self, timeout: float) -> list[Event]:
-        """Make the lot that was given."""
+        """Make the lot that was given, or wait for one whose files are being written."""
         events, self._events = self._events, []
         if self._lot is not None:
             order, self._lot = self._order(self._lot), None
-            events.append(Finished(self._worker, self._runner.run(order)))
+            start = self.now()
+            begun = self._runner.begin(order)
+            if self.now() - start > SLOW * len(order.indices):
+                events.append(Finished(self._worker, self._runner.settle(begun), order.number))
+            else:
+                self._settle(self._worker, order.number, self._settling.submit(self._runner.settle, begun))
+                events.append(Begun(self._worker, order.number))
+        while self._ending and not (events and self._settled.empty()):
+            try:
+                worker, number, found = self._settled.get(timeout=timeout)
+            except queue.Empty:
+                break
+            self._ending -= 1
+            events.append(Finished(worker, found.result(), number))
         return events
 
+    def _settle(self, worker: str, number: int, found: Future[LotReport]) -> None:
+        """Let a report come into the queue."""
+        self._ending += 1
+        found.add_done_callback(lambda done: self._settled.put((worker, number, done)))
+
     def close(self) -> None:
-        """Close the notes of the worker."""
+        """Wait for files that are being written, and close the notes of the worker."""
+        self._settling.shutdown()
         self._runner.close()

@@ -21,11 +21,20 @@ class Ready:
 
 
 @dataclasses.dataclass(frozen=True)
+class Begun:
+    """A worker has begun all items of a lot, whose files are being written. Not every engine tells."""
+
+    worker: str
+    number: int
+
+
+@dataclasses.dataclass(frozen=True)
 class Finished:
-    """A worker is done with its lot."""
+    """A worker is done with a lot: that of a number, or the one that it makes."""
 
     worker: str
     report: LotReport
+    number: int | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +48,7 @@ class Returned:
 
 @dataclasses.dataclass(frozen=True)
 class Died:
-    """A worker died: what it had settled of its lot, what it had begun besides, the newest last, and why, one line."""
+    """A worker died: what it had settled of its lots, what it had begun besides, the newest last, and why, one line."""
 
     worker: str
     report: LotReport
@@ -47,7 +56,7 @@ class Died:
     reason: str
 
 
-Event = Ready | Finished | Returned | Died
+Event = Ready | Begun | Finished | Returned | Died
 
 
 class Engine(Protocol):
@@ -111,15 +120,19 @@ def drive(
         for event in engine.wait(TICK):
             if isinstance(event, Ready):
                 idle[event.worker] = None
+            elif isinstance(event, Begun):
+                if dispatcher.begun(event.worker, event.number):
+                    idle[event.worker] = None
             elif isinstance(event, Finished):
-                dispatcher.reported(event.worker, event.report, engine.now())
+                dispatcher.reported(event.worker, event.report, engine.now(), event.number)
                 if event.report.halt is not None and halt is None:
                     halt = event.report.halt
                     engine.stop()
                 if event.report.broken is not None:
                     warn(f"worker {event.worker}: {event.report.broken}: it is started again")
+                    idle.pop(event.worker, None)
                     _replace(dispatcher, engine, event.worker, event.report.broken, warn)
-                else:
+                elif dispatcher.takes(event.worker):
                     idle[event.worker] = None
             elif isinstance(event, Returned):
                 dispatcher.returned(event.worker, event.number, event.items)

@@ -108,6 +108,19 @@ def leaves_no_room(error: BaseException) -> bool:
     return any(os.strerror(number) in str(error) for number in NO_ROOM)
 
 
+class Inputs(Protocol):
+    """The hash of an item's inputs, which may be under way."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether a call waits for nothing."""
+        ...
+
+    def __call__(self) -> str:
+        """Wait for it."""
+        ...
+
+
 @dataclasses.dataclass
 class _UnderWay:
     """An item that was begun and is not settled."""
@@ -117,12 +130,41 @@ class _UnderWay:
     attempts: int
     begun: float
     seconds: float = 0.0  # of the thread that makes items
-    inputs: Callable[[], str] = str
+    inputs: Inputs | None = None
     future: Future[dict[str, int]] = dataclasses.field(default_factory=Future)
+
+    @property
+    def ready(self) -> bool:
+        """Whether it can be settled without waiting."""
+        return self.future.done() and (self.inputs is None or self.inputs.ready)
+
+
+class LotUnderWay:
+    """A lot of which items are made, or whose files are being written.
+
+    Args:
+        order: The lot.
+
+    Attributes:
+        order: As given.
+        report: What became of its items so far.
+        waiting: Places in the lot that were not begun.
+        line: Items that were made and not settled, in that order.
+        making: The item that is being made.
+    """
+
+    def __init__(self, order: LotOrder):
+        self.order, self.report = order, LotReport()
+        self.waiting: collections.deque[int] = collections.deque(range(len(order.lines)))
+        self.line: collections.deque[_UnderWay] = collections.deque()
+        self.making: _UnderWay | None = None
 
 
 class LotRunner:
     """Makes the items of lots, and notes what became of each.
+
+    The files of a lot may still be written while the items of the next one are made: `begin` makes, in one thread at a
+    time, and `settle` waits and notes, in any.
 
     Args:
         maker: Makes one item.
@@ -142,7 +184,7 @@ class LotRunner:
         self,
         maker: Maker,
         read: Callable[[bytes, int], Item],
-        fingerprint: Callable[[Item], Callable[[], str]],
+        fingerprint: Callable[[Item], Inputs],
         notes: Notes,
         place: Place,
         *,
@@ -152,10 +194,10 @@ class LotRunner:
     ):
         self._maker, self._read, self._fingerprint, self._notes, self._place = maker, read, fingerprint, notes, place
         self._retries, self._check_device, self._out = retries, check_device, out
-        self._lock = threading.Lock()
-        self._order = LotOrder(0, [], [], [])
-        self._waiting: collections.deque[int] = collections.deque()  # places in the lot that were not begun
-        self._begun: dict[int, _UnderWay] = {}  # of the lot, which are not settled
+        self._making, self._lock = threading.Lock(), threading.Lock()
+        self._made = threading.Condition(self._lock)
+        self._lots: dict[int, LotUnderWay] = {}
+        self._newest_made = 0  # number of the newest lot whose items are all begun
         self._stopped = False
         self.report, self._settled_at = LotReport(), 0.0
         self._group: str | None = None
@@ -170,83 +212,135 @@ class LotRunner:
         Returns:
             What became of its items.
         """
-        if order.packed is not None:
-            return self._packed(order)
-        self.report = report = LotReport()
-        with self._lock:
-            self._order, self._waiting = order, collections.deque(range(len(order.lines)))
-            self._begun = {}
-        under_way: collections.deque[_UnderWay] = collections.deque()
-        begin = self._settled_at = time.perf_counter()
+        return self.settle(self.begin(order))
+
+    def begin(self, order: LotOrder) -> LotUnderWay:
+        """Make the items of a lot, or pack its shard; files may be written afterwards.
+
+        Args:
+            order: The lot.
+
+        Returns:
+            The lot, for `settle`.
+        """
+        lot = LotUnderWay(order)
+        with self._making:
+            self.report = lot.report
+            with self._lock:
+                self._lots[order.number] = lot
+            try:
+                self._make(lot)
+            except BaseException:  # an interrupt too
+                self.settle(lot)
+                raise
+            finally:
+                with self._made:
+                    self._newest_made = order.number
+                    self._made.notify_all()
+        return lot
+
+    def settle(self, lot: LotUnderWay) -> LotReport:
+        """Wait for the files of a lot, and note what became of its items.
+
+        Args:
+            lot: What `begin` returned.
+
+        Returns:
+            What became of its items.
+        """
+        report = lot.report
         try:
-            while report.halt is None and report.broken is None and (place := self._next()) is not None:
-                if place and order.seconds is not None and time.perf_counter() - begin > order.seconds:
-                    break
-                self._begin(order, place, under_way)
-                while under_way and under_way[0].future.done():
-                    self._settle(under_way.popleft())
+            while lot.line:
+                self._settle(lot, lot.line[0])
         finally:  # also at an interrupt: what is being written is noted once it is there
-            while under_way:
-                self._settle(under_way.popleft())
+            while lot.line:
+                self._settle(lot, lot.line[0])
+        with self._lock:
+            self._lots.pop(lot.order.number, None)
         settled = {*report.done, *(index for index, _ in [*report.failed, *report.errors])}
-        report.left = [index for index in order.indices if index not in settled]
+        report.left = [index for index in lot.order.indices if index not in settled]
         return report
+
+    def wait_until_begun(self, number: int) -> None:
+        """Wait until all items of a lot are begun, or will not be. Any thread may call it.
+
+        Args:
+            number: Of the lot; it may not be here yet.
+        """
+        with self._made:
+            self._made.wait_for(lambda: self._newest_made >= number)
 
     def recall(self, number: int, share: float) -> list[int]:
         """Give items back that were not begun. Any thread may call it while a lot runs.
 
         Args:
-            number: Of the lot; another one gives nothing back.
+            number: Of the lot; one that is not under way gives nothing back.
             share: Of those that were not begun, as many from the end.
 
         Returns:
             Their numbers in the job file.
         """
         with self._lock:
-            if number != self._order.number:
+            lot = self._lots.get(number)
+            if lot is None:
                 return []
-            back = [self._waiting.pop() for _ in range(int(share * len(self._waiting)))]
-            return [self._order.indices[place] for place in reversed(back)]
+            back = [lot.waiting.pop() for _ in range(int(share * len(lot.waiting)))]
+            return [lot.order.indices[place] for place in reversed(back)]
 
     def oldest(self, number: int) -> tuple[int, float] | None:
-        """The item that has been under way for longest. Any thread may call it while a lot runs.
+        """The item of a lot that has been under way for longest. Any thread may call it while a lot runs.
 
         Args:
             number: Of the lot.
 
         Returns:
-            Its number in the job file, and the seconds since it was begun; None where none is under way, or for another
-            lot.
+            Its number in the job file, and the seconds since it was begun; None where none is under way, or for a lot
+            that is not.
         """
         with self._lock:
-            begun = [made for made in self._begun.values() if not made.future.done()]
-            if number != self._order.number or not begun:
-                return None
-        first = min(begun, key=lambda made: made.begun)
+            lot = self._lots.get(number)
+            begun = [] if lot is None else [made for made in (*lot.line, lot.making) if made and not made.future.done()]
+        if not begun:
+            return None
+        first = begun[0]
         return first.index, time.perf_counter() - first.begun
 
     def stop(self) -> None:
         """Begin no more items."""
         self._stopped = True
 
-    def _next(self) -> int | None:
-        with self._lock:
-            return self._waiting.popleft() if self._waiting and not self._stopped else None
+    def _make(self, lot: LotUnderWay) -> None:
+        """Begin all items of a lot; those whose files are there meanwhile are noted."""
+        order, report = lot.order, lot.report
+        if order.packed is not None:
+            self._pack(order, report)
+            return
+        begin = time.perf_counter()
+        while report.halt is None and report.broken is None and (place := self._next(lot)) is not None:
+            if place and order.seconds is not None and time.perf_counter() - begin > order.seconds:
+                return
+            self._begin(lot, place)
+            while lot.line and lot.line[0].ready:
+                self._settle(lot, lot.line[0])
 
-    def _begin(self, order: LotOrder, place: int, under_way: collections.deque[_UnderWay]) -> None:
+    def _next(self, lot: LotUnderWay) -> int | None:
+        with self._lock:
+            return lot.waiting.popleft() if lot.waiting and not self._stopped else None
+
+    def _begin(self, lot: LotUnderWay, place: int) -> None:
         """Make an item as far as this thread does it."""
-        item, report = self._read(*order.lines[place]), self.report
+        order, report = lot.order, lot.report
+        item = self._read(*order.lines[place])
         try:
             self._notes.append({"id": item.id, "state": STARTED, "lot": order.number})
         except OSError as error:
             if not leaves_no_room(error):
                 raise
-            report.halt = report.halt or one_line(error)
+            self._halt(report, error)
             return
         report.loading |= not place and item.group != self._group
         made = _UnderWay(item, order.indices[place], order.attempts[place], time.perf_counter())
-        with self._lock:
-            self._begun[made.index] = made
+        lot.making = made
         try:
             made.inputs = self._fingerprint(item)
             made.future = self._maker.submit(item, self._stage(order))
@@ -254,23 +348,25 @@ class LotRunner:
             made.future.set_exception(error)
         made.seconds = time.perf_counter() - made.begun
         self._group = item.group
-        under_way.append(made)
+        with self._lock:
+            lot.line.append(made)
+            lot.making = None
 
-    def _settle(self, made: _UnderWay) -> None:
-        """Note what became of an item that was begun."""
-        report, error, sizes, inputs = self.report, None, {}, ""
+    def _settle(self, lot: LotUnderWay, made: _UnderWay) -> None:
+        """Note what became of the first item in the line of a lot."""
+        report, error, sizes, inputs = lot.report, None, {}, ""
         try:
-            inputs = made.inputs()
+            inputs = "" if made.inputs is None else made.inputs()
             sizes = made.future.result()
         except Exception as failure:
             error = failure
         with self._lock:
-            self._begun.pop(made.index, None)
-        now = time.perf_counter()
-        seconds = now - max(made.begun, self._settled_at)  # of items that overlap, what each adds
-        self._settled_at = now
+            lot.line.popleft()
+            now = time.perf_counter()
+            seconds = now - max(made.begun, self._settled_at)  # of items that overlap, what each adds
+            self._settled_at = now
         if error is not None and leaves_no_room(error):
-            report.halt = report.halt or one_line(error)
+            self._halt(report, error)
             return
         record: dict[str, Any] = {"id": made.item.id, "state": DONE, "inputs": inputs, "outputs": sizes}
         record |= self._facts(made.item, seconds, made.attempts + 1)
@@ -282,7 +378,7 @@ class LotRunner:
         except OSError as failure:
             if not leaves_no_room(failure):
                 raise
-            report.halt = report.halt or one_line(failure)
+            self._halt(report, failure)
             return
         if error is None:
             report.done.append(made.index)
@@ -295,6 +391,12 @@ class LotRunner:
                 self._check_device()
             except Exception as failure:  # whatever the device says, it is lost to this process
                 report.broken = one_line(failure)
+                self.stop()
+
+    def _halt(self, report: LotReport, error: BaseException) -> None:
+        """Begin nothing more, as nothing can be written."""
+        report.halt = report.halt or one_line(error)
+        self.stop()
 
     def _facts(self, item: Item, seconds: float, attempts: int) -> dict[str, Any]:
         """What a record says of how an item was made."""
@@ -313,10 +415,9 @@ class LotRunner:
         """Where the items of a shard stand until it is packed; None: in the folder of the run."""
         return None if order.shard is None or self._out is None else shard_stage(self._out, order.shard)
 
-    def _packed(self, order: LotOrder) -> LotReport:
+    def _pack(self, order: LotOrder, report: LotReport) -> None:
         """Pack a shard."""
         assert self._out is not None and order.shard is not None and order.packed is not None
-        report = LotReport()
         try:
             pack_shard(self._out, order.shard, [{"outputs": outputs} for outputs in order.packed])
         except Exception as error:
@@ -324,7 +425,6 @@ class LotRunner:
                 report.halt = one_line(error)
             else:
                 report.pack_error = one_line(error)
-        return report
 
     def keep(self, held: contextlib.AbstractContextManager[Any]) -> None:
         """Keep something open as long as this may write.

@@ -14,6 +14,7 @@ import hashlib
 import json
 import os
 import pathlib
+import threading
 from collections.abc import Iterable, Iterator
 from typing import IO, Any
 
@@ -37,7 +38,7 @@ def id_key(item_id: str) -> int:
 
 
 class Notes:
-    """The file that one worker appends to.
+    """The file that one worker appends to, from any of its threads.
 
     Args:
         path: The file; its folder is there.
@@ -46,6 +47,7 @@ class Notes:
     def __init__(self, path: PathLike):
         self.path = pathlib.Path(path)
         self._file = open(self.path, "ab", buffering=0)
+        self._lock = threading.Lock()
 
     def append(self, record: dict[str, Any]) -> None:
         """Append one line. A line that does not fit on the disk is taken away again.
@@ -57,11 +59,12 @@ class Notes:
             OSError: If it cannot be written.
         """
         line = json.dumps(record, separators=(",", ":"), ensure_ascii=False).encode("utf-8", "surrogatepass") + b"\n"
-        written = self._file.write(line)
-        if written != len(line):
-            with contextlib.suppress(OSError):
-                self._file.truncate(self._file.tell() - (written or 0))
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+        with self._lock:
+            written = self._file.write(line)
+            if written != len(line):
+                with contextlib.suppress(OSError):
+                    self._file.truncate(self._file.tell() - (written or 0))
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
     def close(self) -> None:
         """Close the file."""

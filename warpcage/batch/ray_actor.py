@@ -35,6 +35,10 @@ class LotActor:
         """Make a lot."""
         return self._runner.run(order)
 
+    def begun(self, number: int) -> None:
+        """Wait until all items of a lot are begun."""
+        self._runner.wait_until_begun(number)
+
     def recall(self, number: int, share: float) -> list[int]:
         """Give items back."""
         return self._runner.recall(number, share)

@@ -17,9 +17,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..core.threads import cpu_threads
-from .dispatcher import LotReport
+from .dispatcher import MOST_LOTS, LotReport
 from .late_items import ANSWER, LateItems
-from .loop import Died, Event, Finished, Ready, Returned
+from .loop import Begun, Died, Event, Finished, Ready, Returned
 from .lot_runner import LotOrder, one_line
 from .lots import Lot
 from .manifest import DONE, ERROR, FAILED, notes_of_lot
@@ -38,6 +38,10 @@ START_HERE, START_THERE = 120.0, 900.0
 
 #: Seconds between two looks for whether Ray itself still runs here, while no worker does.
 LOOK = 2.0
+
+#: Workers up to which a driver is told when the items of a lot are begun, so that another one can be under way while
+#: files are written. Lots of more workers take so long that this gains nothing, and costs the driver a message each.
+MOST_OVERLAPPING = 64
 
 #: Bytes of Ray's store of objects on this machine: messages are small and do not go through it.
 STORE = 100 * 2**20
@@ -215,22 +219,26 @@ class RayEngine:
         item_timeout: float | None = None,
     ):
         self._ray, self._settings, self._share, self._folder, self._order = ray, settings, share, folder, order
-        # two threads: one for the lot, and one that may shorten it meanwhile, or tells of it
+        # threads: for the lot of which items are made and those that end, one that tells when all of them are begun,
+        # and one that may shorten the lot meanwhile, or tells of its items
         placing = {"scheduling_strategy": "SPREAD"} if cluster else {}
         self._actor = ray.remote(LotActor).options(
-            num_gpus=share.gpus, num_cpus=share.cpus, max_concurrency=2, max_restarts=0, **placing
+            num_gpus=share.gpus, num_cpus=share.cpus, max_concurrency=MOST_LOTS + 2, max_restarts=0, **placing
         )
         self._patience = START_THERE if cluster else START_HERE
         self._here, self._next_look = not cluster, 0.0
         self._events: queue.SimpleQueue[tuple[str, str, int, Any]] = queue.SimpleQueue()
         self._actors: dict[str, Any] = {}
         self._starts: dict[str, int] = {}  # how often each was started
-        self._orders: dict[str, LotOrder] = {}
+        self._orders: dict[str, dict[int, LotOrder]] = {}  # of the lots of each, by number
         self.places: dict[str, dict[str, Any]] = {}  # pid and host of each
         self._waiting_since: float | None = None  # when the first of those that start was asked for
         self._ready: set[str] = set()
         self._lost_notes = None
-        self._late = None if item_timeout is None else LateItems(item_timeout, ANSWER)
+        self._overlapping = share.workers <= MOST_OVERLAPPING
+        self._late: LateItems[tuple[str, int]] | None = None
+        if item_timeout is not None:
+            self._late = LateItems(item_timeout, ANSWER)
 
     def now(self) -> float:
         """Seconds of a clock that never goes back."""
@@ -239,7 +247,11 @@ class RayEngine:
     def launch(self, worker: str) -> None:
         """Start an actor."""
         self._starts[worker] = self._starts.get(worker, 0) + 1
-        settings = dataclasses.replace(self._settings, worker=worker, notes=self._notes_name(worker))
+        likely = self._settings.likely
+        if likely:  # whoever takes the place of one that died knows nothing: what it read may have been to blame
+            likely = (likely[int(worker) % len(likely)],) if self._starts[worker] == 1 else ()
+        notes = self._notes_name(worker)
+        settings = dataclasses.replace(self._settings, worker=worker, notes=notes, likely=likely)
         actor = self._actors[worker] = self._actor.remote(settings)
         if not self._ready:
             self._waiting_since = self.now()
@@ -247,10 +259,13 @@ class RayEngine:
 
     def give(self, worker: str, lot: Lot) -> None:
         """Send a lot to an actor."""
-        order = self._orders[worker] = self._order(lot)
-        self._ask(worker, "report", self._actors[worker].run.remote(order))
+        actor, order = self._actors[worker], self._order(lot)
+        self._orders.setdefault(worker, {})[lot.number] = order
+        self._ask(worker, f"report {lot.number}", actor.run.remote(order))
+        if self._overlapping:
+            self._ask(worker, f"begun {lot.number}", actor.begun.remote(lot.number))
         if self._late is not None:
-            self._late.given(worker, self.now())
+            self._late.given((worker, lot.number), self.now())
 
     def recall(self, worker: str, number: int, share: float) -> None:
         """Ask an actor for items of its lot."""
@@ -279,8 +294,7 @@ class RayEngine:
         with contextlib.suppress(queue.Empty):
             answer = self._events.get(timeout=timeout)
             while True:
-                event = self._event(*answer)
-                events += [] if event is None else [event]
+                events += self._told(*answer)
                 answer = self._events.get_nowait()
         events += self._look()
         if not self._ready and self._waiting_since is not None:
@@ -328,55 +342,78 @@ class RayEngine:
         if self._late is None:
             return []
         now = self.now()
-        for worker in self._late.due(now):
-            number = self._orders[worker].number
+        for worker, number in self._late.due(now):
             self._ask(worker, f"oldest {number}", self._actors[worker].oldest.remote(number))
         reason = f"its worker was ended: it did not answer for {self._late.patience:g} s"
-        return [self._death(worker, reason) for worker in self._late.silent(now)]
+        return [self._death(worker, reason) for worker in dict.fromkeys(worker for worker, _ in self._late.silent(now))]
 
     def _oldest(self, worker: str, number: int, found: tuple[int, float] | None) -> Event | None:
         """End a worker whose oldest item is late."""
-        order = self._orders.get(worker)
-        if self._late is None or order is None or order.number != number:
+        if self._late is None or number not in self._orders.get(worker, ()):
             return None  # of a lot that has ended
-        if not self._late.answered(worker, None if found is None else found[1], self.now()) or found is None:
+        if not self._late.answered((worker, number), None if found is None else found[1], self.now()) or found is None:
             return None
         died = self._death(worker, f"its worker was ended: the item took longer than {self._late.limit:g} s")
         # that item is to blame, and none where it was settled at the last moment
         blamed = [item for item in died.begun if item != found[0]] + [found[0]] if found[0] in died.begun else []
         return dataclasses.replace(died, begun=blamed)
 
-    def _event(self, worker: str, what: str, start: int, answer: Any) -> Event | None:
+    def _told(self, worker: str, what: str, start: int, answer: Any) -> list[Event]:
+        """What an answer says."""
         if start != self._starts[worker] or worker not in self._actors:
-            return None  # of a process that is gone
+            return []  # of a process that is gone
         error = answer.exception()
         if error is not None:
-            return self._death(worker, death_line(error))
+            return [self._death(worker, death_line(error))]
+        found, number = answer.result(), int(what.partition(" ")[2] or 0)
         if what == "ready":
             self._ready.add(worker)
-            self.places[worker] = answer.result()
+            self.places[worker] = found
             self._waiting_since = None
-            return Ready(worker)
+            return [Ready(worker)]
+        if what.startswith("begun"):
+            return [Begun(worker, number)]
         if what.startswith("oldest"):
-            return self._oldest(worker, int(what.split()[1]), answer.result())
-        if what == "report":
-            self._orders.pop(worker, None)
-            if self._late is not None:
-                self._late.ended(worker)
-            report = answer.result()
-            if report.broken is not None:
-                self._end(worker)
-            return Finished(worker, report)
-        return Returned(worker, int(what.split()[1]), answer.result())
+            died = self._oldest(worker, number, found)
+            return [] if died is None else [died]
+        if what.startswith("recall"):
+            return [Returned(worker, number, found)]
+        return self._reported(worker, number, found)
+
+    def _reported(self, worker: str, number: int, report: LotReport) -> list[Event]:
+        """A worker is done with a lot. One that can make no more is ended; its other lots are as its notes say."""
+        orders = self._orders[worker]
+        del orders[number]
+        if not orders:
+            del self._orders[worker]
+        if self._late is not None:
+            self._late.ended((worker, number))
+        if report.broken is None:
+            return [Finished(worker, report, number)]
+        others = self._end(worker)
+        events: list[Event] = []
+        for order in others:
+            rest, _ = self._noted(worker, order)
+            unsettled = set(order.indices) - {*rest.done, *(index for index, _ in [*rest.failed, *rest.errors])}
+            rest.left = [index for index in order.indices if index in unsettled]
+            events.append(Finished(worker, rest, order.number))
+        return [*events, Finished(worker, report, number)]
 
     def _death(self, worker: str, reason: str) -> Died:
         """What is known of an actor that answers no more, or is not to."""
-        self._end(worker)
-        order = self._orders.pop(worker, None)
-        report = LotReport()
-        if order is None:
-            return Died(worker, report, [], reason)
-        read = self._settings.reader.item
+        report, begun = LotReport(), []
+        for order in self._end(worker):
+            of_lot, begun_of_lot = self._noted(worker, order)
+            report.done += of_lot.done
+            report.seconds += of_lot.seconds
+            report.failed += of_lot.failed
+            report.errors += of_lot.errors
+            begun += begun_of_lot
+        return Died(worker, report, begun, reason)
+
+    def _noted(self, worker: str, order: LotOrder) -> tuple[LotReport, list[int]]:
+        """What a worker noted of a lot: what it settled, and what it had begun besides, the newest last."""
+        report, read = LotReport(), self._settings.reader.item
         indices = {read(*line).id: index for line, index in zip(order.lines, order.indices, strict=True)}
         settled, begun = notes_of_lot(self._folder.notes / f"{self._notes_name(worker)}.jsonl", order.number)
         for record in settled:
@@ -386,19 +423,22 @@ class RayEngine:
                 report.seconds.append(float(record["seconds"]))
             else:
                 (report.errors if record["state"] == ERROR else report.failed).append((index, record["error"]))
-        return Died(worker, report, [indices[each] for each in begun], reason)
+        return report, [indices[each] for each in begun]
 
-    def _end(self, worker: str) -> None:
-        """Make sure that a process is gone whose node may merely not answer."""
+    def _end(self, worker: str) -> list[LotOrder]:
+        """Make sure that a process is gone whose node may merely not answer; returns what it had, the oldest first."""
         self._ready.discard(worker)
+        orders = self._orders.pop(worker, {})
         if self._late is not None:
-            self._late.ended(worker)
+            for number in orders:
+                self._late.ended((worker, number))
         self.places.pop(worker, None)
         with contextlib.suppress(Exception):
             self._ray.kill(self._actors[worker])
         del self._actors[worker]
         if not self._ready:
             self._waiting_since = self.now()
+        return list(orders.values())
 
     def _notes_name(self, worker: str) -> str:
         return f"{self._settings.run}-{worker}-{self._starts[worker]}"

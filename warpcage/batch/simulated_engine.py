@@ -8,7 +8,7 @@ import heapq
 import numpy as np
 
 from .dispatcher import LotReport
-from .loop import Died, Event, Finished, Ready, Returned
+from .loop import Begun, Died, Event, Finished, Ready, Returned
 from .lots import Lot
 
 
@@ -21,6 +21,8 @@ class Conditions:
         groups: (n,) which items share what is loaded.
         speeds: (workers,) what each worker takes for a second's work.
         load_seconds: What loading another group takes.
+        write_seconds: After so long the files of an item are there, once it is made.
+        overlapping: Whether workers tell when all items of a lot are begun, before their files are there.
         start_seconds: What starting a worker's process takes.
         latency: Seconds on the way of a message.
         send_cost: Seconds of the driver for a lot, and for each of its items.
@@ -37,6 +39,8 @@ class Conditions:
     groups: np.ndarray
     speeds: np.ndarray
     load_seconds: float = 0.0
+    write_seconds: float = 0.0
+    overlapping: bool = False
     start_seconds: float = 2.0
     latency: float = 0.0005
     send_cost: tuple[float, float] = (0.0, 0.0)
@@ -61,6 +65,7 @@ class _Work:
     death: float  # when the worker dies, infinity where it does not
     loading: bool
     version: int
+    begun: bool = False  # whether all items are
 
 
 class SimulatedEngine:
@@ -86,7 +91,7 @@ class SimulatedEngine:
         self._time = 0.0
         self._queue: list[tuple[float, int, str, str, int]] = []  # when, order, what, worker, version
         self._count = 0
-        self._work: dict[str, _Work] = {}
+        self._works: dict[str, list[_Work]] = {}  # of each worker, the oldest first
         self._loaded: dict[str, int] = {}
         self._replies: dict[int, Event] = {}
 
@@ -108,7 +113,7 @@ class SimulatedEngine:
     def recall(self, worker: str, number: int, share: float) -> None:
         """A worker is asked for items."""
         self._spend(self.conditions.send_cost, 0)
-        work, back = self._work.get(worker), []
+        work, back = self._making(worker), []
         there = self._time + self.conditions.latency
         if work is not None and work.number == number and there < work.death:
             waiting = int(np.count_nonzero(work.starts > there))
@@ -123,9 +128,10 @@ class SimulatedEngine:
     def stop(self) -> None:
         """Workers hear that they are to begin no more items."""
         there = self._time + self.conditions.latency
-        for worker, work in list(self._work.items()):
+        for worker in list(self._works):
             self._spend(self.conditions.send_cost, 0)
-            if there < work.death:
+            work = self._making(worker)
+            if work is not None and there < work.death:
                 self._shorten(worker, work, int(np.count_nonzero(work.starts <= there)))
 
     def wait(self, timeout: float) -> list[Event]:
@@ -153,11 +159,21 @@ class SimulatedEngine:
             return Ready(worker)
         if what == "reply":
             return self._replies.pop(version)
-        work = self._work.get(worker)
-        if work is None or work.version != version:
+        works = self._works.get(worker, [])
+        work = next((each for each in works if each.version == version), None)
+        if work is None:
             return None
-        del self._work[worker]
-        return self._died(worker, work) if what == "death" else self._finished(worker, work)
+        if what == "death":
+            return self._died(worker, work.death, self._works.pop(worker))
+        if what == "begun":
+            work.begun = True
+            return Begun(worker, work.number) if self.conditions.overlapping else None
+        works.remove(work)
+        return Finished(worker, self._report(work, len(work.items)), work.number)
+
+    def _making(self, worker: str) -> _Work | None:
+        """The lot of which a worker makes items."""
+        return next((work for work in self._works.get(worker, []) if not work.begun), None)
 
     def _set_out(self, worker: str, lot: Lot) -> None:
         """Decide what will happen to a lot."""
@@ -179,7 +195,8 @@ class SimulatedEngine:
         begun = len(items) if lot.seconds is None else int(np.count_nonzero(starts - starts[0] <= lot.seconds))
         made, left = list(lot.items[:begun]), list(lot.items[begun:])
         loading, self._loaded[worker] = bool(changes[0]), int(groups[begun - 1])
-        self._work[worker] = work = _Work(lot.number, made, left, starts[:begun], ends[:begun], death, loading, 0)
+        work = _Work(lot.number, made, left, starts[:begun], ends[:begun], death, loading, 0)
+        self._works.setdefault(worker, []).append(work)
         self._schedule(worker, work)
 
     def _shorten(self, worker: str, work: _Work, keep: int) -> list[int]:
@@ -193,21 +210,24 @@ class SimulatedEngine:
     def _schedule(self, worker: str, work: _Work) -> None:
         self._count += 1
         work.version = self._count
-        end = float(work.ends[-1]) if len(work.ends) else self._time
-        if work.death < end:
-            self._later(work.death + self.conditions.latency, "death", worker, work.version)
+        end, given = float(work.ends[-1]) if len(work.ends) else self._time, self.conditions
+        if work.death < end + given.write_seconds:
+            self._later(work.death + given.latency, "death", worker, work.version)
         else:
-            self._later(end + self.conditions.latency, "end", worker, work.version)
+            self._later(end + given.write_seconds + given.latency, "end", worker, work.version)
+        if given.write_seconds and end < work.death:
+            self._later(end + given.latency, "begun", worker, work.version)
 
-    def _finished(self, worker: str, work: _Work) -> Finished:
-        return Finished(worker, self._report(work, len(work.items)))
-
-    def _died(self, worker: str, work: _Work) -> Died:
+    def _died(self, worker: str, death: float, works: list[_Work]) -> Died:
         self.deaths += 1
-        settled = int(np.count_nonzero(work.ends <= work.death))
-        report = self._report(work, settled)
-        begun = work.items[settled : settled + 1]
-        self.worked += work.death - work.starts[settled] if begun else 0.0
+        report, begun = LotReport(), []
+        for work in works:
+            settled = int(np.count_nonzero(work.ends + self.conditions.write_seconds <= death))
+            of_lot = self._report(work, settled)
+            for name in ("done", "seconds", "failed", "errors"):
+                getattr(report, name).extend(getattr(of_lot, name))
+            begun += work.items[settled : int(np.count_nonzero(work.starts < death))]
+            self.worked += float(np.maximum(np.minimum(work.ends, death) - work.starts, 0.0)[settled:].sum())
         return Died(worker, report, begun, "killed")
 
     def _report(self, work: _Work, settled: int) -> LotReport:
@@ -217,7 +237,7 @@ class SimulatedEngine:
         self.worked += float(taken.sum())
         flaky = self._random.random(settled) < given.flaky if given.flaky else np.zeros(settled, bool)
         if not given.bad and not flaky.any():
-            report.done, report.seconds = work.items[:settled], taken.tolist()
+            report.done, report.seconds = list(work.items[:settled]), taken.tolist()
             self.made[report.done] += 1
             return report
         for item, seconds, fails in zip(work.items[:settled], taken.tolist(), flaky, strict=True):

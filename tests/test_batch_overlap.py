@@ -1,0 +1,345 @@
+"""Lots that overlap: items of one are made while files of the one before are being written; and early reading."""
+
+import concurrent.futures
+import contextlib
+import json
+import os
+import queue
+import threading
+import time
+import types
+
+import numpy as np
+import pytest
+from batch_runs import Making, number_of, records, run_with, write_frames
+
+from warpcage.batch import expected_field, fields, fingerprints, runners
+from warpcage.batch.dispatcher import Dispatcher, LotReport
+from warpcage.batch.expected_field import ExpectedField
+from warpcage.batch.fingerprints import Begun, Fingerprints
+from warpcage.batch.job_file import JobFile
+from warpcage.batch.loop import Begun as LotBegun
+from warpcage.batch.loop import Finished
+from warpcage.batch.lot_runner import LotOrder, LotRunner, Place
+from warpcage.batch.lots import Lot, Lots
+from warpcage.batch.output_folder import OutputFolder
+from warpcage.batch.ray_engine import RayEngine, Share
+from warpcage.batch.runners import RunnerSettings
+from warpcage.core.files import file_stamp
+from warpcage.field.voxel_field import VoxelField
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_frames(tmp_path_factory.mktemp("jobs") / "job", 12).parent
+
+
+class Writing(Making):
+    """Makes items at once; files are there when a test says so."""
+
+    def __init__(self):
+        super().__init__("", ".", "cpu")
+        self.futures = {}
+
+    def submit(self, item, out=None):
+        self.futures[number_of(item)] = found = concurrent.futures.Future()
+        return found
+
+    def write(self, *numbers, error=None):
+        for number in numbers:
+            if error is None:
+                self.futures[number].set_result({f"{number}": 1})
+            else:
+                self.futures[number].set_exception(error)
+
+
+@contextlib.contextmanager
+def runner_of(files, out, maker, **options):
+    folder = OutputFolder(out)
+    folder.prepare()
+    with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
+        place = Place("0", "here", "cpu")
+        runner = LotRunner(maker, job.reader.item, lambda item: Begun("", []), notes, place, **options)
+
+        def order(number, *indices):
+            lines = [(job.data(index), job.line(index)) for index in indices]
+            return LotOrder(number, list(indices), lines, [0] * len(indices))
+
+        yield runner, order
+
+
+def test_items_of_a_lot_are_made_while_files_of_the_one_before_are_written(files, tmp_path):
+    maker = Writing()
+    with runner_of(files, tmp_path / "out", maker) as (runner, order):
+        told = threading.Thread(target=runner.wait_until_begun, args=[1])
+        told.start()
+        assert told.is_alive()
+        first = runner.begin(order(1, 0, 1))
+        told.join(60)
+        second = runner.begin(order(2, 2, 3, 4))
+        assert set(maker.futures) == {0, 1, 2, 3, 4} and not first.report.done
+        assert (runner.oldest(1)[0], runner.oldest(2)[0]) == (0, 2) and runner.recall(1, 1.0) == []
+        maker.write(2, 3, 4)  # those of the second lot are there first
+        report = runner.settle(second)
+        assert (report.done, report.left) == ([2, 3, 4], []) and runner.oldest(2) is None and runner.oldest(1)[0] == 0
+        maker.write(1)
+        maker.write(0, error=ValueError("no"))
+        report = runner.settle(first)
+        assert (report.done, report.failed, report.left) == ([1], [(0, "no")], []) and runner.oldest(1) is None
+    notes = [json.loads(line) for line in (tmp_path / "out/.warpcage/notes/a.jsonl").read_text().splitlines()]
+    assert [note.get("lot") for note in notes[:5]] == [1, 1, 2, 2, 2] and len(notes) == 10
+
+
+def test_a_device_that_is_lost_ends_the_lot_that_is_made_too(files, tmp_path):
+    """The files of a lot say it, while the next one is being made: that one begins nothing more."""
+    maker = Writing()
+
+    def lost():
+        raise RuntimeError("no device")
+
+    with runner_of(files, tmp_path / "out", maker, check_device=lost) as (runner, order):
+        first = runner.begin(order(1, 0))
+        maker.write(0, error=RuntimeError("illegal address"))
+        assert runner.settle(first).broken == "RuntimeError: no device"
+        report = runner.run(order(2, 1, 2))
+        assert report.left == [1, 2] and set(maker.futures) == {0}
+
+
+def test_a_worker_has_two_lots_and_not_three():
+    dispatcher = Dispatcher(Lots(np.arange(100), np.zeros(100), largest=10))
+    dispatcher.add_worker("a")
+    first = dispatcher.next_lot("a", 0.0)
+    assert not dispatcher.takes("a") and not dispatcher.begun("a", 99) and dispatcher.begun("a", first.number)
+    second = dispatcher.next_lot("a", 0.1)
+    assert not dispatcher.begun("a", second.number) and not dispatcher.takes("a") and dispatcher.left == 100
+    dispatcher.reported("a", LotReport(done=second.items, seconds=[0.1] * 10), 0.2, second.number)
+    assert dispatcher.takes("a") and dispatcher.left == 90 and not dispatcher.finished
+    dispatcher.stop()
+    assert not dispatcher.finished  # the files of the first
+    dispatcher.reported(
+        "a", LotReport(done=first.items[:9], seconds=[0.1] * 9, left=first.items[9:]), 0.3, first.number
+    )
+    assert dispatcher.finished and dispatcher.done == 19 and dispatcher.left == 81 == dispatcher.lots.left
+
+
+@pytest.mark.parametrize("begun_of_second", [0, 2])
+def test_a_worker_dies_with_two_lots(begun_of_second):
+    """What it began last is charged, in whichever lot that is; the others are made again, and each once."""
+    dispatcher = Dispatcher(Lots(np.arange(40), np.repeat([0, 1], 20), largest=10), retries=2)
+    for name in "ab":
+        dispatcher.add_worker(name)
+    lots = [dispatcher.next_lot("a", 0.0)]
+    assert dispatcher.begun("a", lots[0].number)
+    lots.append(dispatcher.next_lot("a", 0.1))
+    done, begun = lots[0].items[:-3], [*lots[0].items[-3:], *lots[1].items[:begun_of_second]]
+    assert dispatcher.died("a", LotReport(done=done, seconds=[0.1] * len(done)), begun, "killed") == []
+    assert [dispatcher.attempts(item) for item in begun] == [0] * (len(begun) - 1) + [1]
+    made = list(done)
+    while (lot := dispatcher.next_lot("b", 1.0)) is not None:
+        made += lot.items
+        dispatcher.reported("b", LotReport(done=list(lot.items), seconds=[0.1] * len(lot.items)), 2.0, lot.number)
+    assert sorted(made) == list(range(40)) and dispatcher.done == 40 and dispatcher.finished
+
+
+class Answers:
+    """An actor that answers when a test says so."""
+
+    def __init__(self, settings, asked):
+        self.settings, self._asked = settings, asked
+
+    def __getattr__(self, name):
+        def remote(*given):
+            future = concurrent.futures.Future()
+            self._asked[name, given[0].number if name == "run" else given[0] if given else None] = future
+            return types.SimpleNamespace(future=lambda: future)
+
+        return types.SimpleNamespace(remote=remote)
+
+
+@pytest.fixture
+def engine(files, tmp_path):
+    """An engine without Ray; actors that were made, and what the last one was asked."""
+    folder, asked, actors = OutputFolder(tmp_path / "out"), {}, []
+    folder.prepare()
+
+    def remote(settings):
+        actors.append(Answers(settings, asked))
+        return actors[-1]
+
+    fake = types.SimpleNamespace(
+        remote=lambda actor: types.SimpleNamespace(options=lambda **words: types.SimpleNamespace(remote=remote)),
+        kill=lambda actor: None,
+        nodes=lambda: [{"Alive": True}],
+    )
+    with JobFile(files / "jobs.jsonl") as job:
+        likely = tuple((job.data(index), job.line(index)) for index in (4, 5))
+        settings = RunnerSettings(str(files), job.reader, str(folder.path), "run", likely=likely)
+
+        def order(lot):
+            lines = [(job.data(index), job.line(index)) for index in lot.items]
+            return LotOrder(lot.number, list(lot.items), lines, list(lot.attempts))
+
+        yield RayEngine(fake, settings, Share(2, 0, 0, 1, "cpu"), folder, order, False, 100.0), actors, asked, folder
+
+
+def test_one_that_takes_the_place_of_a_worker_that_died_reads_nothing_beforehand(engine):
+    """What the first one read may have killed it, with no item to blame."""
+    engine, actors, _, _ = engine
+    for worker in ("0", "1", "0"):
+        engine.launch(worker)
+    likely = engine._settings.likely
+    assert [actor.settings.likely for actor in actors] == [likely[:1], likely[1:], ()]
+
+
+def test_lots_beside_one_whose_device_is_lost_are_as_they_were_noted(engine):
+    engine, _, asked, folder = engine
+    engine.launch("0")
+    engine.give("0", Lot(1, [0, 1], [0, 0], 0))
+    asked["begun", 1].set_result(None)
+    assert engine.wait(1.0) == [LotBegun("0", 1)]
+    engine.give("0", Lot(2, [2, 3, 4], [0, 0, 0], 0))
+    notes = folder.new_notes("run-0-1")
+    for number, lot, state in [(0, 1, "started"), (2, 2, "started"), (3, 2, "started"), (2, 2, "done")]:
+        note = {"id": f"shot/f{number:04d}", "state": state} | (
+            {"lot": lot} if state == "started" else {"seconds": 1.0}
+        )
+        notes.append(note)
+    notes.close()
+    asked["run", 1].set_result(LotReport(errors=[(0, "x")], left=[1], broken="no device"))
+    other, broken = engine.wait(1.0)
+    assert isinstance(other, Finished) and (other.number, broken.number) == (2, 1) and broken.report.broken
+    assert (other.report.done, other.report.left) == ([2], [3, 4]) and not engine.places
+
+
+def test_a_worker_that_is_ended_tells_of_both_lots_and_whose_item_was_late(engine, monkeypatch):
+    engine, _, asked, folder = engine
+    now = [0.0]
+    monkeypatch.setattr(engine, "now", lambda: now[0])
+    engine.launch("0")
+    engine.give("0", Lot(1, [0, 1], [0, 0], 0))
+    now[0] = 60.0
+    engine.give("0", Lot(2, [2, 3], [0, 0], 0))
+    notes = folder.new_notes("run-0-1")
+    for number, lot in [(0, 1), (1, 1), (2, 2)]:
+        notes.append({"id": f"shot/f{number:04d}", "state": "started", "lot": lot})
+    notes.close()
+    now[0] = 101.0
+    assert engine.wait(0.0) == [] and ("oldest", 1) in asked and ("oldest", 2) not in asked
+    asked["oldest", 1].set_result((1, 100.5))
+    (died,) = engine.wait(1.0)
+    assert died.begun == [0, 2, 1] and "took longer than 100 s" in died.reason
+    asked["begun", 1].set_result(None)  # of a process that is gone
+    assert engine.wait(0.0) == []
+
+
+class Late(Making):
+    """Files are there a while after the next items were begun."""
+
+    def __init__(self, base, out, device):
+        super().__init__(base, out, device)
+        self.pool = concurrent.futures.ThreadPoolExecutor(40)
+
+
+@pytest.mark.parametrize("slow", [0.5, 0.0])
+def test_one_worker_alone_makes_the_next_lot_meanwhile(tmp_path, monkeypatch, slow):
+    """Unless its items are slow: who watches wants to know of each lot before the next one is made."""
+    monkeypatch.setattr("warpcage.batch.local_engine.SLOW", slow)
+    events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
+
+    class Told(Late):
+        def submit(self, item, out=None):
+            events.put(("made", number_of(item)))
+            found = Making.submit(self, item, out)
+            late = self.pool.submit(
+                lambda: (time.sleep(0.3), events.put(("there", number_of(item))), found.result())[2]
+            )
+            return late
+
+    report = run_with(write_frames(tmp_path / "job", 20), tmp_path / "out", Told)
+    told = [events.get() for _ in range(40)]
+    assert report.complete and len(records(tmp_path / "out")) == 20
+    # lots of 5, 4, 3: the second is made before the files of the first are there
+    assert (told.index(("made", 5)) < told.index(("there", 0))) == (slow > 0.0)
+
+
+# -- what a worker reads before its first item
+
+
+def test_a_worker_reads_its_first_field_once_and_early(files, tmp_path, monkeypatch):
+    read, real = [], expected_field.read_field
+    monkeypatch.setattr(expected_field, "read_field", lambda path, **words: read.append(path) or real(path, **words))
+    monkeypatch.setattr(fields, "read_field", lambda *given, **words: pytest.fail("it was read once more"))
+    hashed, hash_file = [], fingerprints._file_hash
+    monkeypatch.setattr(fingerprints, "_file_hash", lambda path: hashed.append(path.name) or hash_file(path))
+    monkeypatch.setattr(fingerprints, "LARGE", 1000)
+    assert run_with(files / "jobs.jsonl", tmp_path / "out").complete
+    assert read == [str(files / "ball.npz")] and hashed.count("ball.npz") == 1
+    found = records(tmp_path / "out")
+    with JobFile(files / "jobs.jsonl") as job:
+        assert {each["inputs"] for each in found.values()} == {Fingerprints(files).of(item) for item in job.items()}
+
+
+def test_a_field_that_was_replaced_since_is_read_anew(files, tmp_path):
+    path = tmp_path / "ball.npz"
+    path.write_bytes((files / "ball.npz").read_bytes())
+    expected = ExpectedField(str(path), 1.0)
+    stamp = file_stamp(path)
+    assert expected.take(str(tmp_path / "other.npz"), stamp, 1.0) is None
+    assert expected.take(str(path), stamp, 2.0) is None
+    found = expected.take(str(path), stamp, 1.0)("cpu")
+    assert found.voxel_count == VoxelField.load(path, device="cpu").voxel_count
+    os.utime(path, ns=(1, 1))
+    assert expected.take(str(path), file_stamp(path), 1.0) is None
+    assert ExpectedField(str(files / "broken.npz"), 1.0).take(str(files / "broken.npz"), stamp, 1.0) is None
+
+
+def test_a_field_that_changes_while_it_is_read_is_not_taken(files, tmp_path, monkeypatch):
+    path = tmp_path / "ball.npz"
+    path.write_bytes((files / "ball.npz").read_bytes())
+    before, real = file_stamp(path), expected_field.read_field
+
+    def changing(*given, **words):
+        found = real(*given, **words)
+        os.utime(path, ns=(1, 1))
+        return found
+
+    monkeypatch.setattr(expected_field, "read_field", changing)
+    expected = ExpectedField(str(path), 1.0)
+    assert expected.take(str(path), before, 1.0) is None and expected.take(str(path), file_stamp(path), 1.0) is None
+
+
+def test_a_large_file_that_is_replaced_after_it_was_hashed_is_known(files, monkeypatch, tmp_path):
+    """Its hash was there before the item began, whose picture may be of either file."""
+    for path in files.iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    monkeypatch.setattr(fingerprints, "LARGE", 1000)
+    with JobFile(tmp_path / "jobs.jsonl") as job:
+        item = job.item(0)
+    prints = Fingerprints(tmp_path)
+    prints.expect("ball.npz")
+    prints.expect("none.npz")
+    usual, begun = prints.begun(item)(), prints.begun(item)
+    assert begun.ready and begun() == usual == Fingerprints(tmp_path).of(item)
+    data = (tmp_path / "ball.npz").read_bytes()
+    (tmp_path / "new.npz").write_bytes(data + b"\n")
+    os.replace(tmp_path / "new.npz", tmp_path / "ball.npz")
+    changed = begun()
+    (tmp_path / "ball.npz").unlink()
+    assert begun() == changed and len({usual, changed, Fingerprints(tmp_path).of(item)}) == 3
+
+
+def test_a_worker_begins_with_what_is_likely_and_fails_with_the_item_alone(files, tmp_path):
+    """A field that cannot be read is the item's own fault, not that of the worker's start."""
+    changes = {number: {"field": "broken.npz"} for number in range(4)}
+    path = write_frames(tmp_path / "job", 5, changes=changes)
+    with JobFile(path) as job:
+        settings = RunnerSettings(
+            str(path.parent), job.reader, str(tmp_path / "out"), "run", "cpu", likely=((job.data(0), job.line(0)),)
+        )
+        OutputFolder(tmp_path / "out").prepare()
+        runner = runners.make_runner(settings)
+        order = LotOrder(1, [0, 4], [(job.data(index), job.line(index)) for index in (0, 4)], [0, 0])
+        report = runner.run(order)
+        runner.close()
+    assert report.done == [4] and "broken.npz is not an .npz field file" in report.failed[0][1]
