@@ -22,7 +22,7 @@ from .words import split_reference
 CHUNK, MOST_FILES = 1 << 20, 200_000
 
 #: Bytes from which on a file is hashed by a thread, beside whoever reads it too, and bytes of such a file that are
-#: hashed at once: between them the thread waits for the interpreter, up to 5 ms while another one imports modules.
+#: hashed at once: between two pieces the thread may wait for the interpreter, which others hold for up to 5 ms.
 LARGE, LARGE_CHUNK = 1 << 22, 1 << 24
 
 #: Bytes of a hash.

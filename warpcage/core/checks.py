@@ -281,6 +281,26 @@ def checked_vector(value: ArrayLike, name: str) -> np.ndarray:
     return vector
 
 
+def checked_direction(value: ArrayLike, name: str) -> np.ndarray:
+    """A direction as a unit vector.
+
+    Args:
+        value: (3,) numbers, of any length but zero.
+        name: How the message calls it.
+
+    Returns:
+        (3,) float64 of length 1.
+
+    Raises:
+        ValueError: For another shape, numbers that are not finite, or zero.
+    """
+    direction = checked_vector(value, name)
+    length = np.linalg.norm(direction)
+    if not length > 0:
+        raise ValueError(f"{name} must be a direction, got {direction.tolist()}")
+    return direction / length
+
+
 def checked_bounds(bounds: ArrayLike, name: str = "bounds") -> np.ndarray:
     """An axis-aligned box.
 

@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
-from ..core.checks import checked_bounds, checked_march, checked_vector, require_ordinary_side, require_type
+from ..core.checks import checked_bounds, checked_direction, checked_march, require_ordinary_side, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
@@ -104,7 +104,7 @@ class VoxelField:
         require_ordinary_side(float((self.bounds[1] - self.bounds[0]).max()), "a field")
         self.background = parse_background(background)
         self.background_model = None if background_model is None else background_model.to(self.device)
-        self.up = _checked_up(up)
+        self.up = checked_direction(up, "up")
         self.straightening = None if straightening is None else rigid_motion(straightening, "straightening")
         self.supersampling = checked_supersampling(supersampling)
         self.refined_cameras: RefinedCameras | None = None
@@ -425,20 +425,31 @@ class VoxelField:
             FileNotFoundError: If there is no such file.
             ValueError: For a file of neither format, or whose parts do not fit.
         """
-        return cls.of_file(load_field(path, scene_scale=scene_scale), path, device)
-
-    @classmethod
-    def of_file(cls, held: FieldContents, path: str | os.PathLike, device: wp.DeviceLike = None) -> VoxelField:
-        """The field of what `load_field` has read of a file. Raises ValueError for parts that do not fit."""
+        held = load_field(path, scene_scale=scene_scale)
         try:
-            model = None if held.layers is None else LayeredBackground.from_contents(held.layers, device)
-            if held.outer is not None:
-                model = OuterField.from_contents(held.outer, device)
-            return cls(
-                held.bounds, held.links, held.density, held.sh, background_model=model, device=device, **held.options()
-            )
+            return cls.from_contents(held, device)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
+
+    @classmethod
+    def from_contents(cls, contents: FieldContents, device: wp.DeviceLike = None) -> VoxelField:
+        """A field of values as files have them.
+
+        Args:
+            contents: The values.
+            device: Warp device. None is CUDA where there is one.
+
+        Returns:
+            The field.
+
+        Raises:
+            ValueError: For parts that do not fit.
+        """
+        model = None if contents.layers is None else LayeredBackground.from_contents(contents.layers, device)
+        if contents.outer is not None:
+            model = OuterField.from_contents(contents.outer, device)
+        options = contents.options() | {"background_model": model, "device": device}
+        return cls(contents.bounds, contents.links, contents.density, contents.sh, **options)
 
     @in_turn
     def _contents(self) -> FieldContents:
@@ -487,12 +498,3 @@ class VoxelField:
             "straightening": self.straightening,
             "supersampling": self.supersampling,
         }
-
-
-def _checked_up(up: ArrayLike) -> np.ndarray:
-    """A direction as a unit vector."""
-    direction = checked_vector(up, "up")
-    length = np.linalg.norm(direction)
-    if not length > 0:
-        raise ValueError(f"up must be a direction, got {direction.tolist()}")
-    return direction / length

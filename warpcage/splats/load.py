@@ -10,6 +10,7 @@ import warp as wp
 
 from ..core.files import PathLike
 from ..core.words import counted
+from ..field.files.contents import FieldContents
 from ..field.files.files import load_field as load_voxels
 from ..field.voxel_field import VoxelField
 from .files.files import is_splat_file, read_splats
@@ -52,11 +53,19 @@ def read_field(path: PathLike, *, scene_scale: float = 1.0) -> Callable[[wp.Devi
         ValueError: For a file that cannot be read, or a scale with splats.
     """
     if not is_splat_file(path):
-        return functools.partial(VoxelField.of_file, load_voxels(path, scene_scale=scene_scale), path)
+        return functools.partial(_voxels_of, load_voxels(path, scene_scale=scene_scale), path)
     if scene_scale != 1.0:
         raise ValueError(f"{path} holds splats, which keep their scale: leave the scene scale out")
     splats = read_splats(path)
     return lambda device: SplatField.from_contents(splats, device=device)
+
+
+def _voxels_of(contents: FieldContents, path: PathLike, device: wp.DeviceLike) -> VoxelField:
+    """The field of what was read of a file, which a ValueError names."""
+    try:
+        return VoxelField.from_contents(contents, device)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def field_size(field: AnyField) -> str:

@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import empty_array
-from ..core.checks import checked_flag, checked_vector, real_array, require_type
+from ..core.checks import checked_direction, checked_flag, real_array, require_type
 from ..core.devices import resolve_device
 from ..core.locks import in_turn
 from ..kernels.splats.splats import Splats
@@ -87,10 +87,7 @@ class SplatField:
         self.contents = checked_contents(SplatContents(places, scales, turns, opacities, colours, layout))
         self.device = resolve_device(device)
         self.background = parse_background(background)
-        direction = checked_vector(up, "up")
-        if not np.linalg.norm(direction) > 0:
-            raise ValueError(f"up must be a direction, got {direction.tolist()}")
-        self.up = direction / np.linalg.norm(direction)
+        self.up = checked_direction(up, "up")
         self._splats: Any = None
         self._density: SplatDensity | None = None
 
