@@ -115,7 +115,7 @@ def assert_alike(by_parts, at_once, shaded):
     least = 100 if by_parts.arrays["rgb"].device.is_cpu else 70  # compilers for GPUs join products and sums
     for name in ("alpha", "reveal"):
         assert psnr(getattr(by_parts, name), getattr(at_once, name)) > least, name
-    assert psnr(by_parts.rgb, at_once.rgb) > (60 if shaded else least)
+    assert psnr(by_parts.rgb, at_once.rgb) > (55 if shaded else least)
     seen = at_once.alpha > 0.1
     assert np.abs(by_parts.depth[seen] - at_once.depth[seen]).mean() < 1e-4
     for name in ("fold", "outside"):  # a sample at a wall counts or not
@@ -141,7 +141,9 @@ def test_edits_one_by_one_are_seen_as_all_at_once(scene, march, device):
             is_far = np.linalg.norm(eye) > 1.5
             turns_over = scene == "with a slot"  # the map, where its slot closes
             assert is_shaded(kernels) == (march == "shaded" and is_far and not turns_over)
-            plain, slotted_part = SHADED_KERNELS if is_shaded(kernels) else (render_edit_part, render_edit_part_with_sides)
+            plain, slotted_part = (
+                SHADED_KERNELS if is_shaded(kernels) else (render_edit_part, render_edit_part_with_sides)
+            )
             assert kernels.count(slotted_part) == gaps
             assert kernels.count(plain) == len(rests) - gaps > 0
             assert gaps > 0 or scene != "with a slot"

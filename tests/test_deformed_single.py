@@ -74,7 +74,9 @@ def test_the_march_for_one_edit_sees_what_the_general_one_sees(case, density, ma
     deformer = Deformer(shiny_field(device), CageEdit(rest, **options), resolution=40, density=density).pose(pose)
     single, general = both(deformer, view())
     # sub-samples take differences of their own length in the one, of a whole step in the other
-    assert psnr(single.rgb, general.rgb) > (45 if case in ("squeeze", "twist that folds") else 60 if march == "shaded" else 80)
+    assert psnr(single.rgb, general.rgb) > (
+        45 if case in ("squeeze", "twist that folds") else 60 if march == "shaded" else 80
+    )
     for name in ("alpha", "reveal", "fold"):
         np.testing.assert_allclose(getattr(single, name), getattr(general, name), atol=0.06)
         assert np.abs(getattr(single, name) - getattr(general, name)).mean() < 1e-3

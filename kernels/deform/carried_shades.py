@@ -34,11 +34,7 @@ class AimedCage:
 
 @wp.kernel
 def aim_nodes(
-    first: int,
-    edit: FlatEdit,
-    centre: wp.vec3,
-    places: wp.array3d(dtype=wp.vec4),
-    aims: wp.array(dtype=wp.vec4),
+    first: int, edit: FlatEdit, centre: wp.vec3, places: wp.array3d(dtype=wp.vec4), aims: wp.array(dtype=wp.vec4)
 ):
     """Canonical view direction at each node of the rest lattice, 0 where no pose takes it anywhere, and its signed
     distance to the rest cage.
@@ -158,11 +154,7 @@ def own_row(shaded: ShadedGrid, n: int):
 
 @wp.kernel
 def shade_carried_rows(
-    first: int,
-    grid: VoxelGrid,
-    nodes: wp.array(dtype=wp.int32),
-    cages: wp.array(dtype=AimedCage),
-    shaded: ShadedGrid,
+    first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), cages: wp.array(dtype=AimedCage), shaded: ShadedGrid
 ):
     """field/shades.shade_rows of a field that edits deform, to the nodes of the rows. One thread per row, in whole warps.
 
@@ -211,10 +203,21 @@ def mark_wall_rows(
     rest: CageMap,
     depth: float,
     height: float,
-    marks: wp.array(dtype=wp.uint8),
+    marks: wp.array(dtype=wp.int32),
 ):
     """1 for the rows that lie up to `depth` within a rest cage, or up to `height` out of it. marks: (rows,), 0 before."""
     n = first + wp.tid()
     distance = map_distance(rest, row_place(grid, node_counts, nodes[n]))
     if distance > -depth and distance < height:
-        marks[n] = wp.uint8(1)
+        marks[n] = 1
+
+
+@wp.kernel
+def list_rows(first: int, running_count: wp.array(dtype=wp.int32), rows: wp.array(dtype=wp.int32)):
+    """The marked rows in their order. running_count: (rows,) inclusive scan of their marks."""
+    n = first + wp.tid()
+    before = int(0)
+    if n > 0:
+        before = running_count[n - 1]
+    if running_count[n] > before:
+        rows[before] = n

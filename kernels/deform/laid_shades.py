@@ -63,11 +63,11 @@ OTHER_COLOURS = (
 #if defined(__CUDA_ARCH__)
             #pragma unroll
 #endif
-            for (int side = 0; side < 2; ++side)
+            for (int up = 0; up < 2; ++up)
             {
-                const int corner = 2 * column + side;
+                const int corner = 2 * column + up;
                 if (is_other(corner))
-                    take_other(corner, side ? row + (int)(bits & 1u) : row);
+                    take_other(corner, up ? row + (int)(bits & 1u) : row);
             }
         }
 """
@@ -85,12 +85,12 @@ OTHER_COLOURS = (
     const uint2* high = low + ny * nz;
     uint2 s[8] = {__ldg(low), __ldg(low + 1), __ldg(low + nz), __ldg(low + nz + 1),
         __ldg(high), __ldg(high + 1), __ldg(high + nz), __ldg(high + nz + 1)};
-    const unsigned other = mapped ? 0x10000u : 1u;
+    const unsigned other = side == 1 ? 0x10000u : 1u;
     unsigned joined = 0u;
     #pragma unroll
     for (int c = 0; c < 8; ++c)
         joined |= s[c].y;
-    if (has_others && (joined & other))  // rare
+    if (has_others && (joined & other) && (side != 0 || (joined & 0x10000u)))  // rare
     {
         const uint2* others = reinterpret_cast<const uint2*>(table.others.data);
         auto is_other = [&](int c) { return (s[c].y & other) != 0u; };
@@ -123,12 +123,15 @@ OTHER_COLOURS = (
     auto is_other = [&](int c) {
         unsigned bits[4];
         __builtin_memcpy(bits, &s[c], sizeof(bits));
-        return (bits[mapped ? 3 : 2] & 1u) != 0u;
+        return (bits[side == 1 ? 3 : 2] & 1u) != 0u;
     };
-    bool mixed = false;
+    bool any = false, all = true;
     for (int c = 0; c < 8; ++c)
-        mixed = mixed || is_other(c);
-    if (has_others && mixed)
+    {
+        any = any || is_other(c);
+        all = all && is_other(c);
+    }
+    if (has_others && any && (side != 0 || !all))
     {
         const four* others = reinterpret_cast<const four*>(table.others.data);
         auto take_other = [&](int c, int row) { s[c].xyz = others[row].xyz; };
@@ -144,9 +147,10 @@ OTHER_COLOURS = (
 #endif
 """
 )
-def laid_shade(
-    table: LaidShades, i: wp.int32, j: wp.int32, k: wp.int32, offset: wp.vec3, mapped: wp.int32
-) -> wp.vec4:
-    """Trilinear shade at a place, 0 to 1, in the cell above node (i, j, k), which a map has led to or not; the colour
-    still lacks its 0.5."""
+def laid_shade(table: LaidShades, i: wp.int32, j: wp.int32, k: wp.int32, offset: wp.vec3, side: wp.int32) -> wp.vec4:
+    """Trilinear shade at a place, 0 to 1, in the cell above node (i, j, k); the colour still lacks its 0.5.
+
+    side: 1 where a map has led there; 2 where none has and rest cages keep what they hold; 0 where none has and they are
+    cleared, so that the colour of a cell that lies in one as a whole is not asked for.
+    """
     ...

@@ -188,7 +188,8 @@ def march_edit(
                     leave = wp.min(leave, box[0])
                 next_index = wp.max(next_index, wp.ceil(leave * inverse_step - 0.5))
         else:
-            matter = late_matter(table, grid, matter, step, gi, gj, gk, offset, mapped)
+            side = wp.where(mapped, 1, wp.where(edit.keeps_source == 1, 2, 0))
+            matter = late_matter(table, grid, matter, step, gi, gj, gk, offset, side)
         # each function of the map stands once in this loop: registers are short
         clears = not mapped and edit.keeps_source == 0 and empty == 0
         room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage

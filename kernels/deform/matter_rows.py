@@ -32,19 +32,19 @@ def early_matter(table: LaidShades, i: int, j: int, k: int, offset: wp.vec3):  #
 
 @wp.func
 def late_matter(
-    table: RowTable, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3, mapped: bool
+    table: RowTable, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3, side: int
 ):
     """Colour, if it comes with the rest, and optical depth of a step at such a place, in a cell that may hold
-    something. mapped: whether a map has led there."""
+    something. side: as laid_shade has it."""
     sigma = late_density(early[3], grid.density, table.columns, i, j, k, offset)
     return wp.vec4(0.0, 0.0, 0.0, sigma * step)
 
 
 @wp.func
 def late_matter(  # noqa: F811
-    table: LaidShades, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3, mapped: bool
+    table: LaidShades, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3, side: int
 ):
-    return laid_shade(table, i, j, k, offset, int(mapped))
+    return laid_shade(table, i, j, k, offset, side)
 
 
 @wp.func

@@ -205,8 +205,6 @@ def settle_nodes(first: int, edit: FlatEdit, owners: wp.array3d(dtype=int), plac
                 f = wp.vec3(met[0], met[1], met[2])
         f = wp.max(wp.min(f, wp.vec3(1.0, 1.0, 1.0)), wp.vec3(0.0, 0.0, 0.0))
         nz = edit.node_counts[2]
-        cell = wp.vec3(
-            float(n // (edit.node_counts[1] * nz)), float((n // nz) % edit.node_counts[1]), float(n % nz)
-        )
+        cell = wp.vec3(float(n // (edit.node_counts[1] * nz)), float((n // nz) % edit.node_counts[1]), float(n % nz))
         place = wp.vec4(cell[0] + f[0], cell[1] + f[1], cell[2] + f[2], 1.0)
     places[i, j, k] = place

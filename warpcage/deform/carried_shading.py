@@ -6,14 +6,20 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array, struct_array
 from ..core.devices import launch
 from ..core.flags import HostFlag
 from ..field.shading import ColumnTable, whole_warps
-from ..kernels.deform.carried_shades import AimedCage, aim_nodes, mark_wall_rows, shade_carried_rows, shade_wall_rows
+from ..kernels.deform.carried_shades import (
+    AimedCage,
+    aim_nodes,
+    list_rows,
+    mark_wall_rows,
+    shade_carried_rows,
+    shade_wall_rows,
+)
 from ..kernels.deform.laid_shades import LaidShades
 from ..kernels.deform.posed_places import NO_CELL, claim_nodes, settle_nodes
 from ..kernels.field.shades import ShadedGrid
@@ -116,12 +122,14 @@ class CarriedShades:
         near it, and all of a cage that keeps its source."""
         if self._walls is None or self._walls[0] is not table:
             device, rows = self._device, table.nodes.shape[0]
-            marks = wp.zeros(rows, dtype=wp.uint8, device=device)
+            marks = wp.zeros(rows, dtype=wp.int32, device=device)
             diagonal = math.hypot(*grid.voxel_size)
             for edit, _, _ in self._posed:
                 depth = math.inf if edit.keeps_source else diagonal
                 inputs = [grid, table.nodes, table.columns.node_counts, edit.rest, depth, edit.slack + diagonal]
                 launch(mark_wall_rows, rows, inputs, [marks], device=device)
-            found = np.flatnonzero(marks.numpy()).astype(np.int32)
-            self._walls = table, wp.array(found, dtype=wp.int32, device=device)
+            wp.utils.array_scan(marks, marks, inclusive=True)
+            found = empty_array(int(marks[-1:].numpy()[0]), wp.int32, device)
+            launch(list_rows, rows, [marks], [found], device=device)
+            self._walls = table, found
         return self._walls[1]
