@@ -1,4 +1,4 @@
-"""Voxels that a pose moves, shaded once for a camera: where the pose takes them, from where they are seen, and views."""
+"""Voxels that a pose moves, shaded once for a camera: where the pose takes them, whence they are seen, and views."""
 
 import numpy as np
 import pytest
@@ -72,8 +72,8 @@ def trilinear(values, g):
 
 
 def found_places(deformer):
-    """Of the only edit: nodes of the rest lattice that are taken somewhere (m, 3), where in the posed lattice (m, 3), the
-    signed distance of all nodes to the rest cage, and whether each is taken somewhere."""
+    """Of the only edit: nodes of the rest lattice that are taken somewhere (m, 3), where in the posed lattice (m, 3),
+    the signed distance of all nodes to the rest cage, and whether each is taken somewhere."""
     ((edit, places, _),) = deformer._edits._shades._posed
     places, distance = places.numpy(), edit.rest.distance.numpy()
     taken = places[..., 3] > 0

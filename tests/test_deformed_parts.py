@@ -117,7 +117,7 @@ def assert_alike(by_parts, at_once, shaded):
         assert psnr(getattr(by_parts, name), getattr(at_once, name)) > least, name
     assert psnr(by_parts.rgb, at_once.rgb) > (55 if shaded else least)
     seen = at_once.alpha > 0.1
-    assert np.abs(by_parts.depth[seen] - at_once.depth[seen]).mean() < 1e-4
+    assert np.abs(by_parts.depth[seen] - at_once.depth[seen]).mean() < (5e-4 if shaded else 1e-4)  # depths as halves
     for name in ("fold", "outside"):  # a sample at a wall counts or not
         here, there = getattr(by_parts, name), getattr(at_once, name)
         assert here.sum() == pytest.approx(there.sum(), rel=0.02, abs=2.0), name

@@ -24,30 +24,33 @@ wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
 @wp.struct
 class AimedCage:
-    """A rest cage's lattice with what `aim_nodes` found at its nodes."""
+    """A rest cage's lattice, the pose of its edit, and what `aim_nodes` found at its nodes."""
 
     lower: wp.vec3  # position of node (0, 0, 0)
     inverse_spacing: float
     node_counts: wp.vec3i
+    distance: wp.array(dtype=float)  # (nodes,) signed distance to the rest cage
+    places: wp.array(dtype=wp.vec4)  # (nodes,) where the pose takes each, of deform/posed_places
     aims: wp.array(dtype=wp.vec4)  # (nodes,) canonical view direction or 0, and signed distance to the rest cage
+    edit: FlatEdit
 
 
 @wp.kernel
-def aim_nodes(
-    first: int, edit: FlatEdit, centre: wp.vec3, places: wp.array3d(dtype=wp.vec4), aims: wp.array(dtype=wp.vec4)
-):
-    """Canonical view direction at each node of the rest lattice, 0 where no pose takes it anywhere, and its signed
-    distance to the rest cage.
-
-    centre: of the camera. places: of deform/posed_places. aims: one for each of them.
-    """
-    item = first + wp.tid()
-    k = item % places.shape[2]
-    j = (item // places.shape[2]) % places.shape[1]
-    i = item // (places.shape[2] * places.shape[1])
-    place = places[i, j, k]
+def aim_nodes(first: int, cages: wp.array(dtype=AimedCage), centre: wp.vec3):
+    """Canonical view direction at each node of each rest lattice, 0 where no pose takes it anywhere, and its signed
+    distance to the rest cage: the aims of each cage. centre: of the camera. One item a node, cage by cage."""
+    n = first + wp.tid()
+    index = int(0)
+    size = cages[0].places.shape[0]
+    while n >= size:
+        n -= size
+        index += 1
+        size = cages[index].places.shape[0]
+    cage = cages[index]
+    place = cage.places[n]
     along = wp.vec3(0.0, 0.0, 0.0)
     if place[3] > 0.0:
+        edit = cage.edit
         nz = edit.node_counts[2]
         nyz = edit.node_counts[1] * nz
         seat = wp.vec3(place[0], place[1], place[2])
@@ -56,14 +59,14 @@ def aim_nodes(
             cell[axis] = wp.min(int(seat[axis]), edit.node_counts[axis] - 2)
         f = seat - wp.vec3(float(cell[0]), float(cell[1]), float(cell[2]))
         rate = seat - (centre - edit.lower) * edit.inverse_spacing
-        n = cell[0] * nyz + cell[1] * nz + cell[2]
-        slope = node_slope(edit.nodes, n, nyz, nz, f, rate)
+        corner = cell[0] * nyz + cell[1] * nz + cell[2]
+        slope = node_slope(edit.nodes, corner, nyz, nz, f, rate)
         if edit.has_sides == 1:
-            entry = edit.side_index[n]
+            entry = edit.side_index[corner]
             if entry != 0:
                 slope = side_slope(edit.sides, entry, f, rate)
         along = wp.normalize(slope)
-    aims[item] = wp.vec4(along[0], along[1], along[2], edit.rest.distance[i, j, k])
+    cage.aims[n] = wp.vec4(along[0], along[1], along[2], cage.distance[n])
 
 
 @wp.struct
@@ -107,7 +110,7 @@ def row_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
 
 @wp.func
 def nearest_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
-    """How a row at x, not far out of a rest cage, would be seen if it went with it: as what lies just within the cage."""
+    """How a row at x, not far out of a rest cage, would be seen if it went with it: as what lies just in the cage."""
     along = plain
     least = float(1.0e30)
     for index in range(cages.shape[0]):
@@ -156,7 +159,7 @@ def own_row(shaded: ShadedGrid, n: int):
 def shade_carried_rows(
     first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), cages: wp.array(dtype=AimedCage), shaded: ShadedGrid
 ):
-    """field/shades.shade_rows of a field that edits deform, to the nodes of the rows. One thread per row, in whole warps.
+    """field/shades.shade_rows of a field that edits deform, to the nodes of rows. One thread per row, in whole warps.
 
     nodes: (rows,); cages: (edits,) that do not meet; shaded: its shades are those of LaidShades.
     """
@@ -205,7 +208,7 @@ def mark_wall_rows(
     height: float,
     marks: wp.array(dtype=wp.int32),
 ):
-    """1 for the rows that lie up to `depth` within a rest cage, or up to `height` out of it. marks: (rows,), 0 before."""
+    """1 for rows that lie up to `depth` within a rest cage, or up to `height` out of it. marks: (rows,), 0 before."""
     n = first + wp.tid()
     distance = map_distance(rest, row_place(grid, node_counts, nodes[n]))
     if distance > -depth and distance < height:

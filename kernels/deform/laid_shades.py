@@ -1,9 +1,10 @@
-"""What a camera sees of each voxel of a deformed field, laid out by nodes: a march reads what lies around a place at once.
+"""What a camera sees of each voxel of a deformed field, laid out by nodes, so that a march reads what lies around a
+place at once.
 
 A row inside a rest cage is seen where the pose takes it, any other as it is (deform/carried_shades). Where the cage
 cuts matter, samples on both sides of it read the same rows: those near the cage have a second shade, as the other side
-sees them. On CUDA a shade is four halves, on a CPU four floats. The last bits of blue and of optical depth tell whose it
-is.
+sees them. On CUDA a shade is four halves, on a CPU four floats. The last bits of blue and of optical depth tell whose
+it is.
 Needs: field/columns.
 """
 
@@ -150,7 +151,7 @@ OTHER_COLOURS = (
 def laid_shade(table: LaidShades, i: wp.int32, j: wp.int32, k: wp.int32, offset: wp.vec3, side: wp.int32) -> wp.vec4:
     """Trilinear shade at a place, 0 to 1, in the cell above node (i, j, k); the colour still lacks its 0.5.
 
-    side: 1 where a map has led there; 2 where none has and rest cages keep what they hold; 0 where none has and they are
-    cleared, so that the colour of a cell that lies in one as a whole is not asked for.
+    side: 1 where a map has led there; 2 where none has and rest cages keep what they hold; 0 where none has and they
+    are cleared, so that nobody asks for the colour of a cell that lies in one as a whole.
     """
     ...

@@ -4,7 +4,7 @@ The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV
 of one edit on a lattice: flat arrays whose numbers are read many at once, one table of cells, and the map's derivative
 where matter is. Where the map compresses, a sample is cut into sub-samples as in deform/march.
 Needs: core/entries, deform/edits, deform/flat_edits, deform/map_nodes, deform/march, deform/matter_rows,
-deform/ray_parts, field/densities, field/grid, field/render, field/samples, lattice/cage_map, view/rays.
+deform/ray_parts, field/grid, field/samples, lattice/cage_map, view/rays.
 """
 
 from typing import Any
@@ -19,8 +19,8 @@ from ..view.rays import box_span
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
 from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
 from .map_nodes import node_blend, node_slope, side_slope
-from .matter_rows import early_matter, late_matter, least_pending, matter_colour
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
+from .matter_rows import early_matter, late_matter, least_pending, matter_colour
 from .ray_parts import BEGUN, RayState
 
 wp.set_module_options({"enable_backward": False})

@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def early_matter(table: RowTable, i: int, j: int, k: int, offset: wp.vec3):
-    """What is asked of a place, 0 to 1, in the cell above node (i, j, k) before it is known whether it holds anything."""
+    """What is asked of a place, 0 to 1, in the cell above node (i, j, k), before it is known to hold anything."""
     sigma = early_density(table.laid, table.unit, table.columns, i, j, k, offset)
     return wp.vec4(0.0, 0.0, 0.0, sigma)
 

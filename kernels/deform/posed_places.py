@@ -1,4 +1,5 @@
-"""Where a pose takes the matter of a rest cage: the map of a posed cage inverted at the nodes of the rest cage's lattice.
+"""Where a pose takes the matter of a rest cage: the map of a posed cage, inverted at the nodes of the rest cage's
+lattice.
 
 The map phi of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1, takes points of the posed scene to
 canonical space, and is trilinear in each cell of the posed cage's lattice. A node x of the rest cage's lattice lies in

@@ -1,9 +1,9 @@
-"""Views of a voxel field whose voxels were shaded for the camera that edits deform which cannot meet each other, of one edit whose map has corner values for
-each side of narrow gaps ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5); see deform/march_single and
-deform/ray_parts.
+"""Views of a voxel field that edits deform which cannot meet each other, of one edit whose map has corner values for
+each side of narrow gaps, of voxels that were shaded for the camera ("Deforming Radiance Fields with Cages", ECCV 2022,
+Eq. 4 and 5); see deform/march_single, deform/ray_parts and deform/laid_shades.
 
-Needs: deform/flat_edits, deform/laid_shades, deform/march, deform/march_single, deform/pictures, deform/ray_parts, field/grid,
-view/rays.
+Needs: deform/flat_edits, deform/laid_shades, deform/march, deform/march_single, deform/pictures, deform/ray_parts,
+field/grid, view/rays.
 """
 
 import warp as wp

@@ -1,8 +1,9 @@
-"""Views of a voxel field whose voxels were shaded for the camera that one edit deforms whose map has corner values for each side of narrow gaps ("Deforming
-Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5); see deform/march_single.
+"""Views of a voxel field that one edit deforms whose map has corner values for each side of narrow gaps, of voxels that
+were shaded for the camera ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5); see deform/march_single and
+deform/laid_shades.
 
-Needs: deform/flat_edits, deform/laid_shades, deform/march, deform/march_single, deform/pictures, deform/ray_parts, field/grid,
-view/rays.
+Needs: deform/flat_edits, deform/laid_shades, deform/march, deform/march_single, deform/pictures, deform/ray_parts,
+field/grid, view/rays.
 """
 
 import warp as wp

@@ -71,8 +71,9 @@ class CarriedShades:
             launch(claim_nodes, flags.size, [edit, flags, grid], claims, device=self._device, threads=1)
             launch(settle_nodes, owners.size, [edit, owners], [found], device=self._device)
             cage = AimedCage()
-            cage.lower, cage.inverse_spacing = edit.rest.lower, edit.rest.inverse_spacing
-            cage.node_counts, cage.aims = wp.vec3i(*shape), aims.take(math.prod(shape))
+            cage.edit, cage.lower, cage.inverse_spacing = edit, edit.rest.lower, edit.rest.inverse_spacing
+            cage.node_counts, cage.distance = wp.vec3i(*shape), edit.rest.distance.flatten()
+            cage.places, cage.aims = found.flatten(), aims.take(math.prod(shape))
             self._posed.append((edit, found, cage))
         self._folds.send()
         cages, device = [cage for _, _, cage in self._posed], self._device
@@ -103,8 +104,9 @@ class CarriedShades:
             A LaidShades of kernels/deform/laid_shades.py, of the values that the grid has now.
         """
         device, rows, walls = self._device, table.nodes.shape[0], self._walls_of(grid, table)
-        for edit, places, cage in self._posed:
-            launch(aim_nodes, places.size, [edit, centre, places], [cage.aims], device=device)
+        if self._posed:
+            nodes = sum(places.size for _, places, _ in self._posed)
+            launch(aim_nodes, nodes, [self._cages, centre], device=device)
         shaded = ShadedGrid()
         shaded.columns, shaded.centre, shaded.step, shaded.shades = table.columns, centre, step, table.laid_shades()
         inputs = [grid, table.nodes, self._cages, shaded]
@@ -118,8 +120,8 @@ class CarriedShades:
         return laid
 
     def _walls_of(self, grid: Any, table: ColumnTable) -> wp.array:
-        """(m,) int32, the rows of a field that a pose may show on both sides of a rest cage, the same for all poses: those
-        near it, and all of a cage that keeps its source."""
+        """(m,) int32, the rows of a field that poses may show on both sides of a rest cage: those near it, and all of a
+        cage that keeps its source."""
         if self._walls is None or self._walls[0] is not table:
             device, rows = self._device, table.nodes.shape[0]
             marks = wp.zeros(rows, dtype=wp.int32, device=device)
@@ -129,7 +131,7 @@ class CarriedShades:
                 inputs = [grid, table.nodes, table.columns.node_counts, edit.rest, depth, edit.slack + diagonal]
                 launch(mark_wall_rows, rows, inputs, [marks], device=device)
             wp.utils.array_scan(marks, marks, inclusive=True)
-            found = empty_array(int(marks[-1:].numpy()[0]), wp.int32, device)
+            found = empty_array(int(marks[-1:].numpy()[0]) if rows else 0, wp.int32, device)
             launch(list_rows, rows, [marks], [found], device=device)
             self._walls = table, found
         return self._walls[1]

@@ -317,15 +317,10 @@ class Deformer:
         marching = self.field.marching
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
-            # the device is at work while the host goes on: with what is known first, and with most work
-            poses_first = self._held is None
-            if poses_first:
-                marching.begin()
+            marching.begin()  # the device is at work while the host goes on
             edits = posed_edits()
             require_short_march(self._held or (), options.step)
             tables = edits.row_tables(self.field, pinhole, options.step)
-            if not poses_first:
-                marching.begin()
             grid = marching.grid()
             edits.prepare(grid, options.step)
             picture = Picture()

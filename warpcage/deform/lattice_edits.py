@@ -189,6 +189,7 @@ class LatticeEdits(PosedEdits):
         self._shades = CarriedShades(len(edits), device)
         self._most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
         self._boxes: EditBoxes | None = None
+        self._apart: tuple[float, np.ndarray | None] | None = None
         pool = BufferPool(device)
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
         self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
@@ -231,7 +232,7 @@ class LatticeEdits(PosedEdits):
         self.lattices.pose(cages)
         self.array, self.scene = self.lattices.array, None
         self._flat = []
-        self._boxes = None
+        self._boxes = self._apart = None
         if len(self._edits) > 1 and not self._has_crumbs:
             structs = [struct for struct, _ in self.lattices.posed()]
             tolerances, slacks = ([float(getattr(each, name)) for each in structs] for name in ("tolerance", "slack"))
@@ -292,10 +293,14 @@ class LatticeEdits(PosedEdits):
         """
         if self._is_single:
             return [(self._flat[0], NOWHERE)] if self._by_tiles else None
-        reach = 0.5 * step  # that of the first and the last part of a sample
-        if self._boxes is None or not self._boxes.are_apart(reach):
+        if self._boxes is None:
             return None
-        boxes = wider(self._boxes.changed, reach)
+        reach = 0.5 * step  # that of the first and the last part of a sample
+        if self._apart is None or self._apart[0] != reach:
+            self._apart = reach, wider(self._boxes.changed, reach) if self._boxes.are_apart(reach) else None
+        boxes = self._apart[1]
+        if boxes is None:
+            return None
         order = front_to_back(boxes, tuple(centre))
         return None if order is None else [(self._flat[index], boxes[index]) for index in order]
 

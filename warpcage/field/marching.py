@@ -89,11 +89,10 @@ class MarchTables:
         Returns:
             A kernel, its first inputs, and the rays that one of its items follows.
         """
+        self.begin()
         if self.is_shaded(centre):
             shaded = shaded_grid(self._grid, self.columns, centre, step)
-            self.begin()  # behind what takes longer
             return render_shaded_image, [self.grid(), shaded], 1
-        self.begin()
         rows = self.rows()
         if self.by_tiles:
             grid = self.grid()
@@ -117,7 +116,7 @@ class MarchTables:
         with self._lock:
             return self._cells.cells(grid.density, grid.skip, self._matter.version)
 
-    def is_shaded(self, centre: Sequence[float], others: Sequence[Sequence[Sequence[float]]] = ()) -> bool:
+    def is_shaded(self, centre: wp.vec3, others: Sequence[Sequence[Sequence[float]]] = ()) -> bool:
         """Whether voxels are shaded for a camera: where none is near it.
 
         Args:
@@ -133,7 +132,7 @@ class MarchTables:
         return nearest > NEAR_VOXELS * self._longest
 
 
-def box_distance(lower: Sequence[float], upper: Sequence[float], point: Sequence[float]) -> float:
+def box_distance(lower: Sequence[float], upper: Sequence[float], point: Any) -> float:
     """How far a point is from a box; 0 within.
 
     Args:

@@ -59,6 +59,7 @@ class ColumnTable:
         if unsorted.numpy()[0]:
             self.columns.order = order
         self._node_count, self._laid, self._packed = math.prod(links.shape), None, None
+        self._device = wp.get_device(device)
         self._shades: dict[str, tuple[int, wp.array]] = {}
 
     def laid_densities(self) -> wp.array:
@@ -69,7 +70,7 @@ class ColumnTable:
         return self._laid
 
     def laid_shades(self) -> wp.array:
-        """(nodes, words) uint32 for shades at the nodes of rows (kernels/deform/laid_shades); 0 at others. See `shade_bytes` for its size."""
+        """(nodes, words) uint32 for shades at the nodes of rows (kernels/deform/laid_shades); 0 at others."""
         return self._kept("laid", self._node_count, True)
 
     def other_shades(self) -> wp.array:
@@ -82,13 +83,13 @@ class ColumnTable:
 
     def shade_bytes(self) -> int:
         """Bytes of `laid_shades`."""
-        return 4 * self._node_count * shade_words(self.nodes.device)
+        return 4 * self._node_count * shade_words(self._device)
 
     def _kept(self, name: str, count: int, clears: bool) -> wp.array:
         """An array for the shades of a frame: the one of the frame before on a CUDA stream, whose frames follow each
         other, as CUDA takes longer to hand out as much memory than to fill it. A new one for frames of other streams,
         and on a CPU, whose threads may render at a time."""
-        device = self.nodes.device
+        device = self._device
         stream = 0 if device.is_cpu else int(device.stream.cuda_stream or 0)
         kept = self._shades.get(name)
         if kept is not None and kept[0] == stream:
