@@ -12,16 +12,15 @@ import time
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, KINDS, shiny_field, view
+from deformed_scenes import BOX, KINDS, MARCHES, shiny_field, use_march, view
 
 from warpcage import CageEdit, Deformer, PositionMap, Scene, deform_points, fit, turntable
 from warpcage.core import modules
 from warpcage.core.devices import launch
 from warpcage.core.locks import device_turn, owner_lock
 from warpcage.core.threads import PART_SECONDS, limit_threads, run_parallel, run_parts
-from warpcage.deform import lattice_edits, precise_edits
+from warpcage.deform import carried_shading, edit_lattices, lattice_edits, precise_edits
 from warpcage.deform.bake import bake
-from warpcage.field import marching
 from warpcage.kernels.fitting.rmsprop import add_gradients
 
 THREADS = 4
@@ -304,26 +303,27 @@ def test_an_interrupt_ends_a_long_render(scene, threads):
         running.stdout.close()
 
 
-@pytest.mark.parametrize("by_tiles", (True, False))
-def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(by_tiles, device, monkeypatch):
-    monkeypatch.setattr(marching, "TILES_ON_CPU", by_tiles)
+@pytest.mark.parametrize("march", MARCHES)
+def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(march, device, monkeypatch):
+    use_march(march, device, monkeypatch)
     deformer = Deformer(shiny_field(device), BOX, resolution=12, device=device).pose(POSES[1])
     usual, long = None, 8 * deformer.field.step
     expected = {step: parts(deformer.pose(POSES[1]).render(CAMERA, step=step)) for step in (usual, long)}
 
-    def interrupted(kernel, count, inputs, outputs, *, device):
+    def interrupted(kernel, count, inputs, outputs=(), **options):
         if not left[0]:
             for output in outputs:
                 output.fill_(77)
             raise KeyboardInterrupt
         left[0] -= 1
-        launch(kernel, count, inputs, outputs, device=device)
+        launch(kernel, count, inputs, outputs, **options)
 
     for interrupts in itertools.count():  # at each of its launches in turn
         deformer.pose(POSES[1]).render(CAMERA)
         left = [interrupts]
         with monkeypatch.context() as patch:
-            patch.setattr(lattice_edits, "launch", interrupted)
+            for module in (lattice_edits, edit_lattices, carried_shading):
+                patch.setattr(module, "launch", interrupted)
             try:
                 deformer.render(CAMERA, step=long)
                 break
@@ -332,7 +332,7 @@ def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(by_tiles, devi
         for step in (usual, long):
             found = parts(deformer.render(CAMERA, step=step))
             assert all(same(*pair, device) for pair in zip(found, expected[step], strict=True))
-    assert interrupts >= 3
+    assert interrupts >= (8 if march == "shaded" else 3)
 
 
 CACHED = """\

@@ -1,4 +1,4 @@
-"""Edits whose maps and signed distances are looked up on lattices."""
+"""Edits whose maps and signed distances are looked up on lattices, and the kernels that march them."""
 
 from __future__ import annotations
 
@@ -14,16 +14,12 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import empty_array, struct_array
-from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.modules import load_modules
 from ..field import marching
-from ..field.sparse import spread_along
 from ..field.voxel_field import VoxelField
 from ..kernels.deform import (
     carried_shades,
-    carry,
-    carry_cells,
     flat_edits,
     points,
     posed_places,
@@ -40,7 +36,6 @@ from ..kernels.deform import (
     shaded_single,
 )
 from ..kernels.deform import cells as cell_tables
-from ..kernels.deform.edits import LatticeEdit
 from ..kernels.field import columns
 from ..kernels.field import skip as grid_skip
 from ..kernels.lattice import (
@@ -57,22 +52,15 @@ from ..kernels.lattice import (
     rings,
     side_values,
 )
-from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh import fans
 from ..lattice.capture import Buffer, BufferPool
-from ..lattice.lattice import CageLattice
-from ..lattice.position_map import PositionMap
-from ..mesh.containment import SURFACE_TOLERANCE
 from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from .carried import CarriedCrumbs
 from .carried_shading import CarriedShades
+from .edit_lattices import EditLattices
 from .edits import CageEdit, MarchedView, PosedEdits
-from .falloff import FalloffBand, faded_map, folded_cells, tell_of_squeezing
+from .falloff import FalloffBand
 from .parts import render_parts
-
-#: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
-#: the trilinear signed distance errs by up to half a cell at corners.
-LATTICE_SLACK = 0.5
 
 #: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
 POSE_MODULES = (
@@ -354,228 +342,3 @@ def lattice_box(flat: Any) -> list[list[float]]:
     """
     lower, counts, spacing = tuple(flat.lower), tuple(flat.node_counts), 1.0 / flat.inverse_spacing
     return [list(lower), [low + (count - 1) * spacing for low, count in zip(lower, counts, strict=True)]]
-
-
-class EditLattices:
-    """The maps and signed distances of edits on lattices, and tables of what whole cells of them say.
-
-    Args:
-        edits: The edits in their order.
-        coordinates: Kind of coordinates.
-        resolution: Cells of each lattice along the longest side of its cage.
-        origin: (3,) world point that positions on the device are relative to.
-        device: Warp device.
-        store: "map" or "weights", as Deformer has it.
-        bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
-        carried: The CarriedCrumbs of each edit, None for one without crumbs; () is none at all.
-
-    Attributes:
-        rests: A CageLattice of each rest cage.
-        maps: A PositionMap of each edit, None for an edit that removes.
-        carried: The CarriedCrumbs of each edit, None for one without crumbs.
-        skips: For each edit (nx-1, ny-1, nz-1) uint8, how far a cell is from the nearest that may hold anything.
-        array: (edits,) LatticeEdit, once posed.
-    """
-
-    def __init__(
-        self,
-        edits: list[CageEdit],
-        coordinates: str,
-        resolution: int,
-        origin: ArrayLike,
-        device: wp.Device,
-        store: str = "map",
-        bands: Sequence[FalloffBand | None] = (),
-        carried: Sequence[CarriedCrumbs | None] = (),
-    ):
-        self._edits, self._device, self._origin = edits, device, origin
-        self._bands = list(bands) or [None] * len(edits)
-        self.carried = list(carried) or [None] * len(edits)
-        if any(self.carried):
-            load_modules([carry, carry_cells, fans], device)
-        self._plain: list[Any] = [None] * len(edits)
-        self._faded: list[Any] = [None] * len(edits)
-        self._walls: list[Any] = [None] * len(edits)
-        self.rests = [CageLattice(edit.cage, resolution, origin=origin, device=device).measure() for edit in edits]
-        options: dict[str, Any] = {
-            "coordinates": coordinates,
-            "resolution": resolution,
-            "origin": origin,
-            "device": device,
-            "store": store,
-        }
-        self.maps = [None if edit.remove else PositionMap(edit.cage, **options).warm() for edit in edits]
-        tell_of_squeezing(self.maps, self._bands)
-        self.skips: list[wp.array] = []
-        pool = BufferPool(device)  # poses differ in shape, and an allocation takes as long as a launch
-        self._cell_buffers, self._skip_buffers = ([pool.buffer(wp.uint8) for _ in edits] for _ in range(2))
-        self._mark_buffer = pool.buffer(wp.uint8)
-        self._cells: list[wp.array] = []
-        self._structs: list[Any] = []
-        self.array: wp.array | None = None
-        self._marked_step, self._marked_skip = 0.0, None
-
-    def pose(self, cages: Sequence[Cage | None]) -> None:
-        """Compute the maps.
-
-        Args:
-            cages: The deformed cages in the order of the edits, None for an edit that removes.
-        """
-        self._faded = [self._posed_map(index, cage) for index, cage in enumerate(cages)]
-        maps = [self._extended_map(index, cage) for index, cage in enumerate(cages)]
-        self._structs = [
-            posed_struct(edit, rest, cage_map, cage, crumbs)
-            for edit, rest, cage_map, cage, crumbs in zip(
-                self._edits, self.rests, maps, cages, self.carried, strict=True
-            )
-        ]
-        shapes = [cell_shape(struct.deformed) for struct in self._structs]
-        self._cells = [buffer.take(shape) for buffer, shape in zip(self._cell_buffers, shapes, strict=True)]
-        self.skips = [buffer.take(shape) for buffer, shape in zip(self._skip_buffers, shapes, strict=True)]
-        for struct, cells, skip in zip(self._structs, self._cells, self.skips, strict=True):
-            struct.cells, struct.skip = cells, skip
-        self.settle_cells()
-        self._warn_of_folds(cages)
-
-    def _posed_map(self, index: int, cage: Cage | None) -> Any:
-        """The CageMap of a posed edit, faded where it has a band. None for an edit that removes."""
-        position_map, band = self.maps[index], self._bands[index]
-        if position_map is None or cage is None:
-            return None
-        data = self._plain[index] = position_map.pose(cage).data
-        if band is None:
-            return data
-        walls = self._walls[index] = band.on_device(cage, self._origin, self._device)
-        return faded_map(data, walls, self._faded[index])
-
-    def _extended_map(self, index: int, cage: Cage | None) -> Any:
-        """The same, on a lattice that reaches as far as the edit's crumbs where it has any."""
-        carried, faded = self.carried[index], self._faded[index]
-        if carried is None or cage is None:
-            return faded
-        return carried.extended(cage, self._plain[index], faded, self._walls[index])
-
-    def _warn_of_folds(self, cages: Sequence[Cage | None]) -> None:
-        """Warn where a band is too narrow for its pose: where it folds matter over, which the map alone does not."""
-        for index, (edit, cells) in enumerate(zip(self._edits, self._cells, strict=True)):
-            band, carried = self._bands[index], self.carried[index]
-            if band is None:
-                continue
-            flags = cells.numpy()
-            if carried is not None:
-                flags = carried.inner(flags, cell_shape(self._faded[index]))
-            faded = folded_cells(flags)
-            if not faded.any():
-                continue
-            plain = posed_struct(edit, self.rests[index], self._plain[index], cages[index])
-            plain.cells = empty_array(faded.shape, wp.uint8, self._device)
-            plain.skip = plain.cells
-            launch(cell_tables.mark_edit_cases, faded.size, [plain], [plain.cells], device=self._device)
-            folded = np.argwhere(faded & ~folded_cells(plain.cells.numpy()))
-            if band.has_matter(self._faded[index].positions.numpy()[tuple(folded.T)] + self._origin):
-                warn_caller(
-                    f"edit {index} turns matter inside out in its falloff band of {edit.falloff:.3g}: make the band "
-                    "wider, or move the cage less"
-                )
-
-    def settle_cells(self) -> None:
-        """Make the tables of the posed maps anew, of what holds for whole cells."""
-        for struct in self._structs:
-            launch(cell_tables.mark_edit_cases, struct.cells.size, [struct], [struct.cells], device=self._device)
-        for struct, carried in zip(self._structs, self.carried, strict=True):
-            if carried is not None and not struct.removes:
-                carried.mark(struct, struct.cells)
-        # the structs stay, as they own what the array on the device points to
-        self.array = struct_array(self._structs, LatticeEdit, self._device)
-        for index, struct in enumerate(self._structs if len(self._structs) > 1 else []):
-            if not struct.removes:
-                inputs = [self.array, index]
-                launch(cell_tables.mark_alone_cells, struct.cells.size, inputs, [struct.cells], device=self._device)
-        self._marked_step = 0.0
-
-    def mark_empty(self, grid: Any, step: float) -> bool:
-        """Find the cells that a march through the deformed grid may skip.
-
-        Args:
-            grid: VoxelGrid of the field.
-            step: March step, world units.
-
-        Returns:
-            Whether they were looked for: not again for the same pose, the same matter and no longer step.
-        """
-        if step <= self._marked_step and grid.skip is self._marked_skip:
-            return False
-        self._marked_step = 0.0  # an interrupt leaves tables that are half written
-        for index, skip in enumerate(self.skips):  # in order: each looks at the ones before it
-            marks = self._mark_buffer.take(skip.shape)
-            inputs = [grid, self.array, index, step]
-            launch(cell_tables.mark_edit_cells, skip.size, inputs, [marks], device=self._device)
-            source, target = marks, skip
-            for axis in range(3):
-                spread_along(axis, source, target)
-                source, target = target, source
-        self._marked_step, self._marked_skip = step, grid.skip
-        return True
-
-    def rest_maps(self) -> list[Any]:
-        """A CageMap of each rest cage, which holds signed distances only."""
-        return [distance_map(rest) for rest in self.rests]
-
-    def posed(self) -> list[tuple[Any, wp.array]]:
-        """The LatticeEdit of each posed edit, and the array in which `mark_empty` leaves what may be skipped."""
-        return list(zip(self._structs, self.skips, strict=True))
-
-
-def posed_struct(
-    edit: CageEdit, rest: CageLattice, deformed: Any, cage: Cage | None, carried: CarriedCrumbs | None = None
-) -> Any:
-    """An edit for kernels, without its tables of cells.
-
-    Args:
-        edit: The edit.
-        rest: Lattice of its rest cage.
-        deformed: CageMap of its posed cage. None for an edit that removes.
-        cage: The posed cage. None for an edit that removes.
-        carried: Crumbs that go with it, or None.
-
-    Returns:
-        A LatticeEdit of kernels/deform/edits.py.
-    """
-    struct = LatticeEdit()
-    struct.rest = distance_map(rest)
-    struct.deformed = struct.rest if deformed is None else deformed
-    struct.tolerance = SURFACE_TOLERANCE * (edit.cage if cage is None else cage).size
-    struct.slack = LATTICE_SLACK * rest.spacing
-    struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
-    if carried is not None:
-        struct.crumbs = carried.cells
-    return struct
-
-
-def distance_map(lattice: CageLattice) -> Any:
-    """A map that holds distances only.
-
-    Args:
-        lattice: Lattice of a cage.
-
-    Returns:
-        A CageMap of kernels/lattice/cage_map.py.
-    """
-    data = CageMap()
-    data.lower = lattice.local_lower
-    data.spacing = lattice.spacing
-    data.inverse_spacing = 1.0 / lattice.spacing
-    data.distance = lattice.distance
-    return data
-
-
-def cell_shape(cage_map: Any) -> tuple[int, ...]:
-    """Number of cells of a map along each axis.
-
-    Args:
-        cage_map: A CageMap.
-
-    Returns:
-        (3,) counts.
-    """
-    return tuple(side - 1 for side in cage_map.distance.shape)
