@@ -225,6 +225,32 @@ def test_copies_and_what_they_are_copies_of(device):
     assert psnr(frame.rgb, field.render(camera).rgb) < 30
 
 
+def box_distance(x, half):
+    """Signed distance to a box around the origin, in float64."""
+    away = np.abs(x) - half
+    return np.linalg.norm(np.maximum(away, 0), axis=-1) + np.minimum(away.max(axis=-1), 0)
+
+
+@pytest.mark.parametrize("cells", [16, 24, 32])
+def test_rows_that_are_seen_from_both_sides_of_a_cage(cells, device):
+    """All rows that a voxel's diagonal parts from the cage, also those beyond its lattice; not many more."""
+    field = make_field(lambda x: np.full(x.shape[:3], 3.0), shiny, resolution=20, device=device)
+    deformer = Deformer(field, BOX, coordinates="mean_value", resolution=cells).pose(TURN)
+    shaded(deformer, view((5.0, 2.4, 2.0)))
+    ((edit, _, _),) = deformer._edits._shades._posed
+    table, walls = deformer._edits._shades._walls
+    listed = np.zeros(field.voxel_count, bool)
+    listed[walls.numpy()] = True
+    places = np.stack(np.unravel_index(table.nodes.numpy(), field.resolution), axis=1)
+    distance = box_distance(field.bounds[0] + (places + 0.5) * field.voxel_size, BOX.bounds[1])
+    # the lattice blends distances
+    reach, error = np.linalg.norm(field.voxel_size), 0.5 * edit.rest.spacing
+    assert listed[(distance > error - reach) & (distance < edit.slack + reach - error)].all()
+    assert not listed[distance < -reach - error].any()
+    assert not listed[distance > 2 * (edit.slack + reach) + error].any()
+    assert np.array_equal(walls.numpy(), np.flatnonzero(listed))
+
+
 def test_removed_matter_and_what_it_uncovers(device):
     field = shiny_field(device)
     slab = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)

@@ -58,6 +58,13 @@ def test_crumbs_are_what_the_wall_cuts_off_and_is_small(scene):
     assert len(crumbs(scene, PART.translate([9, 0, 0]), 0.5)) == 0
 
 
+def test_a_field_without_matter_has_none(device):
+    empty = make_field(lambda x: np.zeros(x.shape[:3]), plain([0.8, 0.3, 0.1]), device=device)
+    assert crumbs(empty, PART, 0.35).shape == (0, 3)
+    deformer = Deformer(empty, CageEdit(PART, crumbs=0.35), resolution=8).pose(PART.rotate(20))
+    assert deformer.render(CAMERA).alpha.max() == 0
+
+
 @pytest.mark.parametrize(("kind", "resolution"), WAYS)
 def test_crumbs_are_where_a_turn_takes_them_and_not_where_they_were(kind, resolution, scene):
     """Exact for every pose that the coordinates reproduce, in position and direction."""

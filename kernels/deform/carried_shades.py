@@ -21,6 +21,9 @@ from .map_nodes import node_blend, node_slope, side_slope
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
 
+#: A cage is at least this many cells within the border of its lattice (warpcage/lattice/lattice).
+LATTICE_MARGIN = wp.constant(2.0)
+
 
 @wp.struct
 class AimedCage:
@@ -197,6 +200,19 @@ def shade_wall_rows(
         write_sided_shade(shaded.shades, n, wp.vec4(colour[0], colour[1], colour[2], 0.0), 0)
 
 
+@wp.func
+def least_distance(rest: CageMap, x: wp.vec3):
+    """map_distance in the lattice of a cage, and beyond it at most what the distance is."""
+    counts = rest.distance.shape
+    g = (x - rest.lower) * rest.inverse_spacing
+    top = wp.vec3(float(counts[0] - 1), float(counts[1] - 1), float(counts[2] - 1))
+    distance = map_distance(rest, x)
+    if wp.min(g) < 0.0 or wp.min(top - g) <= 0.0:
+        near = wp.max(wp.min(g, top), wp.vec3(0.0, 0.0, 0.0))
+        distance = (wp.length(g - near) + LATTICE_MARGIN) * rest.spacing
+    return distance
+
+
 @wp.kernel
 def mark_wall_rows(
     first: int,
@@ -210,7 +226,7 @@ def mark_wall_rows(
 ):
     """1 for rows that lie up to `depth` within a rest cage, or up to `height` out of it. marks: (rows,), 0 before."""
     n = first + wp.tid()
-    distance = map_distance(rest, row_place(grid, node_counts, nodes[n]))
+    distance = least_distance(rest, row_place(grid, node_counts, nodes[n]))
     if distance > -depth and distance < height:
         marks[n] = 1
 

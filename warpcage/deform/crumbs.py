@@ -32,7 +32,7 @@ def crumbs(field: VoxelField, cage: Cage, size: float) -> np.ndarray:
     low = np.floor((cage.bounds[0] - margin - field.bounds[0]) / field.voxel_size).astype(int)
     high = np.ceil((cage.bounds[1] + margin - field.bounds[0]) / field.voxel_size).astype(int)
     low, high = np.clip(low, 0, field.resolution), np.clip(high, 0, field.resolution)
-    if (high - low < 1).any():
+    if not field.voxel_count or (high - low < 1).any():
         return np.zeros((0, 3), int)
     links = field.grid.links.numpy()[tuple(map(slice, low, high))]
     held = links >= 0
