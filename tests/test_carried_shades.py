@@ -191,6 +191,27 @@ def test_poses_that_turn_matter_over_take_rows(device):
     assert frame.fold.max() > 0.9
 
 
+def test_a_map_that_throws_a_node_far_away_takes_rows(device):
+    """By hand. It turns cells over, and squeezes others so much that no thread looks through their images."""
+    deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=40)
+    position_map = deformer._edits.lattices.maps[0]
+    pose = position_map.pose
+
+    def thrown_pose(posed):
+        pose(posed)
+        positions = position_map.data.positions.numpy()
+        middle = tuple(n // 2 for n in positions.shape[:3])
+        positions[middle] += np.float32([40.0, 30.0, 20.0])
+        position_map.data.positions.assign(positions)
+        return position_map
+
+    position_map.pose = thrown_pose
+    deformer.pose(BOX)
+    with kernels_of(deformer._edits) as kernels:
+        deformer.render(view())
+    assert kernels == [render_edit]
+
+
 def test_what_takes_rows(device):
     """Cameras near the field or the posed cage, and fields for whose shades memory is short."""
     field = shiny_field(device)

@@ -23,6 +23,9 @@ NEWTON_STEPS = wp.constant(6)
 #: A node counts as in a cell up to this far beyond its faces, and as met up to this far, in cells.
 CELL_MARGIN = wp.constant(1.0e-3)
 
+#: A cell whose image holds more nodes than this, which one thread would look through, is squeezed beyond all use.
+MOST_NODES = wp.constant(4096)
+
 #: No cell's number.
 NO_CELL = wp.constant(2147483647)
 
@@ -148,7 +151,7 @@ def claim_nodes(
 
     cells: CELL_... flags. grid: its `skip` tells where matter is. owners: (nx, ny, nz) of the rest lattice, NO_CELL
     before: n, or n and the number of nodes of the posed lattice where the place is out of the posed cage. folds: (1,)
-    becomes 1 where the map turns matter over, which then is in several places.
+    becomes 1 where the map turns matter over, which then is in several places, or squeezes it too much to look.
     """
     item = first + wp.tid()
     k = item % cells.shape[2]
@@ -170,6 +173,10 @@ def claim_nodes(
         for axis in range(3):
             begin[axis] = int(wp.ceil(wp.max(lower[axis] - CELL_MARGIN, 0.0)))
             end[axis] = int(wp.floor(wp.min(upper[axis] + CELL_MARGIN, float(owners.shape[axis] - 1)))) + 1
+        size = wp.vec3(float(end[0] - begin[0]), float(end[1] - begin[1]), float(end[2] - begin[2]))
+        if wp.min(size) > 0.0 and size[0] * size[1] * size[2] > float(MOST_NODES):
+            folds[0] = 1
+            return
         for a in range(begin[0], end[0]):
             for b in range(begin[1], end[1]):
                 for c in range(begin[2], end[2]):

@@ -86,7 +86,8 @@ class CarriedShades:
         return bool(self._is_folded)
 
     def is_folded(self) -> bool:
-        """Whether the pose turns matter over: it is in several places then, and seen from several directions."""
+        """Whether the pose turns matter over, or squeezes it beyond all use: it may be in several places then, and seen
+        from several directions."""
         if self._is_folded is None:
             self._is_folded = bool(self._folds.wait())
         return self._is_folded

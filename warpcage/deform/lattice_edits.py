@@ -78,6 +78,9 @@ PART_KERNELS = (render_part.render_edit_part, render_part_sides.render_edit_part
 SHADED_PART_KERNELS = (shaded_part.render_shaded_part, shaded_part_sides.render_shaded_part_with_sides)
 TILE_KERNELS = (render_cpu.render_edit_tiles, render_cpu.render_edit_tiles)
 
+#: Lattices of fewer nodes have numbers left that say on which side of the posed cage a place is.
+MOST_LATTICE_NODES = 1 << 30
+
 #: Share of a GPU's memory that shades of a grid's nodes may take.
 MOST_SHADES = 0.25
 
@@ -211,6 +214,7 @@ class LatticeEdits(PosedEdits):
             not self._by_tiles
             and not self._has_crumbs
             and (self._is_single or parts is not None)
+            and all(flat.nodes.shape[0] < MOST_LATTICE_NODES for flat in self._flat)
             and field.marching.is_shaded(centre, self._lattice_boxes)
             and field.marching.columns.shade_bytes() <= self._most_shades
         )
