@@ -94,6 +94,17 @@ def test_sizes_that_are_no_multiple_of_a_tile(march, device):
             assert psnr(frame.rgb, field.render(camera).rgb) > 50
 
 
+def test_a_cage_posed_so_far_away_that_steps_blur_is_marched_to_its_end(march, device):
+    """At 4e7 steps float32 knows every fourth number only: the march takes those that there are."""
+    field = make_field(lambda x: np.full(x.shape[:3], 8.0), plain([0.5, 0.5, 0.5]), device=device)
+    far = 1.0e6
+    deformer = Deformer(field, BOX, coordinates="mean_value", resolution=8).pose(BOX.translate([far, 0, 0]))
+    camera = Camera.look_at((3.0, 0, 0), (far, 0, 0), width=5, height=5, fov_degrees=np.degrees(1 / far))
+    assert far / field.step > 2**25
+    frame = deformer.render(camera)
+    assert frame.alpha.max() > 0.9 and np.isfinite(frame.rgb).all()
+
+
 def test_samples_sent_out_are_counted_the_same(march, device):
     field = make_field(lambda x: np.full(x.shape[:3], 2.0), plain([0.5, 0.5, 0.5]), device=device)
     deformer = Deformer(field, BOX, coordinates="green", resolution=40).pose(BOX.stretch(1.6, axis="z"))

@@ -81,6 +81,12 @@ def map_slope(sides: WithSides, edit: FlatEdit, n: int, entry: int, f: wp.vec3, 
 
 
 @wp.func
+def sample_after(k: float):
+    """The next sample; from 2^24 on the next one that float32 has, so that a march through a cage far away ends."""
+    return k + wp.max(1.0, 6.0e-8 * k)
+
+
+@wp.func
 def march_edit(
     sides: Any,
     edit: FlatEdit,
@@ -148,7 +154,7 @@ def march_edit(
             if flags >= LOOK_SKIP:
                 leave = t + exit_of_cell(f, lattice_inverse, flags - LOOK_SKIP)
                 leave = wp.max(wp.min(leave, box[1]), t + 0.5 * step)
-                k = wp.max(k + 1.0, wp.ceil(leave * inverse_step - 0.5))
+                k = wp.max(sample_after(k), wp.ceil(leave * inverse_step - 0.5))
                 j = float(0.0)
                 share = float(1.0)
                 is_cut = bool(False)
@@ -174,7 +180,7 @@ def march_edit(
         if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2]:
             empty = cell_byte(grid.skip, gi, gj, gk)
             matter = early_matter(table, gi, gj, gk, offset)
-        next_index = k + 1.0
+        next_index = sample_after(k)
         if empty > 0:
             matter = wp.vec4(0.0, 0.0, 0.0, 0.0)
             if not in_box:

@@ -139,6 +139,8 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
             }
             continue;
         }
+        // the next sample; from 2^24 on the next one that float32 has, so that a march through a cage far away ends
+        const lanes k_after = k + higher_of(6.0e-8f * k, (lanes)1.0f);
         // the place on the lattice
         const lanes place_x = start.c[0] + t * rate_x, place_y = start.c[1] + t * rate_y;
         const lanes place_z = start.c[2] + t * rate_z;
@@ -164,7 +166,7 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
         if (2 * __builtin_popcount(live & bits_of(far_off)) >= __builtin_popcount(live))
         {
             // most lanes only jump: the others wait
-            k = far_off ? higher_of(k + 1.0f, __builtin_elementwise_ceil(leave / step - 0.5f)) : k;
+            k = far_off ? higher_of(k_after, __builtin_elementwise_ceil(leave / step - 0.5f)) : k;
             count = far_off ? (lanes)0.0f : count;
             j = far_off ? (lanes)0.0f : j;
             t = far_off ? (k + 0.5f) * step : t;
@@ -261,7 +263,7 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
             leave = off_box ? to : leave;
         }
         const ints jumps = leave > t;
-        const lanes after_leave = higher_of(k + 1.0f, __builtin_elementwise_ceil(leave / step - 0.5f));
+        const lanes after_leave = higher_of(k_after, __builtin_elementwise_ceil(leave / step - 0.5f));
 
         // what is cleared, and what leaves the rest cage; room: on the ray, in which no sample does
         const ints clears = ~jumps & ~mapped & (empty == 0) & (clears_source ? -1 : 0);
@@ -329,7 +331,7 @@ tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
         const ints runs = ~leaves & ~found & (empty > 1) & ((flags & (cell_inside | cell_steep)) == cell_inside);
         const lanes clear = lower_of(lower_of(cell_exit, hollow), room);
         const lanes beyond = __builtin_elementwise_ceil((t + clear) / step - 0.5f);
-        const lanes follows = (runs & (beyond > k + 1.0f)) ? beyond : k + 1.0f;
+        const lanes follows = (runs & (beyond > k_after)) ? beyond : k_after;
         const lanes next_part = j + 1.0f;
         const ints done = jumps | (acts & (next_part >= parts));
         k = jumps ? after_leave : ((acts & (next_part >= parts)) ? follows : k);
