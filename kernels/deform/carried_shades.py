@@ -13,9 +13,9 @@ import warp as wp
 
 from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
-from ..field.shades import ShadedGrid, shade_colour
+from ..field.shades import ShadedGrid, own_row, row_place, shade_colour
 from ..lattice.cage_map import CageMap, map_distance
-from .flat_edits import FlatEdit
+from .flat_edits import FlatEdit, entry_of_sides
 from .laid_shades import write_sided_shade
 from .map_nodes import node_blend, node_slope, side_slope
 
@@ -64,10 +64,9 @@ def aim_nodes(first: int, cages: wp.array(dtype=AimedCage), centre: wp.vec3):
         rate = seat - (centre - edit.lower) * edit.inverse_spacing
         corner = cell[0] * nyz + cell[1] * nz + cell[2]
         slope = node_slope(edit.nodes, corner, nyz, nz, f, rate)
-        if edit.has_sides == 1:
-            entry = edit.side_index[corner]
-            if entry != 0:
-                slope = side_slope(edit.sides, entry, f, rate)
+        entry = entry_of_sides(edit, corner)
+        if entry != 0:
+            slope = side_slope(edit.sides, entry, f, rate)
         along = wp.normalize(slope)
     cage.aims[n] = wp.vec4(along[0], along[1], along[2], cage.distance[n])
 
@@ -138,24 +137,6 @@ def nearest_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
             if wp.length_sq(turned) > 1.0e-6:
                 along = wp.normalize(turned)
     return along
-
-
-@wp.func
-def row_place(grid: VoxelGrid, node_counts: wp.vec3i, node: int):
-    """Where the node of a row is."""
-    k = node % node_counts[2]
-    j = (node // node_counts[2]) % node_counts[1]
-    i = node // (node_counts[2] * node_counts[1])
-    return grid.lower + wp.cw_mul(grid.voxel_size, wp.vec3(float(i), float(j), float(k)))
-
-
-@wp.func
-def own_row(shaded: ShadedGrid, n: int):
-    """The grid's number of a row."""
-    row = int(n)
-    if shaded.columns.order.shape[0] > 0:
-        row = shaded.columns.order[n]
-    return row
 
 
 @wp.kernel

@@ -36,6 +36,15 @@ class FlatEdit:
     crumbs: CrumbCells  # only the march through several edits knows them
 
 
+@wp.func
+def entry_of_sides(edit: FlatEdit, n: int):
+    """Entry of the table of sides for the cell above node n, 0 for none; see lattice/cage_map."""
+    entry = int(0)
+    if edit.has_sides == 1:
+        entry = edit.side_index[n]
+    return entry
+
+
 @wp.kernel
 def join_cell_tables(
     first: int,

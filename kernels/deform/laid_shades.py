@@ -5,12 +5,13 @@ A row inside a rest cage is seen where the pose takes it, any other as it is (de
 cuts matter, samples on both sides of it read the same rows: those near the cage have a second shade, as the other side
 sees them. On CUDA a shade is four halves, on a CPU four floats. The last bits of blue and of optical depth tell whose
 it is.
-Needs: field/columns.
+Needs: field/columns, field/shades.
 """
 
 import warp as wp
 
 from ..field.columns import CELL_PLACE, COLUMN_ENTRY, Columns
+from ..field.shades import ADD_HALVES, SHADE_FLOATS, SHADE_HALVES
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,25 +25,21 @@ class LaidShades:
     others: wp.array2d(dtype=wp.uint32)  # (rows, words) of rows near a rest cage, or none
 
 
-@wp.func_native("""
-    const float limit = 65504.0f;
+@wp.func_native(
+    """
     const unsigned is_carried = carried ? 1u : 0u;
-#if defined(__CUDA_ARCH__)
-    const unsigned r = wp::float_to_half(fminf(fmaxf(value.c[0], -limit), limit)).u;
-    const unsigned g = wp::float_to_half(fminf(fmaxf(value.c[1], -limit), limit)).u;
-    const unsigned b = wp::float_to_half(fminf(fmaxf(value.c[2], -limit), limit)).u;
-    const unsigned d = wp::float_to_half(fminf(fmaxf(value.c[3], -limit), limit)).u;
-    const unsigned last = (b & 0xfffeu) | is_carried | ((d & 0xfffeu) << 16) | ((1u - is_carried) << 16);
+"""
+    + SHADE_HALVES
+    + """    const unsigned last = (b & 0xfffeu) | is_carried | ((d & 0xfffeu) << 16) | ((1u - is_carried) << 16);
     reinterpret_cast<uint2*>(shades.data)[row] = make_uint2(r | (g << 16), last);
-#else
-    float* shade = reinterpret_cast<float*>(shades.data) + 4 * (size_t)row;
-    for (int i = 0; i < 4; ++i)  // also of what is no number
-        shade[i] = value.c[i] > limit ? limit : (value.c[i] >= -limit ? value.c[i] : -limit);
-    unsigned* bits = reinterpret_cast<unsigned*>(shade);
+"""
+    + SHADE_FLOATS
+    + """    unsigned* bits = reinterpret_cast<unsigned*>(shade);
     bits[2] = (bits[2] & ~1u) | is_carried;
     bits[3] = (bits[3] & ~1u) | (1u - is_carried);
 #endif
-""")
+"""
+)
 def write_sided_shade(shades: wp.array2d(dtype=wp.uint32), row: wp.int32, value: wp.vec4, carried: wp.int32):
     """Keep red, green, blue and optical depth of a row, and whether a pose has taken it somewhere."""
     ...
@@ -107,14 +104,10 @@ OTHER_COLOURS = (
     #pragma unroll
     for (int c = 0; c < 8; ++c)
     {
-        const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0]) * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1])
-            * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
-        wp::half h;
-        h.u = s[c].x & 0xffffu; r += weight * wp::half_to_float(h);
-        h.u = s[c].x >> 16; g += weight * wp::half_to_float(h);
-        h.u = s[c].y & 0xffffu; b += weight * wp::half_to_float(h);
-        h.u = s[c].y >> 16; d += weight * wp::half_to_float(h);
-    }
+        const uint2 shade = s[c];
+"""
+    + ADD_HALVES
+    + """    }
     return wp::vec_t<4, wp::float32>(r, g, b, d);
 #else
     typedef float four __attribute__((ext_vector_type(4), aligned(4)));

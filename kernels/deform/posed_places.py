@@ -13,7 +13,7 @@ import warp as wp
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..lattice.cage_map import corner_share
 from .edits import CELL_OUTSIDE
-from .flat_edits import FlatEdit
+from .flat_edits import FlatEdit, entry_of_sides
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,15 +37,6 @@ def corner_node(edit: FlatEdit, n: int, corner: int):
     """Node of the posed lattice at a corner of the cell above node n."""
     nz = edit.node_counts[2]
     return n + (corner >> 2) * edit.node_counts[1] * nz + ((corner >> 1) & 1) * nz + (corner & 1)
-
-
-@wp.func
-def side_entry(edit: FlatEdit, n: int):
-    """Entry of the table of sides for the cell above node n, 0 for none; see lattice/cage_map."""
-    entry = int(0)
-    if edit.has_sides == 1:
-        entry = edit.side_index[n]
-    return entry
 
 
 @wp.func
@@ -160,7 +151,7 @@ def claim_nodes(
     if (int(cells[i, j, k]) & CELL_OUTSIDE) != 0:
         return
     n = (i * edit.node_counts[1] + j) * edit.node_counts[2] + k
-    entry = side_entry(edit, n)
+    entry = entry_of_sides(edit, n)
     for side in range(wp.max(entry % 8, 1)):
         corners = cell_corners(edit, n, entry, side)
         lower = corners[0]
@@ -204,7 +195,7 @@ def settle_nodes(first: int, edit: FlatEdit, owners: wp.array3d(dtype=int), plac
     n = owners[i, j, k]
     if n != NO_CELL:
         n = n % edit.nodes.shape[0]
-        entry = side_entry(edit, n)
+        entry = entry_of_sides(edit, n)
         f = wp.vec3(0.5, 0.5, 0.5)
         for side in range(wp.max(entry % 8, 1)):
             corners = cell_corners(edit, n, entry, side)

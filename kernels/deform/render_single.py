@@ -1,20 +1,20 @@
 """Views of a voxel field that one edit deforms whose map has no narrow gaps ("Deforming Radiance Fields with Cages",
 ECCV 2022, Eq. 4 and 5); see deform/march_single.
 
-Needs: deform/flat_edits, deform/march, deform/march_single, deform/pictures, deform/ray_parts, field/grid, field/rows,
-view/rays.
+Needs: deform/flat_edits, deform/march, deform/march_pixels, deform/march_single, deform/pictures, field/grid,
+field/rows, view/rays.
 """
 
 import warp as wp
 
 from ..field.grid import VoxelGrid
 from ..field.rows import RowTable
-from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
+from ..view.rays import PinholeCamera
 from .flat_edits import FlatEdit
 from .march import MarchOptions
-from .march_single import NoSides, march_edit
-from .pictures import Picture, fill_pixel
-from .ray_parts import RAY_END, finished, ray_start
+from .march_pixels import march_pixel
+from .march_single import NoSides
+from .pictures import Picture
 
 # small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
@@ -32,9 +32,4 @@ def render_edit(
     picture: Picture,
 ):
     """One thread per pixel, tile by tile."""
-    column, row = tile_pixel(first + wp.tid(), camera.width)
-    if column < camera.width and row < camera.height:
-        direction = pixel_direction(camera, column, row)
-        start = ray_start()
-        ray = march_edit(NoSides(), edit, grid, table, camera.centre, direction, options, start, RAY_END)
-        fill_pixel(picture, row * camera.width + column, finished(ray), background)
+    march_pixel(first + wp.tid(), NoSides(), grid, table, edit, camera, background, options, picture)

@@ -2,20 +2,21 @@
 each side of narrow gaps, of voxels that were shaded for the camera ("Deforming Radiance Fields with Cages", ECCV 2022,
 Eq. 4 and 5); see deform/march_single, deform/ray_parts and deform/laid_shades.
 
-Needs: deform/flat_edits, deform/laid_shades, deform/march, deform/march_single, deform/pictures, deform/ray_parts,
-field/grid, view/rays.
+Needs: deform/flat_edits, deform/laid_shades, deform/march, deform/march_pixels, deform/march_single, deform/pictures,
+deform/ray_parts, field/grid, view/rays.
 """
 
 import warp as wp
 
 from ..field.grid import VoxelGrid
-from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
+from ..view.rays import PinholeCamera
 from .flat_edits import FlatEdit
 from .laid_shades import LaidShades
 from .march import MarchOptions
-from .march_single import WithSides, march_edit
-from .pictures import Picture, fill_pixel
-from .ray_parts import ScenePart, finished, leave_ray, part_end, ray_start, ray_state
+from .march_pixels import march_part_pixel
+from .march_single import WithSides
+from .pictures import Picture
+from .ray_parts import ScenePart
 
 # small blocks: the rays of one block end at very different times
 wp.set_module_options({"enable_backward": False, "block_dim": 64})
@@ -34,18 +35,4 @@ def render_shaded_part_with_sides(
     picture: Picture,
 ):
     """One thread per pixel, tile by tile; a launch for each edit, front to back."""
-    column, row = tile_pixel(first + wp.tid(), camera.width)
-    if column < camera.width and row < camera.height:
-        pixel = row * camera.width + column
-        direction = pixel_direction(camera, column, row)
-        end = part_end(part, camera.centre, direction)
-        if end > 0.0:
-            ray = ray_state(part, pixel)
-            if ray.seen.transmittance > options.stop:
-                ray = march_edit(WithSides(), edit, grid, table, camera.centre, direction, options, ray, end)
-                if part.is_last == 0:
-                    leave_ray(part, pixel, ray)
-            if part.is_last == 1:
-                fill_pixel(picture, pixel, finished(ray), background)
-        elif part.is_first == 1:
-            leave_ray(part, pixel, ray_start())
+    march_part_pixel(first + wp.tid(), WithSides(), grid, table, edit, part, camera, background, options, picture)

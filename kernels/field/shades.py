@@ -58,23 +58,62 @@ def shade_colour(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) 
     ...
 
 
-@wp.func_native("""
+#: C++ that keeps a shade: as halves r, g, b and d on CUDA, as floats of a row on a CPU.
+SHADE_HALVES = """
     const float limit = 65504.0f;
 #if defined(__CUDA_ARCH__)
     const unsigned r = wp::float_to_half(fminf(fmaxf(value.c[0], -limit), limit)).u;
     const unsigned g = wp::float_to_half(fminf(fmaxf(value.c[1], -limit), limit)).u;
     const unsigned b = wp::float_to_half(fminf(fmaxf(value.c[2], -limit), limit)).u;
     const unsigned d = wp::float_to_half(fminf(fmaxf(value.c[3], -limit), limit)).u;
-    reinterpret_cast<uint2*>(shades.data)[row] = make_uint2(r | (g << 16), b | (d << 16));
-#else
+"""
+SHADE_FLOATS = """#else
     float* shade = reinterpret_cast<float*>(shades.data) + 4 * (size_t)row;
     for (int i = 0; i < 4; ++i)  // also of what is no number
         shade[i] = value.c[i] > limit ? limit : (value.c[i] >= -limit ? value.c[i] : -limit);
-#endif
-""")
+"""
+
+#: C++ that adds the halves of a corner's `shade` up to r, g, b and d.
+ADD_HALVES = """
+        const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0]) * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1])
+            * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
+        wp::half h;
+        h.u = shade.x & 0xffffu; r += weight * wp::half_to_float(h);
+        h.u = shade.x >> 16; g += weight * wp::half_to_float(h);
+        h.u = shade.y & 0xffffu; b += weight * wp::half_to_float(h);
+        h.u = shade.y >> 16; d += weight * wp::half_to_float(h);
+"""
+
+
+@wp.func_native(
+    SHADE_HALVES
+    + """    reinterpret_cast<uint2*>(shades.data)[row] = make_uint2(r | (g << 16), b | (d << 16));
+"""
+    + SHADE_FLOATS
+    + """#endif
+"""
+)
 def write_shade(shades: wp.array2d(dtype=wp.uint32), row: wp.int32, value: wp.vec4):
     """Keep red, green, blue and optical depth of a row: halves on CUDA, floats on a CPU."""
     ...
+
+
+@wp.func
+def row_place(grid: VoxelGrid, node_counts: wp.vec3i, node: int):
+    """Where the node of a row is."""
+    k = node % node_counts[2]
+    j = (node // node_counts[2]) % node_counts[1]
+    i = node // (node_counts[2] * node_counts[1])
+    return grid.lower + wp.cw_mul(grid.voxel_size, wp.vec3(float(i), float(j), float(k)))
+
+
+@wp.func
+def own_row(shaded: ShadedGrid, n: int):
+    """The grid's number of a row."""
+    row = int(n)
+    if shaded.columns.order.shape[0] > 0:
+        row = shaded.columns.order[n]
+    return row
 
 
 @wp.kernel
@@ -82,21 +121,15 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
     """One thread per row, their number rounded up to whole warps. nodes: (rows,) of field/columns."""
     item = first + wp.tid()
     n = wp.min(item, nodes.shape[0] - 1)
-    node = nodes[n]
-    counts = shaded.columns.node_counts
-    k = node % counts[2]
-    j = (node // counts[2]) % counts[1]
-    i = node // (counts[2] * counts[1])
-    row = int(n)
-    if shaded.columns.order.shape[0] > 0:
-        row = shaded.columns.order[n]
-    place = grid.lower + wp.cw_mul(grid.voxel_size, wp.vec3(float(i), float(j), float(k)))
+    row = own_row(shaded, n)
+    place = row_place(grid, shaded.columns.node_counts, nodes[n])
     colour = shade_colour(grid.sh, row, sh_basis(wp.normalize(place - shaded.centre)))
     if item < nodes.shape[0]:
         write_shade(shaded.shades, n, wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step))
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
     float r = 0.0f, g = 0.0f, b = 0.0f, d = 0.0f;
 #if defined(__CUDA_ARCH__)
     const uint2* shades = reinterpret_cast<const uint2*>(data.data);
@@ -106,14 +139,9 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
         uint2 shade = make_uint2(0u, 0u);
         if (rows.c[c] >= 0)
             shade = __ldg(shades + rows.c[c]);
-        const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0]) * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1])
-            * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
-        wp::half h;
-        h.u = shade.x & 0xffffu; r += weight * wp::half_to_float(h);
-        h.u = shade.x >> 16; g += weight * wp::half_to_float(h);
-        h.u = shade.y & 0xffffu; b += weight * wp::half_to_float(h);
-        h.u = shade.y >> 16; d += weight * wp::half_to_float(h);
-    }
+"""
+    + ADD_HALVES
+    + """    }
     return wp::vec_t<4, wp::float32>(r, g, b, d);
 #else
     typedef float four __attribute__((ext_vector_type(4), aligned(4)));
@@ -129,7 +157,8 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
         }
     return wp::vec_t<4, wp::float32>(sum.x, sum.y, sum.z, sum.w);
 #endif
-""")
+"""
+)
 def blended_shades(data: wp.array2d(dtype=wp.uint32), rows: eight_rows, offset: wp.vec3) -> wp.vec4:
     """Trilinear shade at a place, 0 to 1, in the cell of eight rows."""
     ...
