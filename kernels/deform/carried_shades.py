@@ -16,7 +16,7 @@ from ..field.harmonics import sh_basis
 from ..field.shades import ShadedGrid, own_row, row_place, shade_colour
 from ..lattice.cage_map import CageMap, map_distance
 from .flat_edits import FlatEdit, entry_of_sides
-from .laid_shades import write_sided_shade
+from .laid_shades import CARRIED_LAYER, PLAIN_LAYER, LaidShades, write_laid_shade
 from .map_nodes import node_blend, node_slope, side_slope
 
 wp.set_module_options({"enable_backward": False, "block_dim": 128})
@@ -141,11 +141,17 @@ def nearest_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
 
 @wp.kernel
 def shade_carried_rows(
-    first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), cages: wp.array(dtype=AimedCage), shaded: ShadedGrid
+    first: int,
+    grid: VoxelGrid,
+    nodes: wp.array(dtype=wp.int32),
+    cages: wp.array(dtype=AimedCage),
+    shaded: ShadedGrid,
+    laid: LaidShades,
 ):
-    """field/shades.shade_rows of a field that edits deform, to the nodes of rows. One thread per row, in whole warps.
+    """Shades of a field that edits deform, in both layers: as a row is seen where it is. One thread per row, in whole
+    warps.
 
-    nodes: (rows,); cages: (edits,) that do not meet; shaded: its shades are those of LaidShades.
+    nodes: (rows,); cages: (edits,) that do not meet; shaded: tells the camera and how long a step is.
     """
     item = first + wp.tid()
     n = wp.min(item, nodes.shape[0] - 1)
@@ -155,7 +161,8 @@ def shade_carried_rows(
     colour = shade_colour(grid.sh, row, sh_basis(seen.along))
     if item < nodes.shape[0]:
         shade = wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step)
-        write_sided_shade(shaded.shades, nodes[n], shade, seen.carried)
+        write_laid_shade(laid, nodes[n], PLAIN_LAYER, shade)
+        write_laid_shade(laid, nodes[n], CARRIED_LAYER, shade)
 
 
 @wp.kernel
@@ -166,19 +173,24 @@ def shade_wall_rows(
     wall_rows: wp.array(dtype=wp.int32),
     cages: wp.array(dtype=AimedCage),
     shaded: ShadedGrid,
+    laid: LaidShades,
 ):
-    """Of rows near a rest cage, how samples on the other side of it see them. One thread for each of wall_rows (m,), in
-    whole warps; shaded: its shades are the `others` of LaidShades."""
+    """Of rows near a rest cage, how samples on the other side of it see them, in the layer of those. One thread for each
+    of wall_rows (m,), in whole warps."""
     item = first + wp.tid()
     n = wall_rows[wp.min(item, wall_rows.shape[0] - 1)]
+    row = own_row(shaded, n)
     x = row_place(grid, shaded.columns.node_counts, nodes[n])
     plain = wp.normalize(x - shaded.centre)
     along = plain
+    layer = PLAIN_LAYER
     if row_view(cages, x, plain).carried == 0:
         along = nearest_view(cages, x, plain)
-    colour = shade_colour(grid.sh, own_row(shaded, n), sh_basis(along))
+        layer = CARRIED_LAYER
+    colour = shade_colour(grid.sh, row, sh_basis(along))
     if item < wall_rows.shape[0]:
-        write_sided_shade(shaded.shades, n, wp.vec4(colour[0], colour[1], colour[2], 0.0), 0)
+        shade = wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step)
+        write_laid_shade(laid, nodes[n], layer, shade)
 
 
 @wp.func

@@ -18,6 +18,7 @@ from ..lattice.cage_map import side_position
 from ..view.rays import box_span
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
 from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
+from .laid_shades import CARRIED_LAYER, PLAIN_LAYER
 from .map_nodes import node_blend, node_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .matter_rows import early_matter, late_matter, least_pending, matter_colour
@@ -179,7 +180,8 @@ def march_edit(
         matter = wp.vec4(0.0, 0.0, 0.0, 0.0)
         if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2]:
             empty = cell_byte(grid.skip, gi, gj, gk)
-            matter = early_matter(table, gi, gj, gk, offset)
+            layer = wp.where(mapped, CARRIED_LAYER, PLAIN_LAYER)
+            matter = early_matter(table, gi, gj, gk, offset, g, layer)
         next_index = sample_after(k)
         if empty > 0:
             matter = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -194,8 +196,7 @@ def march_edit(
                     leave = wp.min(leave, box[0])
                 next_index = wp.max(next_index, wp.ceil(leave * inverse_step - 0.5))
         else:
-            side = wp.where(mapped, 1, wp.where(edit.keeps_source == 1, 2, 0))
-            matter = late_matter(table, grid, matter, step, gi, gj, gk, offset, side)
+            matter = late_matter(table, grid, matter, step, gi, gj, gk, offset)
         # each function of the map stands once in this loop: registers are short
         clears = not mapped and edit.keeps_source == 0 and empty == 0
         room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage

@@ -1,8 +1,8 @@
 """Matter at a place of a field, for the marches through a field that edits deform: of its rows, or of voxels that were
 shaded for the camera.
 
-Of rows, densities are asked early, while the march waits for something else, and colours only where enough weighs;
-shades hold both.
+Both are asked early, while the march waits for something else: of rows the density, whose colours are looked up only
+where enough weighs, and shades, which hold both.
 Needs: deform/laid_shades, field/densities, field/grid, field/harmonics, field/render, field/rows.
 """
 
@@ -19,32 +19,35 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def early_matter(table: RowTable, i: int, j: int, k: int, offset: wp.vec3):
-    """What is asked of a place, 0 to 1, in the cell above node (i, j, k), before it is known to hold anything."""
+def early_matter(table: RowTable, i: int, j: int, k: int, offset: wp.vec3, at: wp.vec3, layer: int):
+    """What is asked of a place `at` in node coordinates, 0 to 1 in the cell above node (i, j, k), before it is known
+    whether that holds anything. layer: of deform/laid_shades."""
     sigma = early_density(table.laid, table.unit, table.columns, i, j, k, offset)
     return wp.vec4(0.0, 0.0, 0.0, sigma)
 
 
 @wp.func
-def early_matter(table: LaidShades, i: int, j: int, k: int, offset: wp.vec3):  # noqa: F811 (a Warp overload)
-    return wp.vec4(0.0, 0.0, 0.0, 0.0)
+def early_matter(  # noqa: F811 (a Warp overload)
+    table: LaidShades, i: int, j: int, k: int, offset: wp.vec3, at: wp.vec3, layer: int
+):
+    return laid_shade(table, at, layer)
 
 
 @wp.func
 def late_matter(
-    table: RowTable, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3, side: int
+    table: RowTable, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3
 ):
     """Colour, if it comes with the rest, and optical depth of a step at such a place, in a cell that may hold
-    something. side: as laid_shade has it."""
+    something."""
     sigma = late_density(early[3], grid.density, table.columns, i, j, k, offset)
     return wp.vec4(0.0, 0.0, 0.0, sigma * step)
 
 
 @wp.func
 def late_matter(  # noqa: F811
-    table: LaidShades, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3, side: int
+    table: LaidShades, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3
 ):
-    return laid_shade(table, i, j, k, offset, side)
+    return early
 
 
 @wp.func
@@ -89,3 +92,4 @@ def matter_colour(  # noqa: F811
     direction: wp.vec3,
 ):
     return wp.vec3(matter[0] + 0.5, matter[1] + 0.5, matter[2] + 0.5)
+

@@ -26,6 +26,10 @@ from ..kernels.field.shades import ShadedGrid
 from ..lattice.capture import BufferPool
 
 
+#: Layers of LaidShades, and bytes of a texel of them.
+LAYERS, TEXEL_BYTES = 2, 8
+
+
 class CarriedShades:
     """Where the poses of edits take the matter of their rest cages, and from where a camera sees it.
 
@@ -47,6 +51,7 @@ class CarriedShades:
         self._walls: tuple[ColumnTable, wp.array] | None = None
         self._folds = HostFlag(device)
         self._is_folded: bool | None = None
+        self._texture: wp.Texture3D | None = None
         self.is_posed = False
 
     def pose(self, edits: Sequence[Any], cells: Sequence[wp.array], grid: Any) -> None:
@@ -109,16 +114,38 @@ class CarriedShades:
             nodes = sum(places.size for _, places, _ in self._posed)
             launch(aim_nodes, nodes, [self._cages, centre], device=device)
         shaded = ShadedGrid()
-        shaded.columns, shaded.centre, shaded.step, shaded.shades = table.columns, centre, step, table.laid_shades()
-        inputs = [grid, table.nodes, self._cages, shaded]
+        shaded.columns, shaded.centre, shaded.step = table.columns, centre, step
+        laid = self._laid(table)
+        inputs = [grid, table.nodes, self._cages, shaded, laid]
         launch(shade_carried_rows, whole_warps(rows, device), inputs, device=device)
-        laid = LaidShades()
-        laid.columns, laid.shades = table.columns, shaded.shades
         if walls.shape[0]:
-            shaded.shades = laid.others = table.other_shades()
-            inputs = [grid, table.nodes, walls, self._cages, shaded]
+            inputs = [grid, table.nodes, walls, self._cages, shaded, laid]
             launch(shade_wall_rows, whole_warps(walls.shape[0], device), inputs, device=device)
         return laid
+
+    def _laid(self, table: ColumnTable) -> Any:
+        """The LaidShades of a field, 0 at nodes without a row."""
+        laid = LaidShades()
+        laid.node_counts = table.columns.node_counts
+        if self._device.is_cpu:
+            laid.shades = wp.zeros(LAYERS * table.node_count, dtype=wp.vec4, device=self._device)
+        else:
+            # one for all frames: what reads it has ended before the next frame of its stream writes
+            self._texture = table.shade_texture(LAYERS)
+            laid.texture, laid.surface = self._texture.cuda_texture, self._texture.cuda_surface
+        return laid
+
+    @staticmethod
+    def bytes(table: ColumnTable) -> int:
+        """Bytes on a GPU that shades of a field take.
+
+        Args:
+            table: Of its links.
+
+        Returns:
+            The bytes.
+        """
+        return LAYERS * TEXEL_BYTES * table.node_count
 
     def _walls_of(self, grid: Any, table: ColumnTable) -> wp.array:
         """(m,) int32, the rows of a field that poses may show on both sides of a rest cage: those near it, and all of a

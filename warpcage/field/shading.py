@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.devices import launch
+from ..core.textures import make_texture
+from ..kernels.core.texels import clear_half_texels
 from ..kernels.field import columns
 from ..kernels.field.densities import lay_densities
 from ..kernels.field.rows import RowTable, pack_rows
@@ -31,6 +34,7 @@ class ColumnTable:
     Attributes:
         columns: The Columns that kernels take.
         nodes: (rows,) int32 flat index of each row's node.
+        node_count: Nodes of the grid.
     """
 
     def __init__(self, links: wp.array):
@@ -58,48 +62,56 @@ class ColumnTable:
         launch(columns.find_unsorted, row_count, [order], [unsorted], device=device)
         if unsorted.numpy()[0]:
             self.columns.order = order
-        self._node_count, self._laid, self._packed = math.prod(links.shape), None, None
+        self.node_count, self._laid, self._packed = math.prod(links.shape), None, None
         self._device = wp.get_device(device)
-        self._shades: dict[str, tuple[int, wp.array]] = {}
+        self._kept: dict[str, tuple[int, Any]] = {}
 
     def laid_densities(self) -> wp.array:
         """(nodes,) float16, one for each node of the grid, made when it is first asked for; 0 without a row."""
         if self._laid is None:
-            self._laid = empty_array(self._node_count, wp.float16, self.nodes.device)
+            self._laid = empty_array(self.node_count, wp.float16, self.nodes.device)
             self._laid.zero_()
         return self._laid
 
-    def laid_shades(self) -> wp.array:
-        """(nodes, words) uint32 for shades at the nodes of rows (kernels/deform/laid_shades); 0 at others."""
-        return self._kept("laid", self._node_count, True)
-
-    def other_shades(self) -> wp.array:
-        """(rows, words) uint32 for second shades of some rows; 0 or those of a frame before at others."""
-        return self._kept("others", self.nodes.shape[0], True)
-
     def row_shades(self) -> wp.array:
-        """(rows, words) uint32 for shades of rows, not set yet."""
-        return self._kept("rows", self.nodes.shape[0], False)
+        """(rows, words) uint32 for shades of rows, not set yet.
 
-    def shade_bytes(self) -> int:
-        """Bytes of `laid_shades`."""
-        return 4 * self._node_count * shade_words(self._device)
+        That of the frame before on a CUDA stream, whose frames follow each other, as CUDA takes longer to hand out as
+        much memory than to fill it. A new one for frames of other streams, and on a CPU, whose threads may render at a
+        time.
+        """
+        return self._of_stream("rows", self._new_row_shades)
 
-    def _kept(self, name: str, count: int, clears: bool) -> wp.array:
-        """An array for the shades of a frame: the one of the frame before on a CUDA stream, whose frames follow each
-        other, as CUDA takes longer to hand out as much memory than to fill it. A new one for frames of other streams,
-        and on a CPU, whose threads may render at a time."""
-        device = self._device
-        stream = 0 if device.is_cpu else int(device.stream.cuda_stream or 0)
-        kept = self._shades.get(name)
-        if kept is not None and kept[0] == stream:
-            return kept[1]
-        array = empty_array((count, shade_words(device)), wp.uint32, device)
-        if clears:
-            array.zero_()
-        if kept is None and not device.is_cpu:
-            self._shades[name] = stream, array
-        return array
+    def _new_row_shades(self) -> wp.array:
+        return empty_array((self.nodes.shape[0], shade_words(self._device)), wp.uint32, self._device)
+
+    def shade_texture(self, layers: int) -> wp.Texture3D:
+        """A texture of four halves on CUDA, for shades at the nodes of rows; 0 at others. Kept as `row_shades` is.
+
+        Args:
+            layers: That follow each other along its first axis.
+
+        Returns:
+            The texture, (layers * nx, ny, nz).
+        """
+        return self._of_stream("texture", lambda: self._new_texture(layers))
+
+    def _new_texture(self, layers: int) -> wp.Texture3D:
+        nx, ny, nz = tuple(self.columns.node_counts)
+        texture = make_texture((layers * nx, ny, nz), wp.float16, self._device)
+        inputs = [wp.uint64(texture.cuda_surface), nz, ny]
+        launch(clear_half_texels, layers * self.node_count, inputs, [], device=self._device)
+        return texture
+
+    def _of_stream(self, name: str, make: Callable[[], Any]) -> Any:
+        """What the frames of the stream that asked first keep; made anew for others."""
+        if self._device.is_cpu:
+            return make()
+        stream = int(self._device.stream.cuda_stream or 0)
+        if name not in self._kept:
+            self._kept[name] = stream, make()
+        owner, kept = self._kept[name]
+        return kept if owner == stream else make()
 
     def packed_rows(self) -> wp.array:
         """(rows, PACKED_WORDS) uint32, made when it is first asked for.
