@@ -131,9 +131,9 @@ def kernels_of(edits):
     """The kernels by which edits are marched meanwhile, in their order."""
     kernels = []
 
-    def march(view, kernel, *rest):
+    def march(view, kernel, *rest, **options):
         kernels.append(kernel)
-        type(edits).march(edits, view, kernel, *rest)
+        type(edits).march(edits, view, kernel, *rest, **options)
 
     edits.march = march
     try:

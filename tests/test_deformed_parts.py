@@ -227,7 +227,7 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
         def take(self, shape):
             return wp.array(ptr=dot.ptr, shape=shape, dtype=wp.vec4, device="cpu", copy=False)
 
-    def march(view, kernel, scene, item_rays):
+    def march(view, kernel, scene, item_rays, order):
         marched_parts.append(scene[-1])
 
     deformer = Deformer(two_balls("cpu"), [LEFT, RIGHT], device="cpu", resolution=16)
@@ -240,7 +240,9 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     options.step = deformer.field.step
     marched = MarchedView(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
     kernels = (render_edit_part, render_edit_part_with_sides)
-    parts.render_parts(edits, marched, edits.scene_parts(camera.centre, options.step), kernels, Untouched())
+    parts.render_parts(
+        edits, marched, edits.scene_parts(camera.centre, options.step), kernels, Untouched(), [None, None]
+    )
     assert [(part.is_first, part.is_last) for part in marched_parts] == [(1, 0), (0, 1)]
     for part in marched_parts:
         arrays = part.progress, part.colours, part.masks

@@ -31,7 +31,8 @@ BLENDED_TEXEL = """
 """
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
 #if defined(__CUDA_ARCH__)
     const wp::vec_t<4, wp::float32> value(0.0f, 0.0f, 0.0f, 0.0f);
 """

@@ -175,8 +175,8 @@ def shade_wall_rows(
     shaded: ShadedGrid,
     laid: LaidShades,
 ):
-    """Of rows near a rest cage, how samples on the other side of it see them, in the layer of those. One thread for each
-    of wall_rows (m,), in whole warps."""
+    """Of rows near a rest cage, how samples on the other side of it see them, in the layer of those. One thread for
+    each of wall_rows (m,), in whole warps."""
     item = first + wp.tid()
     n = wall_rows[wp.min(item, wall_rows.shape[0] - 1)]
     row = own_row(shaded, n)

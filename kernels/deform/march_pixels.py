@@ -1,7 +1,8 @@
 """The ray of a pixel through a scene that edits deform, whatever a march reads of the field, and whether maps have
 narrow gaps ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5).
 
-Needs: deform/flat_edits, deform/march, deform/march_single, deform/pictures, deform/ray_parts, field/grid, view/rays.
+Needs: deform/flat_edits, deform/march, deform/march_single, deform/pictures, deform/ray_parts, field/grid, view/rays,
+view/tile_order.
 """
 
 from typing import Any
@@ -10,6 +11,7 @@ import warp as wp
 
 from ..field.grid import VoxelGrid
 from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
+from ..view.tile_order import clock_ticks, note_ticks, ordered_item
 from .flat_edits import FlatEdit
 from .march import MarchOptions
 from .march_single import march_edit
@@ -31,13 +33,17 @@ def march_pixel(
     options: MarchOptions,
     picture: Picture,
 ):
-    """Fill the pixel of an item, tile by tile. sides: NoSides or WithSides; table: RowTable or LaidShades."""
-    column, row = tile_pixel(item, camera.width)
+    """Fill the pixel of an item, tile by tile in the picture's order. sides: NoSides or WithSides; table: RowTable or
+    LaidShades."""
+    begin = clock_ticks()
+    place = ordered_item(picture.order, item)
+    column, row = tile_pixel(place, camera.width)
     if column < camera.width and row < camera.height:
         direction = pixel_direction(camera, column, row)
         start = ray_start()
         ray = march_edit(sides, edit, grid, table, camera.centre, direction, options, start, RAY_END)
         fill_pixel(picture, row * camera.width + column, finished(ray), background)
+        note_ticks(picture.order, place, begin)
 
 
 @wp.func
@@ -54,7 +60,9 @@ def march_part_pixel(
     picture: Picture,
 ):
     """The same through a part of the scene, from where the parts before it have left the ray; the last one fills."""
-    column, row = tile_pixel(item, camera.width)
+    begin = clock_ticks()
+    place = ordered_item(picture.order, item)
+    column, row = tile_pixel(place, camera.width)
     if column < camera.width and row < camera.height:
         pixel = row * camera.width + column
         direction = pixel_direction(camera, column, row)
@@ -69,3 +77,4 @@ def march_part_pixel(
                 fill_pixel(picture, pixel, finished(ray), background)
         elif part.is_first == 1:
             leave_ray(part, pixel, ray_start())
+        note_ticks(picture.order, place, begin)

@@ -34,9 +34,7 @@ def early_matter(  # noqa: F811 (a Warp overload)
 
 
 @wp.func
-def late_matter(
-    table: RowTable, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3
-):
+def late_matter(table: RowTable, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3):
     """Colour, if it comes with the rest, and optical depth of a step at such a place, in a cell that may hold
     something."""
     sigma = late_density(early[3], grid.density, table.columns, i, j, k, offset)
@@ -92,4 +90,3 @@ def matter_colour(  # noqa: F811
     direction: wp.vec3,
 ):
     return wp.vec3(matter[0] + 0.5, matter[1] + 0.5, matter[2] + 0.5)
-

@@ -1,11 +1,12 @@
 """Where the views of deformed scenes go.
 
-Needs: deform/march, field/render.
+Needs: deform/march, field/render, view/tile_order.
 """
 
 import warp as wp
 
 from ..field.render import visible_depth
+from ..view.tile_order import TileOrder
 from .march import DeformedRadiance
 
 wp.set_module_options({"enable_backward": False})
@@ -21,6 +22,7 @@ class Picture:
     reveal: wp.array(dtype=wp.float32)
     fold: wp.array(dtype=wp.float32)
     outside: wp.array(dtype=wp.float32)
+    order: TileOrder  # in which marches of one edit or of a part of the scene follow its tiles
 
 
 @wp.func

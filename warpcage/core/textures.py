@@ -39,4 +39,3 @@ def make_texture(shape: tuple[int, int, int], dtype: Any, device: wp.DeviceLike)
         surface_access=True,
         device=device,
     )
-

@@ -25,7 +25,6 @@ from ..kernels.deform.posed_places import NO_CELL, claim_nodes, settle_nodes
 from ..kernels.field.shades import ShadedGrid
 from ..lattice.capture import BufferPool
 
-
 #: Layers of LaidShades, and bytes of a texel of them.
 LAYERS, TEXEL_BYTES = 2, 8
 

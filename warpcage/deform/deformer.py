@@ -118,6 +118,7 @@ class Deformer:
         self.deformed: list[Cage | None] | None = None
         self.lock = owner_lock(self.device)
         self._held: list[Cage | None] | None = None  # the pose that is in the buffers
+        self._spans: list[float] = []  # of its cages
         self._edits: PosedEdits
         with self.lock:
             self._bands = [FalloffBand(edit, self.field) if edit.falloff > 0.0 else None for edit in self.edits]
@@ -207,7 +208,7 @@ class Deformer:
         if self._held is not cages:
             self._held = None
             self._edits.pose(cages)
-            self._held = cages
+            self._held, self._spans = cages, [cage_span(cage) for cage in cages]
         return self._edits
 
     def to_canonical(
@@ -316,16 +317,16 @@ class Deformer:
         options.arc_opacity = int(self.density == "opacity")
         marching = self.field.marching
 
-        def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
+        def march(threads: int, pinhole: Any, colour: wp.vec3, made_arrays: Callable[[], dict[str, wp.array]]) -> None:
             marching.begin()  # the device is at work while the host goes on
             edits = posed_edits()
-            require_short_march(self._held or (), options.step)
+            require_short_march(self._spans, options.step)
             tables = edits.row_tables(self.field, pinhole, options.step)
+            picture = Picture()
+            for name, array in made_arrays().items():
+                setattr(picture, name, array)
             grid = marching.grid()
             edits.prepare(grid, options.step)
-            picture = Picture()
-            for name, array in arrays.items():
-                setattr(picture, name, array)
             edits.render(MarchedView(self.field, grid, tables, pinhole, colour, options, picture, threads, work))
 
         frame = self.field.render_by(
@@ -442,18 +443,29 @@ def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None
     return cage
 
 
-def require_short_march(cages: Sequence[Cage | None], step: float) -> None:
+def cage_span(cage: Cage | None) -> float:
+    """The diagonal of the box around a posed cage.
+
+    Args:
+        cage: The cage, None for an edit that removes.
+
+    Returns:
+        The length, world units; 0 for None.
+    """
+    return 0.0 if cage is None else float(np.linalg.norm(np.ptp(cage.bounds, axis=0)))
+
+
+def require_short_march(spans: Sequence[float], step: float) -> None:
     """Refuse posed cages through which a march would take all day.
 
     Args:
-        cages: The posed cages, None for an edit that removes.
+        spans: Of the posed cages, world units.
         step: March step, world units.
 
     Raises:
         ValueError: For a cage of more than MOST_SAMPLES steps, with what would be right.
     """
-    for index, cage in enumerate(cages):
-        size = 0.0 if cage is None else float(np.linalg.norm(np.ptp(cage.bounds, axis=0)))
+    for index, size in enumerate(spans):
         if size > MOST_SAMPLES * step:
             raise ValueError(
                 f"the posed cage of edit {index} is {size:.3g} across, {size / step:.3g} march steps of {step:.3g}: "

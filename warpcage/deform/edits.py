@@ -181,7 +181,9 @@ class PosedEdits(abc.ABC):
         """
         self.march(view, self.render_kernel, [self.scene])
 
-    def march(self, view: MarchedView, kernel: Any, scene: Sequence[Any], item_rays: int = 1) -> None:
+    def march(
+        self, view: MarchedView, kernel: Any, scene: Sequence[Any], item_rays: int = 1, order: Any = None
+    ) -> None:
         """Launch a kernel that marches a view.
 
         Args:
@@ -189,7 +191,10 @@ class PosedEdits(abc.ABC):
             kernel: The kernel.
             scene: What it takes between the field's tables and the camera.
             item_rays: Rays that one of its items follows.
+            order: The TileOrder in which it follows tiles. None is as they lie in the picture.
         """
+        if order is not None:
+            view.picture.order = order
         end = [view.pinhole, view.background, view.options, view.picture]
         inputs = [view.grid, *view.rows, *scene, *end]
         work = view.work * self.sample_work * item_rays

@@ -55,6 +55,8 @@ from ..kernels.lattice import (
 )
 from ..kernels.mesh import fans
 from ..lattice.capture import Buffer, BufferPool
+from ..view.camera import TILE_SIZE
+from ..view.tile_order import BalancedTiles
 from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from .carried import CarriedCrumbs
 from .carried_shading import LAYERS, CarriedShades
@@ -186,6 +188,7 @@ class LatticeEdits(PosedEdits):
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
         self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
         self._ray_buffer = pool.buffer(wp.vec4)
+        self._tiles = BalancedTiles(device)
 
     def row_tables(self, field: VoxelField, pinhole: Any, step: float) -> list[Any]:
         if not self._flat:
@@ -266,11 +269,15 @@ class LatticeEdits(PosedEdits):
             view = dataclasses.replace(view, rows=rows)
         parts, is_shaded = self._plan
         if parts is not None:
-            kernels = SHADED_PART_KERNELS if is_shaded else PART_KERNELS
-            render_parts(self, view, parts, TILE_KERNELS if self._by_tiles else kernels, self._ray_buffer)
-        elif is_shaded:
-            (flat,) = self._flat
-            self.march(view, SHADED_KERNELS[flat.has_sides], [flat])
+            orders = self._tiles.begin(len(parts), view.threads // TILE_SIZE)
+            kernels = TILE_KERNELS if self._by_tiles else SHADED_PART_KERNELS if is_shaded else PART_KERNELS
+            render_parts(self, view, parts, kernels, self._ray_buffer, orders)
+            self._tiles.end()
+        elif self._is_single:
+            (order,) = self._tiles.begin(1, view.threads // TILE_SIZE)
+            kernel = SHADED_KERNELS[self._flat[0].has_sides] if is_shaded else self.render_kernel
+            self.march(view, kernel, [self._flat[0] if is_shaded else self.scene], order=order)
+            self._tiles.end()
         else:
             super().render(view)
 

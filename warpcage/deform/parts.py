@@ -20,7 +20,12 @@ STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)
 
 
 def render_parts(
-    edits: PosedEdits, view: MarchedView, parts: Sequence[tuple[Any, np.ndarray]], kernels: Sequence[Any], rays: Buffer
+    edits: PosedEdits,
+    view: MarchedView,
+    parts: Sequence[tuple[Any, np.ndarray]],
+    kernels: Sequence[Any],
+    rays: Buffer,
+    orders: Sequence[Any],
 ) -> None:
     """March a view through edits that are apart, a launch for each; rays keep their state in between.
 
@@ -31,18 +36,19 @@ def render_parts(
             edits' origin; front to back. What is behind the last box goes with it.
         kernels: That for an edit whose map has no narrow gaps, and that for one whose map has.
         rays: Of vec4, for the states of rays.
+        orders: The TileOrder of each launch.
     """
     states = ray_states(view.pinhole.width * view.pinhole.height, rays) if len(parts) > 1 else {}
     by_tiles = render_edit_tiles in kernels
     tables = [view.field.marching.cells(view.grid)] if by_tiles else []
-    for number, (flat, box) in enumerate(parts):
+    for number, ((flat, box), order) in enumerate(zip(parts, orders, strict=True)):
         part = ScenePart()
         part.lower, part.upper = (wp.vec3(*corner) for corner in box.tolist())
         part.is_first, part.is_last = int(number == 0), int(number == len(parts) - 1)
         for name, array in states.items():
             setattr(part, name, array)
         kernel = kernels[int(flat.has_sides)]
-        edits.march(view, kernel, [*tables, flat, part], TILE_SIZE if by_tiles else 1)
+        edits.march(view, kernel, [*tables, flat, part], TILE_SIZE if by_tiles else 1, order)
 
 
 def ray_states(rays: int, buffer: Buffer) -> dict[str, wp.array]:

@@ -19,8 +19,9 @@ from .outer import OuterField
 STOP_TRANSMITTANCE = 1e-3
 
 #: Launches a kernel that marches the rays of a picture. It gets the number of threads, the PinholeCamera, the colour
-#: behind the picture and the arrays to fill, (h * w,) each, by the names of a Frame's parts and masks.
-March = Callable[[int, Any, wp.vec3, dict[str, wp.array]], None]
+#: behind the picture, and what makes the arrays to fill, (h * w,) each, by the names of a Frame's parts and masks: to
+#: be called once, when the device is at work on what needs none of them.
+March = Callable[[int, Any, wp.vec3, Callable[[], dict[str, wp.array]]], None]
 
 
 def render_frame(
@@ -51,8 +52,13 @@ def render_frame(
     """
     fine = finer_camera(camera, supersampling)
     count = fine.width * fine.height
-    arrays = picture_arrays(count, (*PART_NAMES, *masks), device)
-    march(tile_threads(fine), camera_struct(fine, origin), wp.vec3(*map(float, colour)), arrays)
+    arrays: dict[str, wp.array] = {}
+
+    def made_arrays() -> dict[str, wp.array]:
+        arrays.update(picture_arrays(count, (*PART_NAMES, *masks), device))
+        return arrays
+
+    march(tile_threads(fine), camera_struct(fine, origin), wp.vec3(*map(float, colour)), made_arrays)
     if layers is not None:
         dimmed = [arrays[name] for name in masks]
         layers.add_around(fine, arrays["rgb"], arrays["alpha"], arrays["depth"], dimmed)

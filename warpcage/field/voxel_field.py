@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -264,10 +265,11 @@ class VoxelField:
                 a camera so far away that float32 cannot tell steps there, or supersampling out of range.
         """
         step, work = self.march_step(step, camera)
-        # before the arrays of the picture: the device is at work while the host goes on
+        # first of all: the device is at work while the host goes on
         kernel, inputs, rays = self.marching.image_kernel(wp.vec3(*(camera.centre - self._center)), step)
 
-        def march(threads: int, pinhole: Any, colour: wp.vec3, arrays: dict[str, wp.array]) -> None:
+        def march(threads: int, pinhole: Any, colour: wp.vec3, made_arrays: Callable[[], dict[str, wp.array]]) -> None:
+            arrays = made_arrays()
             outputs = [arrays[name] for name in PART_NAMES]
             inputs_of_view = [*inputs, pinhole, colour, step, STOP_TRANSMITTANCE]
             launch(kernel, threads // rays, inputs_of_view, outputs, device=self.device, work=rays * work)

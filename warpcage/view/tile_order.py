@@ -1,0 +1,81 @@
+"""In which order a GPU follows the tiles of pictures, so that it is busy until the last one ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.arrays import array_view
+from ..core.devices import launch
+from ..kernels.view.tile_order import TILE_BINS, TileOrder, count_tiles, sort_tiles
+
+
+class BalancedTiles:
+    """The tiles of views that follow each other, sorted by how long each took in the one before.
+
+    On a CPU, tiles are followed as they lie in the picture.
+
+    Args:
+        device: Warp device.
+    """
+
+    def __init__(self, device: wp.Device):
+        self._device = device
+        self._key = (0, 0, 0)
+        self._sorted: _SortedTiles | None = None
+        self._begun: _SortedTiles | None = None
+
+    def begin(self, launches: int, tiles: int) -> list[Any]:
+        """The order of each launch of a view. Call `end` behind the last of them.
+
+        Args:
+            launches: Kernels that each follow the whole picture.
+            tiles: Of the picture.
+
+        Returns:
+            A TileOrder of kernels/view/tile_order.py for each launch.
+        """
+        if self._device.is_cpu:
+            return launches * [TileOrder()]
+        # frames of one stream follow each other, those of several need not
+        key = launches, tiles, int(self._device.stream.cuda_stream or 0)
+        if self._sorted is None or self._key != key:
+            self._key, self._sorted = key, _SortedTiles(launches, tiles, self._device)
+        self._begun, self._sorted = self._sorted, None  # an interrupt leaves none
+        return self._begun.orders
+
+    def end(self) -> None:
+        """Sort the tiles by how long the view took."""
+        begun, self._begun = self._begun, None
+        if begun is not None:
+            begun.sort()
+            self._sorted = begun
+
+
+class _SortedTiles:
+    """Orders of the launches of a view on CUDA, as the tiles lie in the picture until they are sorted."""
+
+    def __init__(self, launches: int, tiles: int, device: wp.Device):
+        self._device, self._tiles = device, tiles
+        order = np.tile(np.arange(tiles, dtype=np.int32), launches)
+        self._order = wp.array(order, dtype=wp.int32, device=device)
+        self._ticks = wp.zeros(launches * tiles, dtype=wp.int32, device=device)
+        self._bins = [wp.zeros((launches, 2, int(TILE_BINS)), dtype=wp.int32, device=device) for _ in range(2)]
+        self.orders = [self._order_of(number) for number in range(launches)]
+
+    def _order_of(self, number: int) -> Any:
+        result = TileOrder()
+        arrays = (self._order, self._ticks)
+        begin = number * self._tiles * wp.types.type_size_in_bytes(wp.int32)
+        result.tiles, result.ticks = (array_view(each, wp.int32, self._tiles, offset=begin) for each in arrays)
+        return result
+
+    def sort(self) -> None:
+        bins, spare = self._bins
+        count = self._ticks.shape[0]
+        launch(count_tiles, count, [self._tiles, self._ticks], [bins], device=self._device)
+        outputs = [spare.flatten(), self._ticks, self._order]
+        launch(sort_tiles, count, [self._tiles, bins], outputs, device=self._device)
+        self._bins = [spare, bins]
