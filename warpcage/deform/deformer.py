@@ -315,17 +315,18 @@ class Deformer:
         options.step, work = self.field.march_step(step, camera)
         options.stop = STOP_TRANSMITTANCE
         options.arc_opacity = int(self.density == "opacity")
-        marching = self.field.marching
+
+        # first of all: the device is at work while the host goes on
+        self.field.marching.begin()
+        edits = posed_edits()
+        require_short_march(self._spans, options.step)
+        tables = edits.row_tables(self.field, wp.vec3(*(camera.centre - self.field.center).tolist()), options.step)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, made_arrays: Callable[[], dict[str, wp.array]]) -> None:
-            marching.begin()  # the device is at work while the host goes on
-            edits = posed_edits()
-            require_short_march(self._spans, options.step)
-            tables = edits.row_tables(self.field, pinhole, options.step)
             picture = Picture()
             for name, array in made_arrays().items():
                 setattr(picture, name, array)
-            grid = marching.grid()
+            grid = self.field.marching.grid()
             edits.prepare(grid, options.step)
             edits.render(MarchedView(self.field, grid, tables, pinhole, colour, options, picture, threads, work))
 

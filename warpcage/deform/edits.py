@@ -160,12 +160,12 @@ class PosedEdits(abc.ABC):
         self.scene: Any = None
         self.sample_work = 1
 
-    def row_tables(self, field: VoxelField, pinhole: Any, step: float) -> list[Any]:
+    def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
         """Start on what the render kernel reads of a field beside its VoxelGrid, before that is waited for.
 
         Args:
             field: The field.
-            pinhole: The PinholeCamera, relative to the field's origin.
+            centre: Of the camera, relative to the field's origin.
             step: March step, world units.
 
         Returns:

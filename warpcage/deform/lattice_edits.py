@@ -190,24 +190,24 @@ class LatticeEdits(PosedEdits):
         self._ray_buffer = pool.buffer(wp.vec4)
         self._tiles = BalancedTiles(device)
 
-    def row_tables(self, field: VoxelField, pinhole: Any, step: float) -> list[Any]:
+    def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
         if not self._flat:
             return []  # where a new pose leads to is not known yet
-        self._plan = self._planned(field, pinhole.centre, step)
+        self._plan = self._planned(field, centre, step)
         if not self._plan.is_shaded:
             return [field.marching.rows()]
         if not self._shades.is_posed:
             return []
-        return self._shaded_tables(field, pinhole, step)
+        return self._shaded_tables(field, centre, step)
 
-    def _shaded_tables(self, field: VoxelField, pinhole: Any, step: float) -> list[Any]:
+    def _shaded_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
         """Voxels shaded for a view; rows where its pose turns matter over."""
         if self._shades.is_known_folded:
             self._plan = Plan(self._plan.parts, False)
             return [field.marching.rows()]
-        tables = [self._shades.shades(field.grid, field.marching.columns, pinhole.centre, step)]
+        tables = [self._shades.shades(field.grid, field.marching.columns, centre, step)]
         if self._shades.is_folded():  # asked behind what is launched for all others
-            return self._shaded_tables(field, pinhole, step)
+            return self._shaded_tables(field, centre, step)
         return tables
 
     def _planned(self, field: VoxelField, centre: wp.vec3, step: float) -> Plan:
@@ -259,13 +259,13 @@ class LatticeEdits(PosedEdits):
         return flat
 
     def render(self, view: MarchedView) -> None:
-        field, pinhole, step = view.field, view.pinhole, view.options.step
+        field, centre, step = view.field, view.pinhole.centre, view.options.step
         if not view.rows or (self._plan.is_shaded and not self._shades.is_posed):
-            rows = self.row_tables(field, pinhole, step)
+            rows = self.row_tables(field, centre, step)
             if self._plan.is_shaded:
                 cells = [struct.cells for struct, _ in self.lattices.posed()]
                 self._shades.pose(self._flat, cells, view.grid)
-                rows = self._shaded_tables(field, pinhole, step)
+                rows = self._shaded_tables(field, centre, step)
             view = dataclasses.replace(view, rows=rows)
         parts, is_shaded = self._plan
         if parts is not None:
