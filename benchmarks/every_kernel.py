@@ -52,7 +52,7 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.skip.spread_distance", "field.shades.",
              "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
              "deform.render_part.", "deform.render_part_sides.", "deform.shaded_",
-             "deform.carried_shades.", "deform.posed_places.",
+             "deform.carried_shades.", "deform.posed_places.", "core.texels.", "view.tile_order.",
              "splats.composite.", "splats.composite_slopes.", "splats.packed_rows.",
              "view.colour_bytes."}  # fmt: skip
 

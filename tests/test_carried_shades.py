@@ -165,6 +165,17 @@ def test_gaps_whose_cells_have_sides(device):
     assert deformer._edits._flat[0].has_sides
 
 
+@pytest.mark.filterwarnings("ignore:a cage has gaps narrower")
+def test_matter_in_a_notch_narrower_than_a_voxel_keeps_its_own_colours(device):
+    """All nodes around it lie in the cage."""
+    field = make_field(lambda x: np.full(x.shape[:3], 4.0), shiny, resolution=20, device=device)
+    cage = slotted(0.04)
+    deformer = Deformer(field, cage, coordinates="mean_value", resolution=64)
+    deformer.pose(cage.rotate(60, axis="x").translate([0.1, 0.2, 0.3]))
+    camera = view((0.4, 5.6, 1.4))
+    assert psnr(shaded(deformer, camera).rgb, of_rows(deformer, camera).rgb) > 70
+
+
 def mirrored(deformer):
     """Lets the map of a deformer's only edit turn all matter over."""
     position_map = deformer._edits.lattices.maps[0]

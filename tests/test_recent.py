@@ -58,6 +58,8 @@ def test_bytes_of_arrays_count_once(device):
     held.append(held)
     assert array_bytes(held) == numbers.nbytes + array.capacity
     assert array_bytes(held, leave=(array, held[1]["b"][1])) == numbers.nbytes
+    texture = wp.Texture3D(width=4, height=3, depth=2, num_channels=4, dtype=wp.float16, device=device)
+    assert array_bytes([texture, (0, texture)]) == 2 * 4 * 4 * 3 * 2
 
 
 def test_bytes_of_a_deformer_beside_its_field(device):

@@ -1,9 +1,9 @@
 """Texels of three-dimensional textures: written one by one through a surface, and blended by a GPU's texture units.
 
-A texture unit reads the eight texels around a place and blends them in one instruction, of four halves in one cycle
-and of four floats in five (H200). It rounds the place to 1/256 of
-a texel, so that a blend is off by at most 1/512 of what neighbours differ along each axis. On CUDA only: a CPU has
-none, so that functions which use these in C++ have arrays there.
+A texture unit reads the eight texels around a place and blends them in one instruction: of four halves in one cycle a
+lane, of four floats in five (H200). It rounds the place to 1/256 of a texel, so that a blend is off by at most 1/512 of
+what neighbours differ along each axis (CUDA C++ Programming Guide, "Texture Fetching"). A CPU has no such units:
+functions that use these in C++ have arrays there.
 Needs: none.
 """
 
@@ -45,7 +45,7 @@ def clear_half_texel(surface: wp.uint64, x: wp.int32, y: wp.int32, z: wp.int32):
 
 
 @wp.kernel
-def clear_half_texels(first: int, surface: wp.uint64, width: int, height: int):
-    """0 in each texel of a surface of four halves. One item a texel."""
+def clear_half_texels(first: int, surface: wp.uint64, width: int, height: int, begin: int):
+    """0 in the texels of a surface of four halves, from its layer `begin` on. One item a texel."""
     n = first + wp.tid()
-    clear_half_texel(surface, n % width, (n // width) % height, n // (width * height))
+    clear_half_texel(surface, n % width, (n // width) % height, begin + n // (width * height))

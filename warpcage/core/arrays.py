@@ -227,7 +227,8 @@ def array_view(
 
 
 def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
-    """Bytes that the arrays of an object take: those of its attributes, of theirs, and of what lists and dicts hold.
+    """Bytes that the arrays and textures of an object take: those of its attributes, of theirs, of what lists and dicts
+    hold.
 
     Views of one array count once. Only objects of this package and structs of Warp are looked into.
 
@@ -249,6 +250,9 @@ def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
             whole = _whole(each)
             if whole.ptr:
                 held[str(whole.device), whole.ptr] = whole.capacity
+        elif isinstance(each, wp.Texture3D):
+            texels = each.width * each.height * each.depth * each.num_channels
+            held["texture", id(each)] = texels * wp.types.type_size_in_bytes(each.dtype)
         elif isinstance(each, np.ndarray):
             base = each
             while isinstance(base.base, np.ndarray):

@@ -129,10 +129,13 @@ class CarriedShades:
         if self._device.is_cpu:
             laid.shades = wp.zeros(LAYERS * table.node_count, dtype=wp.vec4, device=self._device)
         else:
-            # one for all frames: what reads it has ended before the next frame of its stream writes
             self._texture = table.shade_texture(LAYERS)
             laid.texture, laid.surface = self._texture.cuda_texture, self._texture.cuda_surface
         return laid
+
+    def release(self) -> None:
+        """Let a frame's shades go once its march is launched. What the field does not keep waits for the GPU."""
+        self._texture = None
 
     @staticmethod
     def bytes(table: ColumnTable) -> int:

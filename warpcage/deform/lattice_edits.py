@@ -280,6 +280,7 @@ class LatticeEdits(PosedEdits):
             self._tiles.end()
         else:
             super().render(view)
+        self._shades.release()
 
     def scene_parts(self, centre: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
         """The edits as a view takes them one by one.

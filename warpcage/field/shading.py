@@ -99,8 +99,9 @@ class ColumnTable:
     def _new_texture(self, layers: int) -> wp.Texture3D:
         nx, ny, nz = tuple(self.columns.node_counts)
         texture = make_texture((layers * nx, ny, nz), wp.float16, self._device)
-        inputs = [wp.uint64(texture.cuda_surface), nz, ny]
-        launch(clear_half_texels, layers * self.node_count, inputs, [], device=self._device)
+        for layer in range(layers):  # one by one, as all together may be more than an index counts
+            inputs = [wp.uint64(texture.cuda_surface), nz, ny, layer * nx]
+            launch(clear_half_texels, self.node_count, inputs, device=self._device)
         return texture
 
     def _of_stream(self, name: str, make: Callable[[], Any]) -> Any:
