@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from deformed_scenes import (
     BOX,
     KINDS,
@@ -173,7 +174,8 @@ def test_matter_in_a_notch_narrower_than_a_voxel_keeps_its_own_colours(device):
     deformer = Deformer(field, cage, coordinates="mean_value", resolution=64)
     deformer.pose(cage.rotate(60, axis="x").translate([0.1, 0.2, 0.3]))
     camera = view((0.4, 5.6, 1.4))
-    assert psnr(shaded(deformer, camera).rgb, of_rows(deformer, camera).rgb) > 70
+    least = 70 if wp.get_device(device).is_cpu else 62  # halves, and places to 1/256 of a voxel
+    assert psnr(shaded(deformer, camera).rgb, of_rows(deformer, camera).rgb) > least
 
 
 def mirrored(deformer):

@@ -6,13 +6,13 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, shiny_field, view
 
-from warpcage.core.textures import make_texture
+from warpcage.core.textures import half_texture
 from warpcage.deform.deformer import Deformer
 from warpcage.field.shading import ColumnTable
-from warpcage.kernels.deform.laid_shades import LaidShades, laid_shade, write_laid_shade
+from warpcage.kernels.deform.laid_shades import SHADE_LAYERS, LaidShades, laid_shade, write_laid_shade
 
 COUNTS = (5, 7, 6)
-LAYERS = 2
+LAYERS = int(SHADE_LAYERS)
 
 
 @wp.kernel
@@ -33,7 +33,7 @@ def written(values, device):
     if wp.get_device(device).is_cpu:
         laid.shades = wp.zeros(values.shape[0] * values.shape[1], dtype=wp.vec4, device=device)
     else:
-        texture = make_texture((LAYERS * COUNTS[0], *COUNTS[1:]), wp.float16, device)
+        texture = half_texture((LAYERS * COUNTS[0], *COUNTS[1:]), device)
         laid.texture, laid.surface = texture.cuda_texture, texture.cuda_surface
     given = wp.array(values.astype(np.float32), dtype=wp.vec4, device=device)
     wp.launch(write_all, values.shape[:2], [laid, given], device=device)

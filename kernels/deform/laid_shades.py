@@ -17,6 +17,7 @@ wp.set_module_options({"enable_backward": False})
 #: Layers of shades: as samples see rows that no map has led there, and as mapped ones do.
 PLAIN_LAYER = wp.constant(0)
 CARRIED_LAYER = wp.constant(1)
+SHADE_LAYERS = wp.constant(2)
 
 
 @wp.struct

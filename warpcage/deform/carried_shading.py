@@ -11,6 +11,7 @@ import warp as wp
 from ..core.arrays import empty_array, struct_array
 from ..core.devices import launch
 from ..core.flags import HostFlag
+from ..core.textures import HALF_TEXEL_BYTES, MOST_TEXELS
 from ..field.shading import ColumnTable, whole_warps
 from ..kernels.deform.carried_shades import (
     AimedCage,
@@ -20,13 +21,27 @@ from ..kernels.deform.carried_shades import (
     shade_carried_rows,
     shade_wall_rows,
 )
-from ..kernels.deform.laid_shades import LaidShades
+from ..kernels.deform.laid_shades import SHADE_LAYERS, LaidShades
 from ..kernels.deform.posed_places import NO_CELL, claim_nodes, settle_nodes
 from ..kernels.field.shades import ShadedGrid
 from ..lattice.capture import BufferPool
 
-#: Layers of LaidShades, and bytes of a texel of them.
-LAYERS, TEXEL_BYTES = 2, 8
+#: Layers of LaidShades.
+LAYERS = int(SHADE_LAYERS)
+
+
+def shade_texture_bytes(table: ColumnTable) -> float:
+    """Bytes on a GPU that shades of a field take.
+
+    Args:
+        table: Of its links.
+
+    Returns:
+        The bytes; infinite where a texture cannot hold them.
+    """
+    nx, ny, nz = tuple(table.columns.node_counts)
+    fits = max(LAYERS * nx, ny, nz) <= MOST_TEXELS
+    return LAYERS * HALF_TEXEL_BYTES * table.node_count if fits else math.inf
 
 
 class CarriedShades:
@@ -50,7 +65,7 @@ class CarriedShades:
         self._walls: tuple[ColumnTable, wp.array] | None = None
         self._folds = HostFlag(device)
         self._is_folded: bool | None = None
-        self._texture: wp.Texture3D | None = None
+        self._texture: wp.Texture3D | None = None  # kept alive for kernels, which hold its handle alone
         self.is_posed = False
 
     def pose(self, edits: Sequence[Any], cells: Sequence[wp.array], grid: Any) -> None:
@@ -136,18 +151,6 @@ class CarriedShades:
     def release(self) -> None:
         """Let a frame's shades go once its march is launched. What the field does not keep waits for the GPU."""
         self._texture = None
-
-    @staticmethod
-    def bytes(table: ColumnTable) -> int:
-        """Bytes on a GPU that shades of a field take.
-
-        Args:
-            table: Of its links.
-
-        Returns:
-            The bytes.
-        """
-        return LAYERS * TEXEL_BYTES * table.node_count
 
     def _walls_of(self, grid: Any, table: ColumnTable) -> wp.array:
         """(m,) int32, the rows of a field that poses may show on both sides of a rest cage: those near it, and all of a

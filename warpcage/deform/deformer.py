@@ -24,7 +24,7 @@ from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
-from ..view.frame import MASK_NAMES, Frame
+from ..view.frame import MASK_NAMES, Frame, checked_supersampling
 from .carried import CarriedCrumbs
 from .edits import CageEdit, MarchedView, PosedEdits, checked_edits
 from .falloff import FalloffBand
@@ -315,9 +315,9 @@ class Deformer:
         options.step, work = self.field.march_step(step, camera)
         options.stop = STOP_TRANSMITTANCE
         options.arc_opacity = int(self.density == "opacity")
-
-        # first of all: the device is at work while the host goes on
-        self.field.marching.begin()
+        self.field.chosen_background(background)
+        checked_supersampling(self.field.supersampling if supersampling is None else supersampling)
+        self.field.marching.begin()  # the device is at work while the host goes on
         edits = posed_edits()
         require_short_march(self._spans, options.step)
         tables = edits.row_tables(self.field, wp.vec3(*(camera.centre - self.field.center).tolist()), options.step)

@@ -16,7 +16,6 @@ from ..cage.cage import Cage
 from ..core.arrays import empty_array, struct_array
 from ..core.devices import launch
 from ..core.modules import load_modules
-from ..core.textures import MOST_TEXELS
 from ..field import marching
 from ..field.voxel_field import VoxelField
 from ..kernels.deform import (
@@ -59,7 +58,7 @@ from ..view.camera import TILE_SIZE
 from ..view.tile_order import BalancedTiles
 from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from .carried import CarriedCrumbs
-from .carried_shading import LAYERS, CarriedShades
+from .carried_shading import CarriedShades, shade_texture_bytes
 from .edit_lattices import EditLattices
 from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand
@@ -220,8 +219,7 @@ class LatticeEdits(PosedEdits):
             and (self._is_single or parts is not None)
             and all(flat.nodes.shape[0] < MOST_LATTICE_NODES for flat in self._flat)
             and field.marching.is_shaded(centre, self._lattice_boxes)
-            and CarriedShades.bytes(field.marching.columns) <= self._most_shades
-            and max(field.grid.links.shape) * LAYERS <= MOST_TEXELS
+            and shade_texture_bytes(field.marching.columns) <= self._most_shades
         )
         return Plan(parts, is_shaded)
 

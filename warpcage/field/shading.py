@@ -10,7 +10,7 @@ import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.devices import launch
-from ..core.textures import make_texture
+from ..core.textures import half_texture
 from ..kernels.core.texels import clear_half_texels
 from ..kernels.field import columns
 from ..kernels.field.densities import lay_densities
@@ -86,19 +86,19 @@ class ColumnTable:
         return empty_array((self.nodes.shape[0], shade_words(self._device)), wp.uint32, self._device)
 
     def shade_texture(self, layers: int) -> wp.Texture3D:
-        """A texture of four halves on CUDA, for shades at the nodes of rows; 0 at others. Kept as `row_shades` is.
+        """A texture on CUDA for shades at the nodes of rows; 0 at others. Kept as `row_shades` is.
 
         Args:
             layers: That follow each other along its first axis.
 
         Returns:
-            The texture, (layers * nx, ny, nz).
+            The texture of four halves, (layers * nx, ny, nz).
         """
-        return self._of_stream("texture", lambda: self._new_texture(layers))
+        return self._of_stream(f"{layers} layers", lambda: self._new_texture(layers))
 
     def _new_texture(self, layers: int) -> wp.Texture3D:
         nx, ny, nz = tuple(self.columns.node_counts)
-        texture = make_texture((layers * nx, ny, nz), wp.float16, self._device)
+        texture = half_texture((layers * nx, ny, nz), self._device)
         for layer in range(layers):  # one by one, as all together may be more than an index counts
             inputs = [wp.uint64(texture.cuda_surface), nz, ny, layer * nx]
             launch(clear_half_texels, self.node_count, inputs, device=self._device)

@@ -11,6 +11,9 @@ from ..core.arrays import array_view
 from ..core.devices import launch
 from ..kernels.view.tile_order import TILE_BINS, TileOrder, count_tiles, sort_tiles
 
+#: Kinds of views that are kept: of a size, through as many launches, on a stream.
+MOST_KEPT = 4
+
 
 class BalancedTiles:
     """The tiles of views that follow each other, sorted by how long each took in the one before.
@@ -23,9 +26,8 @@ class BalancedTiles:
 
     def __init__(self, device: wp.Device):
         self._device = device
-        self._key = (0, 0, 0)
-        self._sorted: _SortedTiles | None = None
-        self._begun: _SortedTiles | None = None
+        self._kept: dict[tuple[int, int, int], _SortedTiles] = {}
+        self._begun: tuple[tuple[int, int, int], _SortedTiles] | None = None
 
     def begin(self, launches: int, tiles: int) -> list[Any]:
         """The order of each launch of a view. Call `end` behind the last of them.
@@ -41,17 +43,21 @@ class BalancedTiles:
             return launches * [TileOrder()]
         # frames of one stream follow each other, those of several need not
         key = launches, tiles, int(self._device.stream.cuda_stream or 0)
-        if self._sorted is None or self._key != key:
-            self._key, self._sorted = key, _SortedTiles(launches, tiles, self._device)
-        self._begun, self._sorted = self._sorted, None  # an interrupt leaves none
-        return self._begun.orders
+        kept = self._kept.pop(key, None)  # an interrupt leaves none
+        if kept is None:
+            kept = _SortedTiles(launches, tiles, self._device)
+        self._begun = key, kept
+        return kept.orders
 
     def end(self) -> None:
         """Sort the tiles by how long the view took."""
         begun, self._begun = self._begun, None
         if begun is not None:
-            begun.sort()
-            self._sorted = begun
+            key, kept = begun
+            kept.sort()
+            while len(self._kept) >= MOST_KEPT:
+                del self._kept[next(iter(self._kept))]  # used longest ago
+            self._kept[key] = kept
 
 
 class _SortedTiles:
