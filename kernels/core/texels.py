@@ -11,16 +11,23 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-#: C++ for CUDA that writes `value` to texel (x, y, z) of a surface of four halves, or the largest that halves hold.
-WRITE_HALF_TEXEL = """
+#: C++ for CUDA that makes halves r, g, b and a of `value`, or the largest that they hold.
+FOUR_HALVES = """
     const float limit = 65504.0f;
     const unsigned r = wp::float_to_half(fminf(fmaxf(value.c[0], -limit), limit)).u;
     const unsigned g = wp::float_to_half(fminf(fmaxf(value.c[1], -limit), limit)).u;
     const unsigned b = wp::float_to_half(fminf(fmaxf(value.c[2], -limit), limit)).u;
     const unsigned a = wp::float_to_half(fminf(fmaxf(value.c[3], -limit), limit)).u;
+"""
+
+#: C++ for CUDA that writes `value` to texel (x, y, z) of a surface of four halves.
+WRITE_HALF_TEXEL = (
+    FOUR_HALVES
+    + """
     asm volatile("sust.b.3d.v2.b32.zero [%0, {%1, %2, %3, %4}], {%5, %6};"
         :: "l"(surface), "r"(8 * x), "r"(y), "r"(z), "r"(0), "r"(r | (g << 16)), "r"(b | (a << 16)) : "memory");
 """
+)
 
 #: C++ for CUDA that sets r, g, b and a to the trilinear value at (x, y, z) of a texture that is asked by unnormalised
 #: coordinates; texel (i, j, k) is at (i, j, k).

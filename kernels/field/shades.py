@@ -4,11 +4,12 @@ A march then reads eight numbers of 8 bytes a sample instead of eight rows of ha
 directions to the eight nodes to the direction to the sample, but for the square of a voxel's angle from the camera, so
 that sum_i w_i c_i . Y(d_i) differs from (sum_i w_i c_i) . Y(d) by the change of c over a voxel times that angle.
 
-Needs: field/columns, field/grid, field/harmonics, field/rows.
+Needs: core/texels, field/columns, field/grid, field/harmonics, field/rows.
 """
 
 import warp as wp
 
+from ..core.texels import FOUR_HALVES
 from .columns import Columns
 from .grid import VoxelGrid, eight_rows
 from .harmonics import COLOUR_OF_ROW, sh_basis, vec16
@@ -58,39 +59,19 @@ def shade_colour(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) 
     ...
 
 
-#: C++ that keeps a shade: as halves r, g, b and d on CUDA, as floats of a row on a CPU.
-SHADE_HALVES = """
-    const float limit = 65504.0f;
+@wp.func_native(
+    """
 #if defined(__CUDA_ARCH__)
-    const unsigned r = wp::float_to_half(fminf(fmaxf(value.c[0], -limit), limit)).u;
-    const unsigned g = wp::float_to_half(fminf(fmaxf(value.c[1], -limit), limit)).u;
-    const unsigned b = wp::float_to_half(fminf(fmaxf(value.c[2], -limit), limit)).u;
-    const unsigned d = wp::float_to_half(fminf(fmaxf(value.c[3], -limit), limit)).u;
 """
-SHADE_FLOATS = """#else
+    + FOUR_HALVES
+    + """
+    reinterpret_cast<uint2*>(shades.data)[row] = make_uint2(r | (g << 16), b | (a << 16));
+#else
+    const float limit = 65504.0f;
     float* shade = reinterpret_cast<float*>(shades.data) + 4 * (size_t)row;
     for (int i = 0; i < 4; ++i)  // also of what is no number
         shade[i] = value.c[i] > limit ? limit : (value.c[i] >= -limit ? value.c[i] : -limit);
-"""
-
-#: C++ that adds the halves of a corner's `shade` up to r, g, b and d.
-ADD_HALVES = """
-        const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0]) * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1])
-            * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
-        wp::half h;
-        h.u = shade.x & 0xffffu; r += weight * wp::half_to_float(h);
-        h.u = shade.x >> 16; g += weight * wp::half_to_float(h);
-        h.u = shade.y & 0xffffu; b += weight * wp::half_to_float(h);
-        h.u = shade.y >> 16; d += weight * wp::half_to_float(h);
-"""
-
-
-@wp.func_native(
-    SHADE_HALVES
-    + """    reinterpret_cast<uint2*>(shades.data)[row] = make_uint2(r | (g << 16), b | (d << 16));
-"""
-    + SHADE_FLOATS
-    + """#endif
+#endif
 """
 )
 def write_shade(shades: wp.array2d(dtype=wp.uint32), row: wp.int32, value: wp.vec4):
@@ -128,8 +109,7 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
         write_shade(shaded.shades, n, wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step))
 
 
-@wp.func_native(
-    """
+@wp.func_native("""
     float r = 0.0f, g = 0.0f, b = 0.0f, d = 0.0f;
 #if defined(__CUDA_ARCH__)
     const uint2* shades = reinterpret_cast<const uint2*>(data.data);
@@ -139,9 +119,14 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
         uint2 shade = make_uint2(0u, 0u);
         if (rows.c[c] >= 0)
             shade = __ldg(shades + rows.c[c]);
-"""
-    + ADD_HALVES
-    + """    }
+        const float weight = ((c & 4) ? offset.c[0] : 1.0f - offset.c[0]) * ((c & 2) ? offset.c[1] : 1.0f - offset.c[1])
+            * ((c & 1) ? offset.c[2] : 1.0f - offset.c[2]);
+        wp::half h;
+        h.u = shade.x & 0xffffu; r += weight * wp::half_to_float(h);
+        h.u = shade.x >> 16; g += weight * wp::half_to_float(h);
+        h.u = shade.y & 0xffffu; b += weight * wp::half_to_float(h);
+        h.u = shade.y >> 16; d += weight * wp::half_to_float(h);
+    }
     return wp::vec_t<4, wp::float32>(r, g, b, d);
 #else
     typedef float four __attribute__((ext_vector_type(4), aligned(4)));
@@ -157,8 +142,7 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
         }
     return wp::vec_t<4, wp::float32>(sum.x, sum.y, sum.z, sum.w);
 #endif
-"""
-)
+""")
 def blended_shades(data: wp.array2d(dtype=wp.uint32), rows: eight_rows, offset: wp.vec3) -> wp.vec4:
     """Trilinear shade at a place, 0 to 1, in the cell of eight rows."""
     ...
