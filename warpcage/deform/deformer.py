@@ -15,7 +15,7 @@ from ..core.checks import MOST_SAMPLES, checked_flag, checked_step, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
 from ..core.names import COORDINATES, DENSITIES, STORES
-from ..field.rendering import STOP_TRANSMITTANCE
+from ..field.rendering import STOP_TRANSMITTANCE, MakeArrays, March
 from ..field.voxel_field import VoxelField
 from ..kernels.deform.edits import MAPPED
 from ..kernels.deform.march import MarchOptions
@@ -24,7 +24,7 @@ from ..mesh.match import require_same_faces
 from ..mesh.usable import require_usable
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
-from ..view.frame import MASK_NAMES, Frame, checked_supersampling
+from ..view.frame import MASK_NAMES, Frame
 from .carried import CarriedCrumbs
 from .edits import CageEdit, MarchedView, PosedEdits, checked_edits
 from .falloff import FalloffBand
@@ -315,24 +315,25 @@ class Deformer:
         options.step, work = self.field.march_step(step, camera)
         options.stop = STOP_TRANSMITTANCE
         options.arc_opacity = int(self.density == "opacity")
-        self.field.chosen_background(background)
-        checked_supersampling(self.field.supersampling if supersampling is None else supersampling)
-        self.field.marching.begin()  # the device is at work while the host goes on
-        edits = posed_edits()
-        require_short_march(self._spans, options.step)
-        tables = edits.row_tables(self.field, wp.vec3(*(camera.centre - self.field.center).tolist()), options.step)
+        field, centre = self.field, wp.vec3(*(camera.centre - self.field.center).tolist())
 
-        def march(threads: int, pinhole: Any, colour: wp.vec3, made_arrays: Callable[[], dict[str, wp.array]]) -> None:
-            picture = Picture()
-            for name, array in made_arrays().items():
-                setattr(picture, name, array)
-            grid = self.field.marching.grid()
-            edits.prepare(grid, options.step)
-            edits.render(MarchedView(self.field, grid, tables, pinhole, colour, options, picture, threads, work))
+        def begin() -> March:
+            field.marching.begin()
+            edits = posed_edits()
+            require_short_march(self._spans, options.step)
+            tables = edits.row_tables(field, centre, options.step)
 
-        frame = self.field.render_by(
-            march, camera, background=background, supersampling=supersampling, masks=MASK_NAMES
-        )
+            def march(threads: int, pinhole: Any, colour: wp.vec3, make_arrays: MakeArrays) -> None:
+                picture = Picture()
+                for name, array in make_arrays().items():
+                    setattr(picture, name, array)
+                grid = field.marching.grid()
+                edits.prepare(grid, options.step)
+                edits.render(MarchedView(field, grid, tables, pinhole, colour, options, picture, threads, work))
+
+            return march
+
+        frame = field.render_by(begin, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
         frame.layered = background is None and self.field.background_model is not None
         return frame
 

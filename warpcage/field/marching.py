@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..core.devices import launch
 from ..core.locks import owner_lock
 from ..core.modules import Kernel
 from ..kernels.field.grid import VoxelGrid
@@ -16,7 +17,9 @@ from ..kernels.field.render import render_image
 from ..kernels.field.render_cpu import render_tiles
 from ..kernels.field.render_shaded import render_shaded_image
 from ..view.camera import TILE_SIZE
+from ..view.frame import PART_NAMES
 from .matter_cells import MatterCellTable
+from .rendering import STOP_TRANSMITTANCE, MakeArrays, March
 from .shading import ColumnTable, row_table, shaded_grid
 from .sparse import MatterSkip
 
@@ -79,7 +82,29 @@ class MarchTables:
         """The rows as they are now: a RowTable of kernels/field/rows.py."""
         return row_table(self._grid, self.columns)
 
-    def image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
+    def begin_image(self, centre: wp.vec3, step: float, work: float) -> March:
+        """Start on a view of the grid.
+
+        Args:
+            centre: Of the camera, relative to the grid's origin.
+            step: March step, world units.
+            work: Steps that a ray may take, as `core.devices.launch` has them.
+
+        Returns:
+            What launches the rest.
+        """
+        kernel, inputs, rays = self._image_kernel(centre, step)
+
+        def march(threads: int, pinhole: Any, colour: wp.vec3, make_arrays: MakeArrays) -> None:
+            arrays = make_arrays()
+            outputs = [arrays[name] for name in PART_NAMES]
+            inputs_of_view = [*inputs, pinhole, colour, step, STOP_TRANSMITTANCE]
+            device = self._grid.links.device
+            launch(kernel, threads // rays, inputs_of_view, outputs, device=device, work=rays * work)
+
+        return march
+
+    def _image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
         """What renders a view of the grid.
 
         Args:

@@ -18,10 +18,16 @@ from .outer import OuterField
 #: A march ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-3
 
+#: Makes the arrays of a picture, (h * w,) each, by the names of a Frame's parts and masks.
+MakeArrays = Callable[[], dict[str, wp.array]]
+
 #: Launches a kernel that marches the rays of a picture. It gets the number of threads, the PinholeCamera, the colour
-#: behind the picture, and what makes the arrays to fill, (h * w,) each, by the names of a Frame's parts and masks: to
-#: be called once, when the device is at work on what needs none of them.
-March = Callable[[int, Any, wp.vec3, Callable[[], dict[str, wp.array]]], None]
+#: behind the picture, and what makes the arrays to fill: to be called once, when the device is at work on what needs
+#: none of them.
+March = Callable[[int, Any, wp.vec3, MakeArrays], None]
+
+#: Starts on what a march waits for, so that the device is at work while the host goes on.
+BeginMarch = Callable[[], March]
 
 
 def render_frame(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,14 +18,14 @@ from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera, rigid_motion
-from ..view.frame import PART_NAMES, Frame, checked_supersampling
+from ..view.frame import Frame, checked_supersampling
 from ..view.refined_cameras import RefinedCameras
 from .background import LayeredBackground
 from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field
 from .marching import MarchTables
 from .outer import OuterField
-from .rendering import STOP_TRANSMITTANCE, March, render_frame
+from .rendering import BeginMarch, March, render_frame
 from .sparse import harmonics_on_device, harmonics_on_host, measure_skip, values_on_device
 from .surface import DensityField, extract_mesh
 from .surface_colors import surface_colors
@@ -265,16 +264,12 @@ class VoxelField:
                 a camera so far away that float32 cannot tell steps there, or supersampling out of range.
         """
         step, work = self.march_step(step, camera)
-        # first of all: the device is at work while the host goes on
-        kernel, inputs, rays = self.marching.image_kernel(wp.vec3(*(camera.centre - self._center)), step)
+        centre = wp.vec3(*(camera.centre - self._center))
 
-        def march(threads: int, pinhole: Any, colour: wp.vec3, made_arrays: Callable[[], dict[str, wp.array]]) -> None:
-            arrays = made_arrays()
-            outputs = [arrays[name] for name in PART_NAMES]
-            inputs_of_view = [*inputs, pinhole, colour, step, STOP_TRANSMITTANCE]
-            launch(kernel, threads // rays, inputs_of_view, outputs, device=self.device, work=rays * work)
+        def begin() -> March:
+            return self.marching.begin_image(centre, step, work)
 
-        return self.render_by(march, camera, background=background, supersampling=supersampling)
+        return self.render_by(begin, camera, background=background, supersampling=supersampling)
 
     def march_step(self, step: float | None, camera: Camera) -> tuple[float, float]:
         """The step of a march from a camera.
@@ -296,7 +291,7 @@ class VoxelField:
     @in_turn
     def render_by(
         self,
-        march: March,
+        begin: BeginMarch,
         camera: Camera,
         *,
         background: str | ArrayLike | None = None,
@@ -306,7 +301,8 @@ class VoxelField:
         """The view of a camera by another march through this field, before the field's own background.
 
         Args:
-            march: Fills the arrays of the picture; see `warpcage.field.rendering.March`.
+            begin: Called once the rest is checked; what it returns fills the arrays of the picture. See
+                `warpcage.field.rendering`.
             camera: The camera.
             background: As for `render`.
             supersampling: As for `render`.
@@ -320,13 +316,14 @@ class VoxelField:
         """
         require_type(camera, Camera, "render needs")
         colour, layers = self.chosen_background(background)
+        supersampling = checked_supersampling(self.supersampling if supersampling is None else supersampling)
         return render_frame(
-            march,
+            begin(),
             camera,
             origin=self.center,
             colour=colour,
             layers=layers,
-            supersampling=checked_supersampling(self.supersampling if supersampling is None else supersampling),
+            supersampling=supersampling,
             device=self.device,
             masks=masks,
         )

@@ -13,7 +13,8 @@ import warp as wp
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.files import require_numbers
-from ..field.voxel_field import STOP_TRANSMITTANCE, VoxelField
+from ..field.rendering import STOP_TRANSMITTANCE
+from ..field.voxel_field import VoxelField
 from ..kernels.fitting import cameras as kernels
 from ..kernels.fitting.loss import TrainingRays
 from ..kernels.view.rays import PinholeCamera

@@ -11,7 +11,8 @@ import warp as wp
 from ..core.arrays import array_view, empty_array
 from ..core.devices import lane_count, launch
 from ..field.masked_field import field_from_mask
-from ..field.voxel_field import STOP_TRANSMITTANCE, VoxelField
+from ..field.rendering import STOP_TRANSMITTANCE
+from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
 from ..kernels.field.render import record_weights
 from ..kernels.fitting import rmsprop
