@@ -10,7 +10,7 @@ from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.kernels.fitting.shuffle import shuffled_place
 from warpcage.reference.fit_scenes import synthetic_scene
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel

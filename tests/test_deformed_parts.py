@@ -238,6 +238,7 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     camera = camera_struct(Camera(4e4, 4e4, width / 2, height / 2, width, height, view().camera_to_world), (0, 0, 0))
     options = MarchOptions()
     options.step = deformer.field.step
+    options.inverse_step = 1.0 / options.step
     marched = MarchedView(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
     kernels = (render_edit_part, render_edit_part_with_sides)
     parts.render_parts(

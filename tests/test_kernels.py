@@ -166,6 +166,14 @@ def test_loads(name, device):
     wp.load_module(module_of(name), device=device)
 
 
+@pytest.mark.parametrize("name", WITH_KERNELS)
+def test_no_loop_is_around_kernels(name):
+    """Warp's loop for launches of fewer threads than items, which keeps registers through all of a kernel."""
+    module = wp.get_module(module_of(name).__name__)
+    assert module.options["default_grid_stride"] is False
+    assert not any(kernel.options.get("grid_stride") for kernel in module.kernels.values())
+
+
 @pytest.mark.parametrize("arch", [75, 90])
 @pytest.mark.parametrize("name", WITH_KERNELS)
 def test_compiles_for_cuda_without_a_gpu(name, arch, tmp_path, monkeypatch):

@@ -27,7 +27,7 @@ from ..mesh.fans import INFINITE, PLANE_BAND, near_plane_limit
 from ..mesh.triangle import nearest_barycentric
 
 # so many registers per thread that larger blocks would fill a GPU less well
-wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
 
 #: Faces take the float64 path if they are seen wide and their plane passes closer than this many bands of fans.py.
 BANDS = wp.constant(2.0)

@@ -6,7 +6,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Farthest along an axis, in sizes of the cage: mean value weights keep four digits as far outside.
 FARTHEST = wp.constant(1.0e3)

@@ -25,7 +25,7 @@ from ..mesh.fans import near_plane_limit
 from ..mesh.triangle import nearest_barycentric
 
 # so many registers per thread that larger blocks would fill a GPU less well
-wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
 
 #: Every face takes the float64 path where the sum of weights is between these over the size, as it is well outside.
 CANCELLED = wp.constant(10.0)

@@ -7,7 +7,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func_native("""
@@ -89,4 +89,32 @@ def trilinear_entry(values: wp.array3d(dtype=float), g: wp.vec3, beyond: float) 
 """)
 def reciprocal_root(x: wp.float32) -> wp.float32:
     """1 / sqrt(x), to two units in the last place; infinite at zero."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float root;
+    asm("sqrt.approx.f32 %0, %1;" : "=f"(root) : "f"(x));
+    return root;
+#else
+    return sqrtf(x);
+#endif
+""")
+def near_root(x: wp.float32) -> wp.float32:
+    """sqrt(x), to two units in the last place, without the call that the last half of one takes."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float reciprocal;
+    asm("rcp.approx.f32 %0, %1;" : "=f"(reciprocal) : "f"(x));
+    return reciprocal;
+#else
+    return 1.0f / x;
+#endif
+""")
+def near_reciprocal(x: wp.float32) -> wp.float32:
+    """1 / x, to two units in the last place, without the call that the last half of one takes."""
     ...

@@ -9,7 +9,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: C++ for CUDA that makes halves r, g, b and a of `value`, or the largest that they hold.
 FOUR_HALVES = """

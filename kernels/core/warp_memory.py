@@ -7,7 +7,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Numbers of a warp, and warps of a block, at most. A block takes 4 * 4 * WARP_NUMBERS bytes of shared memory.
 WARP_NUMBERS = wp.constant(1344)

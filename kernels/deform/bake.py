@@ -15,7 +15,7 @@ from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance, g
 from ..field.harmonics import LUMINANCE_NUMBERS, sh_basis, vec16
 from .edits import CLEARED, MAPPED, CanonicalPoint, LatticeEdit, canonical_point, canonical_step
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
 vec7 = wp.types.vector(length=7, dtype=wp.float32)

@@ -19,7 +19,7 @@ from .flat_edits import FlatEdit, entry_of_sides
 from .laid_shades import CARRIED_LAYER, PLAIN_LAYER, LaidShades, write_laid_shade
 from .map_nodes import node_blend, node_slope, side_slope
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 #: A cage is at least this many cells within the border of its lattice (warpcage/lattice/lattice).
 LATTICE_MARGIN = wp.constant(2.0)

@@ -21,7 +21,7 @@ from ..mesh.containment import triangle_distance_squared
 from ..mesh.triangle import nearest_barycentric
 from ..mesh.walls import Walls, faded_position
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Most steps of the search for a place that the map leads to a given point.
 MOST_STEPS = wp.constant(12)

@@ -10,7 +10,7 @@ from ..lattice.cage_map import CageMap, cell_sides
 from .cells import jacobian_spread, largest_stretch, mat83, mean_jacobian
 from .edits import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE, CELL_STEEP, CUT_LENGTH, LatticeEdit
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel

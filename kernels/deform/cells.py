@@ -24,7 +24,7 @@ from .edits import (
 )
 from .march import lattice_lower, lattice_upper
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Distances between lattice cells are cut here: a lattice is some hundred cells wide, and they are spread at each pose.
 REACH_LIMIT = wp.constant(12)

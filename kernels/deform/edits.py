@@ -24,7 +24,7 @@ from ..mesh.containment import cage_distance, winding_number
 from ..mesh.walls import Walls, faded_position
 from .crumbs import CrumbCells, in_crumbs
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 UNCHANGED = wp.constant(0)
 CLEARED = wp.constant(1)
 MAPPED = wp.constant(2)

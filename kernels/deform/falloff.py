@@ -11,7 +11,7 @@ import warp as wp
 from ..lattice.cage_map import CageMap
 from ..mesh.walls import Walls, faded_position
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Corners of cells with a point in the cage are no farther from it than this, in cells.
 FAR_CELLS = wp.constant(2.0)

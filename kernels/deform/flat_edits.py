@@ -10,7 +10,7 @@ from ..core.entries import trilinear_entry
 from ..lattice.cage_map import CageMap
 from .crumbs import CrumbCells
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: `look` holds the flags of a cell that must be looked at, or this and the distance to the nearest such cell.
 LOOK_SKIP = wp.constant(64)
@@ -22,7 +22,9 @@ class FlatEdit:
 
     lower: wp.vec3  # position of node (0, 0, 0)
     inverse_spacing: float
+    spacing: float
     node_counts: wp.vec3i
+    last_cell: wp.vec3i  # node_counts less 2
     nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance
     look: wp.array(dtype=wp.uint8)
     has_sides: int  # 1: there are cells at narrow gaps of the cage with corner values for each side (see CageMap)

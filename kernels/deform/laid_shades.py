@@ -12,7 +12,7 @@ import warp as wp
 
 from ..core.texels import BLENDED_TEXEL, WRITE_HALF_TEXEL
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Layers of shades: as samples see rows that no map has led there, and as mapped ones do.
 PLAIN_LAYER = wp.constant(0)
@@ -25,6 +25,7 @@ class LaidShades:
     """Shades at the nodes of a grid, 0 where a node has no row."""
 
     node_counts: wp.vec3i
+    cells: wp.vec3  # node_counts less 1
     texture: wp.uint64  # of four halves: axis 2 of the grid, axis 1, and axis 0 of one layer after the other
     surface: wp.uint64  # the same, to be written
     shades: wp.array(dtype=wp.vec4)  # (layers * nodes,) on a CPU

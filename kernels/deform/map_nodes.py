@@ -9,16 +9,17 @@ import warp as wp
 
 from ..lattice.cage_map import corner_share
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + n;
+    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + (unsigned)n;
+    const unsigned sx = (unsigned)x, sz = (unsigned)z;
     float r[4];
-    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + z), b1 = __ldg(begin + z + 1);
-    const float4 c0 = __ldg(begin + x), c1 = __ldg(begin + x + 1);
-    const float4 d0 = __ldg(begin + x + z), d1 = __ldg(begin + x + z + 1);
+    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + sz), b1 = __ldg(begin + sz + 1);
+    const float4 c0 = __ldg(begin + sx), c1 = __ldg(begin + sx + 1);
+    const float4 d0 = __ldg(begin + sx + sz), d1 = __ldg(begin + sx + sz + 1);
     #define BLEND(m) { \\
         const float p = a0.m + f.c[2] * (a1.m - a0.m), q = b0.m + f.c[2] * (b1.m - b0.m); \\
         const float s = c0.m + f.c[2] * (c1.m - c0.m), t = d0.m + f.c[2] * (d1.m - d0.m); \\
@@ -47,11 +48,12 @@ def node_blend(nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.i
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + n;
+    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + (unsigned)n;
+    const unsigned sx = (unsigned)x, sz = (unsigned)z;
     float r[3];
-    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + z), b1 = __ldg(begin + z + 1);
-    const float4 c0 = __ldg(begin + x), c1 = __ldg(begin + x + 1);
-    const float4 d0 = __ldg(begin + x + z), d1 = __ldg(begin + x + z + 1);
+    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + sz), b1 = __ldg(begin + sz + 1);
+    const float4 c0 = __ldg(begin + sx), c1 = __ldg(begin + sx + 1);
+    const float4 d0 = __ldg(begin + sx + sz), d1 = __ldg(begin + sx + sz + 1);
     #define SLOPE(m) { \\
         const float ea = a1.m - a0.m, eb = b1.m - b0.m, ec = c1.m - c0.m, ed = d1.m - d0.m; \\
         const float p = a0.m + f.c[2] * ea, q = b0.m + f.c[2] * eb, s = c0.m + f.c[2] * ec, t = d0.m + f.c[2] * ed; \\

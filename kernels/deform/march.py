@@ -32,7 +32,7 @@ from .edits import (
     is_folded,
 )
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: A sample that is longer than CUT_LENGTH in canonical space is cut into at most this many.
 MAX_SUB_SAMPLES = wp.constant(16)
@@ -49,6 +49,7 @@ class MarchOptions:
     """How a scene is marched."""
 
     step: float  # world units
+    inverse_step: float
     stop: float  # a march ends where less than this share of the light is left
     arc_opacity: int  # 1: optical depth in canonical arc length, 0: sigma dt
 

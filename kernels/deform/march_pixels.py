@@ -18,7 +18,7 @@ from .march_single import march_edit
 from .pictures import Picture, fill_pixel
 from .ray_parts import RAY_END, ScenePart, finished, leave_ray, part_end, ray_start, ray_state
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func

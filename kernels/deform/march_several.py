@@ -38,7 +38,7 @@ from .flat_edits import LOOK_SKIP, FlatEdit, cell_exit, rest_distance
 from .map_nodes import node_blend, node_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.struct

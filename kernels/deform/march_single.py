@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from ..core.entries import byte_entry, cell_byte
+from ..core.entries import byte_entry, near_reciprocal, near_root
 from ..field.grid import VoxelGrid, grid_position
 from ..field.samples import exit_of_cell, grid_span, safe_inverse
 from ..lattice.cage_map import side_position
@@ -21,10 +21,13 @@ from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
 from .laid_shades import CARRIED_LAYER, PLAIN_LAYER
 from .map_nodes import node_blend, node_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
-from .matter_rows import early_matter, late_matter, least_pending, matter_colour
+from .matter_rows import empty_at, least_pending, matter_at, matter_colour
 from .ray_parts import BEGUN, RayState
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+#: Where no cell is steep, a ray takes at least this way for a canonical length of 1.
+SURE_WAY = wp.constant(1.0 / float(CUT_LENGTH))
 
 
 @wp.struct
@@ -87,6 +90,244 @@ def sample_after(k: float):
     return k + wp.max(1.0, 6.0e-8 * k)
 
 
+@wp.struct
+class EditLine:
+    """What a march knows of a ray: in lattice cells, so many per unit of distance, and where boxes are on it."""
+
+    start: wp.vec3
+    rate: wp.vec3
+    inverse: wp.vec3  # of the rate
+    box: wp.vec2  # distances between which it is in the lattice
+    span: wp.vec2  # and in the field's grid
+
+
+@wp.struct
+class MarchedRay:
+    """How far a march has come along a ray, and what it saw. Samples are counted in floats: no conversions."""
+
+    seen: DeformedRadiance
+    pending: float
+    k: float  # the sample
+    j: float  # the part of it that is done, where it is cut
+    share: float  # of the sample that a sub-sample stands for; 1 for one that is not cut
+
+
+@wp.struct
+class LatticePlace:
+    """Where a sample is in an edit's lattice, and what its cell is known for."""
+
+    in_box: bool
+    n: int  # node below it
+    f: wp.vec3  # place in the cell above that, 0 to 1
+    flags: int
+
+
+@wp.struct
+class MappedPlace:
+    """Where a sample is in canonical space."""
+
+    position: wp.vec3
+    mapped: bool  # whether the map has led there
+    entry: int  # of the table of sides
+
+
+# Registers are short. What a branch sets is a variable of the whole kernel to Warp, and kept from round to round: so
+# functions below return early, or set numbers of a struct. What a launch knows is a number of its structs rather than
+# worked out before the loop, and exact roots and quotients are calls, around which more is kept.
+
+
+@wp.func
+def edit_line(edit: FlatEdit, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
+    """A ray as a march through an edit knows it."""
+    line = EditLine()
+    line.start = (origin - edit.lower) * edit.inverse_spacing
+    line.rate = direction * edit.inverse_spacing
+    line.inverse = safe_inverse(line.rate)
+    corner = wp.vec3(float(edit.node_counts[0] - 1), float(edit.node_counts[1] - 1), float(edit.node_counts[2] - 1))
+    line.box = box_span(line.start, line.rate, wp.vec3(0.0, 0.0, 0.0), corner)
+    line.span = grid_span(grid, origin, direction)
+    return line
+
+
+@wp.func
+def line_span(line: EditLine):
+    """Distances between which a ray can meet anything; none if the first is not below the second."""
+    meets_box = line.box[0] < line.box[1]
+    meets_grid = line.span[0] < line.span[1]
+    near = wp.min(wp.where(meets_box, line.box[0], 1.0e30), wp.where(meets_grid, line.span[0], 1.0e30))
+    far = wp.max(wp.where(meets_box, line.box[1], -1.0), wp.where(meets_grid, line.span[1], -1.0))
+    return wp.vec2(near, far)
+
+
+@wp.func
+def ray_distance(ray: MarchedRay, step: float):
+    """Distance of a ray's sample from the camera."""
+    return (ray.k + ray.j + 0.5 * ray.share) * step
+
+
+@wp.func
+def at_sample(ray: MarchedRay, k: float):
+    """A ray that goes on with the whole of sample k."""
+    ray.k = k
+    ray.j = float(0.0)
+    ray.share = float(1.0)
+    return ray
+
+
+@wp.func
+def first_sample(t: float, inverse_step: float):
+    """The first sample at or beyond a distance."""
+    return wp.ceil(t * inverse_step - 0.5)
+
+
+@wp.func
+def lattice_place(edit: FlatEdit, line: EditLine, place: wp.vec3, t: float):
+    """Look a sample's cell up."""
+    at = LatticePlace()
+    at.in_box = t >= line.box[0] and t < line.box[1]
+    at.f = place
+    if at.in_box:
+        ci = wp.clamp(int(place[0]), 0, edit.last_cell[0])
+        cj = wp.clamp(int(place[1]), 0, edit.last_cell[1])
+        ck = wp.clamp(int(place[2]), 0, edit.last_cell[2])
+        at.n = (ci * edit.node_counts[1] + cj) * edit.node_counts[2] + ck
+        at.f = place - wp.vec3(float(ci), float(cj), float(ck))
+        at.flags = byte_entry(edit.look, at.n)
+    return at
+
+
+@wp.func
+def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, place: wp.vec3):
+    """Where a sample is in canonical space."""
+    result = MappedPlace()
+    result.position = edit.lower + edit.spacing * place
+    if not at.in_box or edit.removes == 1 or (at.flags & CELL_OUTSIDE) != 0:
+        return result
+    nz = edit.node_counts[2]
+    node = node_blend(edit.nodes, at.n, edit.node_counts[1] * nz, nz, at.f)
+    if (at.flags & CELL_INSIDE) == 0 and node[3] > edit.tolerance:
+        return result
+    result.mapped = True
+    result.entry = side_entry(sides, edit, at.n)
+    result.position = map_position(sides, edit, result.entry, at.f, wp.vec3(node[0], node[1], node[2]))
+    return result
+
+
+@wp.func
+def room_in_cage(edit: FlatEdit, position: wp.vec3, is_asked: bool):
+    """On the ray, in which no sample leaves the rest cage; negative beyond its slack. Endless where nobody asks."""
+    if not is_asked:
+        return 1.0e30
+    return 0.5 * (edit.slack - rest_distance(edit, position))
+
+
+@wp.func
+def slope_at(sides: Any, edit: FlatEdit, at: LatticePlace, entry: int, line: EditLine, is_asked: bool):
+    """Derivative of the canonical position along a ray; the ray's own where nobody asks."""
+    if not is_asked:
+        return line.rate
+    return map_slope(sides, edit, at.n, entry, at.f, line.rate)
+
+
+@wp.func
+def exit_of_lattice_cell(f: wp.vec3, inverse: wp.vec3, reach: int):
+    """field/samples.exit_of_cell without numbers that are the same for a whole ray, which a march would keep."""
+    half = float(reach) - 0.5
+    x = half * wp.abs(inverse[0]) - (f[0] - 0.5) * inverse[0]
+    y = half * wp.abs(inverse[1]) - (f[1] - 0.5) * inverse[1]
+    z = half * wp.abs(inverse[2]) - (f[2] - 0.5) * inverse[2]
+    return wp.min(x, wp.min(y, z))
+
+
+@wp.func
+def beyond_grid(line: EditLine, t: float):
+    """Where a sample outside the grid and the lattice may meet something again."""
+    if t < line.span[0]:
+        return line.span[0]
+    return wp.max(line.box[1], line.span[1])
+
+
+@wp.func
+def up_to_box(line: EditLine, t: float, leave: float):
+    """A jump from t that does not lead into the lattice."""
+    if t < line.box[0] and line.box[0] < line.box[1]:
+        return wp.min(leave, line.box[0])
+    return leave
+
+
+@wp.func
+def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlace, g: wp.vec3, t: float, room: float):
+    """Distance up to which a ray certainly meets nothing after a sample that holds nothing."""
+    if at.in_box:
+        if (at.flags & (CELL_INSIDE | CELL_STEEP)) != CELL_INSIDE:
+            return t
+        hollow = float(empty_at(grid, g) - 1) * (wp.min(grid.voxel_size) * SURE_WAY)
+        return t + wp.min(wp.min(exit_of_lattice_cell(at.f, line.inverse, 1), hollow), room)
+    leave = beyond_grid(line, t)
+    if t >= line.span[0] and t < line.span[1]:
+        offset = g - wp.vec3(wp.floor(g[0]), wp.floor(g[1]), wp.floor(g[2]))
+        inverse = wp.cw_mul(line.inverse, edit.inverse_spacing * grid.voxel_size)
+        return up_to_box(line, t, t + exit_of_cell(offset, inverse, empty_at(grid, g)))
+    return up_to_box(line, t, leave)
+
+
+@wp.func
+def take_sample(
+    sides: Any, edit: FlatEdit, grid: VoxelGrid, table: Any, options: MarchOptions, line: EditLine, ray: MarchedRay
+):
+    """Gather what a ray's sample holds, and go on to the next one to look at."""
+    step = options.step
+    t = ray_distance(ray, step)
+    place = line.start + t * line.rate
+    at = lattice_place(edit, line, place, t)
+    if at.flags >= LOOK_SKIP:
+        leave = t + exit_of_lattice_cell(at.f, line.inverse, at.flags - LOOK_SKIP)
+        leave = wp.max(wp.min(leave, line.box[1]), t + 0.5 * step)
+        return at_sample(ray, wp.max(sample_after(ray.k), first_sample(leave, options.inverse_step)))
+    point = mapped_place(sides, edit, at, place)
+    g = grid_position(grid, point.position)
+    matter = matter_at(table, grid, g, wp.where(point.mapped, CARRIED_LAYER, PLAIN_LAYER), step)
+    is_matter = matter[3] > 0.0
+    clears = is_matter and not point.mapped and edit.keeps_source == 0
+    asks_room = clears or (point.mapped and (at.flags & CELL_STAYS) == 0)
+    room = room_in_cage(edit, point.position, asks_room)
+    leaves = point.mapped and room < 0.0
+    asks_length = point.mapped and ray.share == 1.0 and (at.flags & CELL_STEEP) != 0
+    asks_slope = asks_length or (point.mapped and is_matter and not leaves)
+    slope = slope_at(sides, edit, at, point.entry, line, asks_slope)
+    stretch = near_root(wp.dot(slope, slope))
+    if asks_length and stretch > CUT_LENGTH:
+        ray.share = near_reciprocal(wp.min(wp.ceil(stretch - 1.0e-3), float(MAX_SUB_SAMPLES)))
+        return ray
+    next_k = sample_after(ray.k)
+    if leaves:
+        ray.seen.outside += 1.0
+    elif is_matter:
+        depth = matter[3] * ray.share * wp.where(point.mapped and options.arc_opacity == 1, stretch, 1.0)
+        kept = wp.exp(-depth)
+        if clears and 2.0 * room >= edit.slack:
+            if ray.seen.cleared_transmittance > FAINT:
+                ray.seen.reveal += ray.seen.transmittance * ray.seen.cleared_transmittance * (1.0 - kept)
+                ray.seen.cleared_transmittance *= kept
+        else:
+            weight = ray.seen.transmittance * (1.0 - kept)
+            ray.pending += weight
+            if ray.pending > least_pending(table):
+                colour = matter_colour(table, grid, matter, g, slope, line.rate)
+                ray.seen.colour += ray.pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                ray.pending = float(0.0)
+            ray.seen.depth += weight * t
+            ray.seen.transmittance *= kept
+            if (at.flags & CELL_FOLDED) != 0 and point.mapped and weight > FOLD_MIN_WEIGHT:
+                ray.seen.fold += weight
+    else:
+        next_k = wp.max(next_k, first_sample(leave_empty(edit, grid, line, at, g, t, room), options.inverse_step))
+    ray.j += ray.share
+    if ray.j > 1.0 - 0.5 * ray.share:
+        return at_sample(ray, next_k)
+    return ray
+
+
 @wp.func
 def march_edit(
     sides: Any,
@@ -100,156 +341,17 @@ def march_edit(
     end: float,
 ):
     """Gather radiance along a ray through the deformed scene from where `state` has reached up to a distance `end`."""
-    seen = DeformedRadiance()
-    seen.colour = state.seen.colour
-    seen.transmittance = state.seen.transmittance
-    seen.depth = state.seen.depth
-    seen.cleared_transmittance = state.seen.cleared_transmittance
-    seen.reveal = state.seen.reveal
-    seen.fold = state.seen.fold
-    seen.outside = state.seen.outside
-    pending = float(state.pending)
-    step = options.step
-    # the ray in lattice cells and in voxels
-    lattice_start = (origin - edit.lower) * edit.inverse_spacing
-    lattice_rate = direction * edit.inverse_spacing
-    tops = wp.vec3i(edit.node_counts[0] - 2, edit.node_counts[1] - 2, edit.node_counts[2] - 2)
-    corner = wp.vec3(float(tops[0] + 1), float(tops[1] + 1), float(tops[2] + 1))
-    box = box_span(lattice_start, lattice_rate, wp.vec3(0.0, 0.0, 0.0), corner)
-    span = grid_span(grid, origin, direction)
-    near = float(1.0e30)
-    far = float(-1.0)
-    if box[0] < box[1]:
-        near = box[0]
-        far = box[1]
-    if span[0] < span[1]:
-        near = wp.min(near, span[0])
-        far = wp.max(far, span[1])
-    lattice_inverse = safe_inverse(lattice_rate)
-    spacing = 1.0 / edit.inverse_spacing
-    nz = edit.node_counts[2]
-    nyz = edit.node_counts[1] * nz
-    cells = wp.vec3i(grid.skip.shape[0], grid.skip.shape[1], grid.skip.shape[2])
-
-    far = wp.min(far, end)
-    inverse_step = 1.0 / step
-    # whole numbers, for a loop without conversions
-    k = wp.ceil(wp.max(near, state.reached) * inverse_step - 0.5)
-    j = float(0.0)
-    share = float(1.0)  # of sample k that a sub-sample stands for
-    is_cut = bool(False)  # whether that is known, where it is asked for
-    t = (k + 0.5) * step
-    while t < far and seen.transmittance > options.stop:
-        place = lattice_start + t * lattice_rate
-        in_box = t >= box[0] and t < box[1]
-        flags = int(0)
-        n = int(0)
-        f = wp.vec3(0.0, 0.0, 0.0)
-        if in_box:
-            ci = wp.clamp(int(place[0]), 0, tops[0])
-            cj = wp.clamp(int(place[1]), 0, tops[1])
-            ck = wp.clamp(int(place[2]), 0, tops[2])
-            n = ci * nyz + cj * nz + ck
-            f = place - wp.vec3(float(ci), float(cj), float(ck))
-            flags = byte_entry(edit.look, n)
-            if flags >= LOOK_SKIP:
-                leave = t + exit_of_cell(f, lattice_inverse, flags - LOOK_SKIP)
-                leave = wp.max(wp.min(leave, box[1]), t + 0.5 * step)
-                k = wp.max(sample_after(k), wp.ceil(leave * inverse_step - 0.5))
-                j = float(0.0)
-                share = float(1.0)
-                is_cut = bool(False)
-                t = (k + 0.5) * step
-                continue
-        # the canonical point
-        position = edit.lower + spacing * place  # from few numbers that a ray keeps: registers are short
-        mapped = bool(False)
-        entry = int(0)
-        if in_box and edit.removes == 0 and (flags & CELL_OUTSIDE) == 0:
-            node = node_blend(edit.nodes, n, nyz, nz, f)
-            mapped = (flags & CELL_INSIDE) != 0 or node[3] <= edit.tolerance
-            if mapped:
-                entry = side_entry(sides, edit, n)
-                position = map_position(sides, edit, entry, f, wp.vec3(node[0], node[1], node[2]))
-        g = grid_position(grid, position)
-        gi = int(wp.floor(g[0]))
-        gj = int(wp.floor(g[1]))
-        gk = int(wp.floor(g[2]))
-        offset = g - wp.vec3(float(gi), float(gj), float(gk))
-        empty = int(1)
-        matter = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2]:
-            empty = cell_byte(grid.skip, gi, gj, gk)
-            layer = wp.where(mapped, CARRIED_LAYER, PLAIN_LAYER)
-            matter = early_matter(table, gi, gj, gk, offset, g, layer)
-        next_index = sample_after(k)
-        if empty > 0:
-            matter = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            if not in_box:
-                leave = t
-                if t < span[0] or not (t < span[1]):
-                    leave = wp.where(t < span[0], span[0], wp.max(box[1], span[1]))
-                else:
-                    inverse = wp.cw_mul(lattice_inverse, edit.inverse_spacing * grid.voxel_size)
-                    leave = t + exit_of_cell(offset, inverse, empty)
-                if t < box[0] and box[0] < box[1]:
-                    leave = wp.min(leave, box[0])
-                next_index = wp.max(next_index, wp.ceil(leave * inverse_step - 0.5))
-        else:
-            matter = late_matter(table, grid, matter, step, gi, gj, gk, offset)
-        # each function of the map stands once in this loop: registers are short
-        clears = not mapped and edit.keeps_source == 0 and empty == 0
-        room = float(1.0e30)  # on the ray, in which no sample leaves the rest cage
-        if clears or (mapped and (flags & CELL_STAYS) == 0):
-            room = 0.5 * (edit.slack - rest_distance(edit, position))
-        leaves = mapped and room < 0.0
-        asks_length = mapped and not is_cut and (flags & CELL_STEEP) != 0
-        slope = spacing * lattice_rate
-        stretch = float(1.0)
-        if mapped and (asks_length or (matter[3] > 0.0 and not leaves)):
-            slope = map_slope(sides, edit, n, entry, f, lattice_rate)
-            stretch = wp.length(slope)
-        if asks_length:
-            is_cut = bool(True)
-            if stretch > CUT_LENGTH:
-                share = 1.0 / wp.clamp(wp.ceil(stretch - 1.0e-3), 1.0, float(MAX_SUB_SAMPLES))
-                t = (k + 0.5 * share) * step
-                continue
-        if leaves:
-            seen.outside += 1.0
-        elif matter[3] > 0.0:
-            depth = matter[3] * share
-            if mapped and options.arc_opacity == 1:
-                depth = depth * stretch
-            kept = wp.exp(-depth)
-            if clears and room >= 0.5 * edit.slack:
-                if seen.cleared_transmittance > FAINT:
-                    seen.reveal += seen.transmittance * seen.cleared_transmittance * (1.0 - kept)
-                    seen.cleared_transmittance *= kept
-            else:
-                weight = seen.transmittance * (1.0 - kept)
-                pending += weight
-                if pending > least_pending(table):
-                    colour = matter_colour(table, grid, matter, gi, gj, gk, offset, slope, spacing * lattice_rate)
-                    seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
-                    pending = float(0.0)
-                seen.depth += weight * t
-                seen.transmittance *= kept
-                if mapped and (flags & CELL_FOLDED) != 0 and weight > FOLD_MIN_WEIGHT:
-                    seen.fold += weight
-        elif empty > 1 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
-            hollow = float(empty - 1) * wp.min(grid.voxel_size) / CUT_LENGTH
-            leave = t + wp.min(wp.min(exit_of_cell(f, lattice_inverse, 1), hollow), room)
-            next_index = wp.max(next_index, wp.ceil(leave * inverse_step - 0.5))
-        j += share
-        if j > 1.0 - 0.5 * share:
-            k = next_index
-            j = float(0.0)
-            share = float(1.0)
-            is_cut = bool(False)
-        t = (k + j + 0.5 * share) * step
+    line = edit_line(edit, grid, origin, direction)
+    near_far = line_span(line)
+    far = wp.min(near_far[1], end)
+    ray = MarchedRay()
+    ray.seen = state.seen
+    ray.pending = state.pending
+    ray = at_sample(ray, first_sample(wp.max(near_far[0], state.reached), options.inverse_step))
+    while ray_distance(ray, options.step) < far and ray.seen.transmittance > options.stop:
+        ray = take_sample(sides, edit, grid, table, options, line, ray)
     after = RayState()
-    after.seen = seen
-    after.pending = pending
+    after.seen = ray.seen
+    after.pending = ray.pending
     after.reached = wp.max(far, BEGUN)  # beyond `far` there is nothing up to `end`
     return after

@@ -1,13 +1,13 @@
 """Matter at a place of a field, for the marches through a field that edits deform: of its rows, or of voxels that were
 shaded for the camera.
 
-Both are asked early, while the march waits for something else: of rows the density, whose colours are looked up only
-where enough weighs, and shades, which hold both.
-Needs: deform/laid_shades, field/densities, field/grid, field/harmonics, field/render, field/rows.
+Of rows the density is asked first, and their colours only where enough weighs; shades hold both.
+Needs: core/entries, deform/laid_shades, field/densities, field/grid, field/harmonics, field/render, field/rows.
 """
 
 import warp as wp
 
+from ..core.entries import cell_byte
 from ..field.densities import early_density, late_density
 from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
@@ -15,37 +15,50 @@ from ..field.render import PENDING_WEIGHT
 from ..field.rows import RowTable, row_colour
 from .laid_shades import LaidShades, laid_shade
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
-def early_matter(table: RowTable, i: int, j: int, k: int, offset: wp.vec3, at: wp.vec3, layer: int):
-    """What is asked of a place `at` in node coordinates, 0 to 1 in the cell above node (i, j, k), before it is known
-    whether that holds anything. layer: of deform/laid_shades."""
-    sigma = early_density(table.laid, table.unit, table.columns, i, j, k, offset)
-    return wp.vec4(0.0, 0.0, 0.0, sigma)
+def is_cell(grid: VoxelGrid, i: int, j: int, k: int):
+    """Whether there is a cell above node (i, j, k)."""
+    low = i >= 0 and j >= 0 and k >= 0
+    return low and i < grid.skip.shape[0] and j < grid.skip.shape[1] and k < grid.skip.shape[2]
 
 
 @wp.func
-def early_matter(  # noqa: F811 (a Warp overload)
-    table: LaidShades, i: int, j: int, k: int, offset: wp.vec3, at: wp.vec3, layer: int
-):
-    return laid_shade(table, at, layer)
+def empty_at(grid: VoxelGrid, g: wp.vec3):
+    """Distance in cells from node coordinates g to the nearest that holds anything, 0 there; 1 outside the grid."""
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    if not is_cell(grid, i, j, k):
+        return int(1)
+    return cell_byte(grid.skip, i, j, k)
 
 
 @wp.func
-def late_matter(table: RowTable, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3):
-    """Colour, if it comes with the rest, and optical depth of a step at such a place, in a cell that may hold
-    something."""
-    sigma = late_density(early[3], grid.density, table.columns, i, j, k, offset)
+def matter_at(table: RowTable, grid: VoxelGrid, g: wp.vec3, layer: int, step: float):
+    """Colour, if it comes with the rest, and optical depth of a step at node coordinates g; 0 where there is nothing.
+    layer: of deform/laid_shades."""
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    if not is_cell(grid, i, j, k):
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    offset = g - wp.vec3(float(i), float(j), float(k))
+    early = early_density(table.laid, table.unit, table.columns, i, j, k, offset)
+    if cell_byte(grid.skip, i, j, k) > 0:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    sigma = late_density(early, grid.density, table.columns, i, j, k, offset)
     return wp.vec4(0.0, 0.0, 0.0, sigma * step)
 
 
 @wp.func
-def late_matter(  # noqa: F811
-    table: LaidShades, grid: VoxelGrid, early: wp.vec4, step: float, i: int, j: int, k: int, offset: wp.vec3
-):
-    return early
+def matter_at(table: LaidShades, grid: VoxelGrid, g: wp.vec3, layer: int, step: float):  # noqa: F811 (a Warp overload)
+    low = g[0] >= 0.0 and g[1] >= 0.0 and g[2] >= 0.0
+    if not (low and g[0] < table.cells[0] and g[1] < table.cells[1] and g[2] < table.cells[2]):
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    return laid_shade(table, g, layer)
 
 
 @wp.func
@@ -60,33 +73,20 @@ def least_pending(table: LaidShades):  # noqa: F811
 
 
 @wp.func
-def matter_colour(
-    table: RowTable,
-    grid: VoxelGrid,
-    matter: wp.vec4,
-    i: int,
-    j: int,
-    k: int,
-    offset: wp.vec3,
-    slope: wp.vec3,
-    direction: wp.vec3,
-):
-    """Colour before the clamp at zero, at such a place, seen along `slope`, or `direction` where that is nought."""
+def matter_colour(table: RowTable, grid: VoxelGrid, matter: wp.vec4, g: wp.vec3, slope: wp.vec3, direction: wp.vec3):
+    """Colour before the clamp at zero, at node coordinates g, seen along `slope`, or `direction` where that is nought.
+    Neither has a length of its own."""
     length = wp.length(slope)
-    along = wp.where(length > 1.0e-6, slope / length, direction)
+    along = wp.where(length > 1.0e-6, slope / length, wp.normalize(direction))
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    offset = g - wp.vec3(float(i), float(j), float(k))
     return row_colour(grid.sh, table.packed, table.columns, i, j, k, offset, sh_basis(along))
 
 
 @wp.func
 def matter_colour(  # noqa: F811
-    table: LaidShades,
-    grid: VoxelGrid,
-    matter: wp.vec4,
-    i: int,
-    j: int,
-    k: int,
-    offset: wp.vec3,
-    slope: wp.vec3,
-    direction: wp.vec3,
+    table: LaidShades, grid: VoxelGrid, matter: wp.vec4, g: wp.vec3, slope: wp.vec3, direction: wp.vec3
 ):
     return wp.vec3(matter[0] + 0.5, matter[1] + 0.5, matter[2] + 0.5)

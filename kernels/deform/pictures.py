@@ -9,7 +9,7 @@ from ..field.render import visible_depth
 from ..view.tile_order import TileOrder
 from .march import DeformedRadiance
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.struct

@@ -10,7 +10,7 @@ import warp as wp
 
 from .edits import CLEARED, MAPPED, LatticeEdit, canonical_direction, canonical_point, canonical_step
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.struct

@@ -9,7 +9,7 @@ import warp as wp
 from .edits import ClosedFormEdit
 from .points import canonical_ray
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel

@@ -15,7 +15,7 @@ from ..lattice.cage_map import corner_share
 from .edits import CELL_OUTSIDE
 from .flat_edits import FlatEdit, entry_of_sides
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Of Newton's method in a trilinear cell: from its middle, two or three are enough where the cell is not folded.
 NEWTON_STEPS = wp.constant(6)

@@ -10,7 +10,7 @@ import warp as wp
 from ..field.render import pending_colour
 from .march import DeformedRadiance
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Beyond the end of any ray.
 RAY_END = wp.constant(1.0e30)

@@ -24,7 +24,7 @@ from .march import DeformedRadiance, MarchOptions
 from .pictures import Picture, fill_pixel
 from .ray_parts import BEGUN, ScenePart, finished, leave_ray, part_end, ray_start, ray_state
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 tile_rays = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
 tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
 

@@ -19,7 +19,7 @@ from .pictures import Picture
 from .ray_parts import ScenePart
 
 # small blocks: the rays of one block end at very different times
-wp.set_module_options({"enable_backward": False, "block_dim": 64})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
 
 @wp.kernel(cuda_max_registers=128)

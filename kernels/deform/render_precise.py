@@ -16,7 +16,7 @@ from .march import MarchOptions, march_deformed
 from .pictures import Picture, fill_pixel
 
 # small blocks: the rays of one block end at very different times
-wp.set_module_options({"enable_backward": False, "block_dim": 64})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
 
 @wp.kernel

@@ -10,7 +10,7 @@ from ..lattice.cage_map import CageMap, cell_sides
 from .cells import jacobian_spread, largest_stretch, mat83, mean_jacobian
 from .edits import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, LatticeEdit
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Half the diagonal of a cell: no point in it is farther from the nearest corner.
 HALF_DIAGONAL = wp.constant(0.8661)

@@ -17,7 +17,7 @@ from .march_single import NoSides
 from .pictures import Picture
 
 # small blocks: the rays of one block end at very different times
-wp.set_module_options({"enable_backward": False, "block_dim": 64})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
 
 @wp.kernel(cuda_max_registers=96)

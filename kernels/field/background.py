@@ -14,7 +14,7 @@ import warp as wp
 
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: A ray ends where this share of the light is left.
 OPAQUE_TRANSMITTANCE = wp.constant(1.0e-4)

@@ -8,7 +8,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Nodes of a block.
 BLOCK_NODES = wp.constant(31)

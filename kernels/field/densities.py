@@ -10,7 +10,7 @@ import warp as wp
 
 from .columns import CELL_PLACE, COLUMN_ENTRY, Columns
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 #: C++ of the density at a place, 0 to 1, in a cell: of densities that are laid out, and of rows.

@@ -14,7 +14,7 @@ import warp as wp
 
 from .harmonics import COLOUR_OF_ROW, sh_basis, vec16
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 eight_rows = wp.types.vector(length=8, dtype=wp.int32)
 eight_weights = wp.types.vector(length=8, dtype=wp.float32)
 

@@ -5,7 +5,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Numbers of a thread: rows of harmonics are multiples of it, and those of large fields have more than 2^31 numbers.
 RUN = wp.constant(3)

@@ -9,7 +9,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 vec16 = wp.types.vector(length=16, dtype=wp.float32)
 
 #: Numbers of a luminous row, and harmonics of its parts.

@@ -20,7 +20,7 @@ from .background import BackgroundLayers, layer_value, surface_sample
 from .grid import eight_rows, eight_weights
 from .samples import exit_distance
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
 six_regions = wp.types.vector(length=6, dtype=wp.int32)
 

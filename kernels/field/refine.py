@@ -7,7 +7,7 @@ import warp as wp
 
 from .grid import VoxelGrid, eight_rows, eight_weights
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel

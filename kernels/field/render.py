@@ -15,7 +15,7 @@ from .harmonics import sh_basis
 from .rows import RowTable, row_colour
 from .samples import exit_of_cell, grid_ray, safe_inverse, sample_beyond, sample_distance, sample_place
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 #: A pixel has a depth where it is at least this opaque.
 DEPTH_MIN_ALPHA = wp.constant(1.0e-3)

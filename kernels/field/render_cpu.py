@@ -17,7 +17,7 @@ from .render import PENDING_WEIGHT, pending_colour, visible_depth
 from .rows import RowTable
 from .samples import grid_ray
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 tile_floats = wp.types.vector(length=32, dtype=wp.float32)
 tile_directions = wp.types.matrix(shape=(32, 3), dtype=wp.float32)
 tile_radiance = wp.types.matrix(shape=(32, 6), dtype=wp.float32)

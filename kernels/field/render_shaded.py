@@ -13,7 +13,7 @@ from .render import Radiance, visible_depth
 from .samples import exit_of_cell, grid_ray, safe_inverse
 from .shades import ShadedGrid, shade_at
 
-wp.set_module_options({"enable_backward": False, "block_dim": 64})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
 
 @wp.func

@@ -13,7 +13,7 @@ from .columns import CELL_PLACE, COLUMN_ENTRY, Columns
 from .grid import VoxelGrid, eight_rows
 from .harmonics import COLOUR_OF_ROW, vec16
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 
 #: C++ of several functions below: the harmonics of a row of 24 numbers in registers (CUDA; `whole`: whether they are);

@@ -10,7 +10,7 @@ import warp as wp
 from ..view.rays import box_span
 from .grid import VoxelGrid, grid_position
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func

@@ -15,7 +15,7 @@ from .grid import VoxelGrid, eight_rows
 from .harmonics import COLOUR_OF_ROW, sh_basis, vec16
 from .rows import OWN_ROW, STAGED_ROWS, cell_rows
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 
 @wp.struct

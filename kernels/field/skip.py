@@ -6,7 +6,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Distances are cut here: larger empty regions are crossed in several jumps.
 SKIP_LIMIT = wp.constant(32)

@@ -12,7 +12,7 @@ import warp as wp
 from .grid import VoxelGrid, eight_rows, eight_weights
 from .harmonics import vec16
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Red, green and blue in the columns; in the rows the value, its derivatives by the node coordinates, and by the
 #: components of the direction.

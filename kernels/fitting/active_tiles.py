@@ -10,7 +10,7 @@ from ..field.grid import VoxelGrid, empty_distance
 from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from ..view.rays import PinholeCamera, pixel_direction
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel

@@ -24,7 +24,7 @@ from .loss import TrainingRays, batch_pixel, evenly_exposed, in_picture
 from .pictures import Pictures, picture_pixel
 from .rmsprop import rmsprop_update
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func

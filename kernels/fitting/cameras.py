@@ -19,7 +19,7 @@ from ..view.rays import PinholeCamera
 from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
 from .pictures import picture_pixel
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Numbers by which a camera changes: turns, shifts, and the logarithm of its focal length.
 CAMERA_NUMBERS = wp.constant(7)

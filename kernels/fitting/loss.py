@@ -16,7 +16,7 @@ from ..view.rays import PinholeCamera, image_direction
 from .pictures import Pictures, picture_pixel
 from .shuffle import shuffled_place
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 mat43 = wp.types.matrix(shape=(4, 3), dtype=wp.float32)
 
 #: Sub-rays of a pixel, at most.

@@ -27,7 +27,7 @@ from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_pla
 from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
 from .rmsprop import COEFFICIENTS, GRADIENT_ROW, gradient_place
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 LANES = wp.constant(32)
 
 #: Where a filled cell is at most this many cells away, the densities of the next samples are asked at once.

@@ -34,7 +34,7 @@ from ..view.rays import PinholeCamera, pixel_direction
 from .loss import TrainingRays, batch_pixel, in_picture
 from .rmsprop import rmsprop_update
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel

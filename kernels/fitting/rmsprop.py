@@ -10,7 +10,7 @@ import warp as wp
 
 from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Numbers of a voxel's SH (field/harmonics): sixteen of luminance, four of orange, four of green.
 COEFFICIENTS = wp.constant(24)

@@ -9,7 +9,7 @@ import warp as wp
 from ..field.grid import VoxelGrid
 from .rmsprop import COEFFICIENTS, GRADIENT_ROW, gradient_place, harmonic_degree
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func

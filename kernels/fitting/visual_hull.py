@@ -7,7 +7,7 @@ import warp as wp
 
 from ..view.rays import PinholeCamera
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: A silhouette that leaves the image may reach this many times as far along the border as beyond it.
 BEYOND_SPREAD = wp.constant(3.0)

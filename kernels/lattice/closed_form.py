@@ -17,7 +17,7 @@ from .cut_rows import CutRows
 from .nodes import CUT_SECTION, INTERPOLATED_SECTION, RING_SECTION, NodeLevels, centred_place, node_place
 
 # so many registers per thread that larger blocks would fill a GPU less well
-wp.set_module_options({"enable_backward": False, "fast_math": True, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
 
 
 @wp.kernel(launch_bounds=(128, 5))

@@ -24,7 +24,7 @@ from .distance import BLOCK, block_count, nearest_face
 from .nodes import CUT_SECTION, OUTSIDE, RING_SECTION, NodeLevels, node_place
 from .rings import is_known, is_open_link, node_step
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 #: Of the misfit at a point, how much a ring node takes: other outside corners of the cell move as well, and have about
 #: as much weight there as all inside ones.

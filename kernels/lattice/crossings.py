@@ -14,7 +14,7 @@ import warp as wp
 from ..core.lanes import ballot, lane_count, lowest_bit, without_lowest_bit
 
 # small blocks, as there are few items to fill a GPU with
-wp.set_module_options({"enable_backward": False, "block_dim": 64})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
 #: How far, in cells, a node may lie beyond a crossing by rounding and still count as on its inner side.
 SLACK = wp.constant(1.0e-3)

@@ -20,7 +20,7 @@ from ..mesh.containment import closest_point_on_triangle, triangle_distance_squa
 from .crossings import LineCrossings, exit_crossing, exit_distance, line_index
 from .nodes import NodeLevels, is_cut_link, is_inside_node, level_of, node_place
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Smallest fraction of a cell between a node and the cage. Nodes nearer than that move by less than the lattice's
 #: rounding.

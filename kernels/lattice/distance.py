@@ -22,7 +22,7 @@ from ..core.lanes import (
 from ..mesh.containment import triangle_distance_squared
 from .crossings import LineCrossings, is_inside
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Half-width of the band, in cells.
 BAND = wp.constant(4.0)

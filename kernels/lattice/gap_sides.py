@@ -14,7 +14,7 @@ from .cut_rows import DOUBLE_CUT, CutRows
 from .nodes import OUTSIDE, NodeLevels, cut_section, ring_section
 from .rings import is_open_link, node_step
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 2})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 2})
 
 #: Most sides that an entry of side_index has room for, and the mask of the bits that count them.
 MOST_SIDES = wp.constant(7)

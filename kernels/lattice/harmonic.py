@@ -23,7 +23,7 @@ from ..core.lanes import lane_count, largest_of_lanes
 from .cut_rows import CutRows
 from .nodes import OUTSIDE, NodeLevels, node_place
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Diagonal above which a node counts as lying on the cage: a fraction of about 0.002 of a cell.
 LARGEST_DIAGONAL = wp.constant(500.0)

@@ -21,7 +21,7 @@ from .harmonic import (
 
 #: Threads of the one block on CUDA.
 BLOCK_THREADS = 768
-wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": BLOCK_THREADS})
 _Ends = wp.types.vector(length=6, dtype=int)
 
 

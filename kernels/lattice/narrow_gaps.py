@@ -13,7 +13,7 @@ from .cut_rows import DOUBLE_CUT, CutRows
 from .nodes import OUTSIDE, NodeLevels, cut_section, node_place, ring_section
 from .rings import is_open_link, node_step
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 2})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 2})
 
 #: Difference of the remainder of a map over a gap, as a share of the rest cage's size, above which sides are kept.
 GAP_JUMP = wp.constant(1.0e-2)

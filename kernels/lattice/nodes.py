@@ -26,7 +26,7 @@ from ..core.lanes import ballot, bit_count, bits_before, lane_count
 from .crossings import LineCrossings, exit_distance
 from .distance import is_clear
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 REGULAR = wp.constant(-1)  # inside, not cut
 INTERPOLATED = wp.constant(-2)  # the same, but interpolated from others
 OUTSIDE = wp.constant(-3)  # codes above are inside, codes below in a ring

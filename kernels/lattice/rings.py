@@ -20,7 +20,7 @@ from ..core.lanes import lane_count, octet_count, sum_of_lanes, sum_of_octet
 from .cut_rows import CutRows, barycentric, crossing_value, nearest_face
 from .nodes import OUTSIDE, RING, NodeLevels, node_place, ring_section
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 
 @wp.func

@@ -21,7 +21,7 @@ from .narrow_gaps import far_side
 from .nodes import NodeLevels, cut_section, node_place
 from .rings import is_known, is_steady, node_step
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 2})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 2})
 
 #: Below all heights of a corner of a cell over faces that cross it, in cells.
 FARTHEST_INSIDE = wp.constant(-4.0)

@@ -10,7 +10,7 @@ import warp as wp
 from .cage_map import CageMap, map_position
 from .nodes import NodeLevels, centred_place
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel

@@ -10,7 +10,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fuse_fp": False})
 
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))

@@ -8,7 +8,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Faces whose plane passes closer to a point than this share of the size are for float64.
 PLANE_BAND = wp.constant(1.0e-3)

@@ -11,7 +11,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fuse_fp": False})
 
 #: Voxels by which rounding may put a point into the next one.
 BESIDE = wp.constant(wp.float64(1.0e-6))

@@ -11,7 +11,7 @@ import warp as wp
 
 from .containment import triangle_distance_squared
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.struct

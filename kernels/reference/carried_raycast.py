@@ -19,7 +19,7 @@ import warp as wp
 from ..view.rays import PinholeCamera
 from .mesh_raycast import MeshLighting, sample_direction, shaded_colour
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 TEXTURE_SEED = wp.constant(7)
 
 

@@ -14,7 +14,7 @@ import warp as wp
 
 from ..view.rays import PinholeCamera
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Directions in which a surface point looks for nearby matter.
 OPENNESS_RAYS = wp.constant(6)

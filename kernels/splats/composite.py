@@ -13,7 +13,7 @@ import warp as wp
 
 from .tiles import TILE_SIDE, TileGrid
 
-wp.set_module_options({"enable_backward": False, "block_dim": 256})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 256})
 
 #: A pixel has a depth where it is at least this opaque.
 DEPTH_MIN_ALPHA = wp.constant(1.0e-3)

@@ -21,7 +21,7 @@ import warp as wp
 from .composite import PIXELS_OF_WARP, POWER_AT_PIXEL, REACHING_MEMBERS
 from .tiles import TILE_SIDE, TileGrid
 
-wp.set_module_options({"enable_backward": False, "block_dim": 256})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 256})
 
 #: Sums of a splat.
 SUMS = wp.constant(9)

@@ -11,7 +11,7 @@ import warp as wp
 from .composite_tiles import PIXELS_OF_TILE, RAISED_IN_ROW, ROWS_OF_MEMBER
 from .tiles import TileGrid
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func_native(

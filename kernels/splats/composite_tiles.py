@@ -9,7 +9,7 @@ import warp as wp
 
 from .tiles import TileGrid
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 #: C++ that the pass over the slopes of tiles shares: the pixels of a tile; a splat and the rows that it reaches; and,

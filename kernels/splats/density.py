@@ -14,7 +14,7 @@ import warp as wp
 from .inside import covariance_of
 from .splats import Splats
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Standard deviations to which a splat is added, and the opacity that counts as whole.
 REACH = wp.constant(3.0)

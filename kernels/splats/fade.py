@@ -10,7 +10,7 @@ import warp as wp
 from ..mesh.walls import Walls, walls_share
 from .pose import CarriedSplats
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Step of the difference of the share, in widths of the band.
 DIFFERENCE = wp.constant(2.0e-3)

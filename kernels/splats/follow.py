@@ -13,7 +13,7 @@ from ..lattice.cage_map import CageMap, map_distance, map_position
 from ..mesh.containment import winding_number
 from .pose import CarriedSplats
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: What becomes of a splat that an edit may meet: it goes or stays; goes or is gone (a copy that moves); stays, whatever
 #: is taken from there (a copy that is left).

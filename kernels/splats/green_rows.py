@@ -20,7 +20,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 _INVERSE_FOUR_PI = wp.constant(wp.float64(0.07957747154594767))
 _ONE = wp.constant(wp.float64(1.0))
 _TWO = wp.constant(wp.float64(2.0))

@@ -15,7 +15,7 @@ from ..core.lanes import ballot, from_lane, lane_count, least_of_lanes, lowest_b
 from ..mesh.containment import closest_point_on_triangle, solid_angle, winding_number
 from .pose import CarriedSplats
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Standard deviations beyond which nothing of a splat is counted.
 FAR = wp.constant(3.0)

@@ -13,7 +13,7 @@ from ..lattice.cage_map import CageMap, map_distance, map_position
 from .follow import map_slope
 from .pose import CarriedSplats
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Steps at most, and the longest step, in cells.
 STEPS = wp.constant(24)

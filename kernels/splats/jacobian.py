@@ -10,7 +10,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Below this determinant, as a share of the cube of J's root mean square stretch, J counts as flat or turned over.
 FLAT = wp.constant(1.0e-3)

@@ -19,7 +19,7 @@ Needs: none.
 import warp as wp
 
 # one item writes a column of its own; two of its many numbers are needed at a time, so that registers matter little
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 #: A face whose plane is this close spans no solid angle.
 FLAT = wp.constant(wp.float64(1.0e-11))

@@ -16,7 +16,7 @@ import warp as wp
 
 from .pose import CarriedSplats, put_splats
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 #: Largest half float that a gradient becomes: a power of two, far from the largest there is.
 LARGEST = wp.constant(1024.0)

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..view.downsample import part_index
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel

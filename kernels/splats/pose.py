@@ -20,7 +20,7 @@ import warp as wp
 
 from .jacobian import carried_covariance, nearest_rotation, rms_stretch
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 LAW_RAYS = wp.constant(0)
 LAW_DENSITY = wp.constant(1)
 

@@ -27,7 +27,7 @@ import warp as wp
 from ..view.rays import PinholeCamera
 from .splats import Splats, splat_colour, splat_covariance
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 #: Nothing is drawn of a splat below this.
 LEAST_ALPHA = wp.constant(1.0 / 255.0)

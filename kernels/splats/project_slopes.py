@@ -15,7 +15,7 @@ from .parameters import quaternion_slope, splat_axes
 from .project import ROOT_SCALE, Lens, rim_slope
 from .splats import Splats, splat_covariance
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
 LN_2 = wp.constant(0.6931471805599453)
 

@@ -18,7 +18,7 @@ import warp as wp
 
 from ..field.harmonics import sh_basis
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.struct

@@ -13,7 +13,7 @@ import warp as wp
 
 from .pose import CarriedSplats
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel

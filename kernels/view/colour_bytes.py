@@ -5,7 +5,7 @@ Needs: none.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: What is left in `state` where all colours are finite, and where one is not.
 DONE = wp.constant(1)

@@ -11,7 +11,7 @@ import warp as wp
 
 from .rays import TILE_SIZE
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Tiles are sorted by the logarithm of their ticks: so many bins, and so many for a factor of two.
 TILE_BINS = wp.constant(256)

@@ -141,6 +141,7 @@ class CarriedShades:
         """The LaidShades of a field, 0 at nodes without a row."""
         laid = LaidShades()
         laid.node_counts = table.columns.node_counts
+        laid.cells = wp.vec3(*(float(n - 1) for n in laid.node_counts))
         if self._device.is_cpu:
             laid.shades = wp.zeros(LAYERS * table.node_count, dtype=wp.vec4, device=self._device)
         else:

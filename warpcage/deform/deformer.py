@@ -313,6 +313,7 @@ class Deformer:
             raise ValueError("antialias is for splats: voxels take more rays a pixel (supersampling)")
         options = MarchOptions()
         options.step, work = self.field.march_step(step, camera)
+        options.inverse_step = 1.0 / options.step
         options.stop = STOP_TRANSMITTANCE
         options.arc_opacity = int(self.density == "opacity")
         field, centre = self.field, wp.vec3(*(camera.centre - self.field.center).tolist())

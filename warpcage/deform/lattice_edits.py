@@ -324,7 +324,9 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
     device, node_count = edit.deformed.distance.device, edit.deformed.distance.size
     flat = flat_edits.FlatEdit()
     flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
+    flat.spacing = 1.0 / edit.deformed.inverse_spacing
     flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
+    flat.last_cell = wp.vec3i(*(count - 2 for count in edit.deformed.distance.shape))
     flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)  # nobody looks at the last cells of an axis
     flat.rest = edit.rest
     side_index = edit.deformed.side_index
