@@ -1,4 +1,4 @@
-"""Entries of arrays by bare address arithmetic, and a reciprocal root: for loops bound by instructions.
+"""Entries of arrays by bare address arithmetic, and quick roots and quotients: for loops bound by instructions.
 
 Warp's own indexing also takes negative and long indices, at eight instructions per entry. These take an index
 from zero to the array's end, which is not checked.
@@ -102,7 +102,7 @@ def reciprocal_root(x: wp.float32) -> wp.float32:
 #endif
 """)
 def near_root(x: wp.float32) -> wp.float32:
-    """sqrt(x), to two units in the last place, without the call that the last half of one takes."""
+    """sqrt(x), to two units in the last place. On CUDA an exact root is a call, this one an instruction."""
     ...
 
 
@@ -116,5 +116,5 @@ def near_root(x: wp.float32) -> wp.float32:
 #endif
 """)
 def near_reciprocal(x: wp.float32) -> wp.float32:
-    """1 / x, to two units in the last place, without the call that the last half of one takes."""
+    """1 / x, to two units in the last place. On CUDA an exact quotient is a call, this one an instruction."""
     ...

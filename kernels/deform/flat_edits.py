@@ -22,7 +22,7 @@ class FlatEdit:
 
     lower: wp.vec3  # position of node (0, 0, 0)
     inverse_spacing: float
-    spacing: float
+    spacing: float  # world units
     node_counts: wp.vec3i
     last_cell: wp.vec3i  # node_counts less 2
     nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance

@@ -49,7 +49,7 @@ class MarchOptions:
     """How a scene is marched."""
 
     step: float  # world units
-    inverse_step: float
+    inverse_step: float  # 1 / step
     stop: float  # a march ends where less than this share of the light is left
     arc_opacity: int  # 1: optical depth in canonical arc length, 0: sigma dt
 

@@ -182,7 +182,7 @@ def first_sample(t: float, inverse_step: float):
 
 @wp.func
 def lattice_place(edit: FlatEdit, line: EditLine, place: wp.vec3, t: float):
-    """Look a sample's cell up."""
+    """Where a sample is in the lattice: its place in cells is `place`, its distance t. Flags are 0 outside."""
     at = LatticePlace()
     at.in_box = t >= line.box[0] and t < line.box[1]
     at.f = place
@@ -198,7 +198,7 @@ def lattice_place(edit: FlatEdit, line: EditLine, place: wp.vec3, t: float):
 
 @wp.func
 def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, place: wp.vec3):
-    """Where a sample is in canonical space."""
+    """Where a sample is in canonical space (Eq. 4): where the map leads it inside the posed cage, else where it is."""
     result = MappedPlace()
     result.position = edit.lower + edit.spacing * place
     if not at.in_box or edit.removes == 1 or (at.flags & CELL_OUTSIDE) != 0:
@@ -215,7 +215,8 @@ def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, place: wp.vec3):
 
 @wp.func
 def room_in_cage(edit: FlatEdit, position: wp.vec3, is_asked: bool):
-    """On the ray, in which no sample leaves the rest cage; negative beyond its slack. Endless where nobody asks."""
+    """Distance along a ray over which no sample leaves the rest cage: half of that in canonical space, of which a ray
+    takes at most CUT_LENGTH times its own where it is not steep. Negative beyond the slack; endless if not asked."""
     if not is_asked:
         return 1.0e30
     return 0.5 * (edit.slack - rest_distance(edit, position))
@@ -223,7 +224,8 @@ def room_in_cage(edit: FlatEdit, position: wp.vec3, is_asked: bool):
 
 @wp.func
 def slope_at(sides: Any, edit: FlatEdit, at: LatticePlace, entry: int, line: EditLine, is_asked: bool):
-    """Derivative of the canonical position along a ray; the ray's own where nobody asks."""
+    """Derivative of the canonical position along a ray (Eq. 5), by its distance; its rate in lattice cells where nobody
+    asks."""
     if not is_asked:
         return line.rate
     return map_slope(sides, edit, at.n, entry, at.f, line.rate)
@@ -263,12 +265,11 @@ def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlac
             return t
         hollow = float(empty_at(grid, g) - 1) * (wp.min(grid.voxel_size) * SURE_WAY)
         return t + wp.min(wp.min(exit_of_lattice_cell(at.f, line.inverse, 1), hollow), room)
-    leave = beyond_grid(line, t)
-    if t >= line.span[0] and t < line.span[1]:
-        offset = g - wp.vec3(wp.floor(g[0]), wp.floor(g[1]), wp.floor(g[2]))
-        inverse = wp.cw_mul(line.inverse, edit.inverse_spacing * grid.voxel_size)
-        return up_to_box(line, t, t + exit_of_cell(offset, inverse, empty_at(grid, g)))
-    return up_to_box(line, t, leave)
+    if t < line.span[0] or not (t < line.span[1]):
+        return up_to_box(line, t, beyond_grid(line, t))
+    offset = g - wp.vec3(wp.floor(g[0]), wp.floor(g[1]), wp.floor(g[2]))
+    inverse = wp.cw_mul(line.inverse, edit.inverse_spacing * grid.voxel_size)
+    return up_to_box(line, t, t + exit_of_cell(offset, inverse, empty_at(grid, g)))
 
 
 @wp.func
