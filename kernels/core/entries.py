@@ -61,6 +61,31 @@ def cell_byte(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int) -> int:
 
 
 @wp.func_native("""
+    const unsigned char* begin = reinterpret_cast<const unsigned char*>(array.data)
+        + ((size_t)(unsigned)(i * array.shape[1] + j)) * (unsigned)array.shape[2] + (unsigned)k;
+#if defined(__CUDA_ARCH__)
+    const size_t address = reinterpret_cast<size_t>(begin);
+    const unsigned* words = reinterpret_cast<const unsigned*>(address & ~(size_t)3);
+    const unsigned from = 8u * (unsigned)(address & 3), to = 8u * (unsigned)(last + 1);
+    unsigned bytes = __ldg(words) >> from;
+    if (from + to > 32u)
+        bytes |= __ldg(words + 1) << (32u - from);
+    bytes |= to < 32u ? ~0u << to : 0u;
+    return ((bytes - 0x01010101u) & ~bytes & 0x80808080u) != 0u;
+#else
+    for (int n = 0; n <= last; ++n)
+        if (begin[n] == 0)
+            return true;
+    return false;
+#endif
+""")
+def row_has_zero(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int, last: int) -> bool:
+    """Whether any of array[i, j, k] to array[i, j, k + last] is 0, `last` at most 3, of an array without gaps whose
+    memory goes on for three bytes: a GPU reads the words around them."""
+    ...
+
+
+@wp.func_native("""
     const int ny = values.shape[1], nz = values.shape[2];
     const int i = (int)floorf(g.c[0]), j = (int)floorf(g.c[1]), k = (int)floorf(g.c[2]);
     if (i < 0 || j < 0 || k < 0 || i >= values.shape[0] - 1 || j >= ny - 1 || k >= nz - 1)

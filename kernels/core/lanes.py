@@ -62,6 +62,18 @@ def index_from_lane(value: wp.int32, lane: wp.int32) -> wp.int32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, value, lane);
+#else
+    return value;
+#endif
+""")
+def mask_from_lane(value: wp.uint64, lane: wp.int32) -> wp.uint64:
+    """The bits that another lane holds. All lanes."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     for (int reach = 16; reach > 0; reach >>= 1)
         value = fminf(value, __shfl_xor_sync(0xffffffffu, value, reach));
 #endif

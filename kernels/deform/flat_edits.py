@@ -26,7 +26,11 @@ class FlatEdit:
     node_counts: wp.vec3i
     last_cell: wp.vec3i  # node_counts less 2
     nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance
-    look: wp.array(dtype=wp.uint8)
+    look: wp.array(dtype=wp.uint8)  # (nodes,) of the cell above each; the last of an axis have none
+    parts: int  # of a cell along each axis, that `fine_look` tells apart
+    part_count: int  # in a cell
+    part_size: float  # in cells
+    fine_look: wp.array(dtype=wp.uint8)  # (part_count * nodes,) as `look`, distances in parts; of deform/fine_cells
     has_sides: int  # 1: there are cells at narrow gaps of the cage with corner values for each side (see CageMap)
     side_index: wp.array(dtype=int)
     sides: wp.array2d(dtype=wp.vec4)
@@ -55,15 +59,18 @@ def join_cell_tables(
     node_counts: wp.vec3i,
     look: wp.array(dtype=wp.uint8),
 ):
-    """The two tables of a LatticeEdit's cells as one, so that a sample reads one byte."""
+    """The two tables of a LatticeEdit's cells as one, so that a sample reads one byte. One item a node; above the last
+    ones of an axis there is nothing to look at."""
     n = first + wp.tid()
-    k = n % cells.shape[2]
-    j = (n // cells.shape[2]) % cells.shape[1]
-    i = n // (cells.shape[2] * cells.shape[1])
-    value = int(cells[i, j, k])
-    if skip[i, j, k] > wp.uint8(0):
-        value = LOOK_SKIP + int(skip[i, j, k])
-    look[(i * node_counts[1] + j) * node_counts[2] + k] = wp.uint8(value)
+    k = n % node_counts[2]
+    j = (n // node_counts[2]) % node_counts[1]
+    i = n // (node_counts[2] * node_counts[1])
+    value = LOOK_SKIP + 1
+    if i < cells.shape[0] and j < cells.shape[1] and k < cells.shape[2]:
+        value = int(cells[i, j, k])
+        if skip[i, j, k] > wp.uint8(0):
+            value = LOOK_SKIP + int(skip[i, j, k])
+    look[n] = wp.uint8(value)
 
 
 @wp.kernel

@@ -12,6 +12,10 @@ from ..lattice.cage_map import corner_share
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
+#: Four numbers of a node, and the derivative of three of them.
+vec7 = wp.types.vector(length=7, dtype=wp.float32)
+
+
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     const float4* begin = reinterpret_cast<const float4*>(nodes.data) + (unsigned)n;
@@ -83,6 +87,56 @@ def node_slope(
     nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.int32, f: wp.vec3, rate: wp.vec3
 ) -> wp.vec3:
     """Derivative of node_blend's first three numbers where f moves at `rate`."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + (unsigned)n;
+    const unsigned sx = (unsigned)x, sz = (unsigned)z;
+    wp::vec_t<7, wp::float32> result;
+    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + sz), b1 = __ldg(begin + sz + 1);
+    const float4 c0 = __ldg(begin + sx), c1 = __ldg(begin + sx + 1);
+    const float4 d0 = __ldg(begin + sx + sz), d1 = __ldg(begin + sx + sz + 1);
+    #define VALUE(m) \\
+        const float ea = a1.m - a0.m, eb = b1.m - b0.m, ec = c1.m - c0.m, ed = d1.m - d0.m; \\
+        const float p = a0.m + f.c[2] * ea, q = b0.m + f.c[2] * eb, s = c0.m + f.c[2] * ec, t = d0.m + f.c[2] * ed; \\
+        const float u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s); \\
+        result.c[i] = u + f.c[0] * (v - u);
+    #define BOTH(m) { \\
+        VALUE(m) \\
+        const float eu = ea + f.c[1] * (eb - ea), ev = ec + f.c[1] * (ed - ec); \\
+        const float g = (q - p) + f.c[0] * ((t - s) - (q - p)); \\
+        result.c[4 + i++] = rate.c[0] * (v - u) + rate.c[1] * g + rate.c[2] * (eu + f.c[0] * (ev - eu)); }
+    int i = 0;
+    BOTH(x) BOTH(y) BOTH(z)
+    { VALUE(w) }
+    #undef BOTH
+    #undef VALUE
+    return result;
+#else
+    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
+    const four* begin = reinterpret_cast<const four*>(nodes.data) + n;
+    const four ea = begin[1] - begin[0], eb = begin[z + 1] - begin[z];
+    const four ec = begin[x + 1] - begin[x], ed = begin[x + z + 1] - begin[x + z];
+    const four p = begin[0] + f.c[2] * ea, q = begin[z] + f.c[2] * eb;
+    const four s = begin[x] + f.c[2] * ec, t = begin[x + z] + f.c[2] * ed;
+    const four u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s), r = u + f.c[0] * (v - u);
+    const four eu = ea + f.c[1] * (eb - ea), ev = ec + f.c[1] * (ed - ec);
+    const four g = (q - p) + f.c[0] * ((t - s) - (q - p));
+    const four w = rate.c[0] * (v - u) + rate.c[1] * g + rate.c[2] * (eu + f.c[0] * (ev - eu));
+    wp::vec_t<7, wp::float32> result;
+    for (int i = 0; i < 4; ++i)
+        result.c[i] = r[i];
+    for (int i = 0; i < 3; ++i)
+        result.c[4 + i] = w[i];
+    return result;
+#endif
+""")
+def node_blend_slope(
+    nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.int32, f: wp.vec3, rate: wp.vec3
+) -> vec7:
+    """Both at once: node_blend's four numbers, and node_slope's three behind them."""
     ...
 
 

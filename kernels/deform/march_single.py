@@ -19,16 +19,12 @@ from ..view.rays import box_span
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
 from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
 from .laid_shades import CARRIED_LAYER, PLAIN_LAYER
-from .map_nodes import node_blend, node_slope, side_slope
+from .map_nodes import node_blend_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .matter_rows import empty_at, least_pending, matter_at, matter_colour
 from .ray_parts import BEGUN, RayState
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
-
-#: Where no cell is steep, a ray takes at least this way for a canonical length of 1.
-SURE_WAY = wp.constant(1.0 / float(CUT_LENGTH))
-
 
 @wp.struct
 class NoSides:
@@ -43,45 +39,6 @@ class WithSides:
     edits without them is compiled by itself."""
 
     unused: int
-
-
-@wp.func
-def side_entry(sides: NoSides, edit: FlatEdit, n: int):
-    """Entry of the table of sides for the cell above node n, 0 for none."""
-    return 0
-
-
-@wp.func
-def side_entry(sides: WithSides, edit: FlatEdit, n: int):  # noqa: F811 (a Warp overload)
-    return edit.side_index[n]
-
-
-@wp.func
-def map_position(sides: NoSides, edit: FlatEdit, entry: int, f: wp.vec3, position: wp.vec3):
-    """Canonical position at a place in a cell whose corners alone say `position`."""
-    return position
-
-
-@wp.func
-def map_position(sides: WithSides, edit: FlatEdit, entry: int, f: wp.vec3, position: wp.vec3):  # noqa: F811
-    if entry != 0:
-        return side_position(edit.sides, entry, f)
-    return position
-
-
-@wp.func
-def map_slope(sides: NoSides, edit: FlatEdit, n: int, entry: int, f: wp.vec3, rate: wp.vec3):
-    """Derivative of the canonical position at a place in the cell above node n, which moves at `rate`."""
-    nz = edit.node_counts[2]
-    return node_slope(edit.nodes, n, edit.node_counts[1] * nz, nz, f, rate)
-
-
-@wp.func
-def map_slope(sides: WithSides, edit: FlatEdit, n: int, entry: int, f: wp.vec3, rate: wp.vec3):  # noqa: F811
-    if entry != 0:
-        return side_slope(edit.sides, entry, f, rate)
-    nz = edit.node_counts[2]
-    return node_slope(edit.nodes, n, edit.node_counts[1] * nz, nz, f, rate)
 
 
 @wp.func
@@ -119,7 +76,8 @@ class LatticePlace:
     in_box: bool
     n: int  # node below it
     f: wp.vec3  # place in the cell above that, 0 to 1
-    flags: int
+    g: wp.vec3  # place in its part of that cell, 0 to 1
+    flags: int  # of that part
 
 
 @wp.struct
@@ -128,7 +86,22 @@ class MappedPlace:
 
     position: wp.vec3
     mapped: bool  # whether the map has led there
-    entry: int  # of the table of sides
+    slope: wp.vec3  # derivative of the position along the ray (Eq. 5), by its distance; its rate in cells if not mapped
+
+
+@wp.func
+def with_sides(sides: NoSides, edit: FlatEdit, at: LatticePlace, rate: wp.vec3, place: MappedPlace):
+    """Where a sample is in canonical space, when its cell's corners alone say `place`."""
+    return place
+
+
+@wp.func
+def with_sides(sides: WithSides, edit: FlatEdit, at: LatticePlace, rate: wp.vec3, place: MappedPlace):  # noqa: F811
+    entry = edit.side_index[at.n]
+    if entry != 0:
+        place.position = side_position(edit.sides, entry, at.f)
+        place.slope = side_slope(edit.sides, entry, at.f, rate)
+    return place
 
 
 # Registers are short. What a branch sets is a variable of the whole kernel to Warp, and kept from round to round: so
@@ -192,52 +165,48 @@ def lattice_place(edit: FlatEdit, line: EditLine, place: wp.vec3, t: float):
         ck = wp.clamp(int(place[2]), 0, edit.last_cell[2])
         at.n = (ci * edit.node_counts[1] + cj) * edit.node_counts[2] + ck
         at.f = place - wp.vec3(float(ci), float(cj), float(ck))
-        at.flags = byte_entry(edit.look, at.n)
+        g = float(edit.parts) * at.f
+        pi = wp.clamp(int(g[0]), 0, edit.parts - 1)
+        pj = wp.clamp(int(g[1]), 0, edit.parts - 1)
+        pk = wp.clamp(int(g[2]), 0, edit.parts - 1)
+        at.g = g - wp.vec3(float(pi), float(pj), float(pk))
+        at.flags = byte_entry(edit.fine_look, at.n * edit.part_count + (pi * edit.parts + pj) * edit.parts + pk)
     return at
 
 
 @wp.func
-def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, place: wp.vec3):
+def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine, place: wp.vec3):
     """Where a sample is in canonical space (Eq. 4): where the map leads it inside the posed cage, else where it is."""
     result = MappedPlace()
     result.position = edit.lower + edit.spacing * place
+    result.slope = line.rate
     if not at.in_box or edit.removes == 1 or (at.flags & CELL_OUTSIDE) != 0:
         return result
     nz = edit.node_counts[2]
-    node = node_blend(edit.nodes, at.n, edit.node_counts[1] * nz, nz, at.f)
+    node = node_blend_slope(edit.nodes, at.n, edit.node_counts[1] * nz, nz, at.f, line.rate)
     if (at.flags & CELL_INSIDE) == 0 and node[3] > edit.tolerance:
         return result
     result.mapped = True
-    result.entry = side_entry(sides, edit, at.n)
-    result.position = map_position(sides, edit, result.entry, at.f, wp.vec3(node[0], node[1], node[2]))
-    return result
+    result.position = wp.vec3(node[0], node[1], node[2])
+    result.slope = wp.vec3(node[4], node[5], node[6])
+    return with_sides(sides, edit, at, line.rate, result)
 
 
 @wp.func
-def room_in_cage(edit: FlatEdit, position: wp.vec3, is_asked: bool):
-    """Distance along a ray over which no sample leaves the rest cage: half of that in canonical space, of which a ray
-    takes at most CUT_LENGTH times its own where it is not steep. Negative beyond the slack; endless if not asked."""
+def distance_to_rest(edit: FlatEdit, place: MappedPlace, is_asked: bool):
+    """Signed distance of a sample to the rest cage; where nobody asks, what is mapped is in it, and all else beside."""
     if not is_asked:
-        return 1.0e30
-    return 0.5 * (edit.slack - rest_distance(edit, position))
+        return wp.where(place.mapped, -1.0e30, 1.0e30)
+    return rest_distance(edit, place.position)
 
 
 @wp.func
-def slope_at(sides: Any, edit: FlatEdit, at: LatticePlace, entry: int, line: EditLine, is_asked: bool):
-    """Derivative of the canonical position along a ray (Eq. 5), by its distance; its rate in lattice cells where nobody
-    asks."""
-    if not is_asked:
-        return line.rate
-    return map_slope(sides, edit, at.n, entry, at.f, line.rate)
-
-
-@wp.func
-def exit_of_lattice_cell(f: wp.vec3, inverse: wp.vec3, reach: int):
+def exit_of_part(g: wp.vec3, inverse: wp.vec3, reach: int):
     """field/samples.exit_of_cell without numbers that are the same for a whole ray, which a march would keep."""
     half = float(reach) - 0.5
-    x = half * wp.abs(inverse[0]) - (f[0] - 0.5) * inverse[0]
-    y = half * wp.abs(inverse[1]) - (f[1] - 0.5) * inverse[1]
-    z = half * wp.abs(inverse[2]) - (f[2] - 0.5) * inverse[2]
+    x = half * wp.abs(inverse[0]) - (g[0] - 0.5) * inverse[0]
+    y = half * wp.abs(inverse[1]) - (g[1] - 0.5) * inverse[1]
+    z = half * wp.abs(inverse[2]) - (g[2] - 0.5) * inverse[2]
     return wp.min(x, wp.min(y, z))
 
 
@@ -258,18 +227,24 @@ def up_to_box(line: EditLine, t: float, leave: float):
 
 
 @wp.func
-def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlace, g: wp.vec3, t: float, room: float):
+def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlace, g: wp.vec3, t: float):
     """Distance up to which a ray certainly meets nothing after a sample that holds nothing."""
     if at.in_box:
-        if (at.flags & (CELL_INSIDE | CELL_STEEP)) != CELL_INSIDE:
-            return t
-        hollow = float(empty_at(grid, g) - 1) * (wp.min(grid.voxel_size) * SURE_WAY)
-        return t + wp.min(wp.min(exit_of_lattice_cell(at.f, line.inverse, 1), hollow), room)
+        return t
     if t < line.span[0] or not (t < line.span[1]):
         return up_to_box(line, t, beyond_grid(line, t))
     offset = g - wp.vec3(wp.floor(g[0]), wp.floor(g[1]), wp.floor(g[2]))
     inverse = wp.cw_mul(line.inverse, edit.inverse_spacing * grid.voxel_size)
     return up_to_box(line, t, t + exit_of_cell(offset, inverse, empty_at(grid, g)))
+
+
+@wp.func
+def after_part(ray: MarchedRay, next_k: float):
+    """A ray behind a sample, or behind a part of one that is cut, that goes on with sample next_k."""
+    ray.j += ray.share
+    if ray.j > 1.0 - 0.5 * ray.share:
+        return at_sample(ray, next_k)
+    return ray
 
 
 @wp.func
@@ -279,34 +254,31 @@ def take_sample(
     """Gather what a ray's sample holds, and go on to the next one to look at."""
     step = options.step
     t = ray_distance(ray, step)
+    next_k = sample_after(ray.k)
     place = line.start + t * line.rate
     at = lattice_place(edit, line, place, t)
     if at.flags >= LOOK_SKIP:
-        leave = t + exit_of_lattice_cell(at.f, line.inverse, at.flags - LOOK_SKIP)
-        leave = wp.max(wp.min(leave, line.box[1]), t + 0.5 * step)
-        return at_sample(ray, wp.max(sample_after(ray.k), first_sample(leave, options.inverse_step)))
-    point = mapped_place(sides, edit, at, place)
+        if ray.share < 1.0:
+            return after_part(ray, next_k)  # other parts of the sample may hold something
+        leave = t + edit.part_size * exit_of_part(at.g, line.inverse, at.flags - LOOK_SKIP)
+        return at_sample(ray, wp.max(next_k, first_sample(wp.min(leave, line.box[1]), options.inverse_step)))
+    point = mapped_place(sides, edit, at, line, place)
     g = grid_position(grid, point.position)
     matter = matter_at(table, grid, g, wp.where(point.mapped, CARRIED_LAYER, PLAIN_LAYER), step)
     is_matter = matter[3] > 0.0
-    clears = is_matter and not point.mapped and edit.keeps_source == 0
-    asks_room = clears or (point.mapped and (at.flags & CELL_STAYS) == 0)
-    room = room_in_cage(edit, point.position, asks_room)
-    leaves = point.mapped and room < 0.0
-    asks_length = point.mapped and ray.share == 1.0 and (at.flags & CELL_STEEP) != 0
-    asks_slope = asks_length or (point.mapped and is_matter and not leaves)
-    slope = slope_at(sides, edit, at, point.entry, line, asks_slope)
-    stretch = near_root(wp.dot(slope, slope))
-    if asks_length and stretch > CUT_LENGTH:
+    stretch = near_root(wp.dot(point.slope, point.slope))
+    if point.mapped and ray.share == 1.0 and (at.flags & CELL_STEEP) != 0 and stretch > CUT_LENGTH:
         ray.share = near_reciprocal(wp.min(wp.ceil(stretch - 1.0e-3), float(MAX_SUB_SAMPLES)))
         return ray
-    next_k = sample_after(ray.k)
-    if leaves:
+    may_leave = point.mapped and (at.flags & CELL_STAYS) == 0
+    may_clear = is_matter and not point.mapped and edit.keeps_source == 0
+    distance = distance_to_rest(edit, point, may_leave or may_clear)
+    if point.mapped and distance > edit.slack:
         ray.seen.outside += 1.0
     elif is_matter:
         depth = matter[3] * ray.share * wp.where(point.mapped and options.arc_opacity == 1, stretch, 1.0)
         kept = wp.exp(-depth)
-        if clears and 2.0 * room >= edit.slack:
+        if not point.mapped and distance <= 0.0:
             if ray.seen.cleared_transmittance > FAINT:
                 ray.seen.reveal += ray.seen.transmittance * ray.seen.cleared_transmittance * (1.0 - kept)
                 ray.seen.cleared_transmittance *= kept
@@ -314,7 +286,7 @@ def take_sample(
             weight = ray.seen.transmittance * (1.0 - kept)
             ray.pending += weight
             if ray.pending > least_pending(table):
-                colour = matter_colour(table, grid, matter, g, slope, line.rate)
+                colour = matter_colour(table, grid, matter, g, point.slope, line.rate)
                 ray.seen.colour += ray.pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
                 ray.pending = float(0.0)
             ray.seen.depth += weight * t
@@ -322,11 +294,8 @@ def take_sample(
             if (at.flags & CELL_FOLDED) != 0 and point.mapped and weight > FOLD_MIN_WEIGHT:
                 ray.seen.fold += weight
     else:
-        next_k = wp.max(next_k, first_sample(leave_empty(edit, grid, line, at, g, t, room), options.inverse_step))
-    ray.j += ray.share
-    if ray.j > 1.0 - 0.5 * ray.share:
-        return at_sample(ray, next_k)
-    return ray
+        next_k = wp.max(next_k, first_sample(leave_empty(edit, grid, line, at, g, t), options.inverse_step))
+    return after_part(ray, next_k)
 
 
 @wp.func

@@ -20,6 +20,7 @@ from ..field import marching
 from ..field.voxel_field import VoxelField
 from ..kernels.deform import (
     carried_shades,
+    fine_cells,
     flat_edits,
     points,
     posed_places,
@@ -62,6 +63,7 @@ from .carried_shading import CarriedShades, shade_texture_bytes
 from .edit_lattices import EditLattices
 from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand
+from .fine_cells import FineCells
 from .parts import render_parts
 
 #: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
@@ -125,9 +127,10 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = Fa
     if device.is_cpu and marching.TILES_ON_CPU:
         return [render_cpu, *several]
     if device.is_cpu and not marching.SHADES_ON_CPU:
-        return [render_part, render_part_sides, *several] if several else [render_single, render_sides]
+        by_rows = [render_part, render_part_sides] if several else [render_single, render_sides]
+        return [fine_cells, *by_rows, *several]
     shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_sides]
-    return [posed_places, carried_shades, *shaded, *several]
+    return [fine_cells, posed_places, carried_shades, *shaded, *several]
 
 
 class Plan(NamedTuple):
@@ -180,6 +183,7 @@ class LatticeEdits(PosedEdits):
         self._flat: list[Any] = []
         self._plan, self._lattice_boxes = Plan(None, False), []
         self._shades = CarriedShades(len(edits), device)
+        self._fine, self._is_fine = FineCells(len(edits), device), False
         self._most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
         self._boxes: EditBoxes | None = None
         self._apart: tuple[float, np.ndarray | None] | None = None
@@ -248,6 +252,7 @@ class LatticeEdits(PosedEdits):
         posed = zip(self.lattices.posed(), self._look_buffers, self._node_buffers, strict=True)
         self._flat = [flat_edit(edit, skip, look, nodes) for (edit, skip), look, nodes in posed]
         self._lattice_boxes, self._shades.is_posed = [lattice_box(flat) for flat in self._flat], False
+        self._is_fine = False
         if not self._is_single:
             rare = any(self.lattices.carried) or any(flat.has_sides for flat in self._flat)
             self.render_kernel = render.render_edits if rare else render_plain.render_plain_edits
@@ -266,6 +271,9 @@ class LatticeEdits(PosedEdits):
                 rows = self._shaded_tables(field, centre, step)
             view = dataclasses.replace(view, rows=rows)
         parts, is_shaded = self._plan
+        if not self._is_fine and not self._by_tiles and (parts is not None or self._is_single):
+            self._fine.mark(self._flat, view.grid)
+            self._is_fine = True
         if parts is not None:
             orders = self._tiles.begin(len(parts), view.threads // TILE_SIZE)
             kernels = TILE_KERNELS if self._by_tiles else SHADED_PART_KERNELS if is_shaded else PART_KERNELS
@@ -327,7 +335,8 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
     flat.spacing = 1.0 / edit.deformed.inverse_spacing
     flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
     flat.last_cell = wp.vec3i(*(count - 2 for count in edit.deformed.distance.shape))
-    flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)  # nobody looks at the last cells of an axis
+    flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)
+    flat.parts, flat.part_count, flat.part_size, flat.fine_look = 1, 1, 1.0, flat.look
     flat.rest = edit.rest
     side_index = edit.deformed.side_index
     flat.has_sides = int(side_index is not None and side_index.size > 0)
@@ -336,7 +345,7 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
     flat.tolerance, flat.slack = edit.tolerance, edit.slack
     flat.keeps_source, flat.removes, flat.crumbs = edit.keeps_source, edit.removes, edit.crumbs
     launch(
-        flat_edits.join_cell_tables, edit.cells.size, [edit.cells, skip, flat.node_counts], [flat.look], device=device
+        flat_edits.join_cell_tables, node_count, [edit.cells, skip, flat.node_counts], [flat.look], device=device
     )
     positions = empty_array(0, wp.vec3, device) if edit.removes else edit.deformed.positions.flatten()
     launch(

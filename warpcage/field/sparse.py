@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ..core.arrays import empty_array
+from ..core.arrays import array_view, empty_array
 from ..core.devices import launch
 from ..core.flags import HostFlag
 from ..kernels.field import halves as grid_halves
@@ -15,6 +16,9 @@ from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
 from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS, as_single
 from .matter_cells import DensityWatch
+
+#: Bytes behind those of cells, as a GPU reads whole words of them (kernels/core/entries.row_has_zero).
+PADDING = 3
 
 
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
@@ -141,13 +145,18 @@ class MatterSkip:
 
 
 def _cell_bytes(links: wp.array) -> wp.array:
-    """One byte for each cell."""
-    return empty_array(tuple(n - 1 for n in links.shape), wp.uint8, links.device)
+    """One byte for each cell of a grid's links."""
+    return _padded_bytes(tuple(n - 1 for n in links.shape), links.device)
+
+
+def _padded_bytes(shape: tuple[int, ...], device: wp.DeviceLike) -> wp.array:
+    """Bytes of cells, not set yet, and PADDING behind them."""
+    return array_view(empty_array(math.prod(shape) + PADDING, wp.uint8, device), wp.uint8, shape)
 
 
 def _spread(distance: wp.array) -> wp.array:
     """Distances from the cells that hold 0; the array is used."""
-    spread = wp.empty_like(distance)
+    spread = _padded_bytes(distance.shape, distance.device)
     for axis in range(3):
         spread_along(axis, distance, spread)
         distance, spread = spread, distance

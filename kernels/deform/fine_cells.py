@@ -1,0 +1,422 @@
+"""What a march may skip of an edit's lattice, by parts of its cells.
+
+A lattice cell is some four voxels wide. A ray that knows whole cells (deform/cells) looks at some twenty samples that
+hold nothing for each stretch of matter; one that knows parts of about a voxel looks at a fraction of them. The image of
+a part lies in the box around those of its corners, as the map is trilinear in it too ("Deforming Radiance Fields with
+Cages", ECCV 2022, section 4.1), and the field's own cells in that box say whether it may hold anything.
+
+A cell has 4 x 4 x 4 parts, whose bits are one number: bit 16 a + 4 b + c is that of part (a, b, c). Their bytes follow
+each other in the same order, cells as in deform/flat_edits. Chebyshev distances between parts are found for those of
+cells that must be looked at and of their neighbours; farther ones follow from distances between cells.
+Needs: core/entries, core/lanes, deform/edits, deform/flat_edits, deform/map_nodes, field/grid, lattice/cage_map.
+"""
+
+import warp as wp
+
+from ..core.entries import byte_entry, cell_byte, row_has_zero, vec4_entry
+from ..core.lanes import ballot, index_from_lane, lane_count, lowest_bit, mask_from_lane, octet_count, without_lowest_bit
+from ..field.grid import VoxelGrid, grid_position
+from ..lattice.cage_map import map_distance
+from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP
+from .flat_edits import LOOK_SKIP, FlatEdit, entry_of_sides
+from .map_nodes import node_blend
+
+# small blocks: groups end at very different times
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
+
+#: Parts of a cell along each axis, in all, and words that hold four bytes of them.
+PARTS = wp.constant(4)
+PART_COUNT = wp.constant(64)
+PART_WORDS = wp.constant(16)
+
+#: Width of a part, in cells.
+PART_SIZE = wp.constant(0.25)
+
+#: A part that is farther than all that bits of the neighbouring cells tell.
+FAR_PART = wp.constant(5)
+
+#: Bytes of 1, and what takes four bits to the lowest of four bytes each.
+BYTES_OF_ONE = wp.constant(wp.uint32(0x01010101))
+BITS_TO_BYTES = wp.constant(wp.uint32(0x00204081))
+
+
+@wp.func
+def cells_are_empty(grid: VoxelGrid, lower: wp.vec3, upper: wp.vec3):
+    """Whether nothing is in the cells of the grid that a box meets."""
+    begin = grid_position(grid, lower)
+    end = grid_position(grid, upper)
+    low = wp.vec3i()
+    size = wp.vec3i()  # less 1
+    nearest = int(1 << 20)
+    for axis in range(3):
+        low[axis] = wp.max(int(wp.floor(begin[axis])), 0)
+        size[axis] = wp.min(int(wp.floor(end[axis])), grid.skip.shape[axis] - 1) - low[axis]
+        nearest = wp.min(nearest, size[axis] / 2)
+    if wp.min(size) < 0:
+        return True
+    farthest = wp.max(size) - wp.max(size) / 2
+    empty = cell_byte(grid.skip, low[0] + size[0] / 2, low[1] + size[1] / 2, low[2] + size[2] / 2)
+    if empty > farthest or empty <= nearest:  # all of the box is nearer than what is nearest, or that lies in it
+        return empty > farthest
+    if farthest > 1:
+        return cells_of_box_are_empty(grid, low, low + size)
+    # three cells along each axis at most: their rows are read at once, as each read is waited for
+    found = bool(False)
+    for i in range(3):
+        for j in range(3):
+            found = found or row_has_zero(grid.skip, low[0] + wp.min(i, size[0]), low[1] + wp.min(j, size[1]), low[2], size[2])
+    return not found
+
+
+@wp.func
+def cells_of_box_are_empty(grid: VoxelGrid, low: wp.vec3i, high: wp.vec3i):
+    """Whether nothing is in the grid's cells from `low` to `high`."""
+    for i in range(low[0], high[0] + 1):
+        for j in range(low[1], high[1] + 1):
+            k = low[2]
+            while k <= high[2]:
+                empty = cell_byte(grid.skip, i, j, k)
+                if empty == 0:
+                    return False
+                k += empty
+    return True
+
+
+@wp.struct
+class PartEdges:
+    """The map and the signed distance on the four edges along axis 0 of a row of parts: at their beginning in the cell,
+    and by how much they change to its end."""
+
+    begin_0: wp.vec4
+    begin_1: wp.vec4
+    begin_2: wp.vec4
+    begin_3: wp.vec4
+    change_0: wp.vec4
+    change_1: wp.vec4
+    change_2: wp.vec4
+    change_3: wp.vec4
+
+
+@wp.func
+def part_edges(edit: FlatEdit, n: int, y: float, z: float):
+    """Of the row of parts that begins at places y and z, 0 to 1, of axes 1 and 2 of the cell above node n."""
+    nz = edit.node_counts[2]
+    nyz = edit.node_counts[1] * nz
+    a = vec4_entry(edit.nodes, n)
+    b = vec4_entry(edit.nodes, n + nz)
+    c = vec4_entry(edit.nodes, n + nyz)
+    d = vec4_entry(edit.nodes, n + nyz + nz)
+    da = vec4_entry(edit.nodes, n + 1) - a
+    db = vec4_entry(edit.nodes, n + nz + 1) - b
+    dc = vec4_entry(edit.nodes, n + nyz + 1) - c
+    dd = vec4_entry(edit.nodes, n + nyz + nz + 1) - d
+    low = a + z * da
+    low_y = b + z * db - low
+    high = c + z * dc
+    high_y = d + z * dd - high
+    up = low + PART_SIZE * da
+    up_y = low_y + PART_SIZE * (db - da)
+    far = high + PART_SIZE * dc
+    far_y = high_y + PART_SIZE * (dd - dc)
+    edges = PartEdges()
+    edges.begin_0 = low + y * low_y
+    edges.begin_1 = edges.begin_0 + PART_SIZE * low_y
+    edges.begin_2 = up + y * up_y
+    edges.begin_3 = edges.begin_2 + PART_SIZE * up_y
+    edges.change_0 = high + y * high_y
+    edges.change_1 = edges.change_0 + PART_SIZE * high_y - edges.begin_1
+    edges.change_0 = edges.change_0 - edges.begin_0
+    edges.change_2 = far + y * far_y
+    edges.change_3 = edges.change_2 + PART_SIZE * far_y - edges.begin_3
+    edges.change_2 = edges.change_2 - edges.begin_2
+    return edges
+
+
+@wp.struct
+class PartBounds:
+    """The boxes around an edit's map, and around its signed distance, in a part of a cell."""
+
+    lower: wp.vec4
+    upper: wp.vec4
+
+
+@wp.func
+def part_bounds(edges: PartEdges, x: float):
+    """Of the part that begins at place x, 0 to 1, of its row."""
+    a = edges.begin_0 + x * edges.change_0
+    b = edges.begin_1 + x * edges.change_1
+    c = edges.begin_2 + x * edges.change_2
+    d = edges.begin_3 + x * edges.change_3
+    e = a + PART_SIZE * edges.change_0
+    f = b + PART_SIZE * edges.change_1
+    g = c + PART_SIZE * edges.change_2
+    h = d + PART_SIZE * edges.change_3
+    bounds = PartBounds()
+    bounds.lower = wp.min(wp.min(wp.min(a, b), wp.min(c, d)), wp.min(wp.min(e, f), wp.min(g, h)))
+    bounds.upper = wp.max(wp.max(wp.max(a, b), wp.max(c, d)), wp.max(wp.max(e, f), wp.max(g, h)))
+    return bounds
+
+
+# A GPU waits for instructions where a kernel is long: what is called twice is called in a loop of while, which nobody
+# unrolls.
+
+
+@wp.func
+def corners_stay(edit: FlatEdit, n: int, low: wp.vec3):
+    """Whether the map leads the corners of a part into the rest cage, as far as that reaches (FlatEdit.slack)."""
+    nz = edit.node_counts[2]
+    stay = bool(True)
+    corner = int(0)
+    while stay and corner < 8:
+        up = wp.vec3(float(corner >> 2), float((corner >> 1) & 1), float(corner & 1))
+        node = node_blend(edit.nodes, n, edit.node_counts[1] * nz, nz, low + PART_SIZE * up)
+        stay = map_distance(edit.rest, wp.vec3(node[0], node[1], node[2])) <= edit.slack
+        corner += 1
+    return stay
+
+
+@wp.func
+def part_place(part: int):
+    """Where a part begins in its cell, 0 to 1."""
+    return PART_SIZE * wp.vec3(float(part >> 4), float((part >> 2) & 3), float(part & 3))
+
+
+@wp.func
+def part_flags(grid: VoxelGrid, edit: FlatEdit, n: int, part: int, bounds: PartBounds, cell_flags: int):
+    """The CELL_... flags of a part of the cell above node n, LOOK_SKIP where it holds nothing."""
+    low = part_place(part)
+    lower = wp.vec3(bounds.lower[0], bounds.lower[1], bounds.lower[2])
+    upper = wp.vec3(bounds.upper[0], bounds.upper[1], bounds.upper[2])
+    is_mapped = edit.removes == 0 and bounds.lower[3] <= edit.tolerance
+    is_empty = bool(True)
+    flags = int(CELL_OUTSIDE)
+    if is_mapped:
+        flags = cell_flags & (CELL_FOLDED | CELL_STEEP | CELL_STAYS)
+        flags = flags | wp.where(bounds.upper[3] <= edit.tolerance, CELL_INSIDE, 0)
+        if (flags & CELL_STAYS) == 0:
+            # twice what the distance can change to the corners of the box, as the trilinear one is a little steeper
+            if map_distance(edit.rest, 0.5 * (lower + upper)) < -wp.length(upper - lower):
+                flags = flags | CELL_STAYS
+            else:
+                is_empty = corners_stay(edit, n, low)  # samples that leave the rest cage are looked at, to be counted
+    # its image, and where it is: both of parts that the posed cage cuts
+    place = int(wp.where(is_mapped, 0, 1))
+    last = int(wp.where(edit.removes == 1 or bounds.upper[3] > edit.tolerance, 1, 0))
+    while is_empty and place <= last:
+        if place == 1:
+            nz = edit.node_counts[2]
+            cell = wp.vec3(float(n / nz / edit.node_counts[1]), float(n / nz % edit.node_counts[1]), float(n % nz))
+            lower = edit.lower + edit.spacing * (cell + low)
+            upper = lower + wp.vec3(1.0, 1.0, 1.0) * (PART_SIZE * edit.spacing)
+        is_empty = cells_are_empty(grid, lower, upper)
+        place += 1
+    return wp.where(is_empty, int(LOOK_SKIP), flags)
+
+
+@wp.func
+def part_bits(grid: VoxelGrid, edit: FlatEdit, n: int, cell_flags: int, lane: int, parts: wp.array(dtype=wp.uint8)):
+    """The parts of the cell above node n that a march must look at; `parts` keeps their flags. All lanes."""
+    has_sides = entry_of_sides(edit, n) != 0
+    half = PART_COUNT / 2
+    bits = wp.uint64(0)
+    begin = int(0)
+    while begin < half:
+        # two parts on the same row, whose edges they share
+        low = part_place(begin + lane)
+        edges = part_edges(edit, n, low[1], low[2])
+        bounds = part_bounds(edges, low[0])
+        other_bounds = part_bounds(edges, low[0] + 0.5)
+        turn = int(begin)
+        while turn < PART_COUNT:
+            flags = int(cell_flags)
+            if not has_sides:  # at a narrow gap of the cage nothing is known of a part
+                flags = part_flags(grid, edit, n, turn + lane, bounds, cell_flags)
+            if flags < LOOK_SKIP:
+                parts[n * PART_COUNT + turn + lane] = wp.uint8(flags)
+            marked = wp.uint32(ballot(wp.where(flags < LOOK_SKIP, 1, 0)))
+            bits = bits | (wp.uint64(marked) << wp.uint64(turn))
+            bounds = other_bounds
+            turn += half
+        begin += lane_count()
+    return bits
+
+
+@wp.kernel(cuda_max_registers=80)
+def mark_parts(
+    first: int, grid: VoxelGrid, edit: FlatEdit, looks: wp.array(dtype=wp.uint64), parts: wp.array(dtype=wp.uint8)
+):
+    """Which parts of each cell a march must look at. A group of lanes (core/lanes) takes octet_count() cells.
+
+    `edit.look` says which cells may be skipped as a whole. looks: (nodes,) bits; parts: (PART_COUNT * nodes,) becomes
+    the flags of those parts, and nothing of others.
+    """
+    item = first + wp.tid()
+    lane = item % lane_count()
+    begin = item / lane_count() * octet_count()  # not all that lanes could hold: groups are to end together
+    look = int(LOOK_SKIP)
+    if lane < octet_count() and begin + lane < looks.shape[0]:
+        look = byte_entry(edit.look, begin + lane)
+    left = ballot(wp.where(look < LOOK_SKIP, 1, 0))
+    own = wp.uint64(0)
+    while left != 0:
+        other = lowest_bit(left)
+        left = without_lowest_bit(left)
+        bits = part_bits(grid, edit, begin + other, index_from_lane(look, other), lane, parts)
+        if other == lane:
+            own = bits
+    if lane < octet_count() and begin + lane < looks.shape[0]:
+        looks[begin + lane] = own
+
+
+@wp.func
+def looks_at(looks: wp.array(dtype=wp.uint64), n: int):
+    """The bits of a cell; none beyond the lattice, whose last cells of each axis have none either."""
+    if n < 0 or n >= looks.shape[0]:
+        return wp.uint64(0)
+    return looks[n]
+
+
+@wp.struct
+class Axis:
+    """How the parts of a cell follow each other along an axis, in bits."""
+
+    part: wp.uint64  # from one to the next
+    cell: wp.uint64  # from the first to that of the next cell
+    firsts: wp.uint64  # one for each run of four
+
+
+@wp.func
+def axis_of_parts(axis: int):
+    result = Axis()
+    result.part = wp.uint64(16)
+    result.cell = wp.uint64(64)
+    result.firsts = wp.uint64(0x0000000000000001)
+    if axis == 1:
+        result.part = wp.uint64(4)
+        result.cell = wp.uint64(16)
+        result.firsts = wp.uint64(0x0001000100010001)
+    elif axis == 2:
+        result.part = wp.uint64(1)
+        result.cell = wp.uint64(4)
+        result.firsts = wp.uint64(0x1111111111111111)
+    return result
+
+
+@wp.func
+def moved(axis: Axis, before: wp.uint64, bits: wp.uint64, after: wp.uint64, parts: int):
+    """The bits of a cell, of the one before and of the one after it, moved both ways by 1 to 4 parts of an axis."""
+    if parts == PARTS:
+        return before | after
+    one = wp.uint64(1)
+    way = axis.part * wp.uint64(parts)
+    rest = axis.cell - way
+    low = axis.firsts * ((one << way) - one)
+    high = axis.firsts * ((one << rest) - one)
+    up = ((bits << way) & ~low) | ((before >> rest) & low)
+    down = ((bits >> way) & high) | ((after << rest) & ~high)
+    return up | down
+
+
+@wp.struct
+class NearParts:
+    """Bits of the parts of a cell that have others within one, two, three and four parts."""
+
+    one: wp.uint64
+    two: wp.uint64
+    three: wp.uint64
+    four: wp.uint64
+
+
+@wp.func
+def near_on_line(axis: Axis, before: wp.uint64, bits: wp.uint64, after: wp.uint64):
+    """Of the bits of three cells on an axis."""
+    near = NearParts()
+    near.one = bits | moved(axis, before, bits, after, 1)
+    near.two = near.one | moved(axis, before, bits, after, 2)
+    near.three = near.two | moved(axis, before, bits, after, 3)
+    near.four = near.three | before | after
+    return near
+
+
+@wp.func
+def near_along(axis: Axis, before: NearParts, near: NearParts, after: NearParts):
+    """Of parts near those of three cells on an axis, themselves near others by other axes."""
+    result = NearParts()
+    result.one = near.one | moved(axis, before.one, near.one, after.one, 1)
+    result.two = near.two
+    result.three = near.three
+    result.four = near.four | before.four | after.four
+    for parts in range(1, 3):
+        result.two = result.two | moved(axis, before.two, near.two, after.two, parts)
+    for parts in range(1, 4):
+        result.three = result.three | moved(axis, before.three, near.three, after.three, parts)
+        result.four = result.four | moved(axis, before.four, near.four, after.four, parts)
+    return result
+
+
+@wp.func
+def near_in_layer(looks: wp.array(dtype=wp.uint64), n: int, nz: int, nyz: int):
+    """Of the cells beside cell n along axes 0 and 1."""
+    before = NearParts()
+    near = NearParts()
+    after = NearParts()
+    line = n - nz
+    while line <= n + nz:
+        before = near
+        near = after
+        low = looks_at(looks, line - nyz)
+        high = looks_at(looks, line + nyz)
+        after = near_on_line(axis_of_parts(0), low, looks_at(looks, line), high)
+        line += nz
+    return near_along(axis_of_parts(1), before, near, after)
+
+
+@wp.func
+def bytes_of(bits: wp.uint64, word: int):
+    """1 in each byte of a word whose part's bit is set."""
+    four = wp.uint32(bits >> wp.uint64(PARTS * word)) & wp.uint32(15)
+    return (four * BITS_TO_BYTES) & BYTES_OF_ONE
+
+
+@wp.kernel
+def spread_parts(first: int, edit: FlatEdit, looks: wp.array(dtype=wp.uint64), parts: wp.array(dtype=wp.uint32)):
+    """How far each part of a cell is from the nearest that a march must look at. One item a cell, in whole groups of
+    lanes (core/lanes).
+
+    looks: (nodes,) bits; parts: (PART_WORDS * nodes,) four bytes each, LOOK_SKIP and the distance where `looks` has no
+    bit.
+    """
+    item = first + wp.tid()
+    nodes = looks.shape[0]
+    n = wp.min(item, nodes - 1)
+    apart = byte_entry(edit.look, n) - LOOK_SKIP  # cells to the nearest that is looked at
+    near = NearParts()
+    if apart < 2:
+        nz = edit.node_counts[2]
+        nyz = edit.node_counts[1] * nz
+        before = NearParts()
+        after = NearParts()
+        layer = n - 1
+        while layer <= n + 1:
+            before = near
+            near = after
+            after = near_in_layer(looks, layer, nz, nyz)
+            layer += 1
+        near = near_along(axis_of_parts(2), before, near, after)
+    # the lanes write the cells of their group one after the other, side by side
+    lane = item % lane_count()
+    place = int(lane)
+    while place < PART_WORDS * lane_count():
+        owner = place / PART_WORDS
+        word = place % PART_WORDS
+        cells_apart = index_from_lane(apart, owner)
+        within = bytes_of(mask_from_lane(near.one, owner), word) + bytes_of(mask_from_lane(near.two, owner), word)
+        within += bytes_of(mask_from_lane(near.three, owner), word) + bytes_of(mask_from_lane(near.four, owner), word)
+        distances = wp.uint32(LOOK_SKIP + wp.max(FAR_PART, PARTS * (cells_apart - 1) + 1)) * BYTES_OF_ONE - within
+        at = (item - lane) * PART_WORDS + place
+        if at < PART_WORDS * nodes:
+            if cells_apart <= 0:
+                kept = bytes_of(looks[at / PART_WORDS], word) * wp.uint32(255)
+                distances = (distances & ~kept) | (parts[at] & kept)
+            parts[at] = distances
+        place += lane_count()
