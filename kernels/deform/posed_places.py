@@ -83,7 +83,9 @@ def corner_slope(corners: mat83, f: wp.vec3):
 def place_in_cell(corners: mat83, target: wp.vec3):
     """The place f of a cell with corner_mean = target, 0 to 1; 1e6 where there is none near."""
     f = wp.vec3(0.5, 0.5, 0.5)
-    for _ in range(NEWTON_STEPS):
+    step = int(0)
+    while step < NEWTON_STEPS:  # not unrolled: a GPU waits for instructions where a kernel is long
+        step += 1
         slope = corner_slope(corners, f)
         if wp.abs(wp.determinant(slope)) < 1.0e-9:
             return wp.vec3(1.0e6, 1.0e6, 1.0e6)
