@@ -182,39 +182,50 @@ def part_place(part: int):
 
 
 @wp.func
-def part_flags(grid: VoxelGrid, edit: FlatEdit, n: int, part: int, bounds: PartBounds, cell_flags: int):
+def part_flags(
+    grid: VoxelGrid, edit: FlatEdit, step: float, n: int, part: int, bounds: PartBounds, cell_flags: int
+):
     """The CELL_... flags of a part of the cell above node n, LOOK_SKIP where it holds nothing."""
     low = part_place(part)
     lower = wp.vec3(bounds.lower[0], bounds.lower[1], bounds.lower[2])
     upper = wp.vec3(bounds.upper[0], bounds.upper[1], bounds.upper[2])
     is_mapped = edit.removes == 0 and bounds.lower[3] <= edit.tolerance
     is_empty = bool(True)
+    beyond = float(0.0)
     flags = int(CELL_OUTSIDE)
     if is_mapped:
         flags = cell_flags & (CELL_FOLDED | CELL_STEEP | CELL_STAYS)
         flags = flags | wp.where(bounds.upper[3] <= edit.tolerance, CELL_INSIDE, 0)
+        if (flags & CELL_STEEP) != 0:
+            beyond = 0.5 * step  # a sample that is cut reaches so far out of the part
+            reach = (beyond * edit.inverse_spacing * float(PARTS)) * (upper - lower)
+            lower -= reach
+            upper += reach
         if (flags & CELL_STAYS) == 0:
             # twice what the distance can change to the corners of the box, as the trilinear one is a little steeper
             if map_distance(edit.rest, 0.5 * (lower + upper)) < -wp.length(upper - lower):
                 flags = flags | CELL_STAYS
             else:
                 is_empty = corners_stay(edit, n, low)  # samples that leave the rest cage are looked at, to be counted
-    # its image, and where it is: both of parts that the posed cage cuts
+    # its image, and where it is: both of parts that the posed cage cuts, or samples that are cut
     place = int(wp.where(is_mapped, 0, 1))
-    last = int(wp.where(edit.removes == 1 or bounds.upper[3] > edit.tolerance, 1, 0))
+    last = int(wp.where(edit.removes == 1 or bounds.upper[3] + 2.0 * beyond > edit.tolerance, 1, 0))
     while is_empty and place <= last:
         if place == 1:
             nz = edit.node_counts[2]
             cell = wp.vec3(float(n / nz / edit.node_counts[1]), float(n / nz % edit.node_counts[1]), float(n % nz))
-            lower = edit.lower + edit.spacing * (cell + low)
-            upper = lower + wp.vec3(1.0, 1.0, 1.0) * (PART_SIZE * edit.spacing)
+            one = wp.vec3(1.0, 1.0, 1.0)
+            lower = edit.lower + edit.spacing * (cell + low) - beyond * one
+            upper = lower + (PART_SIZE * edit.spacing + 2.0 * beyond) * one
         is_empty = cells_are_empty(grid, lower, upper)
         place += 1
     return wp.where(is_empty, int(LOOK_SKIP), flags)
 
 
 @wp.func
-def part_bits(grid: VoxelGrid, edit: FlatEdit, n: int, cell_flags: int, lane: int, parts: wp.array(dtype=wp.uint8)):
+def part_bits(
+    grid: VoxelGrid, edit: FlatEdit, step: float, n: int, cell_flags: int, lane: int, parts: wp.array(dtype=wp.uint8)
+):
     """The parts of the cell above node n that a march must look at; `parts` keeps their flags. All lanes."""
     has_sides = entry_of_sides(edit, n) != 0
     half = PART_COUNT / 2
@@ -230,7 +241,7 @@ def part_bits(grid: VoxelGrid, edit: FlatEdit, n: int, cell_flags: int, lane: in
         while turn < PART_COUNT:
             flags = int(cell_flags)
             if not has_sides:  # at a narrow gap of the cage nothing is known of a part
-                flags = part_flags(grid, edit, n, turn + lane, bounds, cell_flags)
+                flags = part_flags(grid, edit, step, n, turn + lane, bounds, cell_flags)
             if flags < LOOK_SKIP:
                 parts[n * PART_COUNT + turn + lane] = wp.uint8(flags)
             marked = wp.uint32(ballot(wp.where(flags < LOOK_SKIP, 1, 0)))
@@ -241,13 +252,18 @@ def part_bits(grid: VoxelGrid, edit: FlatEdit, n: int, cell_flags: int, lane: in
     return bits
 
 
-@wp.kernel(cuda_max_registers=80)
+@wp.kernel(cuda_max_registers=64)
 def mark_parts(
-    first: int, grid: VoxelGrid, edit: FlatEdit, looks: wp.array(dtype=wp.uint64), parts: wp.array(dtype=wp.uint8)
+    first: int,
+    grid: VoxelGrid,
+    edit: FlatEdit,
+    step: float,
+    looks: wp.array(dtype=wp.uint64),
+    parts: wp.array(dtype=wp.uint8),
 ):
     """Which parts of each cell a march must look at. A group of lanes (core/lanes) takes octet_count() cells.
 
-    `edit.look` says which cells may be skipped as a whole. looks: (nodes,) bits; parts: (PART_COUNT * nodes,) becomes
+    `edit.look` says which cells may be skipped as a whole. step: of the march, world units; looks: (nodes,) bits; parts: (PART_COUNT * nodes,) becomes
     the flags of those parts, and nothing of others.
     """
     item = first + wp.tid()
@@ -261,7 +277,7 @@ def mark_parts(
     while left != 0:
         other = lowest_bit(left)
         left = without_lowest_bit(left)
-        bits = part_bits(grid, edit, begin + other, index_from_lane(look, other), lane, parts)
+        bits = part_bits(grid, edit, step, begin + other, index_from_lane(look, other), lane, parts)
         if other == lane:
             own = bits
     if lane < octet_count() and begin + lane < looks.shape[0]:

@@ -15,7 +15,8 @@ from ..lattice.cage_map import corner_share
 from .edits import CELL_OUTSIDE
 from .flat_edits import FlatEdit, entry_of_sides
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+# small blocks: few cells have anything to do
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
 #: Of Newton's method in a trilinear cell: from its middle, two or three are enough where the cell is not folded.
 NEWTON_STEPS = wp.constant(6)
@@ -130,7 +131,7 @@ def has_matter_near(grid: VoxelGrid, edit: FlatEdit, node: wp.vec3):
     return float(empty - 1) * wp.min(size) <= edit.rest.spacing
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def claim_nodes(
     first: int,
     edit: FlatEdit,
@@ -185,7 +186,7 @@ def claim_nodes(
                         wp.atomic_min(owners, a, b, c, claim)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def settle_nodes(first: int, edit: FlatEdit, owners: wp.array3d(dtype=int), places: wp.array3d(dtype=wp.vec4)):
     """Where each node of the rest lattice is in the posed scene, in cells of the posed lattice, with 1; 0 where no cell
     of the posed lattice leads to it. places: as owners."""

@@ -52,6 +52,7 @@ class EditLattices:
         carried: The CarriedCrumbs of each edit, None for one without crumbs.
         skips: For each edit (nx-1, ny-1, nz-1) uint8, how far a cell is from the nearest that may hold anything.
         array: (edits,) LatticeEdit, once posed.
+        marked_step: Longest march step that `mark_empty` has looked for, world units; 0 before.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class EditLattices:
         self._cells: list[wp.array] = []
         self._structs: list[Any] = []
         self.array: wp.array | None = None
-        self._marked_step, self._marked_skip = 0.0, None
+        self.marked_step, self._marked_skip = 0.0, None
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         """Compute the maps.
@@ -168,7 +169,7 @@ class EditLattices:
             if not struct.removes:
                 inputs = [self.array, index]
                 launch(cell_tables.mark_alone_cells, struct.cells.size, inputs, [struct.cells], device=self._device)
-        self._marked_step = 0.0
+        self.marked_step = 0.0
 
     def mark_empty(self, grid: Any, step: float) -> bool:
         """Find the cells that a march through the deformed grid may skip.
@@ -180,9 +181,9 @@ class EditLattices:
         Returns:
             Whether they were looked for: not again for the same pose, the same matter and no longer step.
         """
-        if step <= self._marked_step and grid.skip is self._marked_skip:
+        if step <= self.marked_step and grid.skip is self._marked_skip:
             return False
-        self._marked_step = 0.0  # an interrupt leaves tables that are half written
+        self.marked_step = 0.0  # an interrupt leaves tables that are half written
         for index, skip in enumerate(self.skips):  # in order: each looks at the ones before it
             marks = self._mark_buffer.take(skip.shape)
             inputs = [grid, self.array, index, step]
@@ -191,7 +192,7 @@ class EditLattices:
             for axis in range(3):
                 spread_along(axis, source, target)
                 source, target = target, source
-        self._marked_step, self._marked_skip = step, grid.skip
+        self.marked_step, self._marked_skip = step, grid.skip
         return True
 
     def rest_maps(self) -> list[Any]:

@@ -10,7 +10,7 @@ import warp as wp
 from ..core.arrays import array_view
 from ..core.devices import lane_count, launch
 from ..kernels.deform.fine_cells import PART_COUNT, PART_SIZE, PART_WORDS, PARTS, mark_parts, spread_parts
-from ..lattice.capture import BufferPool
+from ..lattice.capture import BufferPool, SideStream
 
 #: Cells that are less than so many voxels wide are not told apart: their parts would be smaller than what they skip.
 LEAST_VOXELS = 2.0
@@ -28,27 +28,43 @@ class FineCells:
     """
 
     def __init__(self, edit_count: int, device: wp.Device):
-        self._device = device
+        self._device, self._lanes = device, lane_count(device)
         pool = BufferPool(device)
         self._words = [pool.buffer(wp.uint32) for _ in range(edit_count)]
-        self._looks = pool.buffer(wp.uint64)
+        self._looks = [pool.buffer(wp.uint64) for _ in range(edit_count)]
+        self._side = SideStream(device)
 
-    def mark(self, edits: Sequence[Any], grid: Any) -> None:
-        """Let the `fine_look` of posed edits tell parts of their cells apart.
+    def begin(self, edits: Sequence[Any], grid: Any, step: float) -> None:
+        """Let the `fine_look` of posed edits tell parts of their cells apart, beside what is launched until `join`.
 
         Args:
             edits: The FlatEdits, whose cells are marked.
             grid: VoxelGrid of the field as it is marched.
+            step: Longest march step, world units.
         """
-        lanes = lane_count(self._device)
-        for edit, buffer in zip(edits, self._words, strict=True):
-            nodes = edit.look.size
-            if edit.spacing < LEAST_VOXELS * max(grid.voxel_size) or nodes > MOST_NODES:
-                continue
-            words, looks = buffer.take(int(PART_WORDS) * nodes), self._looks.take(nodes)
-            parts = array_view(words, wp.uint8, int(PART_COUNT) * nodes)
-            groups, work = -(-nodes // max(1, lanes // 4)), int(PART_COUNT) / lanes  # an octet of cells for a group
-            launch(mark_parts, lanes * groups, [grid, edit], [looks, parts], device=self._device, work=work)
-            launch(spread_parts, -(-nodes // lanes) * lanes, [edit, looks], [words], device=self._device)
-            edit.parts, edit.part_count, edit.part_size = int(PARTS), int(PART_COUNT), float(PART_SIZE)
-            edit.fine_look = parts
+        width = max(grid.voxel_size)
+        told = [edit.spacing >= LEAST_VOXELS * width and edit.look.size <= MOST_NODES for edit in edits]
+        held = [
+            (edit, words.take(int(PART_WORDS) * edit.look.size), looks.take(edit.look.size))
+            for edit, words, looks, is_told in zip(edits, self._words, self._looks, told, strict=True)
+            if is_told
+        ]
+        if held:  # memory is there before the launches fork
+            with self._side.fork():
+                for edit, words, looks in held:
+                    self._mark(edit, grid, step, words, looks)
+
+    def _mark(self, edit: Any, grid: Any, step: float, words: wp.array, looks: wp.array) -> None:
+        nodes = looks.size
+        parts = array_view(words, wp.uint8, int(PART_COUNT) * nodes)
+        groups = -(-nodes // max(1, self._lanes // 4))  # an octet of cells for a group of lanes
+        inputs, work = [grid, edit, step], int(PART_COUNT) / self._lanes
+        launch(mark_parts, self._lanes * groups, inputs, [looks, parts], device=self._device, work=work)
+        whole_groups = -(-nodes // self._lanes) * self._lanes
+        launch(spread_parts, whole_groups, [edit, looks], [words], device=self._device)
+        edit.parts, edit.part_count, edit.part_size = int(PARTS), int(PART_COUNT), float(PART_SIZE)
+        edit.fine_look = parts
+
+    def join(self) -> None:
+        """Let what is launched from now on wait for the parts."""
+        self._side.join()

@@ -263,17 +263,20 @@ class LatticeEdits(PosedEdits):
 
     def render(self, view: MarchedView) -> None:
         field, centre, step = view.field, view.pinhole.centre, view.options.step
-        if not view.rows or (self._plan.is_shaded and not self._shades.is_posed):
-            rows = self.row_tables(field, centre, step)
-            if self._plan.is_shaded:
-                cells = [struct.cells for struct, _ in self.lattices.posed()]
-                self._shades.pose(self._flat, cells, view.grid)
-                rows = self._shaded_tables(field, centre, step)
-            view = dataclasses.replace(view, rows=rows)
-        parts, is_shaded = self._plan
-        if not self._is_fine and not self._by_tiles and (parts is not None or self._is_single):
-            self._fine.mark(self._flat, view.grid)
+        is_new = not view.rows or (self._plan.is_shaded and not self._shades.is_posed)
+        rows = self.row_tables(field, centre, step) if is_new else view.rows
+        # the march for one edit, and for those apart, knows parts of cells
+        is_coarse = not self._is_fine and not self._by_tiles and (self._is_single or self._plan.parts is not None)
+        if is_coarse:
+            self._fine.begin(self._flat, view.grid, self.lattices.marked_step)
+        if is_new and self._plan.is_shaded:
+            self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], view.grid)
+            rows = self._shaded_tables(field, centre, step)
+        if is_coarse:
+            self._fine.join()
             self._is_fine = True
+        view = dataclasses.replace(view, rows=rows)
+        parts, is_shaded = self._plan
         if parts is not None:
             orders = self._tiles.begin(len(parts), view.threads // TILE_SIZE)
             kernels = TILE_KERNELS if self._by_tiles else SHADED_PART_KERNELS if is_shaded else PART_KERNELS

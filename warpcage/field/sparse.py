@@ -17,7 +17,7 @@ from ..kernels.field import skip as grid_skip
 from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS, as_single
 from .matter_cells import DensityWatch
 
-#: Bytes behind those of cells, as a GPU reads whole words of them (kernels/core/entries.row_has_zero).
+#: Bytes behind those that marches read, as a GPU reads whole words of them (kernels/core/entries.row_has_zero).
 PADDING = 3
 
 
@@ -67,9 +67,9 @@ def measure_skip(links: wp.array) -> wp.array:
     Returns:
         (nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with such a node.
     """
-    distance = _cell_bytes(links)
+    distance, spread = (empty_array(tuple(n - 1 for n in links.shape), wp.uint8, links.device) for _ in range(2))
     launch(grid_skip.mark_cells, distance.size, [links], [distance], device=links.device)
-    return _spread(distance)
+    return _spread(distance, spread)
 
 
 class MatterSkip:
@@ -132,9 +132,11 @@ class MatterSkip:
             self.compare(density)
         self._settle()
         if self._distance is None:
-            distance = _cell_bytes(self._links)
-            launch(grid_skip.mark_matter, distance.size, [self._links, density], [distance], device=self._links.device)
-            self._distance = _spread(distance)
+            shape, device = tuple(n - 1 for n in self._links.shape), self._links.device
+            held = (empty_array(math.prod(shape) + PADDING, wp.uint8, device) for _ in range(2))
+            distance, spread = (array_view(each, wp.uint8, shape) for each in held)
+            launch(grid_skip.mark_matter, distance.size, [self._links, density], [distance], device=device)
+            self._distance = _spread(distance, spread)
         return self._distance
 
     def _settle(self) -> None:
@@ -144,19 +146,8 @@ class MatterSkip:
         self._is_compared = False
 
 
-def _cell_bytes(links: wp.array) -> wp.array:
-    """One byte for each cell of a grid's links."""
-    return _padded_bytes(tuple(n - 1 for n in links.shape), links.device)
-
-
-def _padded_bytes(shape: tuple[int, ...], device: wp.DeviceLike) -> wp.array:
-    """Bytes of cells, not set yet, and PADDING behind them."""
-    return array_view(empty_array(math.prod(shape) + PADDING, wp.uint8, device), wp.uint8, shape)
-
-
-def _spread(distance: wp.array) -> wp.array:
-    """Distances from the cells that hold 0; the array is used."""
-    spread = _padded_bytes(distance.shape, distance.device)
+def _spread(distance: wp.array, spread: wp.array) -> wp.array:
+    """Distances from the cells that hold 0, in one of two arrays; both are used."""
     for axis in range(3):
         spread_along(axis, distance, spread)
         distance, spread = spread, distance

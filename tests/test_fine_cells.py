@@ -1,0 +1,199 @@
+"""Parts of lattice cells that a march may skip: their bytes against NumPy, and pictures with and without them."""
+
+import math
+
+import numpy as np
+import pytest
+from deformed_scenes import BOX, box_around, make_field, plain, shiny_field, slotted, two_balls, use_march, view
+
+from warpcage.cage.cage import Cage
+from warpcage.deform import fine_cells
+from warpcage.deform.deformer import Deformer
+from warpcage.deform.edits import CageEdit
+from warpcage.kernels.deform.edits import CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS
+from warpcage.kernels.deform.fine_cells import FAR_PART, PARTS
+from warpcage.kernels.deform.flat_edits import LOOK_SKIP
+from warpcage.view.camera import Camera
+
+SKIP, SIDE = int(LOOK_SKIP), int(PARTS)
+
+#: Cells of lattices of BOX: some five voxels of the fields wide.
+CELLS = 10
+
+SLAB = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
+CASES = {
+    "bend": (BOX, BOX.bend(70, axis="x", towards="z"), {}),
+    "twist that folds": (BOX, BOX.twist(230, axis="x"), {}),
+    "squeeze": (BOX, BOX.scale([0.2, 1.3, 1.0]).translate([0.2, 0, 0.1]), {}),
+    "away": (BOX, BOX.rotate(30).translate([0.4, 0.5, 0.2]), {}),
+    "grown": (BOX, BOX.scale(2.5), {}),
+    "part of it": (SLAB, SLAB.rotate(25, axis="x").translate([0.1, 0, 0.2]), {}),
+    "part of it, kept": (SLAB, SLAB.rotate(25, axis="x").translate([0.5, 0, 0.2]), {"keep_source": True}),
+    "part of it, removed": (SLAB, None, {"remove": True}),
+    "narrow slot": (slotted(0.3), slotted(0.02), {}),
+    "falloff": (SLAB, SLAB.rotate(15, axis="x"), {"falloff": 0.3}),
+}
+
+
+@pytest.fixture(params=["rows", "shaded"])
+def march(request, device, monkeypatch):
+    """The marches that know parts of cells."""
+    return use_march(request.param, device, monkeypatch)
+
+
+def finest(device):
+    return shiny_field(device, resolution=64)
+
+
+def table(edit):
+    """(nx, ny, nz) bytes of the parts of an edit's cells, those of all cells along each axis one after the other."""
+    counts = tuple(edit.node_counts)
+    assert edit.parts == SIDE
+    cells = edit.fine_look.numpy().reshape(*counts, SIDE, SIDE, SIDE)[:-1, :-1, :-1]
+    return cells.transpose(0, 3, 1, 4, 2, 5).reshape([SIDE * (n - 1) for n in counts])
+
+
+def posed(field, rest, pose, **options):
+    """A Deformer that has rendered, and the edits that it marches."""
+    deformer = Deformer(field, CageEdit(rest, **options), resolution=CELLS).pose(pose)
+    deformer.render(view(size=8))
+    return deformer, deformer._edits._flat
+
+
+def chebyshev(occupied, limit):
+    """How far each cell is from an occupied one, or `limit`."""
+    near, distance = occupied.copy(), np.where(occupied, 0, limit)
+    for step in range(1, limit):
+        for axis in range(3):
+            moved = np.zeros((2, *near.shape), bool)
+            ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+            ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+            moved[0][tuple(ahead)], moved[1][tuple(behind)] = near[tuple(behind)], near[tuple(ahead)]
+            near = near | moved[0] | moved[1]
+        distance = np.where(near & (distance == limit), step, distance)
+    return distance
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_nothing_is_skipped_that_holds_matter(case, march, device):
+    """Random places in the lattice, asked by to_canonical and field.sample."""
+    rest, pose, options = CASES[case]
+    field = finest(device)
+    deformer, (edit,) = posed(field, rest, pose, **options)
+    bytes_of_parts = table(edit)
+    random = np.random.default_rng(1)
+    places = random.uniform(0, 1, (40_000, 3)) * bytes_of_parts.shape
+    points = field.center + np.array(edit.lower) + places / SIDE * edit.spacing
+    canonical, _, region, outside = deformer.to_canonical(points, np.tile([0.0, 0, 1], (len(points), 1)), return_outside=True)
+    _, density = field.sample(canonical, np.tile([0.0, 0, 1], (len(points), 1)))
+    _, uncovered = field.sample(points, np.tile([0.0, 0, 1], (len(points), 1)))
+    found = bytes_of_parts[tuple(places.astype(int).T)]
+    # a place within rounding of the next part may be taken for one in it
+    holds = (np.where(region == 1, uncovered, density) > 1e-2) | (outside == 1)
+    assert holds.sum() > 300
+    assert (found[holds] < SKIP).all()
+    assert (found >= SKIP).mean() > 0.2
+
+
+def test_most_of_what_is_empty_is_skipped(march, device):
+    """A part next to which nothing is, is not looked at: of a ball in a still cage by geometry."""
+    field = make_field(lambda x: 30.0 * (np.linalg.norm(x, axis=-1) < 0.3), plain([0.5, 0.5, 0.5]), device=device, resolution=64)
+    _, (edit,) = posed(field, BOX, BOX)
+    bytes_of_parts = table(edit)
+    middles = np.stack(np.indices(bytes_of_parts.shape), axis=-1) + 0.5
+    away = np.linalg.norm(np.array(edit.lower) + middles / SIDE * edit.spacing, axis=-1)
+    half = 0.5 * math.sqrt(3) * edit.spacing / SIDE
+    voxel = math.sqrt(3) * field.voxel_size[0]
+    assert (bytes_of_parts[away < 0.3 - voxel - half] < SKIP).all()
+    assert (bytes_of_parts[away > 0.3 + 2 * voxel + 2 * half] >= SKIP).all()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_distances_between_parts(case, march, device):
+    rest, pose, options = CASES[case]
+    _, (edit,) = posed(finest(device), rest, pose, **options)
+    bytes_of_parts = table(edit).astype(int)
+    occupied, limit = bytes_of_parts < SKIP, 60
+    exact, found = chebyshev(occupied, limit), bytes_of_parts - SKIP
+    near = (exact > 0) & (exact < int(FAR_PART))
+    assert near.sum() > 100
+    assert np.array_equal(found[near], exact[near])
+    far = exact >= int(FAR_PART)
+    assert far.any()
+    assert (found[far] >= int(FAR_PART)).all() and (found[far] <= exact[far]).all()
+
+
+@pytest.mark.parametrize("case", ["bend", "squeeze", "part of it"])
+def test_flags_of_parts(case, march, device):
+    """What a part is known for holds at random places in it."""
+    rest, pose, options = CASES[case]
+    field = finest(device)
+    deformer, (edit,) = posed(field, rest, pose, **options)
+    bytes_of_parts = table(edit)
+    places = np.random.default_rng(2).uniform(0, 1, (40_000, 3)) * bytes_of_parts.shape
+    found = bytes_of_parts[tuple(places.astype(int).T)]
+    places, found = places[found < SKIP], found[found < SKIP]
+    points = field.center + np.array(edit.lower) + places / SIDE * edit.spacing
+    along = np.tile([0.0, 0, 1], (len(points), 1))
+    _, _, region, outside = deformer.to_canonical(points, along, return_outside=True)
+    is_mapped = (region == 2) | (outside == 1)
+    for flag, holds in ((CELL_INSIDE, is_mapped), (CELL_OUTSIDE, ~is_mapped), (CELL_STAYS, outside == 0)):
+        flagged = (found & int(flag)) != 0
+        assert flagged.any() and holds[flagged].mean() > 0.9999
+
+
+def frames(deformer, monkeypatch, camera):
+    """The same frame without and with parts of cells."""
+    with monkeypatch.context() as patch:
+        patch.setattr(fine_cells, "LEAST_VOXELS", math.inf)
+        whole = deformer.render(camera)
+    deformer._edits._is_fine = False
+    fine = deformer.render(camera)
+    return whole, fine
+
+
+@pytest.mark.parametrize("density", ["opacity", "paper"])
+@pytest.mark.parametrize("case", CASES)
+def test_pictures_are_those_without_parts(case, density, march, device, monkeypatch):
+    rest, pose, options = CASES[case]
+    deformer = Deformer(finest(device), CageEdit(rest, **options), resolution=CELLS, density=density).pose(pose)
+    for eye in ((2.5, 1.2, 1.0), (-0.3, -2.6, 0.4)):
+        whole, fine = frames(deformer, monkeypatch, view(eye))
+        assert all(flat.parts == SIDE for flat in deformer._edits._flat)
+        for name in ("rgb", "alpha", "reveal", "fold", "outside"):
+            assert np.allclose(getattr(fine, name), getattr(whole, name), atol=2e-5), name
+    assert fine.alpha.max() > 0.5
+
+
+def test_pictures_of_several_edits_are_those_without_parts(march, device, monkeypatch):
+    cages = [box_around(x, 0, 0, half=0.45) for x in (-0.5, 0.5)]
+    deformer = Deformer(two_balls(device), cages, resolution=8)
+    deformer.pose([cages[0].rotate(40, axis="x"), cages[1].scale([1.0, 0.7, 0.7])])
+    for eye in ((2.5, 1.2, 1.0), (0.1, -2.6, 0.4)):
+        whole, fine = frames(deformer, monkeypatch, view(eye))
+        assert [flat.parts for flat in deformer._edits._flat] == [SIDE, SIDE]
+        for name in ("rgb", "alpha", "reveal", "fold", "outside"):
+            assert np.allclose(getattr(fine, name), getattr(whole, name), atol=2e-5), name
+
+
+def test_follow_the_pose_and_the_matter(march, device):
+    """Another pose, and matter where none was, are seen as by a Deformer that knows nothing else."""
+    field = finest(device)
+    camera = view(size=32)
+    deformer = Deformer(field, BOX, resolution=CELLS).pose(BOX)
+    deformer.render(camera)
+    for degrees in (40, 0):
+        pose = BOX.rotate(degrees)
+        later = deformer.pose(pose).render(camera)
+        assert np.array_equal(later.rgb, Deformer(field, BOX, resolution=CELLS).pose(pose).render(camera).rgb)
+    density = field.grid.density.numpy()
+    field.grid.density.assign(np.where(np.arange(len(density)) % 3 == 0, -1.0, density + 1.0).astype(np.float32))
+    later = deformer.render(camera)
+    assert np.array_equal(later.rgb, Deformer(field, BOX, resolution=CELLS).pose(BOX.rotate(0)).render(camera).rgb)
+
+
+def test_cells_as_small_as_voxels_are_not_told_apart(march, device):
+    deformer = Deformer(shiny_field(device, resolution=16), BOX, resolution=24).pose(BOX)
+    deformer.render(Camera.look_at((2.5, 1.2, 1.0), (0, 0, 0), width=8, height=8, fov_degrees=50))
+    (edit,) = deformer._edits._flat
+    assert edit.parts == edit.part_count == 1 and edit.fine_look.ptr == edit.look.ptr
