@@ -1,9 +1,10 @@
-"""Roots and quotients of loops bound by instructions, against NumPy."""
+"""Roots, quotients and rows of bytes of loops bound by instructions, against NumPy."""
 
 import numpy as np
 import warp as wp
 
-from warpcage.kernels.core.entries import near_reciprocal, near_root, reciprocal_root
+from warpcage.core.arrays import array_view
+from warpcage.kernels.core.entries import near_reciprocal, near_root, reciprocal_root, row_has_zero
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -34,3 +35,26 @@ def test_are_exact_to_two_units(device):
 
 def test_of_zero(device):
     assert roots(np.zeros(1, dtype=np.float32), device).tolist() == [[0.0, np.inf, np.inf]]
+
+
+@wp.kernel
+def fill_zeros(bytes_of_rows: wp.array3d(dtype=wp.uint8), places: wp.array(dtype=wp.vec4i), found: wp.array(dtype=int)):
+    n = wp.tid()
+    place = places[n]
+    found[n] = row_has_zero(bytes_of_rows, place[0], place[1], place[2], place[3])
+
+
+def test_rows_of_bytes_with_a_zero(device):
+    """Of one to four bytes, wherever they begin in a word, up to the last of the array."""
+    random = np.random.default_rng(0)
+    values = random.choice([0, 0, 1, 7, 127, 128, 129, 255], (4, 5, 13)).astype(np.uint8)
+    held = wp.zeros(values.size + 3, dtype=wp.uint8, device=device)
+    held[: values.size].assign(values.ravel())
+    rows = array_view(held, wp.uint8, values.shape)
+    places = [(i, j, k, last) for i in range(4) for j in range(5) for k in range(13) for last in range(min(4, 13 - k))]
+    found = wp.zeros(len(places), dtype=int, device=device)
+    wp.launch(
+        fill_zeros, len(places), inputs=[rows, wp.array(places, dtype=wp.vec4i, device=device), found], device=device
+    )
+    expected = [int((values[i, j, k : k + last + 1] == 0).any()) for i, j, k, last in places]
+    assert found.numpy().tolist() == expected and 0 < sum(expected) < len(expected)

@@ -84,7 +84,9 @@ def test_nothing_is_skipped_that_holds_matter(case, march, device):
     random = np.random.default_rng(1)
     places = random.uniform(0, 1, (40_000, 3)) * bytes_of_parts.shape
     points = field.center + np.array(edit.lower) + places / SIDE * edit.spacing
-    canonical, _, region, outside = deformer.to_canonical(points, np.tile([0.0, 0, 1], (len(points), 1)), return_outside=True)
+    canonical, _, region, outside = deformer.to_canonical(
+        points, np.tile([0.0, 0, 1], (len(points), 1)), return_outside=True
+    )
     _, density = field.sample(canonical, np.tile([0.0, 0, 1], (len(points), 1)))
     _, uncovered = field.sample(points, np.tile([0.0, 0, 1], (len(points), 1)))
     found = bytes_of_parts[tuple(places.astype(int).T)]
@@ -97,7 +99,9 @@ def test_nothing_is_skipped_that_holds_matter(case, march, device):
 
 def test_most_of_what_is_empty_is_skipped(march, device):
     """A part next to which nothing is, is not looked at: of a ball in a still cage by geometry."""
-    field = make_field(lambda x: 30.0 * (np.linalg.norm(x, axis=-1) < 0.3), plain([0.5, 0.5, 0.5]), device=device, resolution=64)
+    field = make_field(
+        lambda x: 30.0 * (np.linalg.norm(x, axis=-1) < 0.3), plain([0.5, 0.5, 0.5]), device=device, resolution=64
+    )
     _, (edit,) = posed(field, BOX, BOX)
     bytes_of_parts = table(edit)
     middles = np.stack(np.indices(bytes_of_parts.shape), axis=-1) + 0.5

@@ -71,16 +71,16 @@ def cell_byte(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int) -> int:
     if (from + to > 32u)
         bytes |= __ldg(words + 1) << (32u - from);
     bytes |= to < 32u ? ~0u << to : 0u;
-    return ((bytes - 0x01010101u) & ~bytes & 0x80808080u) != 0u;
+    return ((bytes - 0x01010101u) & ~bytes & 0x80808080u) != 0u ? 1 : 0;
 #else
     for (int n = 0; n <= last; ++n)
         if (begin[n] == 0)
-            return true;
-    return false;
+            return 1;
+    return 0;
 #endif
 """)
-def row_has_zero(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int, last: int) -> bool:
-    """Whether any of array[i, j, k] to array[i, j, k + last] is 0, `last` at most 3, of an array without gaps whose
+def row_has_zero(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int, last: int) -> int:
+    """1 where any of array[i, j, k] to array[i, j, k + last] is 0, `last` at most 3, of an array without gaps whose
     memory goes on for three bytes: a GPU reads the words around them."""
     ...
 

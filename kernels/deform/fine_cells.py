@@ -14,7 +14,15 @@ Needs: core/entries, core/lanes, deform/edits, deform/flat_edits, deform/map_nod
 import warp as wp
 
 from ..core.entries import byte_entry, cell_byte, row_has_zero, vec4_entry
-from ..core.lanes import ballot, index_from_lane, lane_count, lowest_bit, mask_from_lane, octet_count, without_lowest_bit
+from ..core.lanes import (
+    ballot,
+    index_from_lane,
+    lane_count,
+    lowest_bit,
+    mask_from_lane,
+    octet_count,
+    without_lowest_bit,
+)
 from ..field.grid import VoxelGrid, grid_position
 from ..lattice.cage_map import map_distance
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP
@@ -61,11 +69,13 @@ def cells_are_empty(grid: VoxelGrid, lower: wp.vec3, upper: wp.vec3):
     if farthest > 1:
         return cells_of_box_are_empty(grid, low, low + size)
     # three cells along each axis at most: their rows are read at once, as each read is waited for
-    found = bool(False)
+    found = int(0)
     for i in range(3):
         for j in range(3):
-            found = found or row_has_zero(grid.skip, low[0] + wp.min(i, size[0]), low[1] + wp.min(j, size[1]), low[2], size[2])
-    return not found
+            ci = low[0] + wp.min(i, size[0])
+            cj = low[1] + wp.min(j, size[1])
+            found += row_has_zero(grid.skip, ci, cj, low[2], size[2])
+    return found == 0
 
 
 @wp.func
@@ -182,9 +192,7 @@ def part_place(part: int):
 
 
 @wp.func
-def part_flags(
-    grid: VoxelGrid, edit: FlatEdit, step: float, n: int, part: int, bounds: PartBounds, cell_flags: int
-):
+def part_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, part: int, bounds: PartBounds, cell_flags: int):
     """The CELL_... flags of a part of the cell above node n, LOOK_SKIP where it holds nothing."""
     low = part_place(part)
     lower = wp.vec3(bounds.lower[0], bounds.lower[1], bounds.lower[2])
@@ -263,8 +271,8 @@ def mark_parts(
 ):
     """Which parts of each cell a march must look at. A group of lanes (core/lanes) takes octet_count() cells.
 
-    `edit.look` says which cells may be skipped as a whole. step: of the march, world units; looks: (nodes,) bits; parts: (PART_COUNT * nodes,) becomes
-    the flags of those parts, and nothing of others.
+    `edit.look` says which cells may be skipped as a whole. step: of the march, world units; looks: (nodes,) bits;
+    parts: (PART_COUNT * nodes,) becomes the flags of those parts, and nothing of others.
     """
     item = first + wp.tid()
     lane = item % lane_count()

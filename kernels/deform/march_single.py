@@ -26,6 +26,7 @@ from .ray_parts import BEGUN, RayState
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
+
 @wp.struct
 class NoSides:
     """Says that no cell has corner values for each side of a narrow gap."""

@@ -100,6 +100,53 @@ def launch(
         run_parts(run, count, threads, first)
 
 
+class RepeatedLaunch:
+    """A kernel that frames launch one after the other with mostly the same arguments.
+
+    To pack all arguments takes the host several times as long as the launch itself. So CUDA launches are recorded: a
+    later one sets those that have become other objects, and what a struct holds may change. The arguments of the last
+    one stay alive. On a CPU it is `launch`.
+
+    Args:
+        kernel: The kernel.
+        device: Warp device.
+    """
+
+    def __init__(self, kernel: Kernel, device: wp.DeviceLike):
+        self._kernel, self._device = kernel, wp.get_device(device)
+        self._count, self._arguments, self._recorded = 0, [], None
+
+    def __call__(self, count: int, inputs: Sequence[Any], outputs: Iterable[Any] = ()) -> None:
+        """Launch it.
+
+        Args:
+            count: Number of items. Nothing is launched for 0.
+            inputs: Arguments of the kernel after `first`.
+            outputs: Arguments of the kernel after those.
+        """
+        if self._device.is_cpu:
+            launch(self._kernel, count, inputs, outputs, device=self._device)
+        elif count > 0:
+            with device_turn(self._device):
+                recorded = self._command(count, [0, *inputs, *outputs])
+                recorded.launch()
+                self._recorded = recorded
+
+    def _command(self, count: int, arguments: list[Any]) -> Any:
+        """The recorded launch with these arguments."""
+        recorded, self._recorded = self._recorded, None  # an interrupt leaves none that is half set
+        before, self._arguments = self._arguments, arguments
+        if recorded is None or count != self._count:
+            self._count, block_dim = count, module_block_dim(self._kernel)
+            require_loaded(self._kernel, self._device, block_dim)
+            options: dict[str, Any] = {"device": self._device, "block_dim": block_dim, "record_cmd": True}
+            return wp.launch(self._kernel, dim=count, inputs=arguments, **options)
+        for index, (argument, last) in enumerate(zip(arguments, before, strict=True)):
+            if argument is not last:
+                recorded.set_param_at_index(index, argument)
+        return recorded
+
+
 def lane_count(device: wp.DeviceLike) -> int:
     """Items that share a piece of work in kernels written for a group of lanes (kernels/core/lanes.py).
 

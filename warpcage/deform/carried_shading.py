@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array, struct_array
-from ..core.devices import launch
+from ..core.devices import RepeatedLaunch, launch
 from ..core.flags import HostFlag
 from ..core.textures import HALF_TEXEL_BYTES, MOST_TEXELS
 from ..field.shading import ColumnTable, whole_warps
@@ -23,7 +23,6 @@ from ..kernels.deform.carried_shades import (
 )
 from ..kernels.deform.laid_shades import SHADE_LAYERS, LaidShades
 from ..kernels.deform.posed_places import NO_CELL, claim_nodes, settle_nodes
-from ..kernels.field.shades import ShadedGrid
 from ..lattice.capture import BufferPool
 
 #: Layers of LaidShades.
@@ -65,6 +64,9 @@ class CarriedShades:
         self._walls: tuple[ColumnTable, wp.array] | None = None
         self._folds = HostFlag(device)
         self._is_folded: bool | None = None
+        kernels = aim_nodes, shade_carried_rows, shade_wall_rows
+        self._aim_nodes, self._shade_rows, self._shade_walls = (RepeatedLaunch(each, device) for each in kernels)
+        self._laid: Any = None
         self._texture: wp.Texture3D | None = None  # kept alive for kernels, which hold its handle alone
         self.is_posed = False
 
@@ -125,27 +127,24 @@ class CarriedShades:
         """
         device, rows, walls = self._device, table.nodes.shape[0], self._walls_of(grid, table)
         if self._posed:
-            nodes = sum(places.size for _, places, _ in self._posed)
-            launch(aim_nodes, nodes, [self._cages, centre], device=device)
-        shaded = ShadedGrid()
-        shaded.columns, shaded.centre, shaded.step = table.columns, centre, step
-        laid = self._laid(table)
-        inputs = [grid, table.nodes, self._cages, shaded, laid]
-        launch(shade_carried_rows, whole_warps(rows, device), inputs, device=device)
-        if walls.shape[0]:
-            inputs = [grid, table.nodes, walls, self._cages, shaded, laid]
-            launch(shade_wall_rows, whole_warps(walls.shape[0], device), inputs, device=device)
+            self._aim_nodes(sum(places.size for _, places, _ in self._posed), [self._cages, centre])
+        shaded, laid = table.shaded(centre, step), self._laid_shades(table)
+        self._shade_rows(whole_warps(rows, device), [grid, table.nodes, self._cages, shaded, laid])
+        inputs = [grid, table.nodes, walls, self._cages, shaded, laid]
+        self._shade_walls(whole_warps(walls.shape[0], device), inputs)
         return laid
 
-    def _laid(self, table: ColumnTable) -> Any:
-        """The LaidShades of a field, 0 at nodes without a row."""
-        laid = LaidShades()
-        laid.node_counts = table.columns.node_counts
-        laid.cells = wp.vec3(*(float(n - 1) for n in laid.node_counts))
+    def _laid_shades(self, table: ColumnTable) -> Any:
+        """The LaidShades of a field, 0 at nodes without a row: on CUDA the same for all frames, which take turns."""
+        laid = self._laid
+        if laid is None or laid.node_counts != table.columns.node_counts:
+            laid = LaidShades()
+            laid.node_counts = table.columns.node_counts
+            laid.cells = wp.vec3(*(float(n - 1) for n in laid.node_counts))
         if self._device.is_cpu:
             laid.shades = wp.zeros(LAYERS * table.node_count, dtype=wp.vec4, device=self._device)
         else:
-            self._texture = table.shade_texture(LAYERS)
+            self._laid, self._texture = laid, table.shade_texture(LAYERS)
             laid.texture, laid.surface = self._texture.cuda_texture, self._texture.cuda_surface
         return laid
 

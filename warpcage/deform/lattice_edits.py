@@ -347,9 +347,7 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
         flat.side_index, flat.sides = side_index, edit.deformed.sides
     flat.tolerance, flat.slack = edit.tolerance, edit.slack
     flat.keeps_source, flat.removes, flat.crumbs = edit.keeps_source, edit.removes, edit.crumbs
-    launch(
-        flat_edits.join_cell_tables, node_count, [edit.cells, skip, flat.node_counts], [flat.look], device=device
-    )
+    launch(flat_edits.join_cell_tables, node_count, [edit.cells, skip, flat.node_counts], [flat.look], device=device)
     positions = empty_array(0, wp.vec3, device) if edit.removes else edit.deformed.positions.flatten()
     launch(
         flat_edits.join_nodes, node_count, [positions, edit.deformed.distance.flatten()], [flat.nodes], device=device

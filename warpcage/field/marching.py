@@ -114,10 +114,11 @@ class MarchTables:
         Returns:
             A kernel, its first inputs, and the rays that one of its items follows.
         """
-        self.begin()
         if self.is_shaded(centre):
             shaded = shaded_grid(self._grid, self.columns, centre, step)
+            self.begin()  # behind what takes longer, which waits for less
             return render_shaded_image, [self.grid(), shaded], 1
+        self.begin()
         rows = self.rows()
         if self.by_tiles:
             grid = self.grid()

@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import launch
+from ..core.devices import RepeatedLaunch, launch
 from ..core.textures import half_texture
 from ..kernels.core.texels import clear_half_texels
 from ..kernels.field import columns
@@ -35,6 +35,7 @@ class ColumnTable:
         columns: The Columns that kernels take.
         nodes: (rows,) int32 flat index of each row's node.
         node_count: Nodes of the grid.
+        shade_rows: Launches the kernel of that name.
     """
 
     def __init__(self, links: wp.array):
@@ -65,6 +66,8 @@ class ColumnTable:
         self.node_count, self._laid, self._packed = math.prod(links.shape), None, None
         self._device = wp.get_device(device)
         self._kept: dict[str, tuple[int, Any]] = {}
+        self._shaded: Any = None
+        self.shade_rows = RepeatedLaunch(shade_rows, device)
 
     def laid_densities(self) -> wp.array:
         """(nodes,) float16, one for each node of the grid, made when it is first asked for; 0 without a row."""
@@ -84,6 +87,25 @@ class ColumnTable:
 
     def _new_row_shades(self) -> wp.array:
         return empty_array((self.nodes.shape[0], shade_words(self._device)), wp.uint32, self._device)
+
+    def shaded(self, centre: wp.vec3, step: float) -> Any:
+        """A ShadedGrid of kernels/field/shades.py that is to be filled for a camera; see `row_shades`.
+
+        Args:
+            centre: Of the camera, relative to the grid's origin.
+            step: March step, world units.
+
+        Returns:
+            The struct: on CUDA the same for all cameras, whose frames take turns.
+        """
+        shaded = self._shaded
+        if shaded is None:
+            shaded = ShadedGrid()
+            shaded.columns = self.columns
+            if self._device.is_cuda:
+                self._shaded = shaded
+        shaded.centre, shaded.step = centre, step
+        return shaded
 
     def shade_texture(self, layers: int) -> wp.Texture3D:
         """A texture on CUDA for shades at the nodes of rows; 0 at others. Kept as `row_shades` is.
@@ -184,9 +206,9 @@ def shaded_grid(grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> 
     Returns:
         A ShadedGrid of kernels/field/shades.py, of the values that the grid has now.
     """
-    device, rows = grid.links.device, table.nodes.shape[0]
-    shaded = ShadedGrid()
-    shaded.columns, shaded.centre, shaded.step = table.columns, centre, step
-    shaded.shades = table.row_shades()
-    launch(shade_rows, whole_warps(rows, device), [grid, table.nodes, shaded], device=device)
+    shaded = table.shaded(centre, step)
+    shades = table.row_shades()
+    if shaded.shades is not shades:
+        shaded.shades = shades
+    table.shade_rows(whole_warps(table.nodes.shape[0], grid.links.device), [grid, table.nodes, shaded])
     return shaded

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import array_view, empty_array
-from ..core.devices import launch
+from ..core.devices import RepeatedLaunch, launch
 from ..core.flags import HostFlag
 from ..kernels.field import halves as grid_halves
 from ..kernels.field import refine as grid_refine
@@ -88,6 +88,7 @@ class MatterSkip:
         self._positive: wp.array | None = None
         self._distance: wp.array | None = None
         self._changed: HostFlag | None = None
+        self._note_signs = RepeatedLaunch(grid_skip.note_signs, links.device)
         self._is_compared = False
         # signs need not be noted where no density has changed
         self._watch = DensityWatch() if wp.get_device(links.device).is_cpu else None
@@ -109,7 +110,7 @@ class MatterSkip:
         self._changed.clear()
         self._is_compared = True
         if self._watch is None or self._watch.has_changed(density) or self._noted != self._watch.version:
-            launch(grid_skip.note_signs, density.size, [density], [self._positive, self._changed.array], device=device)
+            self._note_signs(density.size, [density], [self._positive, self._changed.array])
             self._noted = self.version
         self._changed.send()
 
