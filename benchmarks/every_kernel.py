@@ -52,7 +52,8 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.skip.spread_distance", "field.shades.",
              "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
              "deform.render_part.", "deform.render_part_sides.", "deform.shaded_",
-             "deform.carried_shades.", "deform.posed_places.", "core.texels.", "view.tile_order.",
+             "deform.carried_shades.", "deform.fine_cells.", "deform.posed_places.", "core.texels.",
+             "view.tile_order.",
              "splats.composite.", "splats.composite_slopes.", "splats.packed_rows.",
              "view.colour_bytes."}  # fmt: skip
 
@@ -204,6 +205,8 @@ def frames(device) -> None:
             deformer.to_canonical(POINTS, np.ones((64, 3)))
     warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(), supersampling=2)
     warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(camera())
+    for rest, pose in ((CAGE, POSE), (slotted(0.5), slotted(0.03))):  # cells so wide that their parts are told apart
+        warpcage.Deformer(field, rest, resolution=8, device=device).pose(pose).render(camera())
 
 
 def edits(device) -> None:

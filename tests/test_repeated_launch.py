@@ -1,0 +1,78 @@
+"""Kernels that are launched again and again: what changes between launches is seen, and nothing else stays."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warpcage.core.devices import RepeatedLaunch, launch
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.struct
+class Line:
+    slope: float
+    values: wp.array(dtype=float)
+
+
+@wp.kernel
+def follow_line(first: int, line: Line, shift: wp.vec3, begin: float, found: wp.array(dtype=float)):
+    n = first + wp.tid()
+    found[n] = begin + line.slope * line.values[n] + shift[0] * shift[1] * shift[2]
+
+
+def line_of(values, slope, device):
+    line = Line()
+    line.slope, line.values = slope, wp.array(values, dtype=float, device=device)
+    return line
+
+
+def test_follows_what_changes(device):
+    """Numbers, vectors, arrays, structs that are other objects, structs that hold something else, and counts."""
+    random = np.random.default_rng(0)
+    repeated = RepeatedLaunch(follow_line, device)
+    line, found = line_of(np.arange(9.0), 2.0, device), wp.zeros(9, dtype=float, device=device)
+    shift, begin, count = wp.vec3(1.0, 2.0, 3.0), 1.0, 9
+    for turn in range(60):
+        change = random.integers(8)
+        if change == 0:
+            begin = float(turn)
+        elif change == 1:
+            shift = wp.vec3(*random.integers(0, 9, 3).astype(float).tolist())
+        elif change == 2:
+            line = line_of(random.integers(0, 9, 9), float(turn), device)
+        elif change == 3:
+            line.slope = float(turn)
+        elif change == 4:
+            line.values = wp.array(random.integers(0, 9, 9), dtype=float, device=device)
+        elif change == 5:
+            found = wp.zeros(9, dtype=float, device=device)
+        elif change == 6:
+            count = int(random.integers(0, 10))
+        expected = found.numpy()
+        expected[:count] = (begin + line.slope * line.values.numpy() + shift[0] * shift[1] * shift[2])[:count]
+        repeated(count, [line, shift, begin], [found])
+        assert np.array_equal(found.numpy(), expected), turn
+
+
+def test_goes_on_after_one_that_failed(device):
+    """Of a launch that ended before it was made, nothing is left."""
+    repeated, found = RepeatedLaunch(follow_line, device), wp.zeros(4, dtype=float, device=device)
+    line, other = (line_of([0.0, 1, 2, 3], slope, device) for slope in (1.0, 5.0))
+    none = wp.vec3(0.0, 0.0, 0.0)
+    repeated(4, [line, none, 0.0], [found])
+    with pytest.raises(Exception, match="found|array|type"):
+        repeated(4, [other, none, 7.0], ["no array"])
+    repeated(4, [line, none, 0.0], [found])
+    assert found.numpy().tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_two_take_turns_with_others(device):
+    found = [wp.zeros(3, dtype=float, device=device) for _ in range(3)]
+    line, none = line_of([1.0, 2, 3], 1.0, device), wp.vec3(0.0, 0.0, 0.0)
+    one, two = RepeatedLaunch(follow_line, device), RepeatedLaunch(follow_line, device)
+    for turn in range(3):
+        one(3, [line, none, float(turn)], [found[0]])
+        two(3, [line, none, 10.0 + turn], [found[1]])
+        launch(follow_line, 3, [line, none, 20.0 + turn], [found[2]], device=device)
+    assert [array.numpy()[0] for array in found] == [3.0, 13.0, 23.0]
