@@ -23,7 +23,6 @@ from deformed_scenes import (
 )
 
 from warpcage.cage.cage import Cage
-from warpcage.deform import parts
 from warpcage.deform.apart import EditBoxes, box_gaps, edit_boxes, front_to_back
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit, MarchedView
@@ -227,7 +226,8 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
         def take(self, shape):
             return wp.array(ptr=dot.ptr, shape=shape, dtype=wp.vec4, device="cpu", copy=False)
 
-    def march(view, kernel, scene, item_rays, order):
+    def march(view, kernel, scene, item_rays, order, number):
+        assert number == len(marched_parts)
         marched_parts.append(scene[-1])
 
     deformer = Deformer(two_balls("cpu"), [LEFT, RIGHT], device="cpu", resolution=16)
@@ -241,9 +241,8 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     options.inverse_step = 1.0 / options.step
     marched = MarchedView(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
     kernels = (render_edit_part, render_edit_part_with_sides)
-    parts.render_parts(
-        edits, marched, edits.scene_parts(camera.centre, options.step), kernels, Untouched(), [None, None]
-    )
+    edits._parts._rays = Untouched()
+    edits._parts.render(edits, marched, edits.scene_parts(camera.centre, options.step), kernels, [None, None])
     assert [(part.is_first, part.is_last) for part in marched_parts] == [(1, 0), (0, 1)]
     for part in marched_parts:
         arrays = part.progress, part.colours, part.masks

@@ -1,5 +1,8 @@
 """Kernels that are launched again and again: what changes between launches is seen, and nothing else stays."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 import warp as wp
@@ -65,6 +68,18 @@ def test_goes_on_after_one_that_failed(device):
         repeated(4, [other, none, 7.0], ["no array"])
     repeated(4, [line, none, 0.0], [found])
     assert found.numpy().tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_keeps_nothing_alive_that_passes(device):
+    repeated, line, none = RepeatedLaunch(follow_line, device), line_of([2.0, 3], 1.0, device), wp.vec3(0.0, 0.0, 0.0)
+    for begin in (0.0, 1.0, 1.0, 5.0):
+        found = wp.zeros(2, dtype=float, device=device)
+        alive = weakref.ref(found)
+        repeated(2, [line, none, begin], [found], passing=2)
+        assert found.numpy().tolist() == [begin + 2.0, begin + 3.0]
+        del found
+        gc.collect()
+        assert alive() is None
 
 
 def test_two_take_turns_with_others(device):

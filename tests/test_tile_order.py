@@ -8,7 +8,8 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, ball, box_around, kernels_of, make_field, shiny, shiny_field, use_march, view
 
-from warpcage.core.devices import launch
+from warpcage.core import devices
+from warpcage.core.devices import RepeatedLaunch
 from warpcage.deform.deformer import Deformer
 from warpcage.kernels.deform.render_part import render_edit_part
 from warpcage.kernels.deform.render_single import render_edit
@@ -35,7 +36,7 @@ TICKS = {
 @pytest.fixture(autouse=True)
 def one_thread(monkeypatch):
     """On a CPU one thread sorts, as atomics are none there."""
-    monkeypatch.setattr(tile_order, "launch", functools.partial(launch, threads=1))
+    monkeypatch.setattr(devices, "launch", functools.partial(devices.launch, threads=1))
 
 
 def sort(tiles, ticks):
@@ -201,15 +202,15 @@ def test_orders_of_views_that_follow_each_other(balanced):
 @pytest.mark.parametrize("kernel", [count_tiles, sort_tiles])
 def test_an_interrupted_sort_leaves_no_order(kernel, balanced, monkeypatch):
     followed(balanced.begin(2, 40))
-    whole = tile_order.launch
+    whole = RepeatedLaunch.__call__
 
     def interrupted_launch(launched, *arguments, **options):
         whole(launched, *arguments, **options)
-        if launched is kernel:
+        if launched._kernel is kernel:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(tile_order, "launch", interrupted_launch)
+        patch.setattr(RepeatedLaunch, "__call__", interrupted_launch)
         with pytest.raises(KeyboardInterrupt):
             balanced.end()
     balanced.end()

@@ -105,7 +105,7 @@ class RepeatedLaunch:
 
     To pack all arguments takes the host several times as long as the launch itself. So CUDA launches are recorded: a
     later one sets those that have become other objects, and what a struct holds may change. The arguments of the last
-    one stay alive. On a CPU it is `launch`.
+    one stay alive, but for those that are said to pass. On a CPU it is `launch`.
 
     Args:
         kernel: The kernel.
@@ -116,20 +116,32 @@ class RepeatedLaunch:
         self._kernel, self._device = kernel, wp.get_device(device)
         self._count, self._arguments, self._recorded = 0, [], None
 
-    def __call__(self, count: int, inputs: Sequence[Any], outputs: Iterable[Any] = ()) -> None:
+    def __call__(
+        self,
+        count: int,
+        inputs: Sequence[Any],
+        outputs: Iterable[Any] = (),
+        *,
+        passing: int = 0,
+        work: float = USUAL_WORK,
+    ) -> None:
         """Launch it.
 
         Args:
             count: Number of items. Nothing is launched for 0.
             inputs: Arguments of the kernel after `first`.
             outputs: Arguments of the kernel after those.
+            passing: How many of the last arguments are not kept alive: what one frame alone has.
+            work: As `launch` has it.
         """
         if self._device.is_cpu:
-            launch(self._kernel, count, inputs, outputs, device=self._device)
+            launch(self._kernel, count, inputs, outputs, device=self._device, work=work)
         elif count > 0:
             with device_turn(self._device):
                 recorded = self._command(count, [0, *inputs, *outputs])
                 recorded.launch()
+                for index in range(len(self._arguments) - passing, len(self._arguments)):
+                    self._arguments[index] = recorded.fwd_args[index] = None
                 self._recorded = recorded
 
     def _command(self, count: int, arguments: list[Any]) -> Any:

@@ -12,7 +12,7 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..core.checks import checked_number
-from ..core.devices import launch
+from ..core.devices import RepeatedLaunch
 from ..field.voxel_field import VoxelField
 from ..mesh.usable import require_usable
 
@@ -159,6 +159,7 @@ class PosedEdits(abc.ABC):
         self.array: wp.array | None = None
         self.scene: Any = None
         self.sample_work = 1
+        self._launches: dict[tuple[Any, int], RepeatedLaunch] = {}
 
     def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
         """Start on what the render kernel reads of a field beside its VoxelGrid, before that is waited for.
@@ -182,7 +183,13 @@ class PosedEdits(abc.ABC):
         self.march(view, self.render_kernel, [self.scene])
 
     def march(
-        self, view: MarchedView, kernel: Any, scene: Sequence[Any], item_rays: int = 1, order: Any = None
+        self,
+        view: MarchedView,
+        kernel: Any,
+        scene: Sequence[Any],
+        item_rays: int = 1,
+        order: Any = None,
+        number: int = 0,
     ) -> None:
         """Launch a kernel that marches a view.
 
@@ -192,13 +199,17 @@ class PosedEdits(abc.ABC):
             scene: What it takes between the field's tables and the camera.
             item_rays: Rays that one of its items follows.
             order: The TileOrder in which it follows tiles. None is as they lie in the picture.
+            number: Of the launch, among those of a view by the same kernel.
         """
         if order is not None:
             view.picture.order = order
         end = [view.pinhole, view.background, view.options, view.picture]
         inputs = [view.grid, *view.rows, *scene, *end]
         work = view.work * self.sample_work * item_rays
-        launch(kernel, view.threads // item_rays, inputs, device=view.field.device, work=work)
+        key = kernel, number
+        if key not in self._launches:
+            self._launches[key] = RepeatedLaunch(kernel, view.field.device)
+        self._launches[key](view.threads // item_rays, inputs, passing=len(end), work=work)
 
     @abc.abstractmethod
     def pose(self, cages: Sequence[Cage | None]) -> None:

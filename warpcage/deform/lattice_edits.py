@@ -64,7 +64,7 @@ from .edit_lattices import EditLattices
 from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand
 from .fine_cells import FineCells
-from .parts import render_parts
+from .parts import PartsInTurn
 
 #: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
 POSE_MODULES = (
@@ -190,7 +190,7 @@ class LatticeEdits(PosedEdits):
         pool = BufferPool(device)
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
         self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
-        self._ray_buffer = pool.buffer(wp.vec4)
+        self._parts = PartsInTurn(device)
         self._tiles = BalancedTiles(device)
 
     def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
@@ -280,7 +280,7 @@ class LatticeEdits(PosedEdits):
         if parts is not None:
             orders = self._tiles.begin(len(parts), view.threads // TILE_SIZE)
             kernels = TILE_KERNELS if self._by_tiles else SHADED_PART_KERNELS if is_shaded else PART_KERNELS
-            render_parts(self, view, parts, kernels, self._ray_buffer, orders)
+            self._parts.render(self, view, parts, kernels, orders)
             self._tiles.end()
         elif self._is_single:
             (order,) = self._tiles.begin(1, view.threads // TILE_SIZE)

@@ -11,7 +11,7 @@ import warp as wp
 from ..core.arrays import array_view
 from ..kernels.deform.ray_parts import ScenePart
 from ..kernels.deform.render_cpu import render_edit_tiles
-from ..lattice.capture import Buffer
+from ..lattice.capture import BufferPool
 from ..view.camera import TILE_SIZE
 from .edits import MarchedView, PosedEdits
 
@@ -19,50 +19,72 @@ from .edits import MarchedView, PosedEdits
 STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)
 
 
-def render_parts(
-    edits: PosedEdits,
-    view: MarchedView,
-    parts: Sequence[tuple[Any, np.ndarray]],
-    kernels: Sequence[Any],
-    rays: Buffer,
-    orders: Sequence[Any],
-) -> None:
-    """March a view through edits that are apart, a launch for each; rays keep their state in between.
+class PartsInTurn:
+    """Marches views through edits that are apart, a launch for each; rays keep their state in between.
 
     Args:
-        edits: The edits.
-        view: The view.
-        parts: The FlatEdit of each edit and the box (2, 3) of what it has to do with, half a step more, relative to the
-            edits' origin; front to back. What is behind the last box goes with it.
-        kernels: That for an edit whose map has no narrow gaps, and that for one whose map has.
-        rays: Of vec4, for the states of rays.
-        orders: The TileOrder of each launch.
+        device: Warp device.
     """
-    states = ray_states(view.pinhole.width * view.pinhole.height, rays) if len(parts) > 1 else {}
-    by_tiles = render_edit_tiles in kernels
-    tables = [view.field.marching.cells(view.grid)] if by_tiles else []
-    for number, ((flat, box), order) in enumerate(zip(parts, orders, strict=True)):
-        part = ScenePart()
-        part.lower, part.upper = (wp.vec3(*corner) for corner in box.tolist())
-        part.is_first, part.is_last = int(number == 0), int(number == len(parts) - 1)
-        for name, array in states.items():
-            setattr(part, name, array)
-        kernel = kernels[int(flat.has_sides)]
-        edits.march(view, kernel, [*tables, flat, part], TILE_SIZE if by_tiles else 1, order)
+
+    def __init__(self, device: wp.Device):
+        # kept, as CUDA takes longer to hand out as much memory than to fill it
+        self._rays = BufferPool(device).buffer(wp.vec4)
+        self._block: wp.array | None = None
+        self._parts: list[tuple[list[list[float]], Any]] = []
+
+    def render(
+        self,
+        edits: PosedEdits,
+        view: MarchedView,
+        parts: Sequence[tuple[Any, np.ndarray]],
+        kernels: Sequence[Any],
+        orders: Sequence[Any],
+    ) -> None:
+        """March a view.
+
+        Args:
+            edits: The edits.
+            view: The view.
+            parts: The FlatEdit of each edit and the box (2, 3) of what it has to do with, half a step more, relative to
+                the edits' origin; front to back. What is behind the last box goes with it.
+            kernels: That for an edit whose map has no narrow gaps, and that for one whose map has.
+            orders: The TileOrder of each launch.
+        """
+        structs = self._scene_parts([box.tolist() for _, box in parts], view.pinhole.width * view.pinhole.height)
+        by_tiles = render_edit_tiles in kernels
+        tables = [view.field.marching.cells(view.grid)] if by_tiles else []
+        for number, ((flat, _), struct, order) in enumerate(zip(parts, structs, orders, strict=True)):
+            scene = [*tables, flat, struct]
+            edits.march(view, kernels[int(flat.has_sides)], scene, TILE_SIZE if by_tiles else 1, order, number)
+
+    def _scene_parts(self, boxes: list[list[list[float]]], rays: int) -> list[Any]:
+        """The ScenePart of each box, with arrays for as many rays; those of the view before where it has the same."""
+        block = self._rays.take((3, rays)) if len(boxes) > 1 else None
+        if block is not self._block or len(boxes) != len(self._parts):
+            self._block, self._parts = block, [([], None) for _ in boxes]
+        for number, box in enumerate(boxes):
+            if self._parts[number][0] != box:
+                self._parts[number] = box, scene_part(box, number == 0, number == len(boxes) - 1, block)
+        return [part for _, part in self._parts]
 
 
-def ray_states(rays: int, buffer: Buffer) -> dict[str, wp.array]:
-    """The arrays in which the rays of a picture keep their state from part to part.
+def scene_part(box: list[list[float]], is_first: bool, is_last: bool, states: wp.array | None) -> Any:
+    """A part of a scene for kernels.
 
     Args:
-        rays: Their number, as many as an array holds or fewer.
-        buffer: Of vec4, in which they lie: kept, as CUDA takes longer to hand out as much memory than to fill it.
+        box: Its lower and its upper corner, (3,) each, relative to the edits' origin.
+        is_first: Whether nothing was marched before.
+        is_last: Whether rays are followed to their end.
+        states: (3, rays) vec4 in which rays keep their state, not set yet. None for the first and only part.
 
     Returns:
-        (rays,) vec4 each by their names in ScenePart, not set yet.
+        A ScenePart of kernels/deform/ray_parts.py.
     """
-    block = buffer.take((3, rays))
-    return {
-        name: array_view(block, wp.vec4, rays, offset=row * rays * STATE_BYTES)
-        for row, name in enumerate(("progress", "colours", "masks"))
-    }
+    part = ScenePart()
+    part.lower, part.upper = (wp.vec3(*corner) for corner in box)
+    part.is_first, part.is_last = int(is_first), int(is_last)
+    if states is not None:
+        rays = states.shape[1]
+        for row, name in enumerate(("progress", "colours", "masks")):
+            setattr(part, name, array_view(states, wp.vec4, rays, offset=row * rays * STATE_BYTES))
+    return part

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.devices import launch
+from ..core.devices import RepeatedLaunch
 from ..core.locks import owner_lock
 from ..core.modules import Kernel
 from ..kernels.field.grid import VoxelGrid
@@ -47,6 +47,7 @@ class MarchTables:
         self._grid = grid
         self._columns: ColumnTable | None = None
         self._marched: Any = None
+        self._launches: dict[Kernel, RepeatedLaunch] = {}
         self._matter = MatterSkip(grid.links)
         self._cells = MatterCellTable(grid.links)
         size, lower = np.array(grid.voxel_size), np.array(grid.lower)
@@ -98,11 +99,17 @@ class MarchTables:
         def march(threads: int, pinhole: Any, colour: wp.vec3, make_arrays: MakeArrays) -> None:
             arrays = make_arrays()
             outputs = [arrays[name] for name in PART_NAMES]
-            inputs_of_view = [*inputs, pinhole, colour, step, STOP_TRANSMITTANCE]
-            device = self._grid.links.device
-            launch(kernel, threads // rays, inputs_of_view, outputs, device=device, work=rays * work)
+            view = [pinhole, colour, step, STOP_TRANSMITTANCE]
+            passing = len(view) + len(outputs)
+            self._launch_of(kernel)(threads // rays, [*inputs, *view], outputs, passing=passing, work=rays * work)
 
         return march
+
+    def _launch_of(self, kernel: Kernel) -> RepeatedLaunch:
+        """The launch of a kernel that renders views."""
+        if kernel not in self._launches:
+            self._launches[kernel] = RepeatedLaunch(kernel, self._grid.links.device)
+        return self._launches[kernel]
 
     def _image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
         """What renders a view of the grid.
@@ -114,11 +121,10 @@ class MarchTables:
         Returns:
             A kernel, its first inputs, and the rays that one of its items follows.
         """
+        self.begin()
         if self.is_shaded(centre):
             shaded = shaded_grid(self._grid, self.columns, centre, step)
-            self.begin()  # behind what takes longer, which waits for less
             return render_shaded_image, [self.grid(), shaded], 1
-        self.begin()
         rows = self.rows()
         if self.by_tiles:
             grid = self.grid()
