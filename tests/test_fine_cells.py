@@ -25,6 +25,7 @@ CASES = {
     "bend": (BOX, BOX.bend(70, axis="x", towards="z"), {}),
     "twist that folds": (BOX, BOX.twist(230, axis="x"), {}),
     "squeeze": (BOX, BOX.scale([0.2, 1.3, 1.0]).translate([0.2, 0, 0.1]), {}),
+    "flat": (BOX, BOX.scale([0.04, 1.3, 1.0]).rotate(35, axis="y").rotate(20), {}),
     "away": (BOX, BOX.rotate(30).translate([0.4, 0.5, 0.2]), {}),
     "grown": (BOX, BOX.scale(2.5), {}),
     "part of it": (SLAB, SLAB.rotate(25, axis="x").translate([0.1, 0, 0.2]), {}),

@@ -43,6 +43,9 @@ PART_SIZE = wp.constant(0.25)
 #: A part that is farther than all that bits of the neighbouring cells tell.
 FAR_PART = wp.constant(5)
 
+#: A part whose image meets more rows of the grid's cells than this is looked at: it is stretched out of all proportion.
+MOST_ROWS = wp.constant(64)
+
 #: Bytes of 1, and what takes four bits to the lowest of four bytes each.
 BYTES_OF_ONE = wp.constant(wp.uint32(0x01010101))
 BITS_TO_BYTES = wp.constant(wp.uint32(0x00204081))
@@ -50,7 +53,7 @@ BITS_TO_BYTES = wp.constant(wp.uint32(0x00204081))
 
 @wp.func
 def cells_are_empty(grid: VoxelGrid, lower: wp.vec3, upper: wp.vec3):
-    """Whether nothing is in the cells of the grid that a box meets."""
+    """Whether nothing is in the cells of the grid that a box meets; no for one of very many."""
     begin = grid_position(grid, lower)
     end = grid_position(grid, upper)
     low = wp.vec3i()
@@ -67,6 +70,8 @@ def cells_are_empty(grid: VoxelGrid, lower: wp.vec3, upper: wp.vec3):
     if empty > farthest or empty <= nearest:  # all of the box is nearer than what is nearest, or that lies in it
         return empty > farthest
     if farthest > 1:
+        if (size[0] + 1) * (size[1] + 1) > MOST_ROWS:
+            return False
         return cells_of_box_are_empty(grid, low, low + size)
     # three cells along each axis at most: their rows are read at once, as each read is waited for
     found = int(0)

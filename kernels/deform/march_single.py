@@ -1,8 +1,8 @@
 """The march through a voxel field that one edit deforms: that of deform/march, written for speed.
 
 The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
-of one edit on a lattice: flat arrays whose numbers are read many at once, one table of cells, and the map's derivative
-where matter is. Where the map compresses, a sample is cut into sub-samples as in deform/march.
+of one edit on a lattice: flat arrays whose numbers are read many at once, one table of parts of cells, and the map's
+derivative read with it. Where the map compresses, a sample is cut into sub-samples as in deform/march.
 Needs: core/entries, deform/edits, deform/flat_edits, deform/laid_shades, deform/map_nodes, deform/march,
 deform/matter_rows, deform/ray_parts, field/grid, field/samples, lattice/cage_map, view/rays.
 """
