@@ -1,4 +1,4 @@
-"""Parts of lattice cells that a march may skip: their bytes against NumPy, and pictures with and without them."""
+"""Fine cells of lattices that a march may skip: their bytes against NumPy, and pictures with and without them."""
 
 import math
 
@@ -11,11 +11,11 @@ from warpcage.deform import fine_cells
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.kernels.deform.edits import CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS
-from warpcage.kernels.deform.fine_cells import FAR_PART, PARTS
+from warpcage.kernels.deform.fine_cells import FINE_FAR, FINE_SIDE
 from warpcage.kernels.deform.flat_edits import LOOK_SKIP
 from warpcage.view.camera import Camera
 
-SKIP, SIDE = int(LOOK_SKIP), int(PARTS)
+SKIP, SIDE = int(LOOK_SKIP), int(FINE_SIDE)
 
 #: Cells of lattices of BOX: some five voxels of the fields wide.
 CELLS = 10
@@ -38,7 +38,7 @@ CASES = {
 
 @pytest.fixture(params=["rows", "shaded"])
 def march(request, device, monkeypatch):
-    """The marches that know parts of cells."""
+    """The marches that know fine cells."""
     return use_march(request.param, device, monkeypatch)
 
 
@@ -47,9 +47,9 @@ def finest(device):
 
 
 def table(edit):
-    """(nx, ny, nz) bytes of the parts of an edit's cells, those of all cells along each axis one after the other."""
+    """(nx, ny, nz) bytes of an edit's fine cells, those of all cells along each axis one after the other."""
     counts = tuple(edit.node_counts)
-    assert edit.parts == SIDE
+    assert edit.fine_side == SIDE
     cells = edit.fine_look.numpy().reshape(*counts, SIDE, SIDE, SIDE)[:-1, :-1, :-1]
     return cells.transpose(0, 3, 1, 4, 2, 5).reshape([SIDE * (n - 1) for n in counts])
 
@@ -81,17 +81,17 @@ def test_nothing_is_skipped_that_holds_matter(case, march, device):
     rest, pose, options = CASES[case]
     field = finest(device)
     deformer, (edit,) = posed(field, rest, pose, **options)
-    bytes_of_parts = table(edit)
+    fine_look = table(edit)
     random = np.random.default_rng(1)
-    places = random.uniform(0, 1, (40_000, 3)) * bytes_of_parts.shape
+    places = random.uniform(0, 1, (40_000, 3)) * fine_look.shape
     points = field.center + np.array(edit.lower) + places / SIDE * edit.spacing
     canonical, _, region, outside = deformer.to_canonical(
         points, np.tile([0.0, 0, 1], (len(points), 1)), return_outside=True
     )
     _, density = field.sample(canonical, np.tile([0.0, 0, 1], (len(points), 1)))
     _, uncovered = field.sample(points, np.tile([0.0, 0, 1], (len(points), 1)))
-    found = bytes_of_parts[tuple(places.astype(int).T)]
-    # a place within rounding of the next part may be taken for one in it
+    found = fine_look[tuple(places.astype(int).T)]
+    # a place within rounding of the next fine cell may be taken for one in it
     holds = (np.where(region == 1, uncovered, density) > 1e-2) | (outside == 1)
     assert holds.sum() > 300
     assert (found[holds] < SKIP).all()
@@ -99,44 +99,44 @@ def test_nothing_is_skipped_that_holds_matter(case, march, device):
 
 
 def test_most_of_what_is_empty_is_skipped(march, device):
-    """A part next to which nothing is, is not looked at: of a ball in a still cage by geometry."""
+    """A fine cell next to which nothing is, is not looked at: of a ball in a still cage by geometry."""
     field = make_field(
         lambda x: 30.0 * (np.linalg.norm(x, axis=-1) < 0.3), plain([0.5, 0.5, 0.5]), device=device, resolution=64
     )
     _, (edit,) = posed(field, BOX, BOX)
-    bytes_of_parts = table(edit)
-    middles = np.stack(np.indices(bytes_of_parts.shape), axis=-1) + 0.5
+    fine_look = table(edit)
+    middles = np.stack(np.indices(fine_look.shape), axis=-1) + 0.5
     away = np.linalg.norm(np.array(edit.lower) + middles / SIDE * edit.spacing, axis=-1)
     half = 0.5 * math.sqrt(3) * edit.spacing / SIDE
     voxel = math.sqrt(3) * field.voxel_size[0]
-    assert (bytes_of_parts[away < 0.3 - voxel - half] < SKIP).all()
-    assert (bytes_of_parts[away > 0.3 + 2 * voxel + 2 * half] >= SKIP).all()
+    assert (fine_look[away < 0.3 - voxel - half] < SKIP).all()
+    assert (fine_look[away > 0.3 + 2 * voxel + 2 * half] >= SKIP).all()
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_distances_between_parts(case, march, device):
+def test_distances_between_fine_cells(case, march, device):
     rest, pose, options = CASES[case]
     _, (edit,) = posed(finest(device), rest, pose, **options)
-    bytes_of_parts = table(edit).astype(int)
-    occupied, limit = bytes_of_parts < SKIP, 60
-    exact, found = chebyshev(occupied, limit), bytes_of_parts - SKIP
-    near = (exact > 0) & (exact < int(FAR_PART))
+    fine_look = table(edit).astype(int)
+    occupied, limit = fine_look < SKIP, 60
+    exact, found = chebyshev(occupied, limit), fine_look - SKIP
+    near = (exact > 0) & (exact < int(FINE_FAR))
     assert near.sum() > 100
     assert np.array_equal(found[near], exact[near])
-    far = exact >= int(FAR_PART)
+    far = exact >= int(FINE_FAR)
     assert far.any()
-    assert (found[far] >= int(FAR_PART)).all() and (found[far] <= exact[far]).all()
+    assert (found[far] >= int(FINE_FAR)).all() and (found[far] <= exact[far]).all()
 
 
 @pytest.mark.parametrize("case", ["bend", "squeeze", "part of it"])
-def test_flags_of_parts(case, march, device):
-    """What a part is known for holds at random places in it."""
+def test_flags_of_fine_cells(case, march, device):
+    """What a fine cell is known for holds at random places in it."""
     rest, pose, options = CASES[case]
     field = finest(device)
     deformer, (edit,) = posed(field, rest, pose, **options)
-    bytes_of_parts = table(edit)
-    places = np.random.default_rng(2).uniform(0, 1, (40_000, 3)) * bytes_of_parts.shape
-    found = bytes_of_parts[tuple(places.astype(int).T)]
+    fine_look = table(edit)
+    places = np.random.default_rng(2).uniform(0, 1, (40_000, 3)) * fine_look.shape
+    found = fine_look[tuple(places.astype(int).T)]
     places, found = places[found < SKIP], found[found < SKIP]
     points = field.center + np.array(edit.lower) + places / SIDE * edit.spacing
     along = np.tile([0.0, 0, 1], (len(points), 1))
@@ -148,7 +148,7 @@ def test_flags_of_parts(case, march, device):
 
 
 def frames(deformer, monkeypatch, camera):
-    """The same frame without and with parts of cells."""
+    """The same frame without and with fine cells."""
     with monkeypatch.context() as patch:
         patch.setattr(fine_cells, "LEAST_VOXELS", math.inf)
         whole = deformer.render(camera)
@@ -159,24 +159,24 @@ def frames(deformer, monkeypatch, camera):
 
 @pytest.mark.parametrize("density", ["opacity", "paper"])
 @pytest.mark.parametrize("case", CASES)
-def test_pictures_are_those_without_parts(case, density, march, device, monkeypatch):
+def test_pictures_are_those_without_fine_cells(case, density, march, device, monkeypatch):
     rest, pose, options = CASES[case]
     deformer = Deformer(finest(device), CageEdit(rest, **options), resolution=CELLS, density=density).pose(pose)
     for eye in ((2.5, 1.2, 1.0), (-0.3, -2.6, 0.4)):
         whole, fine = frames(deformer, monkeypatch, view(eye))
-        assert all(flat.parts == SIDE for flat in deformer._edits._flat)
+        assert all(flat.fine_side == SIDE for flat in deformer._edits._flat)
         for name in ("rgb", "alpha", "reveal", "fold", "outside"):
             assert np.allclose(getattr(fine, name), getattr(whole, name), atol=2e-5), name
     assert fine.alpha.max() > 0.5
 
 
-def test_pictures_of_several_edits_are_those_without_parts(march, device, monkeypatch):
+def test_pictures_of_several_edits_are_those_without_fine_cells(march, device, monkeypatch):
     cages = [box_around(x, 0, 0, half=0.45) for x in (-0.5, 0.5)]
     deformer = Deformer(two_balls(device), cages, resolution=8)
     deformer.pose([cages[0].rotate(40, axis="x"), cages[1].scale([1.0, 0.7, 0.7])])
     for eye in ((2.5, 1.2, 1.0), (0.1, -2.6, 0.4)):
         whole, fine = frames(deformer, monkeypatch, view(eye))
-        assert [flat.parts for flat in deformer._edits._flat] == [SIDE, SIDE]
+        assert [flat.fine_side for flat in deformer._edits._flat] == [SIDE, SIDE]
         for name in ("rgb", "alpha", "reveal", "fold", "outside"):
             assert np.allclose(getattr(fine, name), getattr(whole, name), atol=2e-5), name
 
@@ -201,4 +201,4 @@ def test_cells_as_small_as_voxels_are_not_told_apart(march, device):
     deformer = Deformer(shiny_field(device, resolution=16), BOX, resolution=24).pose(BOX)
     deformer.render(Camera.look_at((2.5, 1.2, 1.0), (0, 0, 0), width=8, height=8, fov_degrees=50))
     (edit,) = deformer._edits._flat
-    assert edit.parts == edit.part_count == 1 and edit.fine_look.ptr == edit.look.ptr
+    assert edit.fine_side == edit.fine_count == 1 and edit.fine_look.ptr == edit.look.ptr

@@ -1,13 +1,13 @@
-"""What a march may skip of an edit's lattice, by parts of its cells.
+"""What a march may skip of an edit's lattice, by fine cells, 4 x 4 x 4 in a cell.
 
 A lattice cell is some four voxels wide. A ray that knows whole cells (deform/cells) looks at some twenty samples that
-hold nothing for each stretch of matter; one that knows parts of about a voxel looks at a fraction of them. The image of
-a part lies in the box around those of its corners, as the map is trilinear in it too ("Deforming Radiance Fields with
-Cages", ECCV 2022, section 4.1), and the field's own cells in that box say whether it may hold anything.
+hold nothing for each stretch of matter; one that knows fine cells of about a voxel looks at a fraction of them. The
+image of a fine cell lies in the box around those of its corners, as the map is trilinear in it too ("Deforming Radiance
+Fields with Cages", ECCV 2022, section 4.1), and the field's own cells in that box say whether it may hold anything.
 
-A cell has 4 x 4 x 4 parts, whose bits are one number: bit 16 a + 4 b + c is that of part (a, b, c). Their bytes follow
-each other in the same order, cells as in deform/flat_edits. Chebyshev distances between parts are found for those of
-cells that must be looked at and of their neighbours; farther ones follow from distances between cells.
+The bits of a cell's fine cells are one number: bit 16 a + 4 b + c is that of fine cell (a, b, c). Their bytes follow
+each other in the same order, cells as in deform/flat_edits. Chebyshev distances between fine cells are found within
+cells that must be looked at and their neighbours; farther ones follow from distances between cells.
 Needs: core/entries, core/lanes, deform/edits, deform/flat_edits, deform/map_nodes, field/grid, lattice/cage_map.
 """
 
@@ -32,18 +32,18 @@ from .map_nodes import node_blend
 # small blocks: groups end at very different times
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
-#: Parts of a cell along each axis, in all, and words that hold four bytes of them.
-PARTS = wp.constant(4)
-PART_COUNT = wp.constant(64)
-PART_WORDS = wp.constant(16)
+#: Fine cells of a cell along each axis, in all, and words that hold four bytes of them.
+FINE_SIDE = wp.constant(4)
+FINE_COUNT = wp.constant(64)
+FINE_WORDS = wp.constant(16)
 
-#: Width of a part, in cells.
-PART_SIZE = wp.constant(0.25)
+#: Width of a fine cell, in cells.
+FINE_SIZE = wp.constant(0.25)
 
-#: A part that is farther than all that bits of the neighbouring cells tell.
-FAR_PART = wp.constant(5)
+#: Distance of a fine cell that is farther than all that bits of the neighbouring cells tell.
+FINE_FAR = wp.constant(5)
 
-#: A part whose image meets more rows of the grid's cells than this is looked at: it is stretched out of all proportion.
+#: A fine cell whose image meets more rows of the grid's cells is looked at: it is stretched out of all proportion.
 MOST_ROWS = wp.constant(64)
 
 #: Bytes of 1, and what takes four bits to the lowest of four bytes each.
@@ -53,7 +53,8 @@ BITS_TO_BYTES = wp.constant(wp.uint32(0x00204081))
 
 @wp.func
 def cells_are_empty(grid: VoxelGrid, lower: wp.vec3, upper: wp.vec3):
-    """Whether nothing is in the cells of the grid that a box meets; no for one of very many."""
+    """Whether nothing is in the cells of the grid that a box meets; no for one of very many. deform/cells.grid_is_empty
+    says so by one read, for fewer boxes."""
     begin = grid_position(grid, lower)
     end = grid_position(grid, upper)
     low = wp.vec3i()
@@ -98,9 +99,9 @@ def cells_of_box_are_empty(grid: VoxelGrid, low: wp.vec3i, high: wp.vec3i):
 
 
 @wp.struct
-class PartEdges:
-    """The map and the signed distance on the four edges along axis 0 of a row of parts: at their beginning in the cell,
-    and by how much they change to its end."""
+class FineEdges:
+    """The map and the signed distance on the four edges along axis 0 of a row of fine cells: at their beginning in the
+    cell, and by how much they change to its end."""
 
     begin_0: wp.vec4
     begin_1: wp.vec4
@@ -113,8 +114,8 @@ class PartEdges:
 
 
 @wp.func
-def part_edges(edit: FlatEdit, n: int, y: float, z: float):
-    """Of the row of parts that begins at places y and z, 0 to 1, of axes 1 and 2 of the cell above node n."""
+def fine_edges(edit: FlatEdit, n: int, y: float, z: float):
+    """Of the row of fine cells that begins at places y and z, 0 to 1, of axes 1 and 2 of the cell above node n."""
     nz = edit.node_counts[2]
     nyz = edit.node_counts[1] * nz
     a = vec4_entry(edit.nodes, n)
@@ -129,44 +130,44 @@ def part_edges(edit: FlatEdit, n: int, y: float, z: float):
     low_y = b + z * db - low
     high = c + z * dc
     high_y = d + z * dd - high
-    up = low + PART_SIZE * da
-    up_y = low_y + PART_SIZE * (db - da)
-    far = high + PART_SIZE * dc
-    far_y = high_y + PART_SIZE * (dd - dc)
-    edges = PartEdges()
+    up = low + FINE_SIZE * da
+    up_y = low_y + FINE_SIZE * (db - da)
+    far = high + FINE_SIZE * dc
+    far_y = high_y + FINE_SIZE * (dd - dc)
+    edges = FineEdges()
     edges.begin_0 = low + y * low_y
-    edges.begin_1 = edges.begin_0 + PART_SIZE * low_y
+    edges.begin_1 = edges.begin_0 + FINE_SIZE * low_y
     edges.begin_2 = up + y * up_y
-    edges.begin_3 = edges.begin_2 + PART_SIZE * up_y
+    edges.begin_3 = edges.begin_2 + FINE_SIZE * up_y
     edges.change_0 = high + y * high_y
-    edges.change_1 = edges.change_0 + PART_SIZE * high_y - edges.begin_1
+    edges.change_1 = edges.change_0 + FINE_SIZE * high_y - edges.begin_1
     edges.change_0 = edges.change_0 - edges.begin_0
     edges.change_2 = far + y * far_y
-    edges.change_3 = edges.change_2 + PART_SIZE * far_y - edges.begin_3
+    edges.change_3 = edges.change_2 + FINE_SIZE * far_y - edges.begin_3
     edges.change_2 = edges.change_2 - edges.begin_2
     return edges
 
 
 @wp.struct
-class PartBounds:
-    """The boxes around an edit's map, and around its signed distance, in a part of a cell."""
+class FineBounds:
+    """The boxes around an edit's map, and around its signed distance, in a fine cell."""
 
     lower: wp.vec4
     upper: wp.vec4
 
 
 @wp.func
-def part_bounds(edges: PartEdges, x: float):
-    """Of the part that begins at place x, 0 to 1, of its row."""
+def fine_bounds(edges: FineEdges, x: float):
+    """Of the fine cell that begins at place x, 0 to 1, of its row."""
     a = edges.begin_0 + x * edges.change_0
     b = edges.begin_1 + x * edges.change_1
     c = edges.begin_2 + x * edges.change_2
     d = edges.begin_3 + x * edges.change_3
-    e = a + PART_SIZE * edges.change_0
-    f = b + PART_SIZE * edges.change_1
-    g = c + PART_SIZE * edges.change_2
-    h = d + PART_SIZE * edges.change_3
-    bounds = PartBounds()
+    e = a + FINE_SIZE * edges.change_0
+    f = b + FINE_SIZE * edges.change_1
+    g = c + FINE_SIZE * edges.change_2
+    h = d + FINE_SIZE * edges.change_3
+    bounds = FineBounds()
     bounds.lower = wp.min(wp.min(wp.min(a, b), wp.min(c, d)), wp.min(wp.min(e, f), wp.min(g, h)))
     bounds.upper = wp.max(wp.max(wp.max(a, b), wp.max(c, d)), wp.max(wp.max(e, f), wp.max(g, h)))
     return bounds
@@ -178,28 +179,28 @@ def part_bounds(edges: PartEdges, x: float):
 
 @wp.func
 def corners_stay(edit: FlatEdit, n: int, low: wp.vec3):
-    """Whether the map leads the corners of a part into the rest cage, as far as that reaches (FlatEdit.slack)."""
+    """Whether the map leads a fine cell's corners into the rest cage, as far as that reaches (FlatEdit.slack)."""
     nz = edit.node_counts[2]
     stay = bool(True)
     corner = int(0)
     while stay and corner < 8:
         up = wp.vec3(float(corner >> 2), float((corner >> 1) & 1), float(corner & 1))
-        node = node_blend(edit.nodes, n, edit.node_counts[1] * nz, nz, low + PART_SIZE * up)
+        node = node_blend(edit.nodes, n, edit.node_counts[1] * nz, nz, low + FINE_SIZE * up)
         stay = map_distance(edit.rest, wp.vec3(node[0], node[1], node[2])) <= edit.slack
         corner += 1
     return stay
 
 
 @wp.func
-def part_place(part: int):
-    """Where a part begins in its cell, 0 to 1."""
-    return PART_SIZE * wp.vec3(float(part >> 4), float((part >> 2) & 3), float(part & 3))
+def fine_place(fine: int):
+    """Where a fine cell begins in its cell, 0 to 1."""
+    return FINE_SIZE * wp.vec3(float(fine >> 4), float((fine >> 2) & 3), float(fine & 3))
 
 
 @wp.func
-def part_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, part: int, bounds: PartBounds, cell_flags: int):
-    """The CELL_... flags of a part of the cell above node n, LOOK_SKIP where it holds nothing."""
-    low = part_place(part)
+def fine_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, fine: int, bounds: FineBounds, cell_flags: int):
+    """The CELL_... flags of a fine cell of the cell above node n, LOOK_SKIP where it holds nothing."""
+    low = fine_place(fine)
     lower = wp.vec3(bounds.lower[0], bounds.lower[1], bounds.lower[2])
     upper = wp.vec3(bounds.upper[0], bounds.upper[1], bounds.upper[2])
     is_mapped = edit.removes == 0 and bounds.lower[3] <= edit.tolerance
@@ -210,8 +211,8 @@ def part_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, part: int, 
         flags = cell_flags & (CELL_FOLDED | CELL_STEEP | CELL_STAYS)
         flags = flags | wp.where(bounds.upper[3] <= edit.tolerance, CELL_INSIDE, 0)
         if (flags & CELL_STEEP) != 0:
-            beyond = 0.5 * step  # a sample that is cut reaches so far out of the part
-            reach = (beyond * edit.inverse_spacing * float(PARTS)) * (upper - lower)
+            beyond = 0.5 * step  # a sample that is cut reaches so far out of the fine cell
+            reach = (beyond * edit.inverse_spacing * float(FINE_SIDE)) * (upper - lower)
             lower -= reach
             upper += reach
         if (flags & CELL_STAYS) == 0:
@@ -220,7 +221,7 @@ def part_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, part: int, 
                 flags = flags | CELL_STAYS
             else:
                 is_empty = corners_stay(edit, n, low)  # samples that leave the rest cage are looked at, to be counted
-    # its image, and where it is: both of parts that the posed cage cuts, or samples that are cut
+    # its image, and where it is: both of those that the posed cage cuts, or with samples that are cut
     place = int(wp.where(is_mapped, 0, 1))
     last = int(wp.where(edit.removes == 1 or bounds.upper[3] + 2.0 * beyond > edit.tolerance, 1, 0))
     while is_empty and place <= last:
@@ -229,34 +230,41 @@ def part_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, part: int, 
             cell = wp.vec3(float(n / nz / edit.node_counts[1]), float(n / nz % edit.node_counts[1]), float(n % nz))
             one = wp.vec3(1.0, 1.0, 1.0)
             lower = edit.lower + edit.spacing * (cell + low) - beyond * one
-            upper = lower + (PART_SIZE * edit.spacing + 2.0 * beyond) * one
+            upper = lower + (FINE_SIZE * edit.spacing + 2.0 * beyond) * one
         is_empty = cells_are_empty(grid, lower, upper)
         place += 1
     return wp.where(is_empty, int(LOOK_SKIP), flags)
 
 
 @wp.func
-def part_bits(
-    grid: VoxelGrid, edit: FlatEdit, step: float, n: int, cell_flags: int, lane: int, parts: wp.array(dtype=wp.uint8)
+def fine_bits(
+    grid: VoxelGrid,
+    edit: FlatEdit,
+    step: float,
+    n: int,
+    cell_flags: int,
+    lane: int,
+    fine_look: wp.array(dtype=wp.uint8),
 ):
-    """The parts of the cell above node n that a march must look at; `parts` keeps their flags. All lanes."""
+    """The fine cells of the cell above node n that a march must look at; `fine_look` keeps their flags. All
+    lanes."""
     has_sides = entry_of_sides(edit, n) != 0
-    half = PART_COUNT / 2
+    half = FINE_COUNT / 2
     bits = wp.uint64(0)
     begin = int(0)
     while begin < half:
-        # two parts on the same row, whose edges they share
-        low = part_place(begin + lane)
-        edges = part_edges(edit, n, low[1], low[2])
-        bounds = part_bounds(edges, low[0])
-        other_bounds = part_bounds(edges, low[0] + 0.5)
+        # two on the same row, whose edges they share
+        low = fine_place(begin + lane)
+        edges = fine_edges(edit, n, low[1], low[2])
+        bounds = fine_bounds(edges, low[0])
+        other_bounds = fine_bounds(edges, low[0] + 0.5)
         turn = int(begin)
-        while turn < PART_COUNT:
+        while turn < FINE_COUNT:
             flags = int(cell_flags)
-            if not has_sides:  # at a narrow gap of the cage nothing is known of a part
-                flags = part_flags(grid, edit, step, n, turn + lane, bounds, cell_flags)
+            if not has_sides:  # at a narrow gap of the cage nothing is known of less than a cell
+                flags = fine_flags(grid, edit, step, n, turn + lane, bounds, cell_flags)
             if flags < LOOK_SKIP:
-                parts[n * PART_COUNT + turn + lane] = wp.uint8(flags)
+                fine_look[n * FINE_COUNT + turn + lane] = wp.uint8(flags)
             marked = wp.uint32(ballot(wp.where(flags < LOOK_SKIP, 1, 0)))
             bits = bits | (wp.uint64(marked) << wp.uint64(turn))
             bounds = other_bounds
@@ -266,18 +274,18 @@ def part_bits(
 
 
 @wp.kernel(cuda_max_registers=64)
-def mark_parts(
+def mark_fine_cells(
     first: int,
     grid: VoxelGrid,
     edit: FlatEdit,
     step: float,
     looks: wp.array(dtype=wp.uint64),
-    parts: wp.array(dtype=wp.uint8),
+    fine_look: wp.array(dtype=wp.uint8),
 ):
-    """Which parts of each cell a march must look at. A group of lanes (core/lanes) takes octet_count() cells.
+    """Which fine cells of each cell a march must look at. A group of lanes (core/lanes) takes octet_count() cells.
 
     `edit.look` says which cells may be skipped as a whole. step: of the march, world units; looks: (nodes,) bits;
-    parts: (PART_COUNT * nodes,) becomes the flags of those parts, and nothing of others.
+    fine_look: (FINE_COUNT * nodes,) becomes the flags of those, and nothing of others.
     """
     item = first + wp.tid()
     lane = item % lane_count()
@@ -290,7 +298,7 @@ def mark_parts(
     while left != 0:
         other = lowest_bit(left)
         left = without_lowest_bit(left)
-        bits = part_bits(grid, edit, step, begin + other, index_from_lane(look, other), lane, parts)
+        bits = fine_bits(grid, edit, step, begin + other, index_from_lane(look, other), lane, fine_look)
         if other == lane:
             own = bits
     if lane < octet_count() and begin + lane < looks.shape[0]:
@@ -307,37 +315,39 @@ def looks_at(looks: wp.array(dtype=wp.uint64), n: int):
 
 @wp.struct
 class Axis:
-    """How the parts of a cell follow each other along an axis, in bits."""
+    """How the fine cells of a cell follow each other along an axis, in bits."""
 
-    part: wp.uint64  # from one to the next
+    fine: wp.uint64  # from one to the next
     cell: wp.uint64  # from the first to that of the next cell
     firsts: wp.uint64  # one for each run of four
 
 
 @wp.func
-def axis_of_parts(axis: int):
+def fine_axis(axis: int):
+    """Axis 0, 1 or 2."""
     result = Axis()
-    result.part = wp.uint64(16)
+    result.fine = wp.uint64(16)
     result.cell = wp.uint64(64)
     result.firsts = wp.uint64(0x0000000000000001)
     if axis == 1:
-        result.part = wp.uint64(4)
+        result.fine = wp.uint64(4)
         result.cell = wp.uint64(16)
         result.firsts = wp.uint64(0x0001000100010001)
     elif axis == 2:
-        result.part = wp.uint64(1)
+        result.fine = wp.uint64(1)
         result.cell = wp.uint64(4)
         result.firsts = wp.uint64(0x1111111111111111)
     return result
 
 
 @wp.func
-def moved(axis: Axis, before: wp.uint64, bits: wp.uint64, after: wp.uint64, parts: int):
-    """The bits of a cell, of the one before and of the one after it, moved both ways by 1 to 4 parts of an axis."""
-    if parts == PARTS:
+def moved(axis: Axis, before: wp.uint64, bits: wp.uint64, after: wp.uint64, count: int):
+    """The bits of a cell, of the one before and of the one after it, moved both ways along an axis by 1 to 4 fine
+    cells."""
+    if count == FINE_SIDE:
         return before | after
     one = wp.uint64(1)
-    way = axis.part * wp.uint64(parts)
+    way = axis.fine * wp.uint64(count)
     rest = axis.cell - way
     low = axis.firsts * ((one << way) - one)
     high = axis.firsts * ((one << rest) - one)
@@ -347,8 +357,8 @@ def moved(axis: Axis, before: wp.uint64, bits: wp.uint64, after: wp.uint64, part
 
 
 @wp.struct
-class NearParts:
-    """Bits of the parts of a cell that have others within one, two, three and four parts."""
+class NearFine:
+    """Bits of the fine cells of a cell that have others within a distance of one, two, three and four."""
 
     one: wp.uint64
     two: wp.uint64
@@ -359,7 +369,7 @@ class NearParts:
 @wp.func
 def near_on_line(axis: Axis, before: wp.uint64, bits: wp.uint64, after: wp.uint64):
     """Of the bits of three cells on an axis."""
-    near = NearParts()
+    near = NearFine()
     near.one = bits | moved(axis, before, bits, after, 1)
     near.two = near.one | moved(axis, before, bits, after, 2)
     near.three = near.two | moved(axis, before, bits, after, 3)
@@ -368,84 +378,86 @@ def near_on_line(axis: Axis, before: wp.uint64, bits: wp.uint64, after: wp.uint6
 
 
 @wp.func
-def near_along(axis: Axis, before: NearParts, near: NearParts, after: NearParts):
-    """Of parts near those of three cells on an axis, themselves near others by other axes."""
-    result = NearParts()
+def near_along(axis: Axis, before: NearFine, near: NearFine, after: NearFine):
+    """Of the bits of three cells on an axis that are near others along other axes."""
+    result = NearFine()
     result.one = near.one | moved(axis, before.one, near.one, after.one, 1)
     result.two = near.two
     result.three = near.three
     result.four = near.four | before.four | after.four
-    for parts in range(1, 3):
-        result.two = result.two | moved(axis, before.two, near.two, after.two, parts)
-    for parts in range(1, 4):
-        result.three = result.three | moved(axis, before.three, near.three, after.three, parts)
-        result.four = result.four | moved(axis, before.four, near.four, after.four, parts)
+    for count in range(1, 3):
+        result.two = result.two | moved(axis, before.two, near.two, after.two, count)
+    for count in range(1, 4):
+        result.three = result.three | moved(axis, before.three, near.three, after.three, count)
+        result.four = result.four | moved(axis, before.four, near.four, after.four, count)
     return result
 
 
 @wp.func
 def near_in_layer(looks: wp.array(dtype=wp.uint64), n: int, nz: int, nyz: int):
     """Of the cells beside cell n along axes 0 and 1."""
-    before = NearParts()
-    near = NearParts()
-    after = NearParts()
+    before = NearFine()
+    near = NearFine()
+    after = NearFine()
     line = n - nz
     while line <= n + nz:
         before = near
         near = after
         low = looks_at(looks, line - nyz)
         high = looks_at(looks, line + nyz)
-        after = near_on_line(axis_of_parts(0), low, looks_at(looks, line), high)
+        after = near_on_line(fine_axis(0), low, looks_at(looks, line), high)
         line += nz
-    return near_along(axis_of_parts(1), before, near, after)
+    return near_along(fine_axis(1), before, near, after)
 
 
 @wp.func
 def bytes_of(bits: wp.uint64, word: int):
-    """1 in each byte of a word whose part's bit is set."""
-    four = wp.uint32(bits >> wp.uint64(PARTS * word)) & wp.uint32(15)
+    """1 in each byte of a word whose fine cell's bit is set."""
+    four = wp.uint32(bits >> wp.uint64(FINE_SIDE * word)) & wp.uint32(15)
     return (four * BITS_TO_BYTES) & BYTES_OF_ONE
 
 
 @wp.kernel
-def spread_parts(first: int, edit: FlatEdit, looks: wp.array(dtype=wp.uint64), parts: wp.array(dtype=wp.uint32)):
-    """How far each part of a cell is from the nearest that a march must look at. One item a cell, in whole groups of
-    lanes (core/lanes).
+def spread_fine_cells(
+    first: int, edit: FlatEdit, looks: wp.array(dtype=wp.uint64), fine_look: wp.array(dtype=wp.uint32)
+):
+    """How far each fine cell is from the nearest that a march must look at. One item a cell, in whole groups of lanes
+    (core/lanes).
 
-    looks: (nodes,) bits; parts: (PART_WORDS * nodes,) four bytes each, LOOK_SKIP and the distance where `looks` has no
-    bit.
+    looks: (nodes,) bits; fine_look: (FINE_WORDS * nodes,) four bytes each, LOOK_SKIP and the distance where `looks` has
+    no bit.
     """
     item = first + wp.tid()
     nodes = looks.shape[0]
     n = wp.min(item, nodes - 1)
     apart = byte_entry(edit.look, n) - LOOK_SKIP  # cells to the nearest that is looked at
-    near = NearParts()
+    near = NearFine()
     if apart < 2:
         nz = edit.node_counts[2]
         nyz = edit.node_counts[1] * nz
-        before = NearParts()
-        after = NearParts()
+        before = NearFine()
+        after = NearFine()
         layer = n - 1
         while layer <= n + 1:
             before = near
             near = after
             after = near_in_layer(looks, layer, nz, nyz)
             layer += 1
-        near = near_along(axis_of_parts(2), before, near, after)
+        near = near_along(fine_axis(2), before, near, after)
     # the lanes write the cells of their group one after the other, side by side
     lane = item % lane_count()
     place = int(lane)
-    while place < PART_WORDS * lane_count():
-        owner = place / PART_WORDS
-        word = place % PART_WORDS
+    while place < FINE_WORDS * lane_count():
+        owner = place / FINE_WORDS
+        word = place % FINE_WORDS
         cells_apart = index_from_lane(apart, owner)
         within = bytes_of(mask_from_lane(near.one, owner), word) + bytes_of(mask_from_lane(near.two, owner), word)
         within += bytes_of(mask_from_lane(near.three, owner), word) + bytes_of(mask_from_lane(near.four, owner), word)
-        distances = wp.uint32(LOOK_SKIP + wp.max(FAR_PART, PARTS * (cells_apart - 1) + 1)) * BYTES_OF_ONE - within
-        at = (item - lane) * PART_WORDS + place
-        if at < PART_WORDS * nodes:
+        distances = wp.uint32(LOOK_SKIP + wp.max(FINE_FAR, FINE_SIDE * (cells_apart - 1) + 1)) * BYTES_OF_ONE - within
+        at = (item - lane) * FINE_WORDS + place
+        if at < FINE_WORDS * nodes:
             if cells_apart <= 0:
-                kept = bytes_of(looks[at / PART_WORDS], word) * wp.uint32(255)
-                distances = (distances & ~kept) | (parts[at] & kept)
-            parts[at] = distances
+                kept = bytes_of(looks[at / FINE_WORDS], word) * wp.uint32(255)
+                distances = (distances & ~kept) | (fine_look[at] & kept)
+            fine_look[at] = distances
         place += lane_count()

@@ -27,10 +27,10 @@ class FlatEdit:
     last_cell: wp.vec3i  # node_counts less 2
     nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance
     look: wp.array(dtype=wp.uint8)  # (nodes,) of the cell above each; the last of an axis have none
-    parts: int  # of a cell along each axis, that `fine_look` tells apart
-    part_count: int  # in a cell
-    part_size: float  # in cells
-    fine_look: wp.array(dtype=wp.uint8)  # (part_count * nodes,) as `look`, distances in parts; of deform/fine_cells
+    fine_side: int  # fine cells along each side of a cell, that `fine_look` tells apart
+    fine_count: int  # in a cell
+    fine_size: float  # width of one, in cells
+    fine_look: wp.array(dtype=wp.uint8)  # (fine_count * nodes,) as `look`, distances in fine cells
     has_sides: int  # 1: there are cells at narrow gaps of the cage with corner values for each side (see CageMap)
     side_index: wp.array(dtype=int)
     sides: wp.array2d(dtype=wp.vec4)

@@ -12,18 +12,35 @@ from ..lattice.cage_map import corner_share
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
+#: C++ for CUDA that reads the eight nodes of a cell, a0 to d1.
+EIGHT_NODES = """
+    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + (unsigned)n;
+    const unsigned sx = (unsigned)x, sz = (unsigned)z;
+    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + sz), b1 = __ldg(begin + sz + 1);
+    const float4 c0 = __ldg(begin + sx), c1 = __ldg(begin + sx + 1);
+    const float4 d0 = __ldg(begin + sx + sz), d1 = __ldg(begin + sx + sz + 1);
+"""
+
+#: C++ for a CPU: values on the four edges of a cell along its last axis, p to t, and how they change, ea to ed.
+FOUR_EDGES = """
+    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
+    const four* begin = reinterpret_cast<const four*>(nodes.data) + n;
+    const four ea = begin[1] - begin[0], eb = begin[z + 1] - begin[z];
+    const four ec = begin[x + 1] - begin[x], ed = begin[x + z + 1] - begin[x + z];
+    const four p = begin[0] + f.c[2] * ea, q = begin[z] + f.c[2] * eb;
+    const four s = begin[x] + f.c[2] * ec, t = begin[x + z] + f.c[2] * ed;
+"""
+
 #: Four numbers of a node, and the derivative of three of them.
 vec7 = wp.types.vector(length=7, dtype=wp.float32)
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
 #if defined(__CUDA_ARCH__)
-    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + (unsigned)n;
-    const unsigned sx = (unsigned)x, sz = (unsigned)z;
-    float r[4];
-    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + sz), b1 = __ldg(begin + sz + 1);
-    const float4 c0 = __ldg(begin + sx), c1 = __ldg(begin + sx + 1);
-    const float4 d0 = __ldg(begin + sx + sz), d1 = __ldg(begin + sx + sz + 1);
+"""
+    + EIGHT_NODES
+    + """    float r[4];
     #define BLEND(m) { \\
         const float p = a0.m + f.c[2] * (a1.m - a0.m), q = b0.m + f.c[2] * (b1.m - b0.m); \\
         const float s = c0.m + f.c[2] * (c1.m - c0.m), t = d0.m + f.c[2] * (d1.m - d0.m); \\
@@ -44,20 +61,19 @@ vec7 = wp.types.vector(length=7, dtype=wp.float32)
     const four r = u + f.c[0] * (v - u);
     return wp::vec_t<4, wp::float32>(r.x, r.y, r.z, r.w);
 #endif
-""")
+"""
+)
 def node_blend(nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.int32, f: wp.vec3) -> wp.vec4:
     """Trilinear value at a place f, 0 to 1, in the cell above node n. x, z: from a node to the next of axes 0 and 1."""
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
 #if defined(__CUDA_ARCH__)
-    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + (unsigned)n;
-    const unsigned sx = (unsigned)x, sz = (unsigned)z;
-    float r[3];
-    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + sz), b1 = __ldg(begin + sz + 1);
-    const float4 c0 = __ldg(begin + sx), c1 = __ldg(begin + sx + 1);
-    const float4 d0 = __ldg(begin + sx + sz), d1 = __ldg(begin + sx + sz + 1);
+"""
+    + EIGHT_NODES
+    + """    float r[3];
     #define SLOPE(m) { \\
         const float ea = a1.m - a0.m, eb = b1.m - b0.m, ec = c1.m - c0.m, ed = d1.m - d0.m; \\
         const float p = a0.m + f.c[2] * ea, q = b0.m + f.c[2] * eb, s = c0.m + f.c[2] * ec, t = d0.m + f.c[2] * ed; \\
@@ -70,19 +86,16 @@ def node_blend(nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.i
     #undef SLOPE
     return wp::vec_t<3, wp::float32>(r[0], r[1], r[2]);
 #else
-    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
-    const four* begin = reinterpret_cast<const four*>(nodes.data) + n;
-    const four ea = begin[1] - begin[0], eb = begin[z + 1] - begin[z];
-    const four ec = begin[x + 1] - begin[x], ed = begin[x + z + 1] - begin[x + z];
-    const four p = begin[0] + f.c[2] * ea, q = begin[z] + f.c[2] * eb;
-    const four s = begin[x] + f.c[2] * ec, t = begin[x + z] + f.c[2] * ed;
-    const four u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s);
+"""
+    + FOUR_EDGES
+    + """    const four u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s);
     const four eu = ea + f.c[1] * (eb - ea), ev = ec + f.c[1] * (ed - ec);
     const four g = (q - p) + f.c[0] * ((t - s) - (q - p));
     const four r = rate.c[0] * (v - u) + rate.c[1] * g + rate.c[2] * (eu + f.c[0] * (ev - eu));
     return wp::vec_t<3, wp::float32>(r.x, r.y, r.z);
 #endif
-""")
+"""
+)
 def node_slope(
     nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.int32, f: wp.vec3, rate: wp.vec3
 ) -> wp.vec3:
@@ -90,14 +103,12 @@ def node_slope(
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    """
 #if defined(__CUDA_ARCH__)
-    const float4* begin = reinterpret_cast<const float4*>(nodes.data) + (unsigned)n;
-    const unsigned sx = (unsigned)x, sz = (unsigned)z;
-    wp::vec_t<7, wp::float32> result;
-    const float4 a0 = __ldg(begin), a1 = __ldg(begin + 1), b0 = __ldg(begin + sz), b1 = __ldg(begin + sz + 1);
-    const float4 c0 = __ldg(begin + sx), c1 = __ldg(begin + sx + 1);
-    const float4 d0 = __ldg(begin + sx + sz), d1 = __ldg(begin + sx + sz + 1);
+"""
+    + EIGHT_NODES
+    + """    wp::vec_t<7, wp::float32> result;
     #define VALUE(m) \\
         const float ea = a1.m - a0.m, eb = b1.m - b0.m, ec = c1.m - c0.m, ed = d1.m - d0.m; \\
         const float p = a0.m + f.c[2] * ea, q = b0.m + f.c[2] * eb, s = c0.m + f.c[2] * ec, t = d0.m + f.c[2] * ed; \\
@@ -115,13 +126,9 @@ def node_slope(
     #undef VALUE
     return result;
 #else
-    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
-    const four* begin = reinterpret_cast<const four*>(nodes.data) + n;
-    const four ea = begin[1] - begin[0], eb = begin[z + 1] - begin[z];
-    const four ec = begin[x + 1] - begin[x], ed = begin[x + z + 1] - begin[x + z];
-    const four p = begin[0] + f.c[2] * ea, q = begin[z] + f.c[2] * eb;
-    const four s = begin[x] + f.c[2] * ec, t = begin[x + z] + f.c[2] * ed;
-    const four u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s), r = u + f.c[0] * (v - u);
+"""
+    + FOUR_EDGES
+    + """    const four u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s), r = u + f.c[0] * (v - u);
     const four eu = ea + f.c[1] * (eb - ea), ev = ec + f.c[1] * (ed - ec);
     const four g = (q - p) + f.c[0] * ((t - s) - (q - p));
     const four w = rate.c[0] * (v - u) + rate.c[1] * g + rate.c[2] * (eu + f.c[0] * (ev - eu));
@@ -132,7 +139,8 @@ def node_slope(
         result.c[4 + i] = w[i];
     return result;
 #endif
-""")
+"""
+)
 def node_blend_slope(
     nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.int32, f: wp.vec3, rate: wp.vec3
 ) -> vec7:

@@ -1,7 +1,7 @@
 """The march through a voxel field that one edit deforms: that of deform/march, written for speed.
 
 The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
-of one edit on a lattice: flat arrays whose numbers are read many at once, one table of parts of cells, and the map's
+of one edit on a lattice: flat arrays whose numbers are read many at once, one table of fine cells, and the map's
 derivative read with it. Where the map compresses, a sample is cut into sub-samples as in deform/march.
 Needs: core/entries, deform/edits, deform/flat_edits, deform/laid_shades, deform/map_nodes, deform/march,
 deform/matter_rows, deform/ray_parts, field/grid, field/samples, lattice/cage_map, view/rays.
@@ -77,8 +77,8 @@ class LatticePlace:
     in_box: bool
     n: int  # node below it
     f: wp.vec3  # place in the cell above that, 0 to 1
-    g: wp.vec3  # place in its part of that cell, 0 to 1
-    flags: int  # of that part
+    g: wp.vec3  # place in the fine cell of that, 0 to 1
+    flags: int  # of that
 
 
 @wp.struct
@@ -166,12 +166,12 @@ def lattice_place(edit: FlatEdit, line: EditLine, place: wp.vec3, t: float):
         ck = wp.clamp(int(place[2]), 0, edit.last_cell[2])
         at.n = (ci * edit.node_counts[1] + cj) * edit.node_counts[2] + ck
         at.f = place - wp.vec3(float(ci), float(cj), float(ck))
-        g = float(edit.parts) * at.f
-        pi = wp.clamp(int(g[0]), 0, edit.parts - 1)
-        pj = wp.clamp(int(g[1]), 0, edit.parts - 1)
-        pk = wp.clamp(int(g[2]), 0, edit.parts - 1)
-        at.g = g - wp.vec3(float(pi), float(pj), float(pk))
-        at.flags = byte_entry(edit.fine_look, at.n * edit.part_count + (pi * edit.parts + pj) * edit.parts + pk)
+        g = float(edit.fine_side) * at.f
+        fi = wp.clamp(int(g[0]), 0, edit.fine_side - 1)
+        fj = wp.clamp(int(g[1]), 0, edit.fine_side - 1)
+        fk = wp.clamp(int(g[2]), 0, edit.fine_side - 1)
+        at.g = g - wp.vec3(float(fi), float(fj), float(fk))
+        at.flags = byte_entry(edit.fine_look, at.n * edit.fine_count + (fi * edit.fine_side + fj) * edit.fine_side + fk)
     return at
 
 
@@ -202,7 +202,7 @@ def distance_to_rest(edit: FlatEdit, place: MappedPlace, is_asked: bool):
 
 
 @wp.func
-def exit_of_part(g: wp.vec3, inverse: wp.vec3, reach: int):
+def exit_of_fine_cell(g: wp.vec3, inverse: wp.vec3, reach: int):
     """field/samples.exit_of_cell without numbers that are the same for a whole ray, which a march would keep."""
     half = float(reach) - 0.5
     x = half * wp.abs(inverse[0]) - (g[0] - 0.5) * inverse[0]
@@ -261,7 +261,7 @@ def take_sample(
     if at.flags >= LOOK_SKIP:
         if ray.share < 1.0:
             return after_part(ray, next_k)  # other parts of the sample may hold something
-        leave = t + edit.part_size * exit_of_part(at.g, line.inverse, at.flags - LOOK_SKIP)
+        leave = t + edit.fine_size * exit_of_fine_cell(at.g, line.inverse, at.flags - LOOK_SKIP)
         return at_sample(ray, wp.max(next_k, first_sample(wp.min(leave, line.box[1]), options.inverse_step)))
     point = mapped_place(sides, edit, at, line, place)
     g = grid_position(grid, point.position)

@@ -1,4 +1,4 @@
-"""Parts of lattice cells that marches may skip."""
+"""Fine cells of lattices, which marches may skip."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import warp as wp
 
 from ..core.arrays import array_view
 from ..core.devices import lane_count, launch
-from ..kernels.deform.fine_cells import PART_COUNT, PART_SIZE, PART_WORDS, PARTS, mark_parts, spread_parts
+from ..kernels.deform.fine_cells import FINE_COUNT, FINE_SIDE, FINE_SIZE, FINE_WORDS, mark_fine_cells, spread_fine_cells
 from ..lattice.capture import BufferPool, SideStream
 
-#: Cells that are less than so many voxels wide are not told apart: their parts would be smaller than what they skip.
+#: Cells that are less than so many voxels wide are not told apart: fine cells would be smaller than what they skip.
 LEAST_VOXELS = 2.0
 
-#: Lattices of more nodes have more parts than an index counts.
-MOST_NODES = (1 << 31) // int(PART_COUNT) - 64
+#: Lattices of more nodes have more fine cells than an index counts.
+MOST_NODES = (1 << 31) // int(FINE_COUNT) - 64
 
 
 class FineCells:
-    """Which parts of the cells of posed lattices may be skipped.
+    """Which fine cells of posed lattices may be skipped.
 
     Args:
         edit_count: Number of edits.
@@ -35,7 +35,7 @@ class FineCells:
         self._side = SideStream(device)
 
     def begin(self, edits: Sequence[Any], grid: Any, step: float) -> None:
-        """Let the `fine_look` of posed edits tell parts of their cells apart, beside what is launched until `join`.
+        """Let the `fine_look` of posed edits tell their fine cells apart, beside what is launched until `join`.
 
         Args:
             edits: The FlatEdits, whose cells are marked.
@@ -45,7 +45,7 @@ class FineCells:
         width = max(grid.voxel_size)
         told = [edit.spacing >= LEAST_VOXELS * width and edit.look.size <= MOST_NODES for edit in edits]
         held = [
-            (edit, words.take(int(PART_WORDS) * edit.look.size), looks.take(edit.look.size))
+            (edit, words.take(int(FINE_WORDS) * edit.look.size), looks.take(edit.look.size))
             for edit, words, looks, is_told in zip(edits, self._words, self._looks, told, strict=True)
             if is_told
         ]
@@ -56,15 +56,15 @@ class FineCells:
 
     def _mark(self, edit: Any, grid: Any, step: float, words: wp.array, looks: wp.array) -> None:
         nodes = looks.size
-        parts = array_view(words, wp.uint8, int(PART_COUNT) * nodes)
+        fine_look = array_view(words, wp.uint8, int(FINE_COUNT) * nodes)
         groups = -(-nodes // max(1, self._lanes // 4))  # an octet of cells for a group of lanes
-        inputs, work = [grid, edit, step], int(PART_COUNT) / self._lanes
-        launch(mark_parts, self._lanes * groups, inputs, [looks, parts], device=self._device, work=work)
+        inputs, work = [grid, edit, step], int(FINE_COUNT) / self._lanes
+        launch(mark_fine_cells, self._lanes * groups, inputs, [looks, fine_look], device=self._device, work=work)
         whole_groups = -(-nodes // self._lanes) * self._lanes
-        launch(spread_parts, whole_groups, [edit, looks], [words], device=self._device)
-        edit.parts, edit.part_count, edit.part_size = int(PARTS), int(PART_COUNT), float(PART_SIZE)
-        edit.fine_look = parts
+        launch(spread_fine_cells, whole_groups, [edit, looks], [words], device=self._device)
+        edit.fine_side, edit.fine_count, edit.fine_size = int(FINE_SIDE), int(FINE_COUNT), float(FINE_SIZE)
+        edit.fine_look = fine_look
 
     def join(self) -> None:
-        """Let what is launched from now on wait for the parts."""
+        """Let what is launched from now on wait for that."""
         self._side.join()

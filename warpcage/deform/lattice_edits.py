@@ -265,7 +265,7 @@ class LatticeEdits(PosedEdits):
         field, centre, step = view.field, view.pinhole.centre, view.options.step
         is_new = not view.rows or (self._plan.is_shaded and not self._shades.is_posed)
         rows = self.row_tables(field, centre, step) if is_new else view.rows
-        # the march for one edit, and for those apart, knows parts of cells
+        # the march for one edit, and for those apart, knows fine cells
         is_coarse = not self._is_fine and not self._by_tiles and (self._is_single or self._plan.parts is not None)
         if is_coarse:
             self._fine.begin(self._flat, view.grid, self.lattices.marked_step)
@@ -339,7 +339,7 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
     flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
     flat.last_cell = wp.vec3i(*(count - 2 for count in edit.deformed.distance.shape))
     flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)
-    flat.parts, flat.part_count, flat.part_size, flat.fine_look = 1, 1, 1.0, flat.look
+    flat.fine_side, flat.fine_count, flat.fine_size, flat.fine_look = 1, 1, 1.0, flat.look
     flat.rest = edit.rest
     side_index = edit.deformed.side_index
     flat.has_sides = int(side_index is not None and side_index.size > 0)
