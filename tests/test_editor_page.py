@@ -186,6 +186,7 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     np.testing.assert_allclose(editor.document.edits[1].rest, bent, atol=1e-8)
     window.press("Ctrl+Z")
     until(lambda: len(editor.document.edits) == 1, "the edit is gone again")
+    window.wait("warpcage.store.sections.edits.length === 1")  # in the page too, whose buttons move with it
 
     window.click("#export-command")
     window.fill("#ask-file", "again.mp4")
