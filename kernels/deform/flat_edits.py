@@ -24,13 +24,14 @@ class FlatEdit:
     inverse_spacing: float
     spacing: float  # world units
     node_counts: wp.vec3i
-    last_cell: wp.vec3i  # node_counts less 2
     nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance
     look: wp.array(dtype=wp.uint8)  # (nodes,) of the cell above each; the last of an axis have none
-    fine_side: int  # fine cells along each side of a cell, that `fine_look` tells apart
-    fine_count: int  # in a cell
-    fine_size: float  # width of one, in cells
-    fine_look: wp.array(dtype=wp.uint8)  # (fine_count * nodes,) as `look`, distances in fine cells
+    fine_bits: int  # 2^fine_bits fine cells along each side of a cell are told apart
+    last_fine: wp.vec3i  # number of the last one along each axis
+    fine_width: float  # of one, in cells
+    fine_size: float  # world units
+    inverse_fine_size: float
+    fine_look: wp.array(dtype=wp.uint8)  # (8^fine_bits * nodes,) as `look`, distances in fine cells
     has_sides: int  # 1: there are cells at narrow gaps of the cage with corner values for each side (see CageMap)
     side_index: wp.array(dtype=int)
     sides: wp.array2d(dtype=wp.vec4)

@@ -50,13 +50,22 @@ def sample_after(k: float):
 
 @wp.struct
 class EditLine:
-    """What a march knows of a ray: in lattice cells, so many per unit of distance, and where boxes are on it."""
+    """What a march knows of a ray: in fine cells, so many per unit of distance, and where boxes are on it."""
 
     start: wp.vec3
     rate: wp.vec3
     inverse: wp.vec3  # of the rate
     box: wp.vec2  # distances between which it is in the lattice
     span: wp.vec2  # and in the field's grid
+
+
+@wp.struct
+class LatticePlace:
+    """Where a sample is in an edit's lattice, and what its fine cell is known for."""
+
+    n: int  # node below it; -1 outside
+    fine: wp.vec3  # in fine cells
+    flags: int  # of its fine cell, 0 outside
 
 
 @wp.struct
@@ -68,17 +77,7 @@ class MarchedRay:
     k: float  # the sample
     j: float  # the part of it that is done, where it is cut
     share: float  # of the sample that a sub-sample stands for; 1 for one that is not cut
-
-
-@wp.struct
-class LatticePlace:
-    """Where a sample is in an edit's lattice, and what its cell is known for."""
-
-    in_box: bool
-    n: int  # node below it
-    f: wp.vec3  # place in the cell above that, 0 to 1
-    g: wp.vec3  # place in the fine cell of that, 0 to 1
-    flags: int  # of that
+    is_foreseen: int  # 1: the sample before knew that this one follows
 
 
 @wp.struct
@@ -87,21 +86,22 @@ class MappedPlace:
 
     position: wp.vec3
     mapped: bool  # whether the map has led there
-    slope: wp.vec3  # derivative of the position along the ray (Eq. 5), by its distance; its rate in cells if not mapped
+    slope: wp.vec3  # derivative of the position along the ray (Eq. 5), by fine cells; the ray's own if not mapped
 
 
 @wp.func
-def with_sides(sides: NoSides, edit: FlatEdit, at: LatticePlace, rate: wp.vec3, place: MappedPlace):
-    """Where a sample is in canonical space, when its cell's corners alone say `place`."""
+def with_sides(sides: NoSides, edit: FlatEdit, n: int, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
+    """Where a sample at a place f, 0 to 1, in the cell above node n is in canonical space, when that cell's corners
+    alone say `place`."""
     return place
 
 
 @wp.func
-def with_sides(sides: WithSides, edit: FlatEdit, at: LatticePlace, rate: wp.vec3, place: MappedPlace):  # noqa: F811
-    entry = edit.side_index[at.n]
+def with_sides(sides: WithSides, edit: FlatEdit, n: int, f: wp.vec3, rate: wp.vec3, place: MappedPlace):  # noqa: F811
+    entry = edit.side_index[n]
     if entry != 0:
-        place.position = side_position(edit.sides, entry, at.f)
-        place.slope = side_slope(edit.sides, entry, at.f, rate)
+        place.position = side_position(edit.sides, entry, f)
+        place.slope = side_slope(edit.sides, entry, f, rate)
     return place
 
 
@@ -114,10 +114,10 @@ def with_sides(sides: WithSides, edit: FlatEdit, at: LatticePlace, rate: wp.vec3
 def edit_line(edit: FlatEdit, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
     """A ray as a march through an edit knows it."""
     line = EditLine()
-    line.start = (origin - edit.lower) * edit.inverse_spacing
-    line.rate = direction * edit.inverse_spacing
+    line.start = (origin - edit.lower) * edit.inverse_fine_size
+    line.rate = direction * edit.inverse_fine_size
     line.inverse = safe_inverse(line.rate)
-    corner = wp.vec3(float(edit.node_counts[0] - 1), float(edit.node_counts[1] - 1), float(edit.node_counts[2] - 1))
+    corner = wp.vec3(float(edit.last_fine[0] + 1), float(edit.last_fine[1] + 1), float(edit.last_fine[2] + 1))
     line.box = box_span(line.start, line.rate, wp.vec3(0.0, 0.0, 0.0), corner)
     line.span = grid_span(grid, origin, direction)
     return line
@@ -155,42 +155,50 @@ def first_sample(t: float, inverse_step: float):
 
 
 @wp.func
-def lattice_place(edit: FlatEdit, line: EditLine, place: wp.vec3, t: float):
-    """Where a sample is in the lattice: its place in cells is `place`, its distance t. Flags are 0 outside."""
+def lattice_place(edit: FlatEdit, line: EditLine, t: float):
+    """Where the ray is in the lattice at a distance."""
     at = LatticePlace()
-    at.in_box = t >= line.box[0] and t < line.box[1]
-    at.f = place
-    if at.in_box:
-        ci = wp.clamp(int(place[0]), 0, edit.last_cell[0])
-        cj = wp.clamp(int(place[1]), 0, edit.last_cell[1])
-        ck = wp.clamp(int(place[2]), 0, edit.last_cell[2])
-        at.n = (ci * edit.node_counts[1] + cj) * edit.node_counts[2] + ck
-        at.f = place - wp.vec3(float(ci), float(cj), float(ck))
-        g = float(edit.fine_side) * at.f
-        fi = wp.clamp(int(g[0]), 0, edit.fine_side - 1)
-        fj = wp.clamp(int(g[1]), 0, edit.fine_side - 1)
-        fk = wp.clamp(int(g[2]), 0, edit.fine_side - 1)
-        at.g = g - wp.vec3(float(fi), float(fj), float(fk))
-        at.flags = byte_entry(edit.fine_look, at.n * edit.fine_count + (fi * edit.fine_side + fj) * edit.fine_side + fk)
+    at.n = int(-1)
+    at.fine = line.start + t * line.rate
+    if t >= line.box[0] and t < line.box[1]:
+        i = wp.clamp(int(at.fine[0]), 0, edit.last_fine[0])
+        j = wp.clamp(int(at.fine[1]), 0, edit.last_fine[1])
+        k = wp.clamp(int(at.fine[2]), 0, edit.last_fine[2])
+        bits = edit.fine_bits
+        at.n = ((i >> bits) * edit.node_counts[1] + (j >> bits)) * edit.node_counts[2] + (k >> bits)
+        rest = (1 << bits) - 1
+        within = ((((i & rest) << bits) + (j & rest)) << bits) + (k & rest)
+        at.flags = byte_entry(edit.fine_look, (at.n << (3 * bits)) + within)
     return at
 
 
 @wp.func
-def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine, place: wp.vec3):
+def place_now(edit: FlatEdit, line: EditLine, ray: MarchedRay, foreseen: LatticePlace, t: float):
+    """Where a ray's sample is in the lattice, if it is the one that was foreseen, or not; t: its distance."""
+    if ray.is_foreseen == 1:
+        return foreseen
+    return lattice_place(edit, line, t)
+
+
+@wp.func
+def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine):
     """Where a sample is in canonical space (Eq. 4): where the map leads it inside the posed cage, else where it is."""
     result = MappedPlace()
-    result.position = edit.lower + edit.spacing * place
+    result.position = edit.lower + edit.fine_size * at.fine
     result.slope = line.rate
-    if not at.in_box or edit.removes == 1 or (at.flags & CELL_OUTSIDE) != 0:
+    if at.n < 0 or edit.removes == 1 or (at.flags & CELL_OUTSIDE) != 0:
         return result
+    # the cage reaches no cell at the lattice's border, where rounding may lead to the one beyond
+    place = edit.fine_width * at.fine
+    f = place - wp.vec3(wp.floor(place[0]), wp.floor(place[1]), wp.floor(place[2]))
     nz = edit.node_counts[2]
-    node = node_blend_slope(edit.nodes, at.n, edit.node_counts[1] * nz, nz, at.f, line.rate)
+    node = node_blend_slope(edit.nodes, at.n, edit.node_counts[1] * nz, nz, f, line.rate)
     if (at.flags & CELL_INSIDE) == 0 and node[3] > edit.tolerance:
         return result
     result.mapped = True
     result.position = wp.vec3(node[0], node[1], node[2])
     result.slope = wp.vec3(node[4], node[5], node[6])
-    return with_sides(sides, edit, at, line.rate, result)
+    return with_sides(sides, edit, at.n, f, line.rate, result)
 
 
 @wp.func
@@ -202,8 +210,9 @@ def distance_to_rest(edit: FlatEdit, place: MappedPlace, is_asked: bool):
 
 
 @wp.func
-def exit_of_fine_cell(g: wp.vec3, inverse: wp.vec3, reach: int):
+def exit_of_fine_cell(fine: wp.vec3, inverse: wp.vec3, reach: int):
     """field/samples.exit_of_cell without numbers that are the same for a whole ray, which a march would keep."""
+    g = fine - wp.vec3(wp.floor(fine[0]), wp.floor(fine[1]), wp.floor(fine[2]))
     half = float(reach) - 0.5
     x = half * wp.abs(inverse[0]) - (g[0] - 0.5) * inverse[0]
     y = half * wp.abs(inverse[1]) - (g[1] - 0.5) * inverse[1]
@@ -228,14 +237,12 @@ def up_to_box(line: EditLine, t: float, leave: float):
 
 
 @wp.func
-def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlace, g: wp.vec3, t: float):
-    """Distance up to which a ray certainly meets nothing after a sample that holds nothing."""
-    if at.in_box:
-        return t
+def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, g: wp.vec3, t: float):
+    """Distance up to which a ray certainly meets nothing after a sample out of the lattice that holds nothing."""
     if t < line.span[0] or not (t < line.span[1]):
         return up_to_box(line, t, beyond_grid(line, t))
     offset = g - wp.vec3(wp.floor(g[0]), wp.floor(g[1]), wp.floor(g[2]))
-    inverse = wp.cw_mul(line.inverse, edit.inverse_spacing * grid.voxel_size)
+    inverse = wp.cw_mul(line.inverse, edit.inverse_fine_size * grid.voxel_size)
     return up_to_box(line, t, t + exit_of_cell(offset, inverse, empty_at(grid, g)))
 
 
@@ -245,31 +252,67 @@ def after_part(ray: MarchedRay, next_k: float):
     ray.j += ray.share
     if ray.j > 1.0 - 0.5 * ray.share:
         return at_sample(ray, next_k)
+    ray.is_foreseen = int(0)
     return ray
 
 
 @wp.func
-def take_sample(
-    sides: Any, edit: FlatEdit, grid: VoxelGrid, table: Any, options: MarchOptions, line: EditLine, ray: MarchedRay
-):
-    """Gather what a ray's sample holds, and go on to the next one to look at."""
-    step = options.step
-    t = ray_distance(ray, step)
+def next_sample(line: EditLine, options: MarchOptions, ray: MarchedRay, at: LatticePlace, t: float):
+    """The sample behind this one; behind all that a fine cell says are empty."""
     next_k = sample_after(ray.k)
-    place = line.start + t * line.rate
-    at = lattice_place(edit, line, place, t)
+    if at.flags < LOOK_SKIP or ray.share < 1.0:  # other parts of a sample that is cut may hold something
+        return next_k
+    leave = t + exit_of_fine_cell(at.fine, line.inverse, at.flags - LOOK_SKIP)
+    return wp.max(next_k, first_sample(wp.min(leave, line.box[1]), options.inverse_step))
+
+
+@wp.struct
+class FoundMatter:
+    """What a sample holds."""
+
+    point: MappedPlace
+    g: wp.vec3  # its node coordinates in the field's grid
+    matter: wp.vec4  # colour, if it comes with the rest, and optical depth of a step
+
+
+@wp.func
+def found_matter(
+    sides: Any, edit: FlatEdit, grid: VoxelGrid, table: Any, line: EditLine, at: LatticePlace, step: float
+):
+    """What a sample holds; nothing where its fine cell is empty."""
+    found = FoundMatter()
     if at.flags >= LOOK_SKIP:
-        if ray.share < 1.0:
-            return after_part(ray, next_k)  # other parts of the sample may hold something
-        leave = t + edit.fine_size * exit_of_fine_cell(at.g, line.inverse, at.flags - LOOK_SKIP)
-        return at_sample(ray, wp.max(next_k, first_sample(wp.min(leave, line.box[1]), options.inverse_step)))
-    point = mapped_place(sides, edit, at, line, place)
-    g = grid_position(grid, point.position)
-    matter = matter_at(table, grid, g, wp.where(point.mapped, CARRIED_LAYER, PLAIN_LAYER), step)
+        return found
+    found.point = mapped_place(sides, edit, at, line)
+    found.g = grid_position(grid, found.point.position)
+    layer = wp.where(found.point.mapped, CARRIED_LAYER, PLAIN_LAYER)
+    found.matter = matter_at(table, grid, found.g, layer, step)
+    return found
+
+
+@wp.func
+def gather_matter(
+    edit: FlatEdit,
+    grid: VoxelGrid,
+    table: Any,
+    options: MarchOptions,
+    line: EditLine,
+    ray: MarchedRay,
+    at: LatticePlace,
+    found: FoundMatter,
+    t: float,
+    next_k: float,
+):
+    """A ray with what its sample holds, at the next one to look at."""
+    if at.flags >= LOOK_SKIP:
+        return after_part(ray, next_k)
+    point = found.point
+    matter = found.matter
     is_matter = matter[3] > 0.0
-    stretch = near_root(wp.dot(point.slope, point.slope))
+    stretch = edit.fine_width * near_root(wp.dot(point.slope, point.slope))
     if point.mapped and ray.share == 1.0 and (at.flags & CELL_STEEP) != 0 and stretch > CUT_LENGTH:
         ray.share = near_reciprocal(wp.min(wp.ceil(stretch - 1.0e-3), float(MAX_SUB_SAMPLES)))
+        ray.is_foreseen = int(0)
         return ray
     may_leave = point.mapped and (at.flags & CELL_STAYS) == 0
     may_clear = is_matter and not point.mapped and edit.keeps_source == 0
@@ -287,15 +330,18 @@ def take_sample(
             weight = ray.seen.transmittance * (1.0 - kept)
             ray.pending += weight
             if ray.pending > least_pending(table):
-                colour = matter_colour(table, grid, matter, g, point.slope, line.rate)
+                colour = matter_colour(table, grid, matter, found.g, point.slope, line.rate)
                 ray.seen.colour += ray.pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
                 ray.pending = float(0.0)
             ray.seen.depth += weight * t
             ray.seen.transmittance *= kept
             if (at.flags & CELL_FOLDED) != 0 and point.mapped and weight > FOLD_MIN_WEIGHT:
                 ray.seen.fold += weight
-    else:
-        next_k = wp.max(next_k, first_sample(leave_empty(edit, grid, line, at, g, t), options.inverse_step))
+    elif at.n < 0:
+        beyond = first_sample(leave_empty(edit, grid, line, found.g, t), options.inverse_step)
+        if beyond > next_k:
+            next_k = beyond
+            ray.is_foreseen = int(0)
     return after_part(ray, next_k)
 
 
@@ -319,8 +365,16 @@ def march_edit(
     ray.seen = state.seen
     ray.pending = state.pending
     ray = at_sample(ray, first_sample(wp.max(near_far[0], state.reached), options.inverse_step))
+    foreseen = LatticePlace()
     while ray_distance(ray, options.step) < far and ray.seen.transmittance > options.stop:
-        ray = take_sample(sides, edit, grid, table, options, line, ray)
+        t = ray_distance(ray, options.step)
+        at = place_now(edit, line, ray, foreseen, t)
+        next_k = next_sample(line, options, ray, at, t)
+        found = found_matter(sides, edit, grid, table, line, at, options.step)
+        # a GPU waits for what it reads: so the next place is asked for before this matter is
+        foreseen = lattice_place(edit, line, (next_k + 0.5) * options.step)
+        ray.is_foreseen = int(1)
+        ray = gather_matter(edit, grid, table, options, line, ray, at, found, t, next_k)
     after = RayState()
     after.seen = ray.seen
     after.pending = ray.pending

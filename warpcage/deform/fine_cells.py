@@ -9,11 +9,14 @@ import warp as wp
 
 from ..core.arrays import array_view
 from ..core.devices import lane_count, launch
-from ..kernels.deform.fine_cells import FINE_COUNT, FINE_SIDE, FINE_SIZE, FINE_WORDS, mark_fine_cells, spread_fine_cells
+from ..kernels.deform.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
 from ..lattice.capture import BufferPool, SideStream
 
 #: Cells that are less than so many voxels wide are not told apart: fine cells would be smaller than what they skip.
 LEAST_VOXELS = 2.0
+
+#: As many factors of two.
+FINE_BITS = int(FINE_SIDE).bit_length() - 1
 
 #: Lattices of more nodes have more fine cells than an index counts.
 MOST_NODES = (1 << 31) // int(FINE_COUNT) - 64
@@ -62,9 +65,22 @@ class FineCells:
         launch(mark_fine_cells, self._lanes * groups, inputs, [looks, fine_look], device=self._device, work=work)
         whole_groups = -(-nodes // self._lanes) * self._lanes
         launch(spread_fine_cells, whole_groups, [edit, looks], [words], device=self._device)
-        edit.fine_side, edit.fine_count, edit.fine_size = int(FINE_SIDE), int(FINE_COUNT), float(FINE_SIZE)
-        edit.fine_look = fine_look
+        tell_fine_cells(edit, FINE_BITS, fine_look)
 
     def join(self) -> None:
         """Let what is launched from now on wait for that."""
         self._side.join()
+
+
+def tell_fine_cells(edit: Any, bits: int, fine_look: wp.array) -> None:
+    """Let an edit tell fine cells apart.
+
+    Args:
+        edit: The FlatEdit.
+        bits: 2^bits along each side of a cell.
+        fine_look: (8^bits * nodes,) uint8.
+    """
+    edit.fine_bits, edit.fine_look, side = bits, fine_look, 1 << bits
+    edit.last_fine = wp.vec3i(*(side * (count - 1) - 1 for count in edit.node_counts))
+    edit.fine_width, edit.fine_size = 1.0 / side, edit.spacing / side
+    edit.inverse_fine_size = edit.inverse_spacing * side

@@ -63,7 +63,7 @@ from .carried_shading import CarriedShades, shade_texture_bytes
 from .edit_lattices import EditLattices
 from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand
-from .fine_cells import FineCells
+from .fine_cells import FineCells, tell_fine_cells
 from .parts import PartsInTurn
 
 #: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
@@ -337,9 +337,8 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
     flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
     flat.spacing = 1.0 / edit.deformed.inverse_spacing
     flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
-    flat.last_cell = wp.vec3i(*(count - 2 for count in edit.deformed.distance.shape))
     flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)
-    flat.fine_side, flat.fine_count, flat.fine_size, flat.fine_look = 1, 1, 1.0, flat.look
+    tell_fine_cells(flat, 0, flat.look)
     flat.rest = edit.rest
     side_index = edit.deformed.side_index
     flat.has_sides = int(side_index is not None and side_index.size > 0)
