@@ -120,7 +120,7 @@ def reciprocal_root(x: wp.float32) -> wp.float32:
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     float root;
-    asm("sqrt.approx.f32 %0, %1;" : "=f"(root) : "f"(x));
+    asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(x));
     return root;
 #else
     return sqrtf(x);

@@ -139,6 +139,24 @@ def largest_of_lanes(value: float):
 
 
 @wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const unsigned same = __match_any_sync(__activemask(), entry);
+    const int lane = threadIdx.x & 31, first = __ffs(same) - 1;
+    int before = 0;
+    if (lane == first)
+        before = atomicAdd(counts.data + entry, __popc(same));
+    return __shfl_sync(same, before, first) + __popc(same & ((1u << lane) - 1u));
+#else
+    return counts.data[entry]++;
+#endif
+""")
+def count_up(counts: wp.array(dtype=wp.int32), entry: wp.int32) -> wp.int32:
+    """What counts[entry] was before it goes up by 1; lanes that count the same take turns in one atomic. On a CPU one
+    thread at a time."""
+    ...
+
+
+@wp.func_native("""
     unsigned int left = (unsigned int)bits;
 #if defined(__CUDA_ARCH__)
     return __popc(left);

@@ -4,11 +4,12 @@ A GPU starts the tiles of a picture one after the other. Where the longest come 
 while they end. So each tile notes its clock ticks, and the next view of as many tiles begins with those that took
 longest: scheduling by longest processing time (Graham, "Bounds on multiprocessing timing anomalies", SIAM J. Appl.
 Math. 17, 1969). Whatever the order, each tile is followed once, so that it changes no picture.
-Needs: view/rays.
+Needs: core/lanes, view/rays.
 """
 
 import warp as wp
 
+from ..core.lanes import count_up
 from .rays import TILE_SIZE
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -66,34 +67,35 @@ def tile_bin(ticks: int):
 
 
 @wp.kernel
-def count_tiles(first: int, tiles: int, ticks: wp.array(dtype=wp.int32), bins: wp.array3d(dtype=wp.int32)):
+def count_tiles(first: int, tiles: int, ticks: wp.array(dtype=wp.int32), bins: wp.array(dtype=wp.int32)):
     """How many tiles of each launch are in each bin. One item a tile, launch by launch.
 
-    tiles: of a launch; ticks: (launches * tiles,); bins: (launches, 2, TILE_BINS), 0 before.
+    tiles: of a launch; ticks: (launches * tiles,); bins: (launches * 2 * TILE_BINS,), 0 before.
     """
     n = first + wp.tid()
-    wp.atomic_add(bins, n // tiles, 0, tile_bin(ticks[n]), 1)
+    count_up(bins, 2 * TILE_BINS * (n // tiles) + tile_bin(ticks[n]))
 
 
 @wp.kernel
 def sort_tiles(
     first: int,
     tiles: int,
-    bins: wp.array3d(dtype=wp.int32),
+    bins: wp.array(dtype=wp.int32),
     spare: wp.array(dtype=wp.int32),
     ticks: wp.array(dtype=wp.int32),
     order: wp.array(dtype=wp.int32),
 ):
     """Put the tiles of each launch in the order of their bins, and set ticks and the bins of the next view to 0.
 
-    bins: what count_tiles counted, and how many of each bin have their place, 0 before. spare: as many, flat.
+    bins: what count_tiles counted, and how many of each bin have their place, 0 before. spare: as many.
     """
     n = first + wp.tid()
     launch = n // tiles
     own = tile_bin(ticks[n])
-    place = wp.atomic_add(bins, launch, 1, own, 1)
+    begin = 2 * TILE_BINS * launch
+    place = count_up(bins, begin + TILE_BINS + own)
     for bin in range(own):
-        place += bins[launch, 0, bin]
+        place += bins[begin + bin]
     order[launch * tiles + place] = n - launch * tiles
     ticks[n] = 0
     for i in range(n, spare.shape[0], order.shape[0]):

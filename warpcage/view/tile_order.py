@@ -68,7 +68,7 @@ class _SortedTiles:
         order = np.tile(np.arange(tiles, dtype=np.int32), launches)
         self._order = wp.array(order, dtype=wp.int32, device=device)
         self._ticks = wp.zeros(launches * tiles, dtype=wp.int32, device=device)
-        self._bins = [wp.zeros((launches, 2, int(TILE_BINS)), dtype=wp.int32, device=device) for _ in range(2)]
+        self._bins = [wp.zeros(launches * 2 * int(TILE_BINS), dtype=wp.int32, device=device) for _ in range(2)]
         self._count, self._sort = (RepeatedLaunch(kernel, device) for kernel in (count_tiles, sort_tiles))
         self.orders = [self._order_of(number) for number in range(launches)]
 
@@ -83,5 +83,5 @@ class _SortedTiles:
         bins, spare = self._bins
         count = self._ticks.shape[0]
         self._count(count, [self._tiles, self._ticks], [bins])
-        self._sort(count, [self._tiles, bins], [spare.flatten(), self._ticks, self._order])
+        self._sort(count, [self._tiles, bins], [spare, self._ticks, self._order])
         self._bins = [spare, bins]
