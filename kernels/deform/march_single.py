@@ -13,15 +13,17 @@ import warp as wp
 
 from ..core.entries import byte_entry, near_reciprocal, near_root
 from ..field.grid import VoxelGrid, grid_position
+from ..field.render import PENDING_WEIGHT
+from ..field.rows import RowTable
 from ..field.samples import exit_of_cell, grid_span, safe_inverse
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
 from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
-from .laid_shades import CARRIED_LAYER, PLAIN_LAYER
+from .laid_shades import CARRIED_LAYER, PLAIN_LAYER, LaidShades
 from .map_nodes import node_blend_slope, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
-from .matter_rows import empty_at, least_pending, matter_at, matter_colour
+from .matter_rows import empty_at, matter_at, matter_colour
 from .ray_parts import BEGUN, RayState
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -59,25 +61,36 @@ class EditLine:
     span: wp.vec2  # and in the field's grid
 
 
+#: A LatticePlace outside the lattice, and one that is also outside the field's grid.
+NO_LATTICE = wp.constant(-1)
+NOWHERE = wp.constant(-2)
+
+
 @wp.struct
 class LatticePlace:
-    """Where a sample is in an edit's lattice, and what its fine cell is known for."""
+    """Where a sample is in an edit's lattice, and what is known of that."""
 
-    n: int  # node below it; -1 outside
+    n: int  # node below it; NO_LATTICE or NOWHERE
     fine: wp.vec3  # in fine cells
-    flags: int  # of its fine cell, 0 outside
+    look: int  # of its fine cell; outside the lattice the distance of its cell in the field's grid
+
+
+@wp.struct
+class RaySample:
+    """A sample of a ray, or a part of one that is cut. Counted in floats: no conversions."""
+
+    k: float  # the sample
+    j: float  # how much of it is done, below 0 where its parts are still to be looked up
+    share: float  # how much of it this part stands for; 1 for one that is not cut
 
 
 @wp.struct
 class MarchedRay:
-    """How far a march has come along a ray, and what it saw. Samples are counted in floats: no conversions."""
+    """How far a march has come along a ray, and what it saw."""
 
     seen: DeformedRadiance
     pending: float
-    k: float  # the sample
-    j: float  # the part of it that is done, where it is cut
-    share: float  # of the sample that a sub-sample stands for; 1 for one that is not cut
-    is_foreseen: int  # 1: the sample before knew that this one follows
+    sample: RaySample
 
 
 @wp.struct
@@ -134,18 +147,19 @@ def line_span(line: EditLine):
 
 
 @wp.func
-def ray_distance(ray: MarchedRay, step: float):
-    """Distance of a ray's sample from the camera."""
-    return (ray.k + ray.j + 0.5 * ray.share) * step
+def sample_distance(sample: RaySample, step: float):
+    """Distance of a sample from the camera."""
+    return (sample.k + sample.j + 0.5 * sample.share) * step
 
 
 @wp.func
-def at_sample(ray: MarchedRay, k: float):
-    """A ray that goes on with the whole of sample k."""
-    ray.k = k
-    ray.j = float(0.0)
-    ray.share = float(1.0)
-    return ray
+def ray_sample(k: float, j: float, share: float):
+    """A part of sample k."""
+    sample = RaySample()
+    sample.k = k
+    sample.j = j
+    sample.share = share
+    return sample
 
 
 @wp.func
@@ -155,10 +169,9 @@ def first_sample(t: float, inverse_step: float):
 
 
 @wp.func
-def lattice_place(edit: FlatEdit, line: EditLine, t: float):
+def lattice_place(edit: FlatEdit, grid: VoxelGrid, line: EditLine, t: float):
     """Where the ray is in the lattice at a distance."""
     at = LatticePlace()
-    at.n = int(-1)
     at.fine = line.start + t * line.rate
     if t >= line.box[0] and t < line.box[1]:
         i = wp.clamp(int(at.fine[0]), 0, edit.last_fine[0])
@@ -168,16 +181,20 @@ def lattice_place(edit: FlatEdit, line: EditLine, t: float):
         at.n = ((i >> bits) * edit.node_counts[1] + (j >> bits)) * edit.node_counts[2] + (k >> bits)
         rest = (1 << bits) - 1
         within = ((((i & rest) << bits) + (j & rest)) << bits) + (k & rest)
-        at.flags = byte_entry(edit.fine_look, (at.n << (3 * bits)) + within)
+        at.look = byte_entry(edit.fine_look, (at.n << (3 * bits)) + within)
+    elif t >= line.span[0] and t < line.span[1]:
+        at.n = int(NO_LATTICE)
+        at.look = empty_at(grid, grid_position(grid, edit.lower + edit.fine_size * at.fine))
+    else:
+        at.n = int(NOWHERE)
+        at.look = int(1)
     return at
 
 
 @wp.func
-def place_now(edit: FlatEdit, line: EditLine, ray: MarchedRay, foreseen: LatticePlace, t: float):
-    """Where a ray's sample is in the lattice, if it is the one that was foreseen, or not; t: its distance."""
-    if ray.is_foreseen == 1:
-        return foreseen
-    return lattice_place(edit, line, t)
+def is_empty(at: LatticePlace):
+    """Whether nothing is there."""
+    return at.look >= wp.where(at.n >= 0, int(LOOK_SKIP), 1)
 
 
 @wp.func
@@ -186,14 +203,14 @@ def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine):
     result = MappedPlace()
     result.position = edit.lower + edit.fine_size * at.fine
     result.slope = line.rate
-    if at.n < 0 or edit.removes == 1 or (at.flags & CELL_OUTSIDE) != 0:
+    if at.n < 0 or edit.removes == 1 or (at.look & CELL_OUTSIDE) != 0:
         return result
     # the cage reaches no cell at the lattice's border, where rounding may lead to the one beyond
     place = edit.fine_width * at.fine
     f = place - wp.vec3(wp.floor(place[0]), wp.floor(place[1]), wp.floor(place[2]))
     nz = edit.node_counts[2]
     node = node_blend_slope(edit.nodes, at.n, edit.node_counts[1] * nz, nz, f, line.rate)
-    if (at.flags & CELL_INSIDE) == 0 and node[3] > edit.tolerance:
+    if (at.look & CELL_INSIDE) == 0 and node[3] > edit.tolerance:
         return result
     result.mapped = True
     result.position = wp.vec3(node[0], node[1], node[2])
@@ -202,11 +219,20 @@ def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine):
 
 
 @wp.func
-def distance_to_rest(edit: FlatEdit, place: MappedPlace, is_asked: bool):
+def distance_to_rest(edit: FlatEdit, place: MappedPlace, look: int):
     """Signed distance of a sample to the rest cage; where nobody asks, what is mapped is in it, and all else beside."""
-    if not is_asked:
-        return wp.where(place.mapped, -1.0e30, 1.0e30)
+    if place.mapped and (look & CELL_STAYS) != 0:
+        return float(-1.0e30)
+    if not place.mapped and edit.keeps_source == 1:
+        return float(1.0e30)
     return rest_distance(edit, place.position)
+
+
+@wp.func
+def shade_layer(edit: FlatEdit, is_mapped: bool, distance: float):
+    """The layer of shades that a sample reads: what goes with a pose is in one of them only."""
+    is_carried = is_mapped or (distance <= 0.0 and edit.removes == 0)
+    return wp.where(is_carried, CARRIED_LAYER, PLAIN_LAYER)
 
 
 @wp.func
@@ -237,57 +263,94 @@ def up_to_box(line: EditLine, t: float, leave: float):
 
 
 @wp.func
-def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, g: wp.vec3, t: float):
-    """Distance up to which a ray certainly meets nothing after a sample out of the lattice that holds nothing."""
-    if t < line.span[0] or not (t < line.span[1]):
+def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlace, t: float):
+    """Distance up to which a ray certainly meets nothing from an empty place on."""
+    if at.n >= 0:
+        return wp.min(t + exit_of_fine_cell(at.fine, line.inverse, at.look - LOOK_SKIP), line.box[1])
+    if at.n == NOWHERE:
         return up_to_box(line, t, beyond_grid(line, t))
+    g = grid_position(grid, edit.lower + edit.fine_size * at.fine)
     offset = g - wp.vec3(wp.floor(g[0]), wp.floor(g[1]), wp.floor(g[2]))
     inverse = wp.cw_mul(line.inverse, edit.inverse_fine_size * grid.voxel_size)
-    return up_to_box(line, t, t + exit_of_cell(offset, inverse, empty_at(grid, g)))
+    return up_to_box(line, t, t + exit_of_cell(offset, inverse, at.look))
 
 
 @wp.func
-def after_part(ray: MarchedRay, next_k: float):
-    """A ray behind a sample, or behind a part of one that is cut, that goes on with sample next_k."""
-    ray.j += ray.share
-    if ray.j > 1.0 - 0.5 * ray.share:
-        return at_sample(ray, next_k)
-    ray.is_foreseen = int(0)
-    return ray
-
-
-@wp.func
-def next_sample(line: EditLine, options: MarchOptions, ray: MarchedRay, at: LatticePlace, t: float):
-    """The sample behind this one; behind all that a fine cell says are empty."""
-    next_k = sample_after(ray.k)
-    if at.flags < LOOK_SKIP or ray.share < 1.0:  # other parts of a sample that is cut may hold something
-        return next_k
-    leave = t + exit_of_fine_cell(at.fine, line.inverse, at.flags - LOOK_SKIP)
-    return wp.max(next_k, first_sample(wp.min(leave, line.box[1]), options.inverse_step))
+def following(
+    edit: FlatEdit,
+    grid: VoxelGrid,
+    options: MarchOptions,
+    line: EditLine,
+    sample: RaySample,
+    at: LatticePlace,
+    t: float,
+):
+    """The sample to look at after one at distance t, or the next part of one that is cut."""
+    if sample.j < 0.0:
+        return ray_sample(sample.k, 0.0, sample.share)
+    if sample.share < 1.0:  # other parts of a sample in an empty place may hold something
+        done = sample.j + sample.share
+        if done <= 1.0 - 0.5 * sample.share:
+            return ray_sample(sample.k, done, sample.share)
+    elif is_empty(at):
+        leave = leave_empty(edit, grid, line, at, t)
+        return ray_sample(wp.max(sample_after(sample.k), first_sample(leave, options.inverse_step)), 0.0, 1.0)
+    return ray_sample(sample_after(sample.k), 0.0, 1.0)
 
 
 @wp.struct
 class FoundMatter:
     """What a sample holds."""
 
-    point: MappedPlace
-    g: wp.vec3  # its node coordinates in the field's grid
+    mapped: bool
+    slope: wp.vec3  # of MappedPlace
+    distance: float  # to the rest cage
+    g: wp.vec3  # node coordinates in the field's grid
     matter: wp.vec4  # colour, if it comes with the rest, and optical depth of a step
 
 
 @wp.func
 def found_matter(
-    sides: Any, edit: FlatEdit, grid: VoxelGrid, table: Any, line: EditLine, at: LatticePlace, step: float
+    sides: Any,
+    edit: FlatEdit,
+    grid: VoxelGrid,
+    table: Any,
+    line: EditLine,
+    ray: MarchedRay,
+    at: LatticePlace,
+    step: float,
 ):
-    """What a sample holds; nothing where its fine cell is empty."""
+    """What a ray's sample holds."""
     found = FoundMatter()
-    if at.flags >= LOOK_SKIP:
+    if is_empty(at) or ray.sample.j < 0.0:
         return found
-    found.point = mapped_place(sides, edit, at, line)
-    found.g = grid_position(grid, found.point.position)
-    layer = wp.where(found.point.mapped, CARRIED_LAYER, PLAIN_LAYER)
-    found.matter = matter_at(table, grid, found.g, layer, step)
+    point = mapped_place(sides, edit, at, line)
+    found.mapped = point.mapped
+    found.slope = point.slope
+    found.distance = distance_to_rest(edit, point, at.look)
+    found.g = grid_position(grid, point.position)
+    found.matter = matter_at(table, grid, found.g, shade_layer(edit, point.mapped, found.distance), step)
     return found
+
+
+@wp.func
+def with_colour(table: RowTable, grid: VoxelGrid, line: EditLine, found: FoundMatter, ray: MarchedRay, weight: float):
+    """A ray with the colour of a sample, which waits for the next one's until they weigh enough together."""
+    ray.pending += weight
+    if ray.pending > PENDING_WEIGHT:
+        colour = matter_colour(table, grid, found.g, found.slope, line.rate)
+        ray.seen.colour += ray.pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+        ray.pending = float(0.0)
+    return ray
+
+
+@wp.func
+def with_colour(  # noqa: F811 (a Warp overload)
+    table: LaidShades, grid: VoxelGrid, line: EditLine, found: FoundMatter, ray: MarchedRay, weight: float
+):
+    colour = wp.vec3(found.matter[0] + 0.5, found.matter[1] + 0.5, found.matter[2] + 0.5)
+    ray.seen.colour += weight * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+    return ray
 
 
 @wp.func
@@ -298,51 +361,39 @@ def gather_matter(
     options: MarchOptions,
     line: EditLine,
     ray: MarchedRay,
+    after: RaySample,
     at: LatticePlace,
     found: FoundMatter,
     t: float,
-    next_k: float,
 ):
-    """A ray with what its sample holds, at the next one to look at."""
-    if at.flags >= LOOK_SKIP:
-        return after_part(ray, next_k)
-    point = found.point
-    matter = found.matter
-    is_matter = matter[3] > 0.0
-    stretch = edit.fine_width * near_root(wp.dot(point.slope, point.slope))
-    if point.mapped and ray.share == 1.0 and (at.flags & CELL_STEEP) != 0 and stretch > CUT_LENGTH:
-        ray.share = near_reciprocal(wp.min(wp.ceil(stretch - 1.0e-3), float(MAX_SUB_SAMPLES)))
-        ray.is_foreseen = int(0)
+    """A ray with what its sample holds, at the one after it; at the parts of this one if it is to be cut."""
+    share = ray.sample.share
+    is_passed = ray.sample.j < 0.0
+    k = ray.sample.k
+    ray.sample = after
+    if is_empty(at) or is_passed:
         return ray
-    may_leave = point.mapped and (at.flags & CELL_STAYS) == 0
-    may_clear = is_matter and not point.mapped and edit.keeps_source == 0
-    distance = distance_to_rest(edit, point, may_leave or may_clear)
-    if point.mapped and distance > edit.slack:
+    stretch = edit.fine_width * near_root(wp.dot(found.slope, found.slope))
+    if found.mapped and share == 1.0 and (at.look & CELL_STEEP) != 0 and stretch > CUT_LENGTH:
+        part = near_reciprocal(wp.min(wp.ceil(stretch - 1.0e-3), float(MAX_SUB_SAMPLES)))
+        ray.sample = ray_sample(k, -1.0, part)
+        return ray
+    if found.mapped and found.distance > edit.slack:
         ray.seen.outside += 1.0
-    elif is_matter:
-        depth = matter[3] * ray.share * wp.where(point.mapped and options.arc_opacity == 1, stretch, 1.0)
-        kept = wp.exp(-depth)
-        if not point.mapped and distance <= 0.0:
+    elif found.matter[3] > 0.0:
+        kept = wp.exp(-(found.matter[3] * share * wp.where(found.mapped and options.arc_opacity == 1, stretch, 1.0)))
+        if not found.mapped and found.distance <= 0.0:
             if ray.seen.cleared_transmittance > FAINT:
                 ray.seen.reveal += ray.seen.transmittance * ray.seen.cleared_transmittance * (1.0 - kept)
                 ray.seen.cleared_transmittance *= kept
         else:
             weight = ray.seen.transmittance * (1.0 - kept)
-            ray.pending += weight
-            if ray.pending > least_pending(table):
-                colour = matter_colour(table, grid, matter, found.g, point.slope, line.rate)
-                ray.seen.colour += ray.pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
-                ray.pending = float(0.0)
+            ray = with_colour(table, grid, line, found, ray, weight)
             ray.seen.depth += weight * t
             ray.seen.transmittance *= kept
-            if (at.flags & CELL_FOLDED) != 0 and point.mapped and weight > FOLD_MIN_WEIGHT:
+            if (at.look & CELL_FOLDED) != 0 and found.mapped and weight > FOLD_MIN_WEIGHT:
                 ray.seen.fold += weight
-    elif at.n < 0:
-        beyond = first_sample(leave_empty(edit, grid, line, found.g, t), options.inverse_step)
-        if beyond > next_k:
-            next_k = beyond
-            ray.is_foreseen = int(0)
-    return after_part(ray, next_k)
+    return ray
 
 
 @wp.func
@@ -364,19 +415,19 @@ def march_edit(
     ray = MarchedRay()
     ray.seen = state.seen
     ray.pending = state.pending
-    ray = at_sample(ray, first_sample(wp.max(near_far[0], state.reached), options.inverse_step))
-    foreseen = LatticePlace()
-    while ray_distance(ray, options.step) < far and ray.seen.transmittance > options.stop:
-        t = ray_distance(ray, options.step)
-        at = place_now(edit, line, ray, foreseen, t)
-        next_k = next_sample(line, options, ray, at, t)
-        found = found_matter(sides, edit, grid, table, line, at, options.step)
+    ray.sample = ray_sample(first_sample(wp.max(near_far[0], state.reached), options.inverse_step), 0.0, 1.0)
+    t = sample_distance(ray.sample, options.step)
+    foreseen = lattice_place(edit, grid, line, t)
+    while t < far and ray.seen.transmittance > options.stop:
+        at = foreseen
+        after = following(edit, grid, options, line, ray.sample, at, t)
+        found = found_matter(sides, edit, grid, table, line, ray, at, options.step)
         # a GPU waits for what it reads: so the next place is asked for before this matter is
-        foreseen = lattice_place(edit, line, (next_k + 0.5) * options.step)
-        ray.is_foreseen = int(1)
-        ray = gather_matter(edit, grid, table, options, line, ray, at, found, t, next_k)
-    after = RayState()
-    after.seen = ray.seen
-    after.pending = ray.pending
-    after.reached = wp.max(far, BEGUN)  # beyond `far` there is nothing up to `end`
-    return after
+        foreseen = lattice_place(edit, grid, line, sample_distance(after, options.step))
+        ray = gather_matter(edit, grid, table, options, line, ray, after, at, found, t)
+        t = sample_distance(ray.sample, options.step)
+    result = RayState()
+    result.seen = ray.seen
+    result.pending = ray.pending
+    result.reached = wp.max(far, BEGUN)  # beyond `far` there is nothing up to `end`
+    return result

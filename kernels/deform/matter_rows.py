@@ -11,7 +11,6 @@ from ..core.entries import cell_byte
 from ..field.densities import early_density, late_density
 from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
-from ..field.render import PENDING_WEIGHT
 from ..field.rows import RowTable, row_colour
 from .laid_shades import LaidShades, laid_shade
 
@@ -62,18 +61,7 @@ def matter_at(table: LaidShades, grid: VoxelGrid, g: wp.vec3, layer: int, step: 
 
 
 @wp.func
-def least_pending(table: RowTable):
-    """Samples wait for the colour of the next one until they weigh more than this together."""
-    return PENDING_WEIGHT
-
-
-@wp.func
-def least_pending(table: LaidShades):  # noqa: F811
-    return 0.0
-
-
-@wp.func
-def matter_colour(table: RowTable, grid: VoxelGrid, matter: wp.vec4, g: wp.vec3, slope: wp.vec3, direction: wp.vec3):
+def matter_colour(table: RowTable, grid: VoxelGrid, g: wp.vec3, slope: wp.vec3, direction: wp.vec3):
     """Colour before the clamp at zero, at node coordinates g, seen along `slope`, or `direction` where that is nought.
     Neither has a length of its own."""
     length = wp.length(slope)
@@ -83,10 +71,3 @@ def matter_colour(table: RowTable, grid: VoxelGrid, matter: wp.vec4, g: wp.vec3,
     k = int(wp.floor(g[2]))
     offset = g - wp.vec3(float(i), float(j), float(k))
     return row_colour(grid.sh, table.packed, table.columns, i, j, k, offset, sh_basis(along))
-
-
-@wp.func
-def matter_colour(  # noqa: F811
-    table: LaidShades, grid: VoxelGrid, matter: wp.vec4, g: wp.vec3, slope: wp.vec3, direction: wp.vec3
-):
-    return wp.vec3(matter[0] + 0.5, matter[1] + 0.5, matter[2] + 0.5)
