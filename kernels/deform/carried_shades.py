@@ -35,6 +35,8 @@ class AimedCage:
     distance: wp.array(dtype=float)  # (nodes,) signed distance to the rest cage
     places: wp.array(dtype=wp.vec4)  # (nodes,) where the pose takes each, of deform/posed_places
     aims: wp.array(dtype=wp.vec4)  # (nodes,) canonical view direction or 0, and signed distance to the rest cage
+    depth: float  # rows up to so deep in the rest cage are read by samples of both layers
+    height: float  # and those up to so far out of it
     edit: FlatEdit
 
 
@@ -77,6 +79,8 @@ class RowView:
 
     along: wp.vec3  # canonical view direction
     carried: int  # 1: it lies in a rest cage
+    is_plain: int  # 1: samples of the plain layer may read it
+    is_carried: int  # 1: and those of the other one
 
 
 @wp.func
@@ -96,6 +100,7 @@ def row_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
     """How a row at x is seen: as the pose has it of the rest cage that it is in, else from `plain`."""
     seen = RowView()
     seen.along = plain
+    seen.is_plain = int(1)
     for index in range(cages.shape[0]):
         cage = cages[index]
         g = (x - cage.lower) * cage.inverse_spacing
@@ -103,6 +108,8 @@ def row_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
         if wp.min(g) >= 0.0 and wp.min(top - g) >= 0.0:
             aim = aim_at(cage, g)
             turned = wp.vec3(aim[0], aim[1], aim[2])
+            seen.is_plain = wp.where(aim[3] < -cage.depth, 0, seen.is_plain)
+            seen.is_carried = wp.where(aim[3] < cage.height, 1, seen.is_carried)
             if aim[3] <= 0.0:
                 seen.carried = 1
                 if wp.length_sq(turned) > 1.0e-6:
@@ -148,8 +155,8 @@ def shade_carried_rows(
     shaded: ShadedGrid,
     laid: LaidShades,
 ):
-    """Shades of a field that edits deform, in both layers: as a row is seen where it is. One thread per row, in whole
-    warps.
+    """Shades of a field that edits deform: as a row is seen where it is, in the layers of samples that may read it. One
+    thread per row, in whole warps.
 
     nodes: (rows,); cages: (edits,) that do not meet; shaded: tells the camera and how long a step is.
     """
@@ -161,8 +168,10 @@ def shade_carried_rows(
     colour = shade_colour(grid.sh, row, sh_basis(seen.along))
     if item < nodes.shape[0]:
         shade = wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step)
-        write_laid_shade(laid, nodes[n], PLAIN_LAYER, shade)
-        write_laid_shade(laid, nodes[n], CARRIED_LAYER, shade)
+        if seen.is_plain == 1:
+            write_laid_shade(laid, nodes[n], PLAIN_LAYER, shade)
+        if seen.is_carried == 1:
+            write_laid_shade(laid, nodes[n], CARRIED_LAYER, shade)
 
 
 @wp.kernel

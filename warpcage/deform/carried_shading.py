@@ -25,6 +25,9 @@ from ..kernels.deform.laid_shades import SHADE_LAYERS, LaidShades
 from ..kernels.deform.posed_places import NO_CELL, claim_nodes, settle_nodes
 from ..lattice.capture import BufferPool
 
+#: A trilinear distance changes by at most the root of three per unit of length; rounded up.
+STEEPEST = 1.8
+
 #: Layers of LaidShades.
 LAYERS = int(SHADE_LAYERS)
 
@@ -95,6 +98,9 @@ class CarriedShades:
             cage.edit, cage.lower, cage.inverse_spacing = edit, edit.rest.lower, edit.rest.inverse_spacing
             cage.node_counts, cage.distance = wp.vec3i(*shape), edit.rest.distance.flatten()
             cage.places, cage.aims = found.flatten(), aims.take(math.prod(shape))
+            reach = STEEPEST * math.hypot(*grid.voxel_size)
+            cage.depth = math.inf if edit.keeps_source else reach
+            cage.height = edit.slack + edit.rest.spacing + reach  # a cell that stays in the cage may bulge out of it
             self._posed.append((edit, found, cage))
         self._folds.send()
         cages, device = [cage for _, _, cage in self._posed], self._device

@@ -10,6 +10,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import array_view, empty_array
+from ..core.spare import SpareMemory
 from ..view.camera import Camera, camera_struct, tile_threads
 from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera
 from .background import LayeredBackground
@@ -39,6 +40,7 @@ def render_frame(
     layers: LayeredBackground | OuterField | None,
     supersampling: int,
     device: wp.Device,
+    spare: SpareMemory,
     masks: Sequence[str] = (),
 ) -> Frame:
     """The view of a camera, by any march.
@@ -51,6 +53,7 @@ def render_frame(
         layers: What is put around the picture, which then must be on black. None is nothing.
         supersampling: Rays along each side of a pixel.
         device: Warp device of the arrays.
+        spare: What keeps memory for them.
         masks: Names of the masks that the march fills beside colour, opacity and depth.
 
     Returns:
@@ -61,7 +64,7 @@ def render_frame(
     arrays: dict[str, wp.array] = {}
 
     def made_arrays() -> dict[str, wp.array]:
-        arrays.update(picture_arrays(count, (*PART_NAMES, *masks), device))
+        arrays.update(picture_arrays(count, (*PART_NAMES, *masks), device, spare))
         return arrays
 
     march(tile_threads(fine), camera_struct(fine, origin), wp.vec3(*map(float, colour)), made_arrays)
@@ -71,19 +74,23 @@ def render_frame(
     return average_frame(Frame(fine.width, fine.height, **arrays), supersampling)
 
 
-def picture_arrays(count: int, names: Sequence[str], device: wp.Device) -> dict[str, wp.array]:
+def picture_arrays(
+    count: int, names: Sequence[str], device: wp.Device, spare: SpareMemory
+) -> dict[str, wp.array]:
     """The arrays of a picture, in one allocation: on a GPU it takes as long as a launch.
 
     Args:
         count: Pixels.
         names: "rgb" and other parts and masks of a Frame.
         device: Warp device.
+        spare: What keeps memory for the next picture.
 
     Returns:
         Arrays (count,) by name, vec3 for "rgb" and float32 for others.
     """
     widths = [3 if name == "rgb" else 1 for name in names]
     block = empty_array((sum(widths), count), wp.float32, device)
+    spare.keep(block.capacity)
     arrays, begin = {}, 0
     for name, width in zip(names, widths, strict=True):
         arrays[name] = array_view(block, wp.vec3 if width == 3 else wp.float32, count, offset=4 * begin)

@@ -15,6 +15,7 @@ from ..core.arrays import as_host_points, as_points, empty_array, is_device_arra
 from ..core.checks import checked_bounds, checked_direction, checked_march, require_ordinary_side, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
+from ..core.spare import SpareMemory
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera, rigid_motion
@@ -118,6 +119,7 @@ class VoxelField:
         with device_turn(self.device):
             self.grid = self._filled_grid(links, density, sh, weights)
         self.marching = MarchTables(self.grid)
+        self._spare = SpareMemory(self.device)
 
     def _filled_grid(self, links: Any, density: Any, sh: Any, weights: Any) -> Any:
         """The VoxelGrid of the arrays that the constructor was given; their weights go to `weights`."""
@@ -325,6 +327,7 @@ class VoxelField:
             layers=layers,
             supersampling=supersampling,
             device=self.device,
+            spare=self._spare,
             masks=masks,
         )
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import WarpStruct
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
+from ..core.spare import SpareMemory
 from ..field.rendering import picture_arrays
 from ..kernels.splats import composite, composite_tiles, project, tiles
 from ..lattice.capture import BufferPool
@@ -60,6 +61,7 @@ class SplatRenderer:
         self._counts, self._ends = pool.buffer(wp.int64), pool.buffer(wp.int64)
         self._keys, self._members = pool.buffer(wp.int32), pool.buffer(wp.int32)
         self._starts = pool.buffer(wp.int32)
+        self._spare = SpareMemory(self.device)
         self._total = wp.zeros(1, dtype=wp.int64, device="cpu", pinned=self.device.is_cuda)
 
     def render(
@@ -97,7 +99,7 @@ class SplatRenderer:
         fine = finer_camera(camera, side)
         lens = splat_lens(fine, origin, near, IMAGE_BLUR * side**2, antialias)
         with self._lock:
-            arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device)
+            arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device, self._spare)
             seen = self._project(splats, lens)
             self.entry_count = 0
             inputs = [wp.vec3(*map(float, colour)), STOP_TRANSMITTANCE]
