@@ -80,8 +80,8 @@ class RaySample:
     """A sample of a ray, or a part of one that is cut. Counted in floats: no conversions."""
 
     k: float  # the sample
-    j: float  # how much of it is done, below 0 where its parts are still to be looked up
-    share: float  # how much of it this part stands for; 1 for one that is not cut
+    j: float  # how much of it is done
+    share: float  # how much of it this part stands for, 1 for one that is not cut; less than 0: it was not foreseen
 
 
 @wp.struct
@@ -149,7 +149,7 @@ def line_span(line: EditLine):
 @wp.func
 def sample_distance(sample: RaySample, step: float):
     """Distance of a sample from the camera."""
-    return (sample.k + sample.j + 0.5 * sample.share) * step
+    return (sample.k + sample.j + 0.5 * wp.abs(sample.share)) * step
 
 
 @wp.func
@@ -189,6 +189,14 @@ def lattice_place(edit: FlatEdit, grid: VoxelGrid, line: EditLine, t: float):
         at.n = int(NOWHERE)
         at.look = int(1)
     return at
+
+
+@wp.func
+def place_now(edit: FlatEdit, grid: VoxelGrid, line: EditLine, sample: RaySample, foreseen: LatticePlace, t: float):
+    """Where a sample at distance t is in the lattice."""
+    if sample.share > 0.0:
+        return foreseen
+    return lattice_place(edit, grid, line, t)
 
 
 @wp.func
@@ -286,8 +294,6 @@ def following(
     t: float,
 ):
     """The sample to look at after one at distance t, or the next part of one that is cut."""
-    if sample.j < 0.0:
-        return ray_sample(sample.k, 0.0, sample.share)
     if sample.share < 1.0:  # other parts of a sample in an empty place may hold something
         done = sample.j + sample.share
         if done <= 1.0 - 0.5 * sample.share:
@@ -311,18 +317,11 @@ class FoundMatter:
 
 @wp.func
 def found_matter(
-    sides: Any,
-    edit: FlatEdit,
-    grid: VoxelGrid,
-    table: Any,
-    line: EditLine,
-    ray: MarchedRay,
-    at: LatticePlace,
-    step: float,
+    sides: Any, edit: FlatEdit, grid: VoxelGrid, table: Any, line: EditLine, at: LatticePlace, step: float
 ):
-    """What a ray's sample holds."""
+    """What a sample holds."""
     found = FoundMatter()
-    if is_empty(at) or ray.sample.j < 0.0:
+    if is_empty(at):
         return found
     point = mapped_place(sides, edit, at, line)
     found.mapped = point.mapped
@@ -368,15 +367,14 @@ def gather_matter(
 ):
     """A ray with what its sample holds, at the one after it; at the parts of this one if it is to be cut."""
     share = ray.sample.share
-    is_passed = ray.sample.j < 0.0
     k = ray.sample.k
     ray.sample = after
-    if is_empty(at) or is_passed:
+    if is_empty(at):
         return ray
     stretch = edit.fine_width * near_root(wp.dot(found.slope, found.slope))
     if found.mapped and share == 1.0 and (at.look & CELL_STEEP) != 0 and stretch > CUT_LENGTH:
         part = near_reciprocal(wp.min(wp.ceil(stretch - 1.0e-3), float(MAX_SUB_SAMPLES)))
-        ray.sample = ray_sample(k, -1.0, part)
+        ray.sample = ray_sample(k, 0.0, -part)
         return ray
     if found.mapped and found.distance > edit.slack:
         ray.seen.outside += 1.0
@@ -419,9 +417,10 @@ def march_edit(
     t = sample_distance(ray.sample, options.step)
     foreseen = lattice_place(edit, grid, line, t)
     while t < far and ray.seen.transmittance > options.stop:
-        at = foreseen
+        at = place_now(edit, grid, line, ray.sample, foreseen, t)
+        ray.sample.share = wp.abs(ray.sample.share)
         after = following(edit, grid, options, line, ray.sample, at, t)
-        found = found_matter(sides, edit, grid, table, line, ray, at, options.step)
+        found = found_matter(sides, edit, grid, table, line, at, options.step)
         # a GPU waits for what it reads: so the next place is asked for before this matter is
         foreseen = lattice_place(edit, grid, line, sample_distance(after, options.step))
         ray = gather_matter(edit, grid, table, options, line, ray, after, at, found, t)
