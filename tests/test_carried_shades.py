@@ -15,14 +15,17 @@ from deformed_scenes import (
     shiny,
     shiny_field,
     slotted,
+    two_balls,
     use_march,
     view,
 )
 
 from warpcage.cage.cage import Cage
+from warpcage.core.devices import launch
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field import marching
+from warpcage.kernels.deform.laid_shades import SHADE_LAYERS, LaidShades, write_laid_shade
 from warpcage.kernels.deform.render_part import render_edit_part
 from warpcage.kernels.deform.render_part_sides import render_edit_part_with_sides
 from warpcage.kernels.deform.render_sides import render_edit_with_sides
@@ -322,6 +325,51 @@ def test_frames_do_not_depend_on_the_ones_before(device):
     # another pose, and back
     deformers[0].pose(BEND).render(cameras[0])
     np.testing.assert_array_equal(deformers[0].pose(TURN).render(cameras[1]).rgb, alone[0][1])
+
+
+@pytest.mark.parametrize("how", ["moved", "copied", "removed", "faded", "several"])
+def test_frames_read_no_shade_that_they_do_not_write(how, device):
+    """Most rows are in one layer only. What is left of other frames in the other one is not seen."""
+    if how == "several":
+        field, edits = two_balls(device), [box_around(x, 0, 0) for x in (-0.5, 0.5)]
+        poses = [edits[0].rotate(50, axis="x"), edits[1].translate([0, 0.3, 0.4])]
+    else:
+        field = make_field(lambda x: np.full(x.shape[:3], 3.0), shiny, resolution=56, device=device)
+        cage = box_around(0, 0, 0, half=0.55) if how == "faded" else BOX
+        options = {"copied": {"keep_source": True}, "removed": {"remove": True}, "faded": {"falloff": 0.2, "held": (0, 1)}}
+        edits = [CageEdit(cage, **options.get(how, {}))]
+        poses = [None if how == "removed" else cage.rotate(35, axis="z").translate([0.2, -0.1, 0.15])]
+    deformer = Deformer(field, edits, coordinates="mean_value", resolution=32).pose(poses)
+    camera = view((3.4, 1.6, 1.3))
+    expected = shaded(deformer, camera)
+    with pytest.MonkeyPatch.context() as patch:
+        spoil_shades(deformer, patch)
+        found = shaded(deformer, camera)
+    for name in expected.arrays:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
+    # the same by a march that looks colours up at each sample
+    rows = of_rows(deformer, camera)
+    assert psnr(found.rgb, rows.rgb) > 55 and psnr(found.reveal, rows.reveal) > 55
+
+
+def spoil_shades(deformer, patch):
+    """Let frames begin with shades of thick white matter at all rows, in both layers."""
+    shades = deformer._edits._shades
+    laid_shades = shades._laid_shades
+
+    def spoiled(table):
+        laid = laid_shades(table)
+        launch(whiten, table.nodes.shape[0], [table.nodes, laid], device=deformer.device)
+        return laid
+
+    patch.setattr(shades, "_laid_shades", spoiled)
+
+
+@wp.kernel(module="unique")
+def whiten(first: int, nodes: wp.array(dtype=wp.int32), laid: LaidShades):
+    node = nodes[first + wp.tid()]
+    for layer in range(SHADE_LAYERS):
+        write_laid_shade(laid, node, layer, wp.vec4(0.5, 0.5, 0.5, 100.0))
 
 
 def test_numbers_of_a_field_may_change_between_frames(device):

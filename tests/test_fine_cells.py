@@ -49,7 +49,7 @@ def finest(device):
 def table(edit):
     """(nx, ny, nz) bytes of an edit's fine cells, those of all cells along each axis one after the other."""
     counts = tuple(edit.node_counts)
-    assert edit.fine_side == SIDE
+    assert 1 << edit.fine_bits == SIDE
     cells = edit.fine_look.numpy().reshape(*counts, SIDE, SIDE, SIDE)[:-1, :-1, :-1]
     return cells.transpose(0, 3, 1, 4, 2, 5).reshape([SIDE * (n - 1) for n in counts])
 
@@ -164,7 +164,7 @@ def test_pictures_are_those_without_fine_cells(case, density, march, device, mon
     deformer = Deformer(finest(device), CageEdit(rest, **options), resolution=CELLS, density=density).pose(pose)
     for eye in ((2.5, 1.2, 1.0), (-0.3, -2.6, 0.4)):
         whole, fine = frames(deformer, monkeypatch, view(eye))
-        assert all(flat.fine_side == SIDE for flat in deformer._edits._flat)
+        assert all(1 << flat.fine_bits == SIDE for flat in deformer._edits._flat)
         for name in ("rgb", "alpha", "reveal", "fold", "outside"):
             assert np.allclose(getattr(fine, name), getattr(whole, name), atol=2e-5), name
     assert fine.alpha.max() > 0.5
@@ -176,7 +176,7 @@ def test_pictures_of_several_edits_are_those_without_fine_cells(march, device, m
     deformer.pose([cages[0].rotate(40, axis="x"), cages[1].scale([1.0, 0.7, 0.7])])
     for eye in ((2.5, 1.2, 1.0), (0.1, -2.6, 0.4)):
         whole, fine = frames(deformer, monkeypatch, view(eye))
-        assert [flat.fine_side for flat in deformer._edits._flat] == [SIDE, SIDE]
+        assert [1 << flat.fine_bits for flat in deformer._edits._flat] == [SIDE, SIDE]
         for name in ("rgb", "alpha", "reveal", "fold", "outside"):
             assert np.allclose(getattr(fine, name), getattr(whole, name), atol=2e-5), name
 
@@ -201,4 +201,4 @@ def test_cells_as_small_as_voxels_are_not_told_apart(march, device):
     deformer = Deformer(shiny_field(device, resolution=16), BOX, resolution=24).pose(BOX)
     deformer.render(Camera.look_at((2.5, 1.2, 1.0), (0, 0, 0), width=8, height=8, fov_degrees=50))
     (edit,) = deformer._edits._flat
-    assert edit.fine_side == edit.fine_count == 1 and edit.fine_look.ptr == edit.look.ptr
+    assert edit.fine_bits == 0 and edit.fine_width == 1.0 and edit.fine_look.ptr == edit.look.ptr

@@ -4,7 +4,7 @@ The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV
 of one edit on a lattice: flat arrays whose numbers are read many at once, one table of fine cells, and the map's
 derivative read with it. Where the map compresses, a sample is cut into sub-samples as in deform/march.
 Needs: core/entries, deform/edits, deform/flat_edits, deform/laid_shades, deform/map_nodes, deform/march,
-deform/matter_rows, deform/ray_parts, field/grid, field/samples, lattice/cage_map, view/rays.
+deform/matter_rows, deform/ray_parts, field/grid, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
 """
 
 from typing import Any
@@ -99,7 +99,7 @@ class MappedPlace:
 
     position: wp.vec3
     mapped: bool  # whether the map has led there
-    slope: wp.vec3  # derivative of the position along the ray (Eq. 5), by fine cells; the ray's own if not mapped
+    slope: wp.vec3  # derivative along the ray (Eq. 5) times fine cells along a cell; the ray's direction if not mapped
 
 
 @wp.func
@@ -293,7 +293,7 @@ def following(
     at: LatticePlace,
     t: float,
 ):
-    """The sample to look at after one at distance t, or the next part of one that is cut."""
+    """The sample to look at after one at distance t, or the next part of it if it is cut."""
     if sample.share < 1.0:  # other parts of a sample in an empty place may hold something
         done = sample.j + sample.share
         if done <= 1.0 - 0.5 * sample.share:

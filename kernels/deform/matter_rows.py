@@ -2,7 +2,7 @@
 shaded for the camera.
 
 Of rows the density is asked first, and their colours only where enough weighs; shades hold both.
-Needs: core/entries, deform/laid_shades, field/densities, field/grid, field/harmonics, field/render, field/rows.
+Needs: core/entries, deform/laid_shades, field/densities, field/grid, field/harmonics, field/rows.
 """
 
 import warp as wp

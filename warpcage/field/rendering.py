@@ -74,9 +74,7 @@ def render_frame(
     return average_frame(Frame(fine.width, fine.height, **arrays), supersampling)
 
 
-def picture_arrays(
-    count: int, names: Sequence[str], device: wp.Device, spare: SpareMemory
-) -> dict[str, wp.array]:
+def picture_arrays(count: int, names: Sequence[str], device: wp.Device, spare: SpareMemory) -> dict[str, wp.array]:
     """The arrays of a picture, in one allocation: on a GPU it takes as long as a launch.
 
     Args:
