@@ -2,7 +2,8 @@
 
 New poses are random and smooth, each another one: their median, 95th percentile and longest, and the first ten of a new
 Deformer, which meets buffers that are too small. Slabs are boxes beside each other around what the cage holds, each
-turned: one edit, and three.
+turned: one edit, and three. Deformed frames go by turns with canonical ones, and three slabs with one, as the host is
+now and then slower for a while: times_canonical and times_one are of medians of the same seconds.
 
     python benchmarks/deformed_render.py --field field.npz --cage cage.obj --device cuda:0 --json render.json
     python benchmarks/deformed_render.py --field field.npz --cage cage.obj --size 1920 1080
@@ -28,6 +29,9 @@ from timing import median_seconds, median_seconds_by_turns
 import warpcage
 from warpcage.core.devices import resolve_device
 
+#: Frames before those whose time counts.
+WARM_FRAMES = 10
+
 
 def main() -> None:
     args = parse_arguments()
@@ -43,13 +47,16 @@ def main() -> None:
         rows.append({"what": what, "milliseconds": round(1e3 * seconds, 3), **more})
         print(rows[-1], flush=True)
 
+    def frame_seconds(*renders):
+        views = [lambda render=render: render(camera) for render in renders]
+        return median_seconds_by_turns(views, device, runs=args.runs, warm=WARM_FRAMES)
+
     def report_frame(what, render, **more):
-        views = [lambda: render(camera), lambda: render(camera, background="black")]
-        seconds, *plain = median_seconds_by_turns(
-            views if field.background_model else views[:1], device, runs=args.runs
-        )
-        if plain:
-            more["around_milliseconds"] = round(1e3 * (seconds - plain[0]), 3)
+        seconds, canonical = frame_seconds(render, field.render)
+        more["times_canonical"] = round(seconds / canonical, 3)
+        if field.background_model:
+            plain = frame_seconds(lambda view: render(view, background="black"), render)
+            more["around_milliseconds"] = round(1e3 * (plain[1] - plain[0]), 3)
         report(what, seconds, **more)
 
     report_frame("canonical frame", field.render)
@@ -84,10 +91,13 @@ def main() -> None:
     slabs = three_slabs(rest)
     turned = [slab.rotate(12, axis="x") for slab in slabs]
     options = {"coordinates": "mean_value", "resolution": args.resolution}
-    for name, boxes, posed in (("one slab", slabs[1], turned[1]), ("three slabs", slabs, turned)):
-        several = warpcage.Deformer(field, boxes, **options).pose(posed)
-        report_frame(f"frame, {name}, lattices ready", several.render, kind="mean_value")
-        if args.profile and device.is_cuda:
+    one = warpcage.Deformer(field, slabs[1], **options).pose(turned[1])
+    three = warpcage.Deformer(field, slabs, **options).pose(turned)
+    alone, together = frame_seconds(one.render, three.render)
+    report("frame, one slab, lattices ready", alone, kind="mean_value")
+    report("frame, three slabs, lattices ready", together, kind="mean_value", times_one=round(together / alone, 3))
+    if args.profile and device.is_cuda:
+        for several in (one, three):
             profile(lambda several=several: several.render(camera))
     peak = wp.get_mempool_used_mem_high(device) if device.is_cuda else None
     print({"peak_device_bytes": peak})
@@ -117,7 +127,7 @@ def parse_arguments():
     parser.add_argument("--downscale", type=int, default=1, help="factor on the scene's pictures")
     parser.add_argument("--resolution", type=int, default=128)
     parser.add_argument("--bend", type=float, default=45.0)
-    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--kinds", nargs="+", default=["harmonic", "mean_value", "green"])
     parser.add_argument("--poses", type=int, default=40, help="random poses")
     parser.add_argument("--seed", type=int, default=0, help="of the random poses")
