@@ -336,7 +336,11 @@ def test_frames_read_no_shade_that_they_do_not_write(how, device):
     else:
         field = make_field(lambda x: np.full(x.shape[:3], 3.0), shiny, resolution=56, device=device)
         cage = box_around(0, 0, 0, half=0.55) if how == "faded" else BOX
-        options = {"copied": {"keep_source": True}, "removed": {"remove": True}, "faded": {"falloff": 0.2, "held": (0, 1)}}
+        options = {
+            "copied": {"keep_source": True},
+            "removed": {"remove": True},
+            "faded": {"falloff": 0.2, "held": (0, 1)},
+        }
         edits = [CageEdit(cage, **options.get(how, {}))]
         poses = [None if how == "removed" else cage.rotate(35, axis="z").translate([0.2, -0.1, 0.15])]
     deformer = Deformer(field, edits, coordinates="mean_value", resolution=32).pose(poses)

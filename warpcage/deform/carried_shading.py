@@ -65,6 +65,7 @@ class CarriedShades:
         self._posed: list[tuple[Any, wp.array, Any]] = []
         self._cages: wp.array | None = None
         self._walls: tuple[ColumnTable, wp.array] | None = None
+        self._aimed: wp.vec3 | None = None
         self._folds = HostFlag(device)
         self._is_folded: bool | None = None
         kernels = aim_nodes, shade_carried_rows, shade_wall_rows
@@ -81,7 +82,7 @@ class CarriedShades:
             cells: (nx-1, ny-1, nz-1) uint8 CELL_... flags of each edit's cells.
             grid: VoxelGrid of the field as it is marched.
         """
-        self._posed, self.is_posed, self._is_folded = [], False, None  # an interrupt leaves none
+        self._posed, self.is_posed, self._is_folded, self._aimed = [], False, None, None  # an interrupt leaves none
         self._folds.clear()
         for edit, flags, places, aims in zip(edits, cells, self._places, self._aims, strict=True):
             if edit.removes:
@@ -119,6 +120,16 @@ class CarriedShades:
             self._is_folded = bool(self._folds.wait())
         return self._is_folded
 
+    def aim(self, centre: wp.vec3) -> None:
+        """Find from where a camera sees what the pose moves: what `shades` of that camera begins with.
+
+        Args:
+            centre: Of the camera, relative to the grid's origin.
+        """
+        if self._posed:
+            self._aim_nodes(sum(places.size for _, places, _ in self._posed), [self._cages, centre])
+        self._aimed = centre
+
     def shades(self, grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> Any:
         """The voxels of a field as a camera sees them in the pose.
 
@@ -132,8 +143,9 @@ class CarriedShades:
             A LaidShades of kernels/deform/laid_shades.py, of the values that the grid has now.
         """
         device, rows, walls = self._device, table.nodes.shape[0], self._walls_of(grid, table)
-        if self._posed:
-            self._aim_nodes(sum(places.size for _, places, _ in self._posed), [self._cages, centre])
+        if self._aimed is not centre:
+            self.aim(centre)
+        self._aimed = None
         shaded, laid = table.shaded(centre, step), self._laid_shades(table)
         self._shade_rows(whole_warps(rows, device), [grid, table.nodes, self._cages, shaded, laid])
         inputs = [grid, table.nodes, walls, self._cages, shaded, laid]

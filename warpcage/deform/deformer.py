@@ -319,9 +319,10 @@ class Deformer:
         field, centre = self.field, wp.vec3(*(camera.centre - self.field.center).tolist())
 
         def begin() -> March:
-            field.marching.begin()
             edits = posed_edits()
             require_short_march(self._spans, options.step)
+            edits.begin_view(field, centre, options.step)
+            field.marching.begin()
             tables = edits.row_tables(field, centre, options.step)
 
             def march(threads: int, pinhole: Any, colour: wp.vec3, make_arrays: MakeArrays) -> None:

@@ -161,8 +161,19 @@ class PosedEdits(abc.ABC):
         self.sample_work = 1
         self._launches: dict[tuple[Any, int], RepeatedLaunch] = {}
 
+    def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
+        """Start on what a view takes of the pose alone, so that the device is at work as early as can be.
+
+        Args:
+            field: The field.
+            centre: Of the camera, relative to the field's origin.
+            step: March step, world units.
+        """
+        return
+
     def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
-        """Start on what the render kernel reads of a field beside its VoxelGrid, before that is waited for.
+        """Start on what the render kernel reads of a field beside its VoxelGrid, before that is waited for; behind
+        `begin_view`.
 
         Args:
             field: The field.

@@ -193,10 +193,15 @@ class LatticeEdits(PosedEdits):
         self._parts = PartsInTurn(device)
         self._tiles = BalancedTiles(device)
 
+    def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
+        if self._flat:
+            self._plan = self._planned(field, centre, step)
+            if self._plan.is_shaded and self._shades.is_posed and not self._shades.is_known_folded:
+                self._shades.aim(centre)
+
     def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
         if not self._flat:
             return []  # where a new pose leads to is not known yet
-        self._plan = self._planned(field, centre, step)
         if not self._plan.is_shaded:
             return [field.marching.rows()]
         if not self._shades.is_posed:
@@ -264,7 +269,10 @@ class LatticeEdits(PosedEdits):
     def render(self, view: MarchedView) -> None:
         field, centre, step = view.field, view.pinhole.centre, view.options.step
         is_new = not view.rows or (self._plan.is_shaded and not self._shades.is_posed)
-        rows = self.row_tables(field, centre, step) if is_new else view.rows
+        rows = view.rows
+        if is_new:
+            self.begin_view(field, centre, step)
+            rows = self.row_tables(field, centre, step)
         # the march for one edit, and for those apart, knows fine cells
         is_coarse = not self._is_fine and not self._by_tiles and (self._is_single or self._plan.parts is not None)
         if is_coarse:
