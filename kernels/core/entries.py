@@ -119,6 +119,32 @@ def reciprocal_root(x: wp.float32) -> wp.float32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __expf(x);
+#else
+    return expf(x);
+#endif
+""")
+def near_exp(x: wp.float32) -> wp.float32:
+    """exp(x), on CUDA to 2 + 1.2 |x| units in the last place: for |x| that are no larger than a few."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float number;
+    asm("" : "=f"(number));
+    return number;
+#else
+    return 0.0f;
+#endif
+""")
+def unset_number() -> wp.float32:
+    """A number that nobody reads, which CUDA takes no instruction for; 0 on a CPU."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     float root;
     asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(x));
     return root;

@@ -40,6 +40,8 @@ class FlatEdit:
     slack: float
     keeps_source: int
     removes: int
+    all_outside: int  # CELL_OUTSIDE if no place is mapped, as the edit removes; else 0
+    carried_below: float  # rest distance of what shades have in the layer of matter that goes with the pose
     crumbs: CrumbCells  # only the march through several edits knows them
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from ..core.entries import byte_entry, near_reciprocal, near_root
+from ..core.entries import byte_entry, near_exp, near_reciprocal, near_root, unset_number
 from ..field.grid import VoxelGrid, grid_position
 from ..field.render import PENDING_WEIGHT
 from ..field.rows import RowTable
@@ -98,7 +98,7 @@ class MappedPlace:
     """Where a sample is in canonical space."""
 
     position: wp.vec3
-    mapped: bool  # whether the map has led there
+    mapped: int  # 1: the map has led there. Not a bool, which Warp keeps in a byte
     slope: wp.vec3  # derivative along the ray (Eq. 5) times fine cells along a cell; the ray's direction if not mapped
 
 
@@ -211,7 +211,9 @@ def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine):
     result = MappedPlace()
     result.position = edit.lower + edit.fine_size * at.fine
     result.slope = line.rate
-    if at.n < 0 or edit.removes == 1 or (at.look & CELL_OUTSIDE) != 0:
+    if at.n < 0:
+        return result
+    if ((at.look | edit.all_outside) & CELL_OUTSIDE) != 0:
         return result
     # the cage reaches no cell at the lattice's border, where rounding may lead to the one beyond
     place = edit.fine_width * at.fine
@@ -220,7 +222,7 @@ def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine):
     node = node_blend_slope(edit.nodes, at.n, edit.node_counts[1] * nz, nz, f, line.rate)
     if (at.look & CELL_INSIDE) == 0 and node[3] > edit.tolerance:
         return result
-    result.mapped = True
+    result.mapped = int(1)
     result.position = wp.vec3(node[0], node[1], node[2])
     result.slope = wp.vec3(node[4], node[5], node[6])
     return with_sides(sides, edit, at.n, f, line.rate, result)
@@ -229,18 +231,19 @@ def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine):
 @wp.func
 def distance_to_rest(edit: FlatEdit, place: MappedPlace, look: int):
     """Signed distance of a sample to the rest cage; where nobody asks, what is mapped is in it, and all else beside."""
-    if place.mapped and (look & CELL_STAYS) != 0:
+    if place.mapped == 1 and (look & CELL_STAYS) != 0:
         return float(-1.0e30)
-    if not place.mapped and edit.keeps_source == 1:
+    if place.mapped == 0 and edit.keeps_source == 1:
         return float(1.0e30)
     return rest_distance(edit, place.position)
 
 
 @wp.func
-def shade_layer(edit: FlatEdit, is_mapped: bool, distance: float):
+def shade_layer(edit: FlatEdit, mapped: int, distance: float):
     """The layer of shades that a sample reads: what goes with a pose is in one of them only."""
-    is_carried = is_mapped or (distance <= 0.0 and edit.removes == 0)
-    return wp.where(is_carried, CARRIED_LAYER, PLAIN_LAYER)
+    if mapped == 1 or distance <= edit.carried_below:
+        return CARRIED_LAYER
+    return PLAIN_LAYER
 
 
 @wp.func
@@ -308,8 +311,8 @@ def following(
 class FoundMatter:
     """What a sample holds."""
 
-    mapped: bool
-    slope: wp.vec3  # of MappedPlace
+    mapped: int  # of MappedPlace
+    slope: wp.vec3  # of that MappedPlace
     distance: float  # to the rest cage
     g: wp.vec3  # node coordinates in the field's grid
     matter: wp.vec4  # colour, if it comes with the rest, and optical depth of a step
@@ -321,7 +324,12 @@ def found_matter(
 ):
     """What a sample holds."""
     found = FoundMatter()
-    if is_empty(at):
+    if is_empty(at):  # which is asked again before any of it is read
+        unset = unset_number()
+        found.slope = wp.vec3(unset, unset, unset)
+        found.distance = unset
+        found.g = wp.vec3(unset, unset, unset)
+        found.matter = wp.vec4(unset, unset, unset, unset)
         return found
     point = mapped_place(sides, edit, at, line)
     found.mapped = point.mapped
@@ -372,15 +380,16 @@ def gather_matter(
     if is_empty(at):
         return ray
     stretch = edit.fine_width * near_root(wp.dot(found.slope, found.slope))
-    if found.mapped and share == 1.0 and (at.look & CELL_STEEP) != 0 and stretch > CUT_LENGTH:
+    if found.mapped == 1 and share == 1.0 and (at.look & CELL_STEEP) != 0 and stretch > CUT_LENGTH:
         part = near_reciprocal(wp.min(wp.ceil(stretch - 1.0e-3), float(MAX_SUB_SAMPLES)))
         ray.sample = ray_sample(k, 0.0, -part)
         return ray
-    if found.mapped and found.distance > edit.slack:
+    if found.mapped == 1 and found.distance > edit.slack:
         ray.seen.outside += 1.0
     elif found.matter[3] > 0.0:
-        kept = wp.exp(-(found.matter[3] * share * wp.where(found.mapped and options.arc_opacity == 1, stretch, 1.0)))
-        if not found.mapped and found.distance <= 0.0:
+        length = wp.where(found.mapped == 1 and options.arc_opacity == 1, stretch, 1.0)
+        kept = near_exp(-(found.matter[3] * share * length))
+        if found.mapped == 0 and found.distance <= 0.0:
             if ray.seen.cleared_transmittance > FAINT:
                 ray.seen.reveal += ray.seen.transmittance * ray.seen.cleared_transmittance * (1.0 - kept)
                 ray.seen.cleared_transmittance *= kept
@@ -389,7 +398,7 @@ def gather_matter(
             ray = with_colour(table, grid, line, found, ray, weight)
             ray.seen.depth += weight * t
             ray.seen.transmittance *= kept
-            if (at.look & CELL_FOLDED) != 0 and found.mapped and weight > FOLD_MIN_WEIGHT:
+            if (at.look & CELL_FOLDED) != 0 and found.mapped == 1 and weight > FOLD_MIN_WEIGHT:
                 ray.seen.fold += weight
     return ray
 

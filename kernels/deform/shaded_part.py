@@ -22,7 +22,7 @@ from .ray_parts import ScenePart
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
 
-@wp.kernel(cuda_max_registers=80)
+@wp.kernel(cuda_max_registers=96)
 def render_shaded_part(
     first: int,
     grid: VoxelGrid,

@@ -37,6 +37,7 @@ from ..kernels.deform import (
     shaded_single,
 )
 from ..kernels.deform import cells as cell_tables
+from ..kernels.deform.edits import CELL_OUTSIDE
 from ..kernels.field import columns
 from ..kernels.field import skip as grid_skip
 from ..kernels.lattice import (
@@ -354,6 +355,8 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
         flat.side_index, flat.sides = side_index, edit.deformed.sides
     flat.tolerance, flat.slack = edit.tolerance, edit.slack
     flat.keeps_source, flat.removes, flat.crumbs = edit.keeps_source, edit.removes, edit.crumbs
+    flat.all_outside = int(CELL_OUTSIDE) if edit.removes else 0
+    flat.carried_below = -math.inf if edit.removes else 0.0
     launch(flat_edits.join_cell_tables, node_count, [edit.cells, skip, flat.node_counts], [flat.look], device=device)
     positions = empty_array(0, wp.vec3, device) if edit.removes else edit.deformed.positions.flatten()
     launch(
