@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 from warpcage.core.arrays import array_view
-from warpcage.kernels.core.entries import near_reciprocal, near_root, reciprocal_root, row_has_zero
+from warpcage.kernels.core.entries import near_exp, near_reciprocal, near_root, reciprocal_root, row_has_zero
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -31,6 +31,23 @@ def test_are_exact_to_two_units(device):
     exact = x.astype(np.float64)
     expected = np.stack([np.sqrt(exact), 1 / exact, 1 / np.sqrt(exact)], axis=1)
     assert np.abs(roots(x, device) / expected - 1).max() <= TWO_UNITS
+
+
+@wp.kernel
+def fill_exponentials(x: wp.array(dtype=float), found: wp.array(dtype=float)):
+    n = wp.tid()
+    found[n] = near_exp(x[n])
+
+
+def test_exponentials(device):
+    """To 2 + 1.2 |x| units in the last place, and without an end below: nought of what is left."""
+    x = np.concatenate([np.linspace(-80, 0, 4001), -(10.0 ** np.linspace(-30, 30, 601)), [0.0]]).astype(np.float32)
+    found = wp.zeros(len(x), dtype=float, device=device)
+    wp.launch(fill_exponentials, len(x), inputs=[wp.array(x, dtype=float, device=device), found], device=device)
+    exact = np.exp(x.astype(np.float64))
+    units = 2.0**-23 * np.maximum(exact, 2.0**-126)
+    assert (np.abs(found.numpy() - exact) <= (2 + 1.2 * np.abs(np.maximum(x, -200))) * units).all()
+    assert found.numpy()[x == 0].tolist() == [1.0]
 
 
 def test_of_zero(device):
