@@ -125,7 +125,7 @@ def reciprocal_root(x: wp.float32) -> wp.float32:
 #endif
 """)
 def near_exp(x: wp.float32) -> wp.float32:
-    """exp(x), on CUDA to 2 + 1.2 |x| units in the last place: for |x| that are no larger than a few."""
+    """exp(x), on CUDA to 2 + 1.2 |x| units in the last place."""
     ...
 
 

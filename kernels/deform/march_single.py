@@ -192,7 +192,7 @@ def lattice_place(edit: FlatEdit, grid: VoxelGrid, line: EditLine, t: float):
 
 
 @wp.func
-def place_now(edit: FlatEdit, grid: VoxelGrid, line: EditLine, sample: RaySample, foreseen: LatticePlace, t: float):
+def current_place(edit: FlatEdit, grid: VoxelGrid, line: EditLine, sample: RaySample, foreseen: LatticePlace, t: float):
     """Where a sample at distance t is in the lattice."""
     if sample.share > 0.0:
         return foreseen
@@ -287,7 +287,7 @@ def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlac
 
 
 @wp.func
-def following(
+def next_sample(
     edit: FlatEdit,
     grid: VoxelGrid,
     options: MarchOptions,
@@ -426,9 +426,9 @@ def march_edit(
     t = sample_distance(ray.sample, options.step)
     foreseen = lattice_place(edit, grid, line, t)
     while t < far and ray.seen.transmittance > options.stop:
-        at = place_now(edit, grid, line, ray.sample, foreseen, t)
+        at = current_place(edit, grid, line, ray.sample, foreseen, t)
         ray.sample.share = wp.abs(ray.sample.share)
-        after = following(edit, grid, options, line, ray.sample, at, t)
+        after = next_sample(edit, grid, options, line, ray.sample, at, t)
         found = found_matter(sides, edit, grid, table, line, at, options.step)
         # a GPU waits for what it reads: so the next place is asked for before this matter is
         foreseen = lattice_place(edit, grid, line, sample_distance(after, options.step))

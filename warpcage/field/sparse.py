@@ -21,6 +21,25 @@ from .matter_cells import DensityWatch
 PADDING = 3
 
 
+def checked_resolution(links: Any) -> tuple[int, ...]:
+    """Nodes of a grid along each axis.
+
+    Args:
+        links: (nx, ny, nz) int32, row of each node or -1; NumPy or Warp.
+
+    Returns:
+        (nx, ny, nz).
+
+    Raises:
+        ValueError: For anything else than an array, and for less than two nodes along an axis.
+    """
+    if not hasattr(links, "shape"):
+        raise ValueError(f"links must be an array (nx, ny, nz), got {type(links).__name__}")
+    if len(links.shape) != 3 or min(links.shape) < 2:
+        raise ValueError(f"links must be (nx, ny, nz) with at least 2 along each axis, got {tuple(links.shape)}")
+    return tuple(int(n) for n in links.shape)
+
+
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
     """Number the set nodes of a mask in memory order.
 

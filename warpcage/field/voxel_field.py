@@ -27,7 +27,7 @@ from .files.files import load_field, save_field
 from .marching import MarchTables
 from .outer import OuterField
 from .rendering import BeginMarch, March, render_frame
-from .sparse import harmonics_on_device, harmonics_on_host, measure_skip, values_on_device
+from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, measure_skip, values_on_device
 from .surface import DensityField, extract_mesh
 from .surface_colors import surface_colors
 
@@ -109,11 +109,7 @@ class VoxelField:
         self.straightening = None if straightening is None else rigid_motion(straightening, "straightening")
         self.supersampling = checked_supersampling(supersampling)
         self.refined_cameras: RefinedCameras | None = None
-        if not hasattr(links, "shape"):
-            raise ValueError(f"links must be an array (nx, ny, nz), got {type(links).__name__}")
-        if len(links.shape) != 3 or min(links.shape) < 2:
-            raise ValueError(f"links must be (nx, ny, nz) with at least 2 along each axis, got {tuple(links.shape)}")
-        self.resolution: tuple[int, ...] = tuple(int(n) for n in links.shape)
+        self.resolution = checked_resolution(links)
         self.voxel_size = (self.bounds[1] - self.bounds[0]) / self.resolution
 
         with device_turn(self.device):
