@@ -6,7 +6,7 @@ digits where the cage is; `size` is the cage's size in them.
 Both maps are harmonic or nearly so, and smooth at CLEARANCE cells from the cage and more: there they are evaluated at
 every second node along each axis, and the others take the polynomial of degree five through three nodes either side,
 axis after axis. That errs by 1e-6 of the size in poses that bend or twist, by 4e-5 in wild ones.
-Needs: coordinates/green, coordinates/mean_value, lattice/cut_rows, lattice/nodes.
+Needs: coordinates/green, coordinates/mean_value, lattice/cut_rows, lattice/gap_sides, lattice/nodes.
 """
 
 import warp as wp
@@ -14,6 +14,7 @@ import warp as wp
 from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
 from .cut_rows import CutRows
+from .gap_sides import is_near_mark
 from .nodes import CUT_SECTION, INTERPOLATED_SECTION, RING_SECTION, NodeLevels, centred_place, node_place
 
 # so many registers per thread that larger blocks would fill a GPU less well
@@ -122,6 +123,7 @@ def map_crossings_green(
     first: int,
     levels: NodeLevels,
     rows: CutRows,
+    marks: wp.array(dtype=int),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
     fans: wp.array(dtype=wp.vec4),
@@ -130,14 +132,16 @@ def map_crossings_green(
     size: float,
     boundary: wp.array2d(dtype=wp.vec3),
 ):
-    """boundary (rows, 6): the map's limit from inside where links of cut nodes cross the cage. One level."""
+    """boundary (rows, 6): the map's limit from inside where links of cut nodes cross the cage. One level. Only of nodes
+    at cells that are marked, as lattice/gap_sides has them, or beside one: sides are continued from no others."""
     item = first + wp.tid()
     row = item / 6
     direction = item % 6
     if row >= levels.starts[RING_SECTION] - levels.starts[CUT_SECTION]:
         return
-    if rows.faces[row, direction] >= 0:
-        x = centred_place(levels, levels.nodes[levels.starts[CUT_SECTION] + row])
+    node = levels.nodes[levels.starts[CUT_SECTION] + row]
+    if rows.faces[row, direction] >= 0 and is_near_mark(levels, marks, node):
+        x = centred_place(levels, node)
         away = rows.fractions[row, direction]
         axis = direction / 2
         x[axis] = x[axis] + wp.where(direction % 2 == 1, away, -away)

@@ -152,6 +152,22 @@ def mark_narrow_cells(first: int, levels: NodeLevels, rows: CutRows, side_index:
 
 
 @wp.func
+def is_near_mark(levels: NodeLevels, side_index: wp.array(dtype=int), node: int):
+    """Whether an inside node is a corner of a marked cell, or of one beside it across a face."""
+    shape = levels.shapes[0]
+    n = int(0)
+    while n < 64:
+        a = n / 16
+        b = (n / 4) % 4
+        c = n % 4
+        beside = wp.where(a % 3 == 0, 1, 0) + wp.where(b % 3 == 0, 1, 0) + wp.where(c % 3 == 0, 1, 0)
+        if beside < 2 and side_index[node + ((a - 2) * shape[1] + b - 2) * shape[2] + c - 2] < 0:
+            n = int(64)
+        n += 1
+    return n > 64
+
+
+@wp.func
 def side_count(levels: NodeLevels, rows: CutRows, cell: int, inside: int, links: int):
     """Sides that some of the corners of a cell make, whole sides."""
     count = int(0)

@@ -180,19 +180,33 @@ class SideStream:
 
     Args:
         device: Warp device.
+        priority: -1 lets its launches start before blocks of the program's stream that have not.
     """
 
-    def __init__(self, device: wp.DeviceLike):
+    def __init__(self, device: wp.DeviceLike, priority: int = 0):
         self.device = wp.get_device(device)
-        self._stream = wp.Stream(self.device) if self.device.is_cuda else None
+        is_cuda = self.device.is_cuda
+        self._stream = wp.Stream(self.device, priority=priority) if is_cuda else None
+        self._mark = wp.Event(self.device) if is_cuda else None
+
+    def mark(self) -> None:
+        """Remember what came before, for `fork`."""
+        if self._mark is not None:
+            self.device.stream.record_event(self._mark)
 
     @contextlib.contextmanager
-    def fork(self) -> Iterator[None]:
-        """Launches under this run after all that came before, beside those that follow until `join`."""
+    def fork(self, marked: bool = False) -> Iterator[None]:
+        """Launches under this run after all that came before, beside those that follow until `join`.
+
+        Args:
+            marked: After all that came before `mark` and what was forked since, instead.
+        """
         if self._stream is None:
             yield
             return
-        with wp.ScopedStream(self._stream, sync_enter=True):
+        if marked:
+            self._stream.wait_event(self._mark)
+        with wp.ScopedStream(self._stream, sync_enter=not marked):
             yield
 
     def join(self) -> None:

@@ -114,13 +114,10 @@ class MeanValueSolver(ClosedFormSolver):
         super().launch_continuation(sizes, vertex_values)
 
     def launch_boundary(
-        self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array
-    ) -> WarpStruct:
+        self, sizes: PoseSizes, target: MapTarget, rows: WarpStruct, marks: wp.array, boundary: wp.array
+    ) -> None:
         """Launch the map where links cross the cage, on which it is linear; see MapSolver."""
-        launch_linear_boundary(
-            sizes.lists, self.nodes.levels, self.rows, self.lattice.faces, target.vertex_values, boundary
-        )
-        return self.rows
+        launch_linear_boundary(sizes.lists, self.nodes.levels, rows, self.lattice.faces, target.vertex_values, boundary)
 
     def weigh(self) -> list[WeightBlock]:
         """The weights (m, v) of all inside nodes in one block."""
@@ -187,16 +184,17 @@ class GreenSolver(ClosedFormSolver):
         self._launch(stretch_normals, self._faces.size, inputs, [self._face_values])
         return target.vertex_values, self._face_values
 
+    def cut_rows(self, sizes: PoseSizes, table: CutRowTable) -> WarpStruct:
+        """Launch the description of the cut nodes, which the map itself takes none of; see MapSolver."""
+        return table.describe(self.lattice, self.nodes.levels, sizes.lists)
+
     def launch_boundary(
-        self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array
-    ) -> WarpStruct:
-        """Launch the limit of the map from inside where links cross the cage, the cut nodes being described first; see
-        MapSolver."""
+        self, sizes: PoseSizes, target: MapTarget, rows: WarpStruct, marks: wp.array, boundary: wp.array
+    ) -> None:
+        """Launch the limit of the map from inside where links cross the cage at narrow gaps; see MapSolver."""
         values = self.weighted_values(target)
-        rows = table.describe(self.lattice, self.nodes.levels, sizes.lists)
-        inputs = [self.nodes.levels, rows, self._vertices, self._faces, self._fans, *values, self._size]
+        inputs = [self.nodes.levels, rows, marks, self._vertices, self._faces, self._fans, *values, self._size]
         self._launch(map_crossings_green, boundary.size, inputs, [boundary], all_faces=True)
-        return rows
 
     def weigh(self) -> list[WeightBlock]:
         """The weights (m, v) of vertices and (m, f) of faces, as fans have them, of all inside nodes in one block."""

@@ -132,10 +132,27 @@ class MapSides:
         self.table = self._table.take((0, 8))
         self.length, self.jump = 0, 0.0
 
+    def launch_marks(self, sizes: PoseSizes, nodes: MapNodes) -> wp.array:
+        """Launch what finds the cells at narrow gaps.
+
+        Args:
+            sizes: Of this pose, or bounds.
+            nodes: The map on the lattice; `boundary` need not be there yet.
+
+        Returns:
+            (nodes,) int, below 0 for those cells, until `launch`.
+        """
+        levels, rows = nodes.levels, nodes.rows
+        index = self.index = self._index.take(sizes.nodes)
+        index.zero_()
+        self._launch(mark_gap_cells, nodes.flags.size, [levels, nodes.flags], [index], threads=1)
+        self._launch(mark_narrow_cells, sizes.lists.cut, [levels, rows], [index], threads=1)
+        return index
+
     def launch(
         self, sizes: PoseSizes, lattice: CageLattice, nodes: MapNodes, target: MapTarget, room: int | None
     ) -> None:
-        """Launch what fills the tables; `take` tells what they hold.
+        """Launch what fills the tables, behind `launch_marks`; `take` tells what they hold.
 
         Args:
             sizes: Of this pose, or bounds.
@@ -160,12 +177,8 @@ class MapSides:
         return self.length <= self.table.shape[0]
 
     def _launch_count(self, sizes: PoseSizes, nodes: MapNodes) -> tuple[wp.array, wp.array]:
-        """Launch what finds the cells and counts their sides column by column; counts, and their scan."""
-        levels, rows = nodes.levels, nodes.rows
-        index = self.index = self._index.take(sizes.nodes)
-        index.zero_()
-        self._launch(mark_gap_cells, nodes.flags.size, [levels, nodes.flags], [index], threads=1)
-        self._launch(mark_narrow_cells, sizes.lists.cut, [levels, rows], [index], threads=1)
+        """Launch what counts the sides of marked cells column by column; counts, and their scan."""
+        levels, rows, index = nodes.levels, nodes.rows, self.index
         counts, offsets = self._counts.take(sizes.columns), self._offsets.take(sizes.columns)
         self._launch(count_column_sides, lane_count(self._device) * sizes.columns, [levels, rows], [counts, index])
         wp.utils.array_scan(counts, offsets, inclusive=False)

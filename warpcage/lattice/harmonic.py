@@ -132,13 +132,10 @@ class HarmonicSolver(MapSolver):
         self.gaps.search(self.lattice, self.nodes.levels, self.rows, sizes.lists, self._system.values)
 
     def launch_boundary(
-        self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array
-    ) -> WarpStruct:
+        self, sizes: PoseSizes, target: MapTarget, rows: WarpStruct, marks: wp.array, boundary: wp.array
+    ) -> None:
         """Launch the map where links cross the cage, on which it is linear; see MapSolver."""
-        launch_linear_boundary(
-            sizes.lists, self.nodes.levels, self.rows, self.lattice.faces, target.vertex_values, boundary
-        )
-        return self.rows
+        launch_linear_boundary(sizes.lists, self.nodes.levels, rows, self.lattice.faces, target.vertex_values, boundary)
 
     def weigh(self) -> list[WeightBlock]:
         """The weights (m, v) of all inside nodes in one block; three vertices take one solution."""

@@ -118,11 +118,13 @@ class PoseLaunches:
         solver, sides, sections = self.solver, self.sides, sizes.lists
         lattice, levels, values = self._lattice, solver.nodes.levels, solver.values_of(sizes)
         boundary = sides.boundary.take((sections.cut, 6))
-        rows = solver.launch_boundary(sizes, self.target, sides.rows, boundary)
+        rows = solver.cut_rows(sizes, sides.rows)
         solver.gaps.count.zero_()
         # where there are sides at all, all gaps get theirs
         flags = solver.gaps.search(lattice, levels, rows, sections, values, 0.0)
         nodes = MapNodes(levels, rows, boundary, values, solver.corrections, flags)
+        marks = sides.launch_marks(sizes, nodes)
+        solver.launch_boundary(sizes, self.target, rows, marks, boundary)
         sides.launch(sizes, lattice, nodes, self.target, room)
 
     def find_sides(self, sizes: PoseSizes) -> None:

@@ -127,20 +127,31 @@ class MapSolver(ABC):
             vertex_values: (v,) vec3, the map at the cage's vertices.
         """
 
+    def cut_rows(self, sizes: PoseSizes, table: CutRowTable) -> WarpStruct:
+        """The description of the cut nodes, launched where there is none yet.
+
+        Args:
+            sizes: Of the pose, or bounds.
+            table: For the description.
+
+        Returns:
+            The description.
+        """
+        return self.rows
+
     @abstractmethod
     def launch_boundary(
-        self, sizes: PoseSizes, target: MapTarget, table: CutRowTable, boundary: wp.array
-    ) -> WarpStruct:
-        """Launch the map less its affine part where links cross the cage.
+        self, sizes: PoseSizes, target: MapTarget, rows: WarpStruct, marks: wp.array, boundary: wp.array
+    ) -> None:
+        """Launch the map less its affine part where links cross the cage at narrow gaps.
 
         Args:
             sizes: Of the pose, or bounds.
             target: Of the map.
-            table: For the description of the cut nodes, where there is none yet.
-            boundary: (rows of level 0, 6) vec3, filled in.
-
-        Returns:
-            The description of the cut nodes.
+            rows: Description of the cut nodes.
+            marks: (nodes,) int, below 0 for the cells at narrow gaps.
+            boundary: (rows of level 0, 6) vec3, filled in for cut nodes of those cells and of the ones beside them, at
+                least.
         """
 
     @abstractmethod
