@@ -123,6 +123,7 @@ class RepeatedLaunch:
         outputs: Iterable[Any] = (),
         *,
         passing: int = 0,
+        threads: int | None = None,
         work: float = USUAL_WORK,
     ) -> None:
         """Launch it.
@@ -132,10 +133,11 @@ class RepeatedLaunch:
             inputs: Arguments of the kernel after `first`.
             outputs: Arguments of the kernel after those.
             passing: How many of the last arguments are not kept alive: what one frame alone has.
+            threads: As `launch` has it.
             work: As `launch` has it.
         """
         if self._device.is_cpu:
-            launch(self._kernel, count, inputs, outputs, device=self._device, work=work)
+            launch(self._kernel, count, inputs, outputs, device=self._device, threads=threads, work=work)
         elif count > 0:
             with device_turn(self._device):
                 recorded = self._command(count, [0, *inputs, *outputs])
@@ -148,7 +150,7 @@ class RepeatedLaunch:
         """The recorded launch with these arguments."""
         recorded, self._recorded = self._recorded, None  # an interrupt leaves none that is half set
         before, self._arguments = self._arguments, arguments
-        if recorded is None or count != self._count:
+        if recorded is None:
             self._count, block_dim = count, module_block_dim(self._kernel)
             require_loaded(self._kernel, self._device, block_dim)
             options: dict[str, Any] = {"device": self._device, "block_dim": block_dim, "record_cmd": True}
@@ -156,7 +158,47 @@ class RepeatedLaunch:
         for index, (argument, last) in enumerate(zip(arguments, before, strict=True)):
             if argument is not last:
                 recorded.set_param_at_index(index, argument)
+        if count != self._count:
+            self._count = count
+            recorded.set_dim(count)
         return recorded
+
+
+class RepeatedLaunches:
+    """The launches that an owner makes once a pose or a frame, each a RepeatedLaunch.
+
+    Args:
+        device: Warp device.
+    """
+
+    def __init__(self, device: wp.DeviceLike):
+        self._device = wp.get_device(device)
+        self._launches: dict[tuple[Kernel, int], RepeatedLaunch] = {}
+
+    def __call__(
+        self,
+        kernel: Kernel,
+        count: int,
+        inputs: Sequence[Any],
+        outputs: Iterable[Any] = (),
+        *,
+        number: int = 0,
+        **how: Any,
+    ) -> None:
+        """Launch a kernel.
+
+        Args:
+            kernel: The kernel.
+            count: Number of items.
+            inputs: Arguments of the kernel after `first`.
+            outputs: Arguments of the kernel after those.
+            number: Of the launch, among those of the same kernel.
+            **how: As RepeatedLaunch has it.
+        """
+        key = kernel, number
+        if key not in self._launches:
+            self._launches[key] = RepeatedLaunch(kernel, self._device)
+        self._launches[key](count, inputs, outputs, **how)
 
 
 def lane_count(device: wp.DeviceLike) -> int:

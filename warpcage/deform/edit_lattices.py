@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..cage.cage import Cage
 from ..core.arrays import empty_array, struct_array
 from ..core.checks import warn_caller
-from ..core.devices import launch
+from ..core.devices import RepeatedLaunches, launch
 from ..core.modules import load_modules
 from ..field.sparse import spread_along
 from ..kernels.deform import carry, carry_cells
@@ -87,7 +88,7 @@ class EditLattices:
         self.skips: list[wp.array] = []
         pool = BufferPool(device)  # poses differ in shape, and an allocation takes as long as a launch
         self._cell_buffers, self._skip_buffers = ([pool.buffer(wp.uint8) for _ in edits] for _ in range(2))
-        self._mark_buffer = pool.buffer(wp.uint8)
+        self._mark_buffer, self._launch = pool.buffer(wp.uint8), RepeatedLaunches(device)
         self._cells: list[wp.array] = []
         self._structs: list[Any] = []
         self.array: wp.array | None = None
@@ -158,8 +159,8 @@ class EditLattices:
 
     def settle_cells(self) -> None:
         """Make the tables of the posed maps anew, of what holds for whole cells."""
-        for struct in self._structs:
-            launch(cell_tables.mark_edit_cases, struct.cells.size, [struct], [struct.cells], device=self._device)
+        for number, struct in enumerate(self._structs):
+            self._launch(cell_tables.mark_edit_cases, struct.cells.size, [struct], [struct.cells], number=number)
         for struct, carried in zip(self._structs, self.carried, strict=True):
             if carried is not None and not struct.removes:
                 carried.mark(struct, struct.cells)
@@ -187,10 +188,10 @@ class EditLattices:
         for index, skip in enumerate(self.skips):  # in order: each looks at the ones before it
             marks = self._mark_buffer.take(skip.shape)
             inputs = [grid, self.array, index, step]
-            launch(cell_tables.mark_edit_cells, skip.size, inputs, [marks], device=self._device)
+            self._launch(cell_tables.mark_edit_cells, skip.size, inputs, [marks], number=index)
             source, target = marks, skip
             for axis in range(3):
-                spread_along(axis, source, target)
+                spread_along(axis, source, target, functools.partial(self._launch, number=3 * index + axis))
                 source, target = target, source
         self.marked_step, self._marked_skip = step, grid.skip
         return True

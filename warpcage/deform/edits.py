@@ -12,7 +12,7 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..core.checks import checked_number
-from ..core.devices import RepeatedLaunch
+from ..core.devices import RepeatedLaunches
 from ..field.voxel_field import VoxelField
 from ..mesh.usable import require_usable
 
@@ -159,7 +159,7 @@ class PosedEdits(abc.ABC):
         self.array: wp.array | None = None
         self.scene: Any = None
         self.sample_work = 1
-        self._launches: dict[tuple[Any, int], RepeatedLaunch] = {}
+        self._launches: RepeatedLaunches | None = None
 
     def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
         """Start on what a view takes of the pose alone, so that the device is at work as early as can be.
@@ -200,6 +200,7 @@ class PosedEdits(abc.ABC):
         scene: Sequence[Any],
         item_rays: int = 1,
         order: Any = None,
+        begins: wp.array | None = None,
         number: int = 0,
     ) -> None:
         """Launch a kernel that marches a view.
@@ -210,17 +211,19 @@ class PosedEdits(abc.ABC):
             scene: What it takes between the field's tables and the camera.
             item_rays: Rays that one of its items follows.
             order: The TileOrder in which it follows tiles. None is as they lie in the picture.
+            begins: (tiles,) float, distance before which the rays of a tile meet nothing. None is unknown.
             number: Of the launch, among those of a view by the same kernel.
         """
         if order is not None:
             view.picture.order = order
+        if begins is not None:
+            view.picture.begins = begins
         end = [view.pinhole, view.background, view.options, view.picture]
         inputs = [view.grid, *view.rows, *scene, *end]
         work = view.work * self.sample_work * item_rays
-        key = kernel, number
-        if key not in self._launches:
-            self._launches[key] = RepeatedLaunch(kernel, view.field.device)
-        self._launches[key](view.threads // item_rays, inputs, passing=len(end), work=work)
+        if self._launches is None:
+            self._launches = RepeatedLaunches(view.field.device)
+        self._launches(kernel, view.threads // item_rays, inputs, number=number, passing=len(end), work=work)
 
     @abc.abstractmethod
     def pose(self, cages: Sequence[Cage | None]) -> None:
