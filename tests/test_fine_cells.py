@@ -145,6 +145,10 @@ def test_flags_of_fine_cells(case, march, device):
     for flag, holds in ((CELL_INSIDE, is_mapped), (CELL_OUTSIDE, ~is_mapped), (CELL_STAYS, outside == 0)):
         flagged = (found & int(flag)) != 0
         assert flagged.any() and holds[flagged].mean() > 0.9999
+    cleared = (found & int(CELL_OUTSIDE)) * (found & int(CELL_STAYS)) != 0
+    assert (region[cleared] == 1).all()
+    if case == "bend":  # most of what the pose has left is known for that
+        assert cleared.sum() > 0.4 * ((region == 1) & (found & int(CELL_OUTSIDE) != 0)).sum() > 40
 
 
 def frames(deformer, monkeypatch, camera):

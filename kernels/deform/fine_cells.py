@@ -199,7 +199,8 @@ def fine_place(fine: int):
 
 @wp.func
 def fine_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, fine: int, bounds: FineBounds, cell_flags: int):
-    """The CELL_... flags of a fine cell of the cell above node n, LOOK_SKIP where it holds nothing."""
+    """The CELL_... flags of a fine cell of the cell above node n, LOOK_SKIP where it holds nothing. Out of the posed
+    cage CELL_STAYS says that all of it is in the rest cage, and cleared."""
     low = fine_place(fine)
     lower = wp.vec3(bounds.lower[0], bounds.lower[1], bounds.lower[2])
     upper = wp.vec3(bounds.upper[0], bounds.upper[1], bounds.upper[2])
@@ -232,6 +233,9 @@ def fine_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, fine: int, 
             lower = edit.lower + edit.spacing * (cell + low) - beyond * one
             upper = lower + (FINE_SIZE * edit.spacing + 2.0 * beyond) * one
         is_empty = cells_are_empty(grid, lower, upper)
+        if not is_empty and not is_mapped and edit.keeps_source == 0:
+            if map_distance(edit.rest, 0.5 * (lower + upper)) < -wp.length(upper - lower):
+                flags = flags | CELL_STAYS
         place += 1
     return wp.where(is_empty, int(LOOK_SKIP), flags)
 

@@ -25,6 +25,7 @@ class FlatEdit:
     spacing: float  # world units
     node_counts: wp.vec3i
     nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance
+    polynomials: wp.array(dtype=wp.vec4)  # the map again, by cells (deform/map_cells); marches for one edit read it
     look: wp.array(dtype=wp.uint8)  # (nodes,) of the cell above each; the last of an axis have none
     fine_bits: int  # 2^fine_bits fine cells along each side of a cell are told apart
     last_fine: wp.vec3i  # number of the last one along each axis
@@ -32,6 +33,7 @@ class FlatEdit:
     fine_size: float  # world units
     inverse_fine_size: float
     fine_look: wp.array(dtype=wp.uint8)  # (8^fine_bits * nodes,) as `look`, distances in fine cells
+    by_nodes: int  # 1: its cells have no polynomials
     has_sides: int  # 1: there are cells at narrow gaps of the cage with corner values for each side (see CageMap)
     side_index: wp.array(dtype=int)
     sides: wp.array2d(dtype=wp.vec4)

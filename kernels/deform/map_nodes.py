@@ -68,6 +68,27 @@ def node_blend(nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.i
     ...
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    #define DISTANCE(i) __ldg(begin + 4 * (size_t)(i))
+#else
+    #define DISTANCE(i) begin[4 * (size_t)(i)]
+#endif
+    const float* begin = reinterpret_cast<const float*>(nodes.data) + 4 * (size_t)(unsigned)n + 3;
+    const unsigned sx = (unsigned)x, sz = (unsigned)z;
+    const float a0 = DISTANCE(0), a1 = DISTANCE(1), b0 = DISTANCE(sz), b1 = DISTANCE(sz + 1);
+    const float c0 = DISTANCE(sx), c1 = DISTANCE(sx + 1), d0 = DISTANCE(sx + sz), d1 = DISTANCE(sx + sz + 1);
+    #undef DISTANCE
+    const float p = a0 + f.c[2] * (a1 - a0), q = b0 + f.c[2] * (b1 - b0);
+    const float s = c0 + f.c[2] * (c1 - c0), t = d0 + f.c[2] * (d1 - d0);
+    const float u = p + f.c[1] * (q - p), v = s + f.c[1] * (t - s);
+    return u + f.c[0] * (v - u);
+""")
+def node_distance(nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.int32, f: wp.vec3) -> wp.float32:
+    """node_blend's last number alone."""
+    ...
+
+
 @wp.func_native(
     """
 #if defined(__CUDA_ARCH__)

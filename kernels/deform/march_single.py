@@ -1,10 +1,11 @@
 """The march through a voxel field that one edit deforms: that of deform/march, written for speed.
 
 The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
-of one edit on a lattice: flat arrays whose numbers are read many at once, one table of fine cells, and the map's
-derivative read with it. Where the map compresses, a sample is cut into sub-samples as in deform/march.
-Needs: core/entries, deform/edits, deform/flat_edits, deform/laid_shades, deform/map_nodes, deform/march,
-deform/matter_rows, deform/ray_parts, field/grid, field/render, field/rows, field/samples, lattice/cage_map, view/rays.
+of one edit on a lattice: flat arrays whose numbers are read many at once, one table of fine cells, and the map with its
+derivative as a polynomial of the cell. Where the map compresses, a sample is cut into sub-samples as in deform/march.
+Needs: core/entries, deform/edits, deform/flat_edits, deform/laid_shades, deform/map_cells, deform/map_nodes,
+deform/march, deform/matter_rows, deform/ray_parts, field/grid, field/render, field/rows, field/samples,
+lattice/cage_map, view/rays.
 """
 
 from typing import Any
@@ -19,9 +20,10 @@ from ..field.samples import exit_of_cell, grid_span, safe_inverse
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
-from .flat_edits import LOOK_SKIP, FlatEdit, rest_distance
+from .flat_edits import LOOK_SKIP, FlatEdit, entry_of_sides, rest_distance
 from .laid_shades import CARRIED_LAYER, PLAIN_LAYER, LaidShades
-from .map_nodes import node_blend_slope, side_slope
+from .map_cells import cell_place_slope
+from .map_nodes import node_blend_slope, node_distance, side_slope
 from .march import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
 from .matter_rows import empty_at, matter_at, matter_colour
 from .ray_parts import BEGUN, RayState
@@ -31,15 +33,15 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 @wp.struct
 class NoSides:
-    """Says that no cell has corner values for each side of a narrow gap."""
+    """Says that cells have polynomials, and none has corner values for each side of a narrow gap."""
 
     unused: int
 
 
 @wp.struct
 class WithSides:
-    """Says that some have. Their functions are calls, around which a GPU keeps more registers, so that the march for
-    edits without them is compiled by itself."""
+    """Says that some may have them, and cells no polynomials. The functions of sides are calls, around which a GPU
+    keeps more registers, so that the march for edits without them is compiled by itself."""
 
     unused: int
 
@@ -103,16 +105,49 @@ class MappedPlace:
 
 
 @wp.func
-def with_sides(sides: NoSides, edit: FlatEdit, n: int, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
-    """Where a sample at a place f, 0 to 1, in the cell above node n is in canonical space, when that cell's corners
-    alone say `place`."""
+def polynomial_place(edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
+    """Where a sample at a place f, 0 to 1, in its lattice cell is in canonical space: `place` where the posed cage does
+    not hold it."""
+    there = cell_place_slope(edit.polynomials, at.n, f, rate)
+    if (at.look & CELL_INSIDE) == 0:
+        nz = edit.node_counts[2]
+        if node_distance(edit.nodes, at.n, edit.node_counts[1] * nz, nz, f) > edit.tolerance:
+            return place
+    place.mapped = int(1)
+    place.position = wp.vec3(there[0], there[1], there[2])
+    place.slope = wp.vec3(there[3], there[4], there[5])
     return place
 
 
 @wp.func
-def with_sides(sides: WithSides, edit: FlatEdit, n: int, f: wp.vec3, rate: wp.vec3, place: MappedPlace):  # noqa: F811
-    entry = edit.side_index[n]
-    if entry != 0:
+def node_place(edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
+    """The same of an edit without polynomials."""
+    nz = edit.node_counts[2]
+    node = node_blend_slope(edit.nodes, at.n, edit.node_counts[1] * nz, nz, f, rate)
+    if (at.look & CELL_INSIDE) == 0 and node[3] > edit.tolerance:
+        return place
+    place.mapped = int(1)
+    place.position = wp.vec3(node[0], node[1], node[2])
+    place.slope = wp.vec3(node[4], node[5], node[6])
+    return place
+
+
+@wp.func
+def cell_place(sides: NoSides, edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
+    """The same, whatever the edit's cells have."""
+    return polynomial_place(edit, at, f, rate, place)
+
+
+@wp.func
+def cell_place(  # noqa: F811 (a Warp overload)
+    sides: WithSides, edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace
+):
+    if edit.by_nodes == 1:
+        place = node_place(edit, at, f, rate, place)
+    else:
+        place = polynomial_place(edit, at, f, rate, place)
+    entry = entry_of_sides(edit, at.n)
+    if entry != 0 and place.mapped == 1:
         place.position = side_position(edit.sides, entry, f)
         place.slope = side_slope(edit.sides, entry, f, rate)
     return place
@@ -218,20 +253,13 @@ def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine):
     # the cage reaches no cell at the lattice's border, where rounding may lead to the one beyond
     place = edit.fine_width * at.fine
     f = place - wp.vec3(wp.floor(place[0]), wp.floor(place[1]), wp.floor(place[2]))
-    nz = edit.node_counts[2]
-    node = node_blend_slope(edit.nodes, at.n, edit.node_counts[1] * nz, nz, f, line.rate)
-    if (at.look & CELL_INSIDE) == 0 and node[3] > edit.tolerance:
-        return result
-    result.mapped = int(1)
-    result.position = wp.vec3(node[0], node[1], node[2])
-    result.slope = wp.vec3(node[4], node[5], node[6])
-    return with_sides(sides, edit, at.n, f, line.rate, result)
+    return cell_place(sides, edit, at, f, line.rate, result)
 
 
 @wp.func
 def distance_to_rest(edit: FlatEdit, place: MappedPlace, look: int):
-    """Signed distance of a sample to the rest cage; where nobody asks, what is mapped is in it, and all else beside."""
-    if place.mapped == 1 and (look & CELL_STAYS) != 0:
+    """Signed distance of a sample to the rest cage; a number of that sign where its fine cell knows, or nobody asks."""
+    if (look & CELL_STAYS) != 0 and (place.mapped == 1 or (look & CELL_OUTSIDE) != 0):
         return float(-1.0e30)
     if place.mapped == 0 and edit.keeps_source == 1:
         return float(1.0e30)

@@ -20,7 +20,7 @@ from .pictures import Picture
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
 
-@wp.kernel(cuda_max_registers=96)
+@wp.kernel(cuda_max_registers=80)
 def render_shaded_edit(
     first: int,
     grid: VoxelGrid,

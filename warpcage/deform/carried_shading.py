@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array, struct_array
-from ..core.devices import RepeatedLaunch, launch
+from ..core.devices import RepeatedLaunches, launch
 from ..core.flags import HostFlag
 from ..core.textures import HALF_TEXEL_BYTES, MOST_TEXELS
 from ..field.shading import ColumnTable, whole_warps
@@ -68,8 +68,7 @@ class CarriedShades:
         self._aimed: wp.vec3 | None = None
         self._folds = HostFlag(device)
         self._is_folded: bool | None = None
-        kernels = aim_nodes, shade_carried_rows, shade_wall_rows
-        self._aim_nodes, self._shade_rows, self._shade_walls = (RepeatedLaunch(each, device) for each in kernels)
+        self._launch = RepeatedLaunches(device)
         self._laid: Any = None
         self._texture: wp.Texture3D | None = None  # kept alive for kernels, which hold its handle alone
         self.is_posed = False
@@ -84,7 +83,8 @@ class CarriedShades:
         """
         self._posed, self.is_posed, self._is_folded, self._aimed = [], False, None, None  # an interrupt leaves none
         self._folds.clear()
-        for edit, flags, places, aims in zip(edits, cells, self._places, self._aims, strict=True):
+        tables = zip(edits, cells, self._places, self._aims, strict=True)
+        for number, (edit, flags, places, aims) in enumerate(tables):
             if edit.removes:
                 continue
             shape = edit.rest.distance.shape
@@ -93,8 +93,8 @@ class CarriedShades:
             found = places.take(shape)
             # one thread on a CPU, where atomics are none
             claims = [owners, self._folds.array]
-            launch(claim_nodes, flags.size, [edit, flags, grid], claims, device=self._device, threads=1)
-            launch(settle_nodes, owners.size, [edit, owners], [found], device=self._device)
+            self._launch(claim_nodes, flags.size, [edit, flags, grid], claims, number=number, threads=1)
+            self._launch(settle_nodes, owners.size, [edit, owners], [found], number=number)
             cage = AimedCage()
             cage.edit, cage.lower, cage.inverse_spacing = edit, edit.rest.lower, edit.rest.inverse_spacing
             cage.node_counts, cage.distance = wp.vec3i(*shape), edit.rest.distance.flatten()
@@ -127,7 +127,7 @@ class CarriedShades:
             centre: Of the camera, relative to the grid's origin.
         """
         if self._posed:
-            self._aim_nodes(sum(places.size for _, places, _ in self._posed), [self._cages, centre])
+            self._launch(aim_nodes, sum(places.size for _, places, _ in self._posed), [self._cages, centre])
         self._aimed = centre
 
     def shades(self, grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> Any:
@@ -147,9 +147,10 @@ class CarriedShades:
             self.aim(centre)
         self._aimed = None
         shaded, laid = table.shaded(centre, step), self._laid_shades(table)
-        self._shade_rows(whole_warps(rows, device), [grid, table.nodes, self._cages, shaded, laid])
+        inputs = [grid, table.nodes, self._cages, shaded, laid]
+        self._launch(shade_carried_rows, whole_warps(rows, device), inputs)
         inputs = [grid, table.nodes, walls, self._cages, shaded, laid]
-        self._shade_walls(whole_warps(walls.shape[0], device), inputs)
+        self._launch(shade_wall_rows, whole_warps(walls.shape[0], device), inputs)
         return laid
 
     def _laid_shades(self, table: ColumnTable) -> Any:

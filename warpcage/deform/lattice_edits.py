@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import empty_array, struct_array
-from ..core.devices import launch
+from ..core.devices import RepeatedLaunches
 from ..core.modules import load_modules
 from ..field import marching
 from ..field.voxel_field import VoxelField
@@ -22,6 +23,7 @@ from ..kernels.deform import (
     carried_shades,
     fine_cells,
     flat_edits,
+    map_cells,
     points,
     posed_places,
     render,
@@ -35,6 +37,7 @@ from ..kernels.deform import (
     shaded_part_sides,
     shaded_sides,
     shaded_single,
+    tile_begins,
 )
 from ..kernels.deform import cells as cell_tables
 from ..kernels.deform.edits import CELL_OUTSIDE
@@ -55,7 +58,7 @@ from ..kernels.lattice import (
     side_values,
 )
 from ..kernels.mesh import fans
-from ..lattice.capture import Buffer, BufferPool
+from ..lattice.capture import Buffer, BufferPool, SideStream
 from ..view.camera import TILE_SIZE
 from ..view.tile_order import BalancedTiles
 from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
@@ -64,8 +67,9 @@ from .carried_shading import CarriedShades, shade_texture_bytes
 from .edit_lattices import EditLattices
 from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand
-from .fine_cells import FineCells, tell_fine_cells
+from .fine_cells import FineCells, takes_any, tell_fine_cells
 from .parts import PartsInTurn
+from .tile_begins import TileBegins
 
 #: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
 POSE_MODULES = (
@@ -77,7 +81,8 @@ SOLVER_MODULES = {
     "green": (closed_form, fans),
 }
 
-#: Kernels for an edit, or a part of a scene, whose map has no narrow gaps, and for one whose map has.
+#: Kernels for an edit, or a part of a scene, without narrow gaps whose cells have polynomials, and for any.
+ROW_KERNELS = (render_single.render_edit, render_sides.render_edit_with_sides)
 SHADED_KERNELS = (shaded_single.render_shaded_edit, shaded_sides.render_shaded_edit_with_sides)
 PART_KERNELS = (render_part.render_edit_part, render_part_sides.render_edit_part_with_sides)
 SHADED_PART_KERNELS = (shaded_part.render_shaded_part, shaded_part_sides.render_shaded_part_with_sides)
@@ -127,11 +132,12 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = Fa
     several = [render_plain, render] if edit_count > 1 else []
     if device.is_cpu and marching.TILES_ON_CPU:
         return [render_cpu, *several]
+    march_modules = [fine_cells, map_cells, tile_begins]
     if device.is_cpu and not marching.SHADES_ON_CPU:
         by_rows = [render_part, render_part_sides] if several else [render_single, render_sides]
-        return [fine_cells, *by_rows, *several]
+        return [*march_modules, *by_rows, *several]
     shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_sides]
-    return [fine_cells, posed_places, carried_shades, *shaded, *several]
+    return [*march_modules, posed_places, carried_shades, *shaded, *several]
 
 
 class Plan(NamedTuple):
@@ -184,7 +190,8 @@ class LatticeEdits(PosedEdits):
         self._flat: list[Any] = []
         self._plan, self._lattice_boxes = Plan(None, False), []
         self._shades = CarriedShades(len(edits), device)
-        self._fine, self._is_fine = FineCells(len(edits), device), False
+        self._side, self._join = SideStream(device, priority=-1), RepeatedLaunches(device)
+        self._fine, self._is_fine = FineCells(len(edits), self._side), False
         self._most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
         self._boxes: EditBoxes | None = None
         self._apart: tuple[float, np.ndarray | None] | None = None
@@ -192,9 +199,10 @@ class LatticeEdits(PosedEdits):
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
         self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
         self._parts = PartsInTurn(device)
-        self._tiles = BalancedTiles(device)
+        self._tiles, self._begins = BalancedTiles(device), TileBegins(len(edits), self._side)
 
     def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
+        self._side.mark()
         if self._flat:
             self._plan = self._planned(field, centre, step)
             if self._plan.is_shaded and self._shades.is_posed and not self._shades.is_known_folded:
@@ -256,7 +264,10 @@ class LatticeEdits(PosedEdits):
             The one FlatEdit of kernels/deform/flat_edits.py, or an array of several.
         """
         posed = zip(self.lattices.posed(), self._look_buffers, self._node_buffers, strict=True)
-        self._flat = [flat_edit(edit, skip, look, nodes) for (edit, skip), look, nodes in posed]
+        self._flat = [
+            flat_edit(edit, skip, look, nodes, functools.partial(self._join, number=number))
+            for number, ((edit, skip), look, nodes) in enumerate(posed)
+        ]
         self._lattice_boxes, self._shades.is_posed = [lattice_box(flat) for flat in self._flat], False
         self._is_fine = False
         if not self._is_single:
@@ -264,7 +275,7 @@ class LatticeEdits(PosedEdits):
             self.render_kernel = render.render_edits if rare else render_plain.render_plain_edits
             return self.flat_array()
         (flat,) = self._flat
-        self.render_kernel = render_sides.render_edit_with_sides if flat.has_sides else render_single.render_edit
+        self.render_kernel = ROW_KERNELS[takes_any(flat)]
         return flat
 
     def render(self, view: MarchedView) -> None:
@@ -278,23 +289,31 @@ class LatticeEdits(PosedEdits):
         is_coarse = not self._is_fine and not self._by_tiles and (self._is_single or self._plan.parts is not None)
         if is_coarse:
             self._fine.begin(self._flat, view.grid, self.lattices.marked_step)
+        parts = self._plan.parts
+        begins: list[wp.array | None] = [None for _ in self._flat]
+        if not self._by_tiles and (self._is_single or parts is not None):
+            marched = self._flat if parts is None else [edit for edit, _ in parts]
+            begins = [*self._begins.find(marched, view.grid, view.pinhole, view.threads // TILE_SIZE)]
         if is_new and self._plan.is_shaded:
             self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], view.grid)
             rows = self._shaded_tables(field, centre, step)
+        self._side.join()
         if is_coarse:
-            self._fine.join()
             self._is_fine = True
+            if self._is_single:
+                self.render_kernel = ROW_KERNELS[takes_any(self._flat[0])]
         view = dataclasses.replace(view, rows=rows)
         parts, is_shaded = self._plan
+        tiles = view.threads // TILE_SIZE
         if parts is not None:
-            orders = self._tiles.begin(len(parts), view.threads // TILE_SIZE)
+            orders = self._tiles.begin(len(parts), tiles)
             kernels = TILE_KERNELS if self._by_tiles else SHADED_PART_KERNELS if is_shaded else PART_KERNELS
-            self._parts.render(self, view, parts, kernels, orders)
+            self._parts.render(self, view, parts, kernels, orders, begins)
             self._tiles.end()
         elif self._is_single:
-            (order,) = self._tiles.begin(1, view.threads // TILE_SIZE)
-            kernel = SHADED_KERNELS[self._flat[0].has_sides] if is_shaded else self.render_kernel
-            self.march(view, kernel, [self._flat[0] if is_shaded else self.scene], order=order)
+            (order,) = self._tiles.begin(1, tiles)
+            kernel = SHADED_KERNELS[takes_any(self._flat[0])] if is_shaded else self.render_kernel
+            self.march(view, kernel, [self._flat[0] if is_shaded else self.scene], order=order, begins=begins[0])
             self._tiles.end()
         else:
             super().render(view)
@@ -329,7 +348,7 @@ class LatticeEdits(PosedEdits):
         return struct_array(self._flat, flat_edits.FlatEdit, self._device)
 
 
-def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
+def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer, launch: Callable[..., None]) -> Any:
     """A LatticeEdit with flat arrays.
 
     Args:
@@ -337,6 +356,7 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
         skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
         look: Of uint8, for the table of cells.
         nodes: Of vec4, for the nodes.
+        launch: A RepeatedLaunches.
 
     Returns:
         A FlatEdit of kernels/deform/flat_edits.py.
@@ -351,17 +371,16 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer) -> Any:
     flat.rest = edit.rest
     side_index = edit.deformed.side_index
     flat.has_sides = int(side_index is not None and side_index.size > 0)
+    flat.by_nodes = int(not edit.removes)  # until there are polynomials
     if flat.has_sides:
         flat.side_index, flat.sides = side_index, edit.deformed.sides
     flat.tolerance, flat.slack = edit.tolerance, edit.slack
     flat.keeps_source, flat.removes, flat.crumbs = edit.keeps_source, edit.removes, edit.crumbs
     flat.all_outside = int(CELL_OUTSIDE) if edit.removes else 0
     flat.carried_below = -math.inf if edit.removes else 0.0
-    launch(flat_edits.join_cell_tables, node_count, [edit.cells, skip, flat.node_counts], [flat.look], device=device)
+    launch(flat_edits.join_cell_tables, node_count, [edit.cells, skip, flat.node_counts], [flat.look])
     positions = empty_array(0, wp.vec3, device) if edit.removes else edit.deformed.positions.flatten()
-    launch(
-        flat_edits.join_nodes, node_count, [positions, edit.deformed.distance.flatten()], [flat.nodes], device=device
-    )
+    launch(flat_edits.join_nodes, node_count, [positions, edit.deformed.distance.flatten()], [flat.nodes])
     return flat
 
 
