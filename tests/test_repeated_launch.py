@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpcage.core.devices import RepeatedLaunch, launch
+from warpcage.core.devices import RepeatedLaunch, RepeatedLaunches, launch
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -91,3 +91,16 @@ def test_two_take_turns_with_others(device):
         two(3, [line, none, 10.0 + turn], [found[1]])
         launch(follow_line, 3, [line, none, 20.0 + turn], [found[2]], device=device)
     assert [array.numpy()[0] for array in found] == [3.0, 13.0, 23.0]
+
+
+def test_launches_of_an_owner_by_kernel_and_number(device):
+    """Each keeps its own arguments; counts go up and down."""
+    launches = RepeatedLaunches(device)
+    found = [wp.zeros(5, dtype=float, device=device) for _ in range(2)]
+    lines, none = [line_of(np.arange(5.0), slope, device) for slope in (1.0, 3.0)], wp.vec3(0.0, 0.0, 0.0)
+    for turn, count in enumerate((3, 5, 0, 2)):
+        for number in range(2):
+            found[number].fill_(-1.0)
+            launches(follow_line, count, [lines[number], none, float(turn)], [found[number]], number=number)
+            expected = np.where(np.arange(5) < count, turn + (1.0, 3.0)[number] * np.arange(5.0), -1.0)
+            assert np.array_equal(found[number].numpy(), expected)

@@ -19,7 +19,7 @@ from warpcage.core import modules
 from warpcage.core.devices import RepeatedLaunch, launch
 from warpcage.core.locks import device_turn, owner_lock
 from warpcage.core.threads import PART_SECONDS, limit_threads, run_parallel, run_parts
-from warpcage.deform import carried_shading, edit_lattices, fine_cells, lattice_edits, precise_edits
+from warpcage.deform import carried_shading, edit_lattices, precise_edits
 from warpcage.deform.bake import bake
 from warpcage.kernels.fitting.rmsprop import add_gradients
 
@@ -310,29 +310,24 @@ def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(march, device,
     usual, long = None, 8 * deformer.field.step
     expected = {step: parts(deformer.pose(POSES[1]).render(CAMERA, step=step)) for step in (usual, long)}
 
-    def interrupted(kernel, count, inputs, outputs=(), **options):
-        if not left[0]:
-            for output in outputs:
-                output.fill_(77)
-            raise KeyboardInterrupt
-        left[0] -= 1
-        launch(kernel, count, inputs, outputs, **options)
+    def interruptible(whole):
+        def interrupted(what, count, inputs, outputs=(), **options):
+            if not left[0]:
+                for output in outputs:
+                    output.fill_(77)
+                raise KeyboardInterrupt
+            left[0] -= 1
+            whole(what, count, inputs, outputs, **options)
 
-    whole = RepeatedLaunch.__call__
-
-    def interrupted_again(repeated, *arguments, **options):
-        if not left[0]:
-            raise KeyboardInterrupt
-        left[0] -= 1
-        whole(repeated, *arguments, **options)
+        return interrupted
 
     for interrupts in itertools.count():  # at each of its launches in turn
         deformer.pose(POSES[1]).render(CAMERA)
         left = [interrupts]
         with monkeypatch.context() as patch:
-            for module in (lattice_edits, edit_lattices, carried_shading, fine_cells):
-                patch.setattr(module, "launch", interrupted)
-            patch.setattr(RepeatedLaunch, "__call__", interrupted_again)
+            for module in (edit_lattices, carried_shading):
+                patch.setattr(module, "launch", interruptible(launch))
+            patch.setattr(RepeatedLaunch, "__call__", interruptible(RepeatedLaunch.__call__))
             try:
                 deformer.render(CAMERA, step=long)
                 break

@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 NEVER = wp.constant(1.0e30)
 
 #: A beam goes through so many cubes at most, as the march waits for the longest.
-MOST_CUBES = wp.constant(24)
+MOST_CUBES = wp.constant(16)
 
 #: A beam ends by this share of its distance before what it may meet, as float32 rounds.
 ROUNDING = wp.constant(3.0e-6)

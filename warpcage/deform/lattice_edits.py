@@ -199,7 +199,7 @@ class LatticeEdits(PosedEdits):
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
         self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
         self._parts = PartsInTurn(device)
-        self._tiles, self._begins = BalancedTiles(device), TileBegins(len(edits), self._side)
+        self._tiles, self._begins = BalancedTiles(device), TileBegins(self._side)
 
     def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
         self._side.mark()
@@ -289,11 +289,9 @@ class LatticeEdits(PosedEdits):
         is_coarse = not self._is_fine and not self._by_tiles and (self._is_single or self._plan.parts is not None)
         if is_coarse:
             self._fine.begin(self._flat, view.grid, self.lattices.marked_step)
-        parts = self._plan.parts
-        begins: list[wp.array | None] = [None for _ in self._flat]
-        if not self._by_tiles and (self._is_single or parts is not None):
-            marched = self._flat if parts is None else [edit for edit, _ in parts]
-            begins = [*self._begins.find(marched, view.grid, view.pinhole, view.threads // TILE_SIZE)]
+        begins = None
+        if self._is_single and not self._by_tiles:
+            begins = self._begins.find(self._flat[0], view.grid, view.pinhole, view.threads // TILE_SIZE)
         if is_new and self._plan.is_shaded:
             self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], view.grid)
             rows = self._shaded_tables(field, centre, step)
@@ -308,12 +306,12 @@ class LatticeEdits(PosedEdits):
         if parts is not None:
             orders = self._tiles.begin(len(parts), tiles)
             kernels = TILE_KERNELS if self._by_tiles else SHADED_PART_KERNELS if is_shaded else PART_KERNELS
-            self._parts.render(self, view, parts, kernels, orders, begins)
+            self._parts.render(self, view, parts, kernels, orders)
             self._tiles.end()
         elif self._is_single:
             (order,) = self._tiles.begin(1, tiles)
             kernel = SHADED_KERNELS[takes_any(self._flat[0])] if is_shaded else self.render_kernel
-            self.march(view, kernel, [self._flat[0] if is_shaded else self.scene], order=order, begins=begins[0])
+            self.march(view, kernel, [self._flat[0] if is_shaded else self.scene], order=order, begins=begins)
             self._tiles.end()
         else:
             super().render(view)
