@@ -226,7 +226,7 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
         def take(self, shape):
             return wp.array(ptr=dot.ptr, shape=shape, dtype=wp.vec4, device="cpu", copy=False)
 
-    def march(view, kernel, scene, item_rays, order, number):
+    def march(view, kernel, scene, item_rays, order, begins, number):
         assert number == len(marched_parts)
         marched_parts.append(scene[-1])
 
@@ -243,7 +243,7 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     kernels = (render_edit_part, render_edit_part_with_sides)
     edits._parts._rays = Untouched()
     parts = edits.scene_parts(camera.centre, options.step)
-    edits._parts.render(edits, marched, parts, kernels, [None, None])
+    edits._parts.render(edits, marched, parts, kernels, [None, None], [None, None])
     assert [(part.is_first, part.is_last) for part in marched_parts] == [(1, 0), (0, 1)]
     for part in marched_parts:
         arrays = part.progress, part.colours, part.masks

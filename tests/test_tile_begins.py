@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, shiny_field, use_march, view
+from deformed_scenes import BOX, box_around, kernels_of, shiny_field, two_balls, use_march, view
 
 from warpcage.cage.cage import Cage
+from warpcage.deform import lattice_edits
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.deform.tile_begins import TileBegins
 from warpcage.kernels.deform.flat_edits import LOOK_SKIP
+from warpcage.kernels.deform.shaded_large import render_large_shaded_edit
+from warpcage.kernels.deform.shaded_single import render_shaded_edit
 from warpcage.kernels.deform.tile_begins import NEVER
 from warpcage.kernels.view.rays import TILE_HEIGHT, TILE_WIDTH
 from warpcage.view.camera import Camera
@@ -40,12 +43,12 @@ def march(request, device, monkeypatch):
 
 
 def kept_begins(monkeypatch):
-    """A list, for each view from now on, of the edit, the grid, and what TileBegins found."""
+    """Lists, one a view, of what TileBegins found from now on."""
     found, find = [], TileBegins.find
 
-    def noted(self, edit, grid, *rest):
-        found.append((edit, grid, find(self, edit, grid, *rest)))
-        return found[-1][-1]
+    def noted(self, edits, grid, *rest):
+        found.append([(edit, grid, begins) for edit, begins in zip(edits, find(self, edits, grid, *rest), strict=True)])
+        return [begins for _, _, begins in found[-1]]
 
     monkeypatch.setattr(TileBegins, "find", noted)
     return found
@@ -84,7 +87,7 @@ def test_nothing_is_before_a_begin(case, place, march, device, monkeypatch):
     deformer = Deformer(field, CageEdit(rest, **options), resolution=10).pose(pose)
     found = kept_begins(monkeypatch)
     frame = deformer.render(camera)
-    edit, grid, begins = found[-1]
+    ((edit, grid, begins),) = found[-1]
     begins, pixels = begins.numpy(), pixels_of_tiles(camera)
     assert len(begins) == len(pixels)
     origins, directions = (values.reshape(-1, 3) for values in camera.rays())
@@ -114,12 +117,22 @@ def test_pictures_are_those_without_begins(case, place, march, device, monkeypat
     compare(deformer, CAMERAS[place], monkeypatch)
 
 
+@pytest.mark.parametrize("place", ["beside", "within", "near, wide"])
+def test_pictures_of_parts_are_those_without_begins(place, march, device, monkeypatch):
+    cages = [box_around(x, 0, 0, half=0.45) for x in (-0.5, 0.5)]
+    deformer = Deformer(two_balls(device), cages, resolution=10)
+    deformer.pose([cages[0].rotate(40, axis="x"), cages[1].scale([1.0, 0.7, 0.7])])
+    found = kept_begins(monkeypatch)
+    compare(deformer, CAMERAS[place], monkeypatch)
+    assert all(len(view) == 2 for view in found)
+
+
 def compare(deformer, camera, monkeypatch):
     """The same frame to the bit, wherever marches begin."""
     frame = deformer.render(camera)
 
-    def from_the_camera(self, edit, grid, pinhole, tiles):
-        return wp.zeros(tiles, dtype=wp.float32, device=deformer.device)
+    def from_the_camera(self, edits, grid, pinhole, tiles):
+        return [wp.zeros(tiles, dtype=wp.float32, device=deformer.device) for _ in edits]
 
     with monkeypatch.context() as patch:
         patch.setattr(TileBegins, "find", from_the_camera)
@@ -128,10 +141,27 @@ def compare(deformer, camera, monkeypatch):
         assert np.array_equal(getattr(frame, name), getattr(whole, name), equal_nan=True), name
 
 
+def test_large_pictures_are_those_of_small_ones(device, monkeypatch):
+    """Another kernel marches them."""
+    use_march("shaded", device, monkeypatch)
+    deformer = Deformer(shiny_field(device, resolution=48), BOX, resolution=10).pose(
+        BOX.bend(70, axis="x", towards="z")
+    )
+    pictures = []
+    for least in (lattice_edits.LARGE_PICTURE, 64):
+        monkeypatch.setattr(lattice_edits, "LARGE_PICTURE", least)
+        deformer.render(view())
+        with kernels_of(deformer._edits) as kernels:
+            pictures.append(deformer.render(view()))
+        assert kernels == [(render_shaded_edit, render_large_shaded_edit)[least == 64]]
+    for name in ("rgb", "alpha", "depth", "reveal", "fold", "outside"):
+        assert np.array_equal(*(getattr(picture, name) for picture in pictures), equal_nan=True), name
+
+
 def test_tiles_beside_everything_never_begin(march, device, monkeypatch):
     found = kept_begins(monkeypatch)
     deformer = Deformer(shiny_field(device), BOX, resolution=10).pose(BOX)
     camera = Camera.look_at((3, 0, 0), (6, 0, 0), width=16, height=8, fov_degrees=40)
     assert deformer.render(camera).alpha.max() == 0
-    *_, begins = found[-1]
+    ((_, _, begins),) = found[-1]
     assert (begins.numpy() == np.float32(NEVER)).all()

@@ -26,7 +26,7 @@ from ..core.lanes import (
 from ..field.grid import VoxelGrid, grid_position
 from ..lattice.cage_map import map_distance
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP
-from .flat_edits import LOOK_LEAVES, LOOK_SKIP, FlatEdit, entry_of_sides
+from .flat_edits import LOOK_SKIP, FlatEdit, entry_of_sides
 from .map_nodes import node_blend
 
 # small blocks: groups end at very different times
@@ -178,19 +178,17 @@ def fine_bounds(edges: FineEdges, x: float):
 
 
 @wp.func
-def corners_rest(edit: FlatEdit, n: int, low: wp.vec3, margin: float):
-    """Where the map leads a fine cell's corners: 1 all of them into the rest cage, as far as that reaches
-    (FlatEdit.slack), 2 all out of it and `margin` beyond, 0 else."""
+def corners_stay(edit: FlatEdit, n: int, low: wp.vec3):
+    """Whether the map leads a fine cell's corners into the rest cage, as far as that reaches (FlatEdit.slack)."""
     nz = edit.node_counts[2]
-    found = int(3)
+    stay = bool(True)
     corner = int(0)
-    while found != 0 and corner < 8:
+    while stay and corner < 8:
         up = wp.vec3(float(corner >> 2), float((corner >> 1) & 1), float(corner & 1))
         node = node_blend(edit.nodes, n, edit.node_counts[1] * nz, nz, low + FINE_SIZE * up)
-        beyond = map_distance(edit.rest, wp.vec3(node[0], node[1], node[2])) - edit.slack
-        found = found & wp.where(beyond <= 0.0, 1, wp.where(beyond > margin, 2, 0))
+        stay = map_distance(edit.rest, wp.vec3(node[0], node[1], node[2])) <= edit.slack
         corner += 1
-    return found
+    return stay
 
 
 @wp.func
@@ -222,11 +220,8 @@ def fine_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, fine: int, 
             # twice what the distance can change to the corners of the box, as the trilinear one is a little steeper
             if map_distance(edit.rest, 0.5 * (lower + upper)) < -wp.length(upper - lower):
                 flags = flags | CELL_STAYS
-            else:  # samples that leave the rest cage are looked at, to be counted
-                corners = corners_rest(edit, n, low, FINE_SIZE * wp.length(upper - lower))
-                is_empty = corners == 1
-                if corners == 2 and (flags & (CELL_INSIDE | CELL_STEEP)) == CELL_INSIDE:
-                    flags = flags | LOOK_LEAVES
+            else:
+                is_empty = corners_stay(edit, n, low)  # samples that leave the rest cage are looked at, to be counted
     # its image, and where it is: both of those that the posed cage cuts, or with samples that are cut
     place = int(wp.where(is_mapped, 0, 1))
     last = int(wp.where(edit.removes == 1 or bounds.upper[3] + 2.0 * beyond > edit.tolerance, 1, 0))

@@ -15,10 +15,6 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 #: `look` holds the flags of a cell that must be looked at, or this and the distance to the nearest such cell.
 LOOK_SKIP = wp.constant(64)
 
-#: Flags of a fine cell that the map leads out of the rest cage as a whole, CELL_INSIDE and CELL_OUTSIDE at once: its
-#: samples are counted, and nothing is looked up.
-LOOK_LEAVES = wp.constant(3)
-
 
 @wp.struct
 class FlatEdit:

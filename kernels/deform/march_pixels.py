@@ -16,17 +16,16 @@ from .flat_edits import FlatEdit
 from .march import MarchOptions
 from .march_single import march_edit
 from .pictures import Picture, fill_pixel
-from .ray_parts import RAY_END, ScenePart, finished, leave_ray, part_end, ray_start, ray_state
+from .ray_parts import RAY_END, RayState, ScenePart, finished, leave_ray, part_end, ray_start, ray_state
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
-def begun_ray(picture: Picture, item: int):
+def begun_ray(state: RayState, picture: Picture, item: int):
     """A ray of an item that has passed what holds nothing for all rays of its tile."""
-    state = ray_start()
     if picture.begins.shape[0] > 0:
-        state.reached = picture.begins[item // TILE_SIZE]
+        state.reached = wp.max(state.reached, picture.begins[item // TILE_SIZE])
     return state
 
 
@@ -49,7 +48,7 @@ def march_pixel(
     column, row = tile_pixel(place, camera.width)
     if column < camera.width and row < camera.height:
         direction = pixel_direction(camera, column, row)
-        start = begun_ray(picture, place)
+        start = begun_ray(ray_start(), picture, place)
         ray = march_edit(sides, edit, grid, table, camera.centre, direction, options, start, RAY_END)
         fill_pixel(picture, row * camera.width + column, finished(ray), background)
         note_ticks(picture.order, place, begin)
@@ -79,6 +78,7 @@ def march_part_pixel(
         if end > 0.0:
             ray = ray_state(part, pixel)
             if ray.seen.transmittance > options.stop:
+                ray = begun_ray(ray, picture, place)
                 ray = march_edit(sides, edit, grid, table, camera.centre, direction, options, ray, end)
                 if part.is_last == 0:
                     leave_ray(part, pixel, ray)

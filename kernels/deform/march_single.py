@@ -20,7 +20,7 @@ from ..field.samples import exit_of_cell, grid_span, safe_inverse
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
 from .edits import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, CUT_LENGTH
-from .flat_edits import LOOK_LEAVES, LOOK_SKIP, FlatEdit, entry_of_sides, rest_distance
+from .flat_edits import LOOK_SKIP, FlatEdit, entry_of_sides, rest_distance
 from .laid_shades import CARRIED_LAYER, PLAIN_LAYER, LaidShades
 from .map_cells import cell_place_slope
 from .map_nodes import node_blend_slope, node_distance, side_slope
@@ -241,12 +241,6 @@ def is_empty(at: LatticePlace):
 
 
 @wp.func
-def leaves_rest(at: LatticePlace):
-    """Whether all around a place that is not empty is mapped, and out of the rest cage."""
-    return at.n >= 0 and (at.look & LOOK_LEAVES) == LOOK_LEAVES
-
-
-@wp.func
 def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine):
     """Where a sample is in canonical space (Eq. 4): where the map leads it inside the posed cage, else where it is."""
     result = MappedPlace()
@@ -309,10 +303,9 @@ def up_to_box(line: EditLine, t: float, leave: float):
 
 @wp.func
 def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlace, t: float):
-    """Distance up to which a ray is certainly in what it need not look up: nothing, or what leaves the rest cage."""
+    """Distance up to which a ray certainly meets nothing from an empty place on."""
     if at.n >= 0:
-        reach = wp.max(at.look - LOOK_SKIP, 1)
-        return wp.min(t + exit_of_fine_cell(at.fine, line.inverse, reach), line.box[1])
+        return wp.min(t + exit_of_fine_cell(at.fine, line.inverse, at.look - LOOK_SKIP), line.box[1])
     if at.n == NOWHERE:
         return up_to_box(line, t, beyond_grid(line, t))
     g = grid_position(grid, edit.lower + edit.fine_size * at.fine)
@@ -330,15 +323,14 @@ def next_sample(
     sample: RaySample,
     at: LatticePlace,
     t: float,
-    far: float,
 ):
-    """The sample to look at after one at distance t, or the next part of it if it is cut; not far beyond `far`."""
+    """The sample to look at after one at distance t, or the next part of it if it is cut."""
     if sample.share < 1.0:  # other parts of a sample in an empty place may hold something
         done = sample.j + sample.share
         if done <= 1.0 - 0.5 * sample.share:
             return ray_sample(sample.k, done, sample.share)
-    elif is_empty(at) or leaves_rest(at):
-        leave = wp.min(leave_empty(edit, grid, line, at, t), far)
+    elif is_empty(at):
+        leave = leave_empty(edit, grid, line, at, t)
         return ray_sample(wp.max(sample_after(sample.k), first_sample(leave, options.inverse_step)), 0.0, 1.0)
     return ray_sample(sample_after(sample.k), 0.0, 1.0)
 
@@ -360,7 +352,7 @@ def found_matter(
 ):
     """What a sample holds."""
     found = FoundMatter()
-    if is_empty(at) or leaves_rest(at):  # which is asked again before any of it is read
+    if is_empty(at):  # which is asked again before any of it is read
         unset = unset_number()
         found.slope = wp.vec3(unset, unset, unset)
         found.distance = unset
@@ -415,9 +407,6 @@ def gather_matter(
     ray.sample = after
     if is_empty(at):
         return ray
-    if leaves_rest(at):
-        ray.seen.outside += wp.where(share == 1.0, after.k - k, 1.0)
-        return ray
     stretch = edit.fine_width * near_root(wp.dot(found.slope, found.slope))
     if found.mapped == 1 and share == 1.0 and (at.look & CELL_STEEP) != 0 and stretch > CUT_LENGTH:
         part = near_reciprocal(wp.min(wp.ceil(stretch - 1.0e-3), float(MAX_SUB_SAMPLES)))
@@ -467,7 +456,7 @@ def march_edit(
     while t < far and ray.seen.transmittance > options.stop:
         at = current_place(edit, grid, line, ray.sample, foreseen, t)
         ray.sample.share = wp.abs(ray.sample.share)
-        after = next_sample(edit, grid, options, line, ray.sample, at, t, far)
+        after = next_sample(edit, grid, options, line, ray.sample, at, t)
         found = found_matter(sides, edit, grid, table, line, at, options.step)
         # a GPU waits for what it reads: so the next place is asked for before this matter is
         foreseen = lattice_place(edit, grid, line, sample_distance(after, options.step))

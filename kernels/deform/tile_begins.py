@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 NEVER = wp.constant(1.0e30)
 
 #: A beam goes through so many cubes at most, as the march waits for the longest.
-MOST_CUBES = wp.constant(16)
+MOST_CUBES = wp.constant(32)
 
 #: A beam ends by this share of its distance before what it may meet, as float32 rounds.
 ROUNDING = wp.constant(3.0e-6)
@@ -182,3 +182,18 @@ def find_tile_begins(first: int, grid: VoxelGrid, edit: FlatEdit, camera: Pinhol
     tile = first + wp.tid()
     low, high = tile_directions(camera, tile)
     begins[tile] = beam_begin(edit, grid, camera.centre, low, high)
+
+
+@wp.kernel
+def find_tile_begins_of_edits(
+    first: int,
+    tiles: int,
+    grid: VoxelGrid,
+    edits: wp.array(dtype=FlatEdit),
+    camera: PinholeCamera,
+    begins: wp.array(dtype=float),
+):
+    """The same for each of several edits by itself. begins: (edits * tiles,). One item a tile, edit by edit."""
+    n = first + wp.tid()
+    low, high = tile_directions(camera, n % tiles)
+    begins[n] = beam_begin(edits[n / tiles], grid, camera.centre, low, high)

@@ -50,8 +50,8 @@ class FineCells:
         self._side, self._launch = side, RepeatedLaunches(device)
 
     def begin(self, edits: Sequence[Any], grid: Any, step: float) -> None:
-        """Let the `fine_look` of posed edits tell their fine cells apart, and give them polynomials, beside what is
-        launched until the side stream joins.
+        """Let the `fine_look` of posed edits tell their fine cells apart, beside what is launched until the side stream
+        joins, and give them polynomials.
 
         Args:
             edits: The FlatEdits, whose cells are marked.
@@ -70,14 +70,14 @@ class FineCells:
             for edit, polynomials in zip(edits, self._polynomials, strict=True)
             if self._takes_polynomials(edit)
         ]
-        if held or maps:  # memory is there before the launches fork
+        if held:  # memory is there before the launches fork
             with self._side.fork():
-                for number, (edit, polynomials) in enumerate(maps):
-                    inputs = [edit.nodes, edit.look, edit.node_counts]
-                    self._launch(expand_map_cells, edit.look.size, inputs, [polynomials], number=number)
-                    edit.polynomials, edit.by_nodes = polynomials, 0
                 for number, (edit, words, looks) in enumerate(held):
                     self._mark(number, edit, grid, step, words, looks)
+        for number, (edit, polynomials) in enumerate(maps):  # the shorter way
+            inputs = [edit.nodes, edit.look, edit.node_counts]
+            self._launch(expand_map_cells, edit.look.size, inputs, [polynomials], number=number)
+            edit.polynomials, edit.by_nodes = polynomials, 0
 
     def _takes_polynomials(self, edit: Any) -> bool:
         """Whether an edit is marched by its map's polynomials: where one does for a cell, and there is memory."""

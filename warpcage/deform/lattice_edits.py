@@ -33,6 +33,7 @@ from ..kernels.deform import (
     render_plain,
     render_sides,
     render_single,
+    shaded_large,
     shaded_part,
     shaded_part_sides,
     shaded_sides,
@@ -88,6 +89,9 @@ PART_KERNELS = (render_part.render_edit_part, render_part_sides.render_edit_part
 SHADED_PART_KERNELS = (shaded_part.render_shaded_part, shaded_part_sides.render_shaded_part_with_sides)
 TILE_KERNELS = (render_cpu.render_edit_tiles, render_cpu.render_edit_tiles)
 
+#: Rays from which on a view is one of many pixels.
+LARGE_PICTURE = 1 << 20
+
 #: Lattices of fewer nodes have numbers left that say on which side of the posed cage a place is.
 MOST_LATTICE_NODES = 1 << 30
 
@@ -136,7 +140,7 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = Fa
     if device.is_cpu and not marching.SHADES_ON_CPU:
         by_rows = [render_part, render_part_sides] if several else [render_single, render_sides]
         return [*march_modules, *by_rows, *several]
-    shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_sides]
+    shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_large, shaded_sides]
     return [*march_modules, posed_places, carried_shades, *shaded, *several]
 
 
@@ -289,9 +293,11 @@ class LatticeEdits(PosedEdits):
         is_coarse = not self._is_fine and not self._by_tiles and (self._is_single or self._plan.parts is not None)
         if is_coarse:
             self._fine.begin(self._flat, view.grid, self.lattices.marked_step)
-        begins = None
-        if self._is_single and not self._by_tiles:
-            begins = self._begins.find(self._flat[0], view.grid, view.pinhole, view.threads // TILE_SIZE)
+        parts, tiles = self._plan.parts, view.threads // TILE_SIZE
+        marched = self._flat if self._is_single else [edit for edit, _ in parts or []]
+        begins: list[wp.array | None] = [None for _ in marched]
+        if marched and not self._by_tiles:
+            begins = [*self._begins.find(marched, view.grid, view.pinhole, tiles)]
         if is_new and self._plan.is_shaded:
             self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], view.grid)
             rows = self._shaded_tables(field, centre, step)
@@ -302,20 +308,25 @@ class LatticeEdits(PosedEdits):
                 self.render_kernel = ROW_KERNELS[takes_any(self._flat[0])]
         view = dataclasses.replace(view, rows=rows)
         parts, is_shaded = self._plan
-        tiles = view.threads // TILE_SIZE
         if parts is not None:
             orders = self._tiles.begin(len(parts), tiles)
             kernels = TILE_KERNELS if self._by_tiles else SHADED_PART_KERNELS if is_shaded else PART_KERNELS
-            self._parts.render(self, view, parts, kernels, orders)
+            self._parts.render(self, view, parts, kernels, orders, begins)
             self._tiles.end()
         elif self._is_single:
             (order,) = self._tiles.begin(1, tiles)
-            kernel = SHADED_KERNELS[takes_any(self._flat[0])] if is_shaded else self.render_kernel
-            self.march(view, kernel, [self._flat[0] if is_shaded else self.scene], order=order, begins=begins)
+            kernel = self._shaded_kernel(view) if is_shaded else self.render_kernel
+            self.march(view, kernel, [self._flat[0] if is_shaded else self.scene], order=order, begins=begins[0])
             self._tiles.end()
         else:
             super().render(view)
         self._shades.release()
+
+    def _shaded_kernel(self, view: MarchedView) -> Any:
+        """The kernel that marches a view of shaded voxels through one edit."""
+        if view.threads >= LARGE_PICTURE and not takes_any(self._flat[0]):
+            return shaded_large.render_large_shaded_edit
+        return SHADED_KERNELS[takes_any(self._flat[0])]
 
     def scene_parts(self, centre: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
         """The edits as a view takes them one by one.

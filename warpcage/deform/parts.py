@@ -40,6 +40,7 @@ class PartsInTurn:
         parts: Sequence[tuple[Any, np.ndarray]],
         kernels: Sequence[Any],
         orders: Sequence[Any],
+        begins: Sequence[wp.array | None],
     ) -> None:
         """March a view.
 
@@ -50,13 +51,15 @@ class PartsInTurn:
                 the edits' origin; front to back. What is behind the last box goes with it.
             kernels: That for an edit without narrow gaps whose cells have polynomials, and that for any.
             orders: The TileOrder of each launch.
+            begins: What TileBegins found for each; None where the kernels do not ask.
         """
         structs = self._scene_parts([box.tolist() for _, box in parts], view.pinhole.width * view.pinhole.height)
         by_tiles = render_edit_tiles in kernels
         tables = [view.field.marching.cells(view.grid)] if by_tiles else []
         for number, ((flat, _), struct, order) in enumerate(zip(parts, structs, orders, strict=True)):
             scene = [*tables, flat, struct]
-            edits.march(view, kernels[takes_any(flat)], scene, TILE_SIZE if by_tiles else 1, order, number=number)
+            rays = TILE_SIZE if by_tiles else 1
+            edits.march(view, kernels[takes_any(flat)], scene, rays, order, begins[number], number)
 
     def _scene_parts(self, boxes: list[list[list[float]]], rays: int) -> list[Any]:
         """The ScenePart of each box, with arrays for as many rays; those of the view before where it has the same."""

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
 
-from ..core.devices import RepeatedLaunch
-from ..kernels.deform.tile_begins import find_tile_begins
+from ..core.arrays import array_view, struct_array
+from ..core.devices import RepeatedLaunches
+from ..kernels.deform.flat_edits import FlatEdit
+from ..kernels.deform.tile_begins import find_tile_begins, find_tile_begins_of_edits
 from ..lattice.capture import Buffer, BufferPool, SideStream
 
 #: Streams whose buffers are kept.
 MOST_KEPT = 4
+
+#: Bytes of a distance.
+DISTANCE_BYTES = wp.types.type_size_in_bytes(wp.float32)
 
 
 class TileBegins:
@@ -22,26 +28,42 @@ class TileBegins:
     """
 
     def __init__(self, side: SideStream):
-        self._side, self._launch = side, RepeatedLaunch(find_tile_begins, side.device)
+        self._side, self._launch = side, RepeatedLaunches(side.device)
         self._kept: dict[int, Buffer] = {}
+        self._edits: tuple[list[Any], wp.array] | None = None
 
-    def find(self, edit: Any, grid: Any, pinhole: Any, tiles: int) -> wp.array:
-        """Of a view of one edit whose fine cells are told, or forked; after what came before the side stream's mark.
+    def find(self, edits: Sequence[Any], grid: Any, pinhole: Any, tiles: int) -> list[wp.array]:
+        """Of a view whose fine cells are told, or forked; after what came before the side stream's mark.
 
         Args:
-            edit: The FlatEdit.
+            edits: The FlatEdits, each marched by itself.
             grid: VoxelGrid of the field as it is marched.
             pinhole: The PinholeCamera, relative to the field's origin.
             tiles: Of the picture.
 
         Returns:
-            (tiles,) float, distance before which the rays of a tile meet nothing; until the next view on the same
-            stream.
+            (tiles,) float of each edit, distance before which the rays of a tile meet nothing; until the next view on
+            the same stream.
         """
-        begins = self._buffer().take(tiles)
+        begins = self._buffer().take(len(edits) * tiles)
+        if len(edits) == 1:  # an argument takes the host less time than an array
+            with self._side.fork(marked=True):
+                self._launch(find_tile_begins, tiles, [grid, edits[0], pinhole], [begins])
+            return [begins]
+        array = self._array_of(edits)
         with self._side.fork(marked=True):
-            self._launch(tiles, [grid, edit, pinhole], [begins])
-        return begins
+            self._launch(find_tile_begins_of_edits, begins.size, [tiles, grid, array, pinhole], [begins])
+        return [
+            array_view(begins, wp.float32, tiles, offset=number * tiles * DISTANCE_BYTES)
+            for number in range(len(edits))
+        ]
+
+    def _array_of(self, edits: Sequence[Any]) -> wp.array:
+        """The edits on the device, once for those of a pose in their order."""
+        kept = self._edits
+        if kept is None or [id(edit) for edit in kept[0]] != [id(edit) for edit in edits]:
+            self._edits = kept = list(edits), struct_array(edits, FlatEdit, self._side.device)
+        return kept[1]
 
     def _buffer(self) -> Buffer:
         """Of the current stream: frames of one follow each other, those of several need not."""
