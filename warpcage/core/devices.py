@@ -123,6 +123,7 @@ class RepeatedLaunch:
         outputs: Iterable[Any] = (),
         *,
         passing: int = 0,
+        stream: wp.Stream | None = None,
         threads: int | None = None,
         work: float = USUAL_WORK,
     ) -> None:
@@ -133,6 +134,7 @@ class RepeatedLaunch:
             inputs: Arguments of the kernel after `first`.
             outputs: Arguments of the kernel after those.
             passing: How many of the last arguments are not kept alive: what one frame alone has.
+            stream: Of CUDA. None is the current one.
             threads: As `launch` has it.
             work: As `launch` has it.
         """
@@ -141,7 +143,7 @@ class RepeatedLaunch:
         elif count > 0:
             with device_turn(self._device):
                 recorded = self._command(count, [0, *inputs, *outputs])
-                recorded.launch()
+                recorded.launch(stream)
                 for index in range(len(self._arguments) - passing, len(self._arguments)):
                     self._arguments[index] = recorded.fwd_args[index] = None
                 self._recorded = recorded

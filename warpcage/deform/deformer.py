@@ -311,26 +311,23 @@ class Deformer:
         """`render` of a pose, which is worked out once the rest is checked."""
         if checked_flag(antialias, "antialias"):
             raise ValueError("antialias is for splats: voxels take more rays a pixel (supersampling)")
-        options = MarchOptions()
-        options.step, work = self.field.march_step(step, camera)
-        options.inverse_step = 1.0 / options.step
-        options.stop = STOP_TRANSMITTANCE
-        options.arc_opacity = int(self.density == "opacity")
+        march_step, work = self.field.march_step(step, camera)
         field, centre = self.field, wp.vec3(*(camera.centre - self.field.center).tolist())
 
         def begin() -> March:
             edits = posed_edits()
-            require_short_march(self._spans, options.step)
-            edits.begin_view(field, centre, options.step)
+            require_short_march(self._spans, march_step)
+            edits.begin_view(field, centre, march_step)
             field.marching.begin()
-            tables = edits.row_tables(field, centre, options.step)
+            tables = edits.row_tables(field, centre, march_step)
 
             def march(threads: int, pinhole: Any, colour: wp.vec3, make_arrays: MakeArrays) -> None:
+                options = self._march_options(march_step)
                 picture = Picture()
                 for name, array in make_arrays().items():
                     setattr(picture, name, array)
                 grid = field.marching.grid()
-                edits.prepare(grid, options.step)
+                edits.prepare(grid, march_step)
                 edits.render(MarchedView(field, grid, tables, pinhole, colour, options, picture, threads, work))
 
             return march
@@ -338,6 +335,13 @@ class Deformer:
         frame = field.render_by(begin, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
         frame.layered = background is None and self.field.background_model is not None
         return frame
+
+    def _march_options(self, step: float) -> Any:
+        """The MarchOptions of a view."""
+        options = MarchOptions()
+        options.step, options.inverse_step = step, 1.0 / step
+        options.stop, options.arc_opacity = STOP_TRANSMITTANCE, int(self.density == "opacity")
+        return options
 
 
 class PosedDeformer:

@@ -31,6 +31,7 @@ class TileBegins:
         self._side, self._launch = side, RepeatedLaunches(side.device)
         self._kept: dict[int, Buffer] = {}
         self._edits: tuple[list[Any], wp.array] | None = None
+        self._ready: tuple[wp.array | None, wp.array | None] = None, None
 
     def find(self, edits: Sequence[Any], grid: Any, pinhole: Any, tiles: int) -> list[wp.array]:
         """Of a view whose fine cells are told, or forked; after what came before the side stream's mark.
@@ -45,14 +46,18 @@ class TileBegins:
             (tiles,) float of each edit, distance before which the rays of a tile meet nothing; until the next view on
             the same stream.
         """
-        begins = self._buffer().take(len(edits) * tiles)
-        if len(edits) == 1:  # an argument takes the host less time than an array
-            with self._side.fork(marked=True):
-                self._launch(find_tile_begins, tiles, [grid, edits[0], pinhole], [begins])
+        is_single = len(edits) == 1  # an argument takes the host less time than an array
+        needed = self._buffer().take(len(edits) * tiles), None if is_single else self._array_of(edits)
+        if any(array is not before for array, before in zip(needed, self._ready, strict=True)):
+            self._side.mark()  # what is new was made behind the mark
+            self._ready = needed
+        begins, array = needed
+        stream = self._side.behind_mark()
+        if is_single:
+            self._launch(find_tile_begins, tiles, [grid, edits[0], pinhole], [begins], stream=stream)
             return [begins]
-        array = self._array_of(edits)
-        with self._side.fork(marked=True):
-            self._launch(find_tile_begins_of_edits, begins.size, [tiles, grid, array, pinhole], [begins])
+        inputs = [tiles, grid, array, pinhole]
+        self._launch(find_tile_begins_of_edits, begins.size, inputs, [begins], stream=stream)
         return [
             array_view(begins, wp.float32, tiles, offset=number * tiles * DISTANCE_BYTES)
             for number in range(len(edits))

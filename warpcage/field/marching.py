@@ -160,8 +160,8 @@ class MarchTables:
         """
         if self._grid.links.device.is_cpu and not SHADES_ON_CPU:
             return False
-        nearest = min(box_distance(lower, upper, centre) for lower, upper in [self._box, *others])
-        return nearest > NEAR_VOXELS * self._longest
+        near, place = NEAR_VOXELS * self._longest, (centre[0], centre[1], centre[2])
+        return all(box_distance(lower, upper, place) > near for lower, upper in (self._box, *others))
 
 
 def box_distance(lower: Sequence[float], upper: Sequence[float], point: Any) -> float:

@@ -190,23 +190,28 @@ class SideStream:
         self._mark = wp.Event(self.device) if is_cuda else None
 
     def mark(self) -> None:
-        """Remember what came before, for `fork`."""
+        """Remember what came before, for `behind_mark`."""
         if self._mark is not None:
             self.device.stream.record_event(self._mark)
 
-    @contextlib.contextmanager
-    def fork(self, marked: bool = False) -> Iterator[None]:
-        """Launches under this run after all that came before, beside those that follow until `join`.
+    def behind_mark(self) -> wp.Stream | None:
+        """For launches after all that came before `mark`, and after what was forked since, beside those that follow
+        until `join`.
 
-        Args:
-            marked: After all that came before `mark` and what was forked since, instead.
+        Returns:
+            The stream; None on a CPU.
         """
+        if self._stream is not None:
+            self._stream.wait_event(self._mark)
+        return self._stream
+
+    @contextlib.contextmanager
+    def fork(self) -> Iterator[None]:
+        """Launches under this run after all that came before, beside those that follow until `join`."""
         if self._stream is None:
             yield
             return
-        if marked:
-            self._stream.wait_event(self._mark)
-        with wp.ScopedStream(self._stream, sync_enter=not marked):
+        with wp.ScopedStream(self._stream, sync_enter=True):
             yield
 
     def join(self) -> None:
