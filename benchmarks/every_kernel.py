@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import math
 import sys
 
 import numpy as np
@@ -25,6 +26,7 @@ import warpcage
 from warpcage.core.devices import launch
 from warpcage.core.kernel_files import kernel_names
 from warpcage.core.threads import limit_threads
+from warpcage.deform.lattice_edits import LARGE_PICTURE
 from warpcage.editor.picture import frame_pixels
 from warpcage.field.sparse import harmonics_on_device
 from warpcage.fitting.optimizer import FieldOptimizer
@@ -53,7 +55,7 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
              "deform.render_part.", "deform.render_part_sides.", "deform.shaded_",
              "deform.carried_shades.", "deform.fine_cells.", "deform.posed_places.", "core.texels.",
-             "view.tile_order.",
+             "deform.map_cells.", "deform.tile_begins.", "view.tile_order.",
              "splats.composite.", "splats.composite_slopes.", "splats.packed_rows.",
              "view.colour_bytes."}  # fmt: skip
 
@@ -207,6 +209,9 @@ def frames(device) -> None:
     warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(camera())
     for rest, pose in ((CAGE, POSE), (slotted(0.5), slotted(0.03))):  # cells so wide that their parts are told apart
         warpcage.Deformer(field, rest, resolution=8, device=device).pose(pose).render(camera())
+    if field.device.is_cuda:  # a picture that counts as large
+        side = math.isqrt(LARGE_PICTURE) + 1
+        warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(side))
 
 
 def edits(device) -> None:
