@@ -5,6 +5,7 @@ import oracles
 import pytest
 import trimesh
 import warp as wp
+from deformed_scenes import slotted
 
 from warpcage.cage.cage import Cage
 from warpcage.coordinates.deform import stretched_normals
@@ -14,6 +15,7 @@ from warpcage.core.devices import launch
 from warpcage.kernels.lattice.cage_map import sample_map
 from warpcage.lattice import block_faces
 from warpcage.lattice import lattice as lattices
+from warpcage.lattice.closed_form import GreenSolver
 from warpcage.lattice.graph import PoseGraph
 from warpcage.lattice.position_map import PositionMap, fit_affine
 
@@ -309,6 +311,29 @@ def test_nodes_at_narrow_gaps_are_counted(device):
     position_map = PositionMap(wide, resolution=32, device=device)
     assert position_map.pose(wide).thin_nodes == 0
     assert position_map.pose(narrow).thin_nodes > 100
+
+
+@pytest.mark.parametrize("width", [0.02, 0.05])
+def test_sides_of_green_maps_take_the_map_beside_gaps_alone(width, device, monkeypatch):
+    """Whatever crossings elsewhere hold; they are not evaluated."""
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
+    launch_boundary, poison, filled = GreenSolver.launch_boundary, [0.0], []
+
+    def poisoned(self, sizes, target, rows, marks, boundary):
+        boundary.fill_(wp.vec3(poison[0], poison[0], poison[0]))
+        launch_boundary(self, sizes, target, rows, marks, boundary)
+        filled.append((boundary.numpy() != poison[0]).any(axis=-1).mean())
+
+    monkeypatch.setattr(GreenSolver, "launch_boundary", poisoned)
+    tables = []
+    for poison[0] in (0.5, 1e6):
+        posed = PositionMap(slotted(0.4), coordinates="green", resolution=24, device=device).pose(slotted(width))
+        index, sides = posed.data.side_index.numpy(), posed.data.sides.numpy()
+        used = np.concatenate([np.arange(entry // 8, entry // 8 + entry % 8) for entry in index[index > 0]])
+        tables.append((index, sides[used], posed.gap_jump))
+    assert np.array_equal(tables[0][0], tables[1][0]) and len(tables[0][1]) > 100
+    assert np.array_equal(tables[0][1], tables[1][1]) and tables[0][2] == tables[1][2]
+    assert 0 < max(filled) < 0.3
 
 
 def test_memory_is_foreseen_and_refused(device, monkeypatch):

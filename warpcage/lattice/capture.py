@@ -201,7 +201,7 @@ class SideStream:
         Returns:
             The stream; None on a CPU.
         """
-        if self._stream is not None:
+        if self._stream is not None and self._mark is not None:
             self._stream.wait_event(self._mark)
         return self._stream
 
