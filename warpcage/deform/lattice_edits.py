@@ -292,6 +292,7 @@ class LatticeEdits(PosedEdits):
         # the march for one edit, and for those apart, knows fine cells
         is_coarse = not self._is_fine and not self._by_tiles and (self._is_single or self._plan.parts is not None)
         if is_coarse:
+            self._side.mark()  # tables of cells may be newer than the view's begin
             self._fine.begin(self._flat, view.grid, self.lattices.marked_step)
         parts, tiles = self._plan.parts, view.threads // TILE_SIZE
         marched = self._flat if self._is_single else [edit for edit, _ in parts or []]
