@@ -155,6 +155,7 @@ def mark_narrow_cells(first: int, levels: NodeLevels, rows: CutRows, side_index:
 def is_near_mark(levels: NodeLevels, side_index: wp.array(dtype=int), node: int):
     """Whether an inside node is a corner of a marked cell, or of one beside it across a face."""
     shape = levels.shapes[0]
+    # cells from 2 before the node to 1 behind it along each axis: its own are -1 and 0, a neighbour's -2 or 1 along one
     n = int(0)
     while n < 64:
         a = n / 16

@@ -1,8 +1,7 @@
-"""What marches for one edit read of a lattice beside its nodes: fine cells, which they may skip, and polynomials."""
+"""Fine cells of lattices, which marches may skip."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,7 +10,6 @@ import warp as wp
 from ..core.arrays import array_view
 from ..core.devices import RepeatedLaunches, lane_count
 from ..kernels.deform.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
-from ..kernels.deform.map_cells import CELL_WORDS, expand_map_cells
 from ..lattice.capture import BufferPool, SideStream
 
 #: Cells that are less than so many voxels wide are not told apart: fine cells would be smaller than what they skip.
@@ -24,15 +22,8 @@ FINE_BITS = int(FINE_SIDE).bit_length() - 1
 MOST_NODES = (1 << 31) // int(FINE_COUNT) - 64
 
 
-#: An array has fewer entries along an axis.
-MOST_ENTRIES = 1 << 31
-
-#: Share of a GPU's memory that the polynomials of a lattice's cells may take.
-MOST_POLYNOMIALS = 1 / 16
-
-
 class FineCells:
-    """Which fine cells of posed lattices may be skipped, and the map of each cell as a polynomial.
+    """Which fine cells of posed lattices may be skipped.
 
     Args:
         edit_count: Number of edits.
@@ -42,16 +33,14 @@ class FineCells:
     def __init__(self, edit_count: int, side: SideStream):
         device = side.device
         self._device, self._lanes = device, lane_count(device)
-        self._most_bytes = math.inf if device.is_cpu else MOST_POLYNOMIALS * device.total_memory
         pool = BufferPool(device)
         self._words = [pool.buffer(wp.uint32) for _ in range(edit_count)]
-        self._polynomials = [pool.buffer(wp.vec4) for _ in range(edit_count)]
         self._looks = [pool.buffer(wp.uint64) for _ in range(edit_count)]
         self._side, self._launch = side, RepeatedLaunches(device)
 
     def begin(self, edits: Sequence[Any], grid: Any, step: float) -> None:
         """Let the `fine_look` of posed edits tell their fine cells apart, beside what is launched until the side stream
-        joins, and give them polynomials.
+        joins.
 
         Args:
             edits: The FlatEdits, whose cells are marked.
@@ -65,25 +54,10 @@ class FineCells:
             for edit, words, looks, is_told in zip(edits, self._words, self._looks, told, strict=True)
             if is_told
         ]
-        maps = [
-            (edit, polynomials.take(int(CELL_WORDS) * edit.look.size))
-            for edit, polynomials in zip(edits, self._polynomials, strict=True)
-            if self._takes_polynomials(edit)
-        ]
         if held:  # memory is there before the launches fork
             with self._side.fork():
                 for number, (edit, words, looks) in enumerate(held):
                     self._mark(number, edit, grid, step, words, looks)
-        for number, (edit, polynomials) in enumerate(maps):  # the shorter way
-            inputs = [edit.nodes, edit.look, edit.node_counts]
-            self._launch(expand_map_cells, edit.look.size, inputs, [polynomials], number=number)
-            edit.polynomials, edit.by_nodes = polynomials, 0
-
-    def _takes_polynomials(self, edit: Any) -> bool:
-        """Whether an edit is marched by its map's polynomials: where one does for a cell, and there is memory."""
-        words = int(CELL_WORDS) * edit.look.size
-        takes = wp.types.type_size_in_bytes(wp.vec4) * words
-        return not edit.removes and words < MOST_ENTRIES and takes <= self._most_bytes
 
     def _mark(self, number: int, edit: Any, grid: Any, step: float, words: wp.array, looks: wp.array) -> None:
         nodes = looks.size
@@ -94,18 +68,6 @@ class FineCells:
         whole_groups = -(-nodes // self._lanes) * self._lanes
         self._launch(spread_fine_cells, whole_groups, [edit, looks], [words], number=number)
         tell_fine_cells(edit, FINE_BITS, fine_look)
-
-
-def takes_any(edit: Any) -> int:
-    """Which of two kernels marches an edit.
-
-    Args:
-        edit: The FlatEdit.
-
-    Returns:
-        1 for that which takes any edit, 0 for the faster one that takes polynomials and knows no narrow gaps.
-    """
-    return int(bool(edit.has_sides or edit.by_nodes))
 
 
 def tell_fine_cells(edit: Any, bits: int, fine_look: wp.array) -> None:

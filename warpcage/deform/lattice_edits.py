@@ -68,7 +68,8 @@ from .carried_shading import CarriedShades, shade_texture_bytes
 from .edit_lattices import EditLattices
 from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand
-from .fine_cells import FineCells, takes_any, tell_fine_cells
+from .fine_cells import FineCells, tell_fine_cells
+from .map_cells import MapPolynomials, takes_any
 from .parts import PartsInTurn
 from .tile_begins import TileBegins
 
@@ -196,6 +197,7 @@ class LatticeEdits(PosedEdits):
         self._shades = CarriedShades(len(edits), device)
         self._side, self._join = SideStream(device, priority=-1), RepeatedLaunches(device)
         self._fine, self._is_fine = FineCells(len(edits), self._side), False
+        self._polynomials = MapPolynomials(len(edits), device)
         self._most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
         self._boxes: EditBoxes | None = None
         self._apart: tuple[float, np.ndarray | None] | None = None
@@ -294,11 +296,8 @@ class LatticeEdits(PosedEdits):
         if is_coarse:
             self._side.mark()  # tables of cells may be newer than the view's begin
             self._fine.begin(self._flat, view.grid, self.lattices.marked_step)
-        parts, tiles = self._plan.parts, view.threads // TILE_SIZE
-        marched = self._flat if self._is_single else [edit for edit, _ in parts or []]
-        begins: list[wp.array | None] = [None for _ in marched]
-        if marched and not self._by_tiles:
-            begins = [*self._begins.find(marched, view.grid, view.pinhole, tiles)]
+            self._polynomials.expand(self._flat)  # on the program's stream, which has less to do meanwhile
+        begins = self._tile_begins(view)
         if is_new and self._plan.is_shaded:
             self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], view.grid)
             rows = self._shaded_tables(field, centre, step)
@@ -308,7 +307,7 @@ class LatticeEdits(PosedEdits):
             if self._is_single:
                 self.render_kernel = ROW_KERNELS[takes_any(self._flat[0])]
         view = dataclasses.replace(view, rows=rows)
-        parts, is_shaded = self._plan
+        (parts, is_shaded), tiles = self._plan, view.threads // TILE_SIZE
         if parts is not None:
             orders = self._tiles.begin(len(parts), tiles)
             kernels = TILE_KERNELS if self._by_tiles else SHADED_PART_KERNELS if is_shaded else PART_KERNELS
@@ -322,6 +321,15 @@ class LatticeEdits(PosedEdits):
         else:
             super().render(view)
         self._shades.release()
+
+    def _tile_begins(self, view: MarchedView) -> list[wp.array | None]:
+        """How far the rays of each tile go before they may meet anything, for each edit that is marched by itself; None
+        where its kernel does not ask."""
+        parts = self._plan.parts
+        marched = self._flat if self._is_single else [edit for edit, _ in parts or []]
+        if self._by_tiles or not marched:
+            return [None for _ in marched]
+        return [*self._begins.find(marched, view.grid, view.pinhole, view.threads // TILE_SIZE)]
 
     def _shaded_kernel(self, view: MarchedView) -> Any:
         """The kernel that marches a view of shaded voxels through one edit."""

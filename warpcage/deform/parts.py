@@ -14,7 +14,7 @@ from ..kernels.deform.render_cpu import render_edit_tiles
 from ..lattice.capture import BufferPool
 from ..view.camera import TILE_SIZE
 from .edits import MarchedView, PosedEdits
-from .fine_cells import takes_any
+from .map_cells import takes_any
 
 #: One of the three arrays that hold the state of rays takes so much for a ray.
 STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import array_view, empty_array
-from ..core.devices import RepeatedLaunch, RepeatedLaunches, launch
+from ..core.devices import RepeatedLaunch, launch
 from ..core.flags import HostFlag
 from ..kernels.field import halves as grid_halves
 from ..kernels.field import refine as grid_refine
@@ -175,22 +176,22 @@ def _spread(distance: wp.array, spread: wp.array) -> wp.array:
     return distance
 
 
-def spread_along(axis: int, source: wp.array, target: wp.array, launch: Callable[..., None] | None = None) -> None:
+def spread_along(axis: int, source: wp.array, target: wp.array, repeated: Callable[..., None] | None = None) -> None:
     """One pass of the transform that spreads distances between cells; one along each axis makes them Chebyshev's.
 
     Args:
         axis: The axis.
         source: (nx, ny, nz) uint8, what the passes before left.
         target: The same, what this one leaves.
-        launch: A RepeatedLaunches, for what is spread again and again.
+        repeated: A RepeatedLaunches, for what is spread again and again.
     """
     device = wp.get_device(source.device)
-    launch = launch or RepeatedLaunches(device)
+    run = repeated or functools.partial(launch, device=device)
     if device.is_cpu:  # a line at a time, many cells of it at once
         nx, ny, nz = source.shape
-        launch(grid_skip.spread_lines, nx * ny, [axis, source], [target], work=nz)
+        run(grid_skip.spread_lines, nx * ny, [axis, source], [target], work=nz)
     else:
-        launch(grid_skip.spread_distance, source.size, [axis, source], [target])
+        run(grid_skip.spread_distance, source.size, [axis, source], [target])
 
 
 def values_on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device) -> Any:
