@@ -126,6 +126,24 @@ def march_in_numpy(field, deformer, camera, with_directions=True):
     return (colour + light[:, None]).reshape(camera.height, camera.width, 3)
 
 
+def alter_map(deformer, alter):
+    """Let the map of a deformer's first edit be altered by hand at each pose. alter: of its positions, (..., 3)."""
+    position_map = deformer._edits.lattices.maps[0]
+    finish = position_map.finish
+
+    def finish_altered():
+        positions = finish().data.positions
+        positions.assign(alter(positions.numpy()))
+        return position_map
+
+    position_map.finish = finish_altered
+
+
+def mirrored(positions):
+    """Turns all matter over; see alter_map."""
+    return positions * np.float32([-1, 1, 1])
+
+
 @contextlib.contextmanager
 def kernels_of(edits):
     """The kernels by which edits are marched meanwhile, in their order."""

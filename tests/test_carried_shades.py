@@ -6,11 +6,13 @@ import warp as wp
 from deformed_scenes import (
     BOX,
     KINDS,
+    alter_map,
     ball,
     box_around,
     counter_moved,
     kernels_of,
     make_field,
+    mirrored,
     psnr,
     shiny,
     shiny_field,
@@ -181,23 +183,10 @@ def test_matter_in_a_notch_narrower_than_a_voxel_keeps_its_own_colours(device):
     assert psnr(shaded(deformer, camera).rgb, of_rows(deformer, camera).rgb) > least
 
 
-def mirrored(deformer):
-    """Lets the map of a deformer's only edit turn all matter over."""
-    position_map = deformer._edits.lattices.maps[0]
-    pose = position_map.pose
-
-    def mirrored_pose(posed):
-        pose(posed)
-        position_map.data.positions.assign(position_map.data.positions.numpy() * np.float32([-1, 1, 1]))
-        return position_map
-
-    position_map.pose = mirrored_pose
-
-
 def test_poses_that_turn_matter_over_take_rows(device):
     """Matter is in several places then. The first frame of a pose finds out, and others know."""
     deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=24)
-    mirrored(deformer)
+    alter_map(deformer, mirrored)
     deformer.pose(BOX.rotate(10))
     for _ in range(2):
         with kernels_of(deformer._edits) as kernels:
@@ -210,18 +199,13 @@ def test_poses_that_turn_matter_over_take_rows(device):
 def test_a_map_that_throws_a_node_far_away_takes_rows(device):
     """By hand. It turns cells over, and squeezes others so much that no thread looks through their images."""
     deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=40)
-    position_map = deformer._edits.lattices.maps[0]
-    pose = position_map.pose
 
-    def thrown_pose(posed):
-        pose(posed)
-        positions = position_map.data.positions.numpy()
+    def thrown(positions):
         middle = tuple(n // 2 for n in positions.shape[:3])
         positions[middle] += np.float32([40.0, 30.0, 20.0])
-        position_map.data.positions.assign(positions)
-        return position_map
+        return positions
 
-    position_map.pose = thrown_pose
+    alter_map(deformer, thrown)
     deformer.pose(BOX)
     with kernels_of(deformer._edits) as kernels:
         deformer.render(view())

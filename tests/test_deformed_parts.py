@@ -8,12 +8,14 @@ import pytest
 import warp as wp
 from deformed_scenes import (
     MARCHES,
+    alter_map,
     ball,
     box_around,
     general_march,
     kernels_of,
     make_field,
     march_in_numpy,
+    mirrored,
     psnr,
     shiny,
     slotted,
@@ -163,16 +165,7 @@ def test_samples_sent_out_are_counted_in_each_part(march, device):
 def test_folds_and_what_is_revealed_are_kept_from_part_to_part(march, device):
     """The nearer of two maps is mirrored by hand, so that all it shows folds; the other part shrinks."""
     deformer = Deformer(shiny_balls(device), [LEFT, RIGHT], coordinates="mean_value", resolution=32)
-    position_map = deformer._edits.lattices.maps[0]
-    pose = position_map.pose
-
-    def mirrored_pose(cage):
-        pose(cage)
-        positions = position_map.data.positions
-        positions.assign(np.float32([-1.4, 0, 0]) + positions.numpy() * np.float32([-1, 1, 1]))
-        return position_map
-
-    position_map.pose = mirrored_pose
+    alter_map(deformer, lambda positions: np.float32([-1.4, 0, 0]) + mirrored(positions))
     deformer.pose([LEFT, RIGHT.scale((1, 0.5, 0.5), centre=(0.7, 0, 0))])
     by_parts, at_once, kernels = both(deformer, view((-2.5, 0.4, 0.6)))
     assert len(kernels) == 2 and at_once.fold.max() > 0.9 and at_once.reveal.max() > 0.1

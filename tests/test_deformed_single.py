@@ -6,10 +6,12 @@ from deformed_scenes import (
     BOX,
     KINDS,
     MARCHES,
+    alter_map,
     box_around,
     general_march,
     kernels_of,
     make_field,
+    mirrored,
     plain,
     psnr,
     shiny_field,
@@ -118,15 +120,7 @@ def test_only_what_a_map_moved_counts_as_folded(march, device):
     field = make_field(lambda x: np.full(x.shape[:3], 2.0), plain([0.5, 0.5, 0.5]), device=device)
     cage = box_around(0.1, 0, 0, half=0.3)
     deformer = Deformer(field, CageEdit(cage, keep_source=True), coordinates="mean_value", resolution=8)
-    position_map = deformer._edits.lattices.maps[0]
-    pose = position_map.pose
-
-    def mirrored_pose(posed):
-        pose(posed)
-        position_map.data.positions.assign(position_map.data.positions.numpy() * np.float32([-1, 1, 1]))
-        return position_map
-
-    position_map.pose = mirrored_pose
+    alter_map(deformer, mirrored)
     camera = view((2.5, 0.4, 0.3))
     single, general = both(deformer.pose(cage), camera)
     origins, directions = camera.rays()

@@ -8,10 +8,12 @@ from deformed_scenes import (
     BOX,
     KINDS,
     SIZE,
+    alter_map,
     counter_moved,
     ellipsoid,
     make_field,
     march_in_numpy,
+    mirrored,
     plain,
     psnr,
     rotation,
@@ -330,16 +332,7 @@ def test_a_map_that_turns_over_is_marked(device):
     field, camera = shiny_field(device), view()
     deformer = Deformer(field, BOX, coordinates="mean_value", resolution=32).pose(BOX)
     assert deformer.render(camera).fold.max() == 0
-    position_map = deformer._edits.lattices.maps[0]
-    pose = position_map.pose
-
-    def mirrored_pose(cage):
-        pose(cage)
-        positions = position_map.data.positions
-        positions.assign(positions.numpy() * np.float32([-1, 1, 1]))
-        return position_map
-
-    position_map.pose = mirrored_pose
+    alter_map(deformer, mirrored)
     frame = deformer.pose(BOX).render(camera)
     np.testing.assert_allclose(frame.fold, frame.alpha, atol=0.05)
     assert frame.fold.max() > 0.9

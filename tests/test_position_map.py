@@ -267,6 +267,27 @@ def test_a_refused_pose_leaves_the_last_one(graphs, device, monkeypatch):
 
 @pytest.mark.parametrize("graphs", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
+def test_maps_that_are_begun(kind, graphs, device, monkeypatch):
+    """The last one begun is the one that is finished. What `begin` returns is the map, but for the sides of gaps."""
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: graphs))
+    rest = cage_named("icosphere")
+    options = dict(coordinates=kind, resolution=24, device=device)
+    expected = {angle: values(PositionMap(rest, **options).pose(rest.bend(angle))) for angle in (10, 20, 30)}
+    kept = PositionMap(rest, **options).warm()
+    for angle in (30, 10, 20):
+        kept.begin(rest.bend(30 - angle))
+        draft = kept.begin(rest.bend(angle))
+        assert (draft is not None) == graphs
+        assert kept.finish().data is draft or not graphs
+        assert all(np.array_equal(*pair) for pair in zip(values(kept), expected[angle], strict=True))
+
+
+def values(position_map):
+    return position_map.data.positions.numpy(), position_map.data.distance.numpy()
+
+
+@pytest.mark.parametrize("graphs", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_cage_too_far_for_float32_is_refused(kind, graphs, device, monkeypatch):
     """Beyond, the rounded lattice would lie beside the cage."""
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: graphs))

@@ -5,8 +5,7 @@ A voxel of the rest cage is seen where the pose has taken it, at y with phi(y) =
 "Deforming Radiance Fields with Cages" (ECCV 2022) has there: d_c = norm(J (y - o)) with the derivative J of phi and the
 camera at o. The direction is found at the nodes of the rest cage's lattice and blended. All other voxels are seen as
 they are (field/shades).
-Needs: deform/flat_edits, deform/laid_shades, deform/map_nodes, field/grid, field/harmonics, field/shades,
-lattice/cage_map.
+Needs: deform/laid_shades, deform/map_nodes, field/grid, field/harmonics, field/shades, lattice/cage_map.
 """
 
 import warp as wp
@@ -15,7 +14,6 @@ from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
 from ..field.shades import ShadedGrid, own_row, row_place, shade_colour
 from ..lattice.cage_map import CageMap, map_distance
-from .flat_edits import FlatEdit, entry_of_sides
 from .laid_shades import CARRIED_LAYER, PLAIN_LAYER, LaidShades, write_laid_shade
 from .map_nodes import node_blend, node_slope, side_slope
 
@@ -37,7 +35,18 @@ class AimedCage:
     aims: wp.array(dtype=wp.vec4)  # (nodes,) canonical view direction or 0, and signed distance to the rest cage
     depth: float  # rows up to so deep in the rest cage are read by samples of both layers
     height: float  # and those up to so far out of it
-    edit: FlatEdit
+    posed_lower: wp.vec3  # of the lattice over the posed cage, as deform/flat_edits has it
+    posed_inverse_spacing: float
+    posed_counts: wp.vec3i
+    posed_nodes: wp.array(dtype=wp.vec4)
+    side_index: wp.array(dtype=int)  # or (0,)
+    sides: wp.array2d(dtype=wp.vec4)
+
+
+@wp.kernel
+def keep_cage(first: int, cage: AimedCage, index: int, cages: wp.array(dtype=AimedCage)):
+    """Put a cage into an array: an argument takes the host less time than a copy. One item."""
+    cages[first + wp.tid() + index] = cage
 
 
 @wp.kernel
@@ -55,20 +64,22 @@ def aim_nodes(first: int, cages: wp.array(dtype=AimedCage), centre: wp.vec3):
     place = cage.places[n]
     along = wp.vec3(0.0, 0.0, 0.0)
     if place[3] > 0.0:
-        edit = cage.edit
-        nz = edit.node_counts[2]
-        nyz = edit.node_counts[1] * nz
+        counts = cage.posed_counts
+        nz = counts[2]
+        nyz = counts[1] * nz
         seat = wp.vec3(place[0], place[1], place[2])
         cell = wp.vec3i()
         for axis in range(3):
-            cell[axis] = wp.min(int(seat[axis]), edit.node_counts[axis] - 2)
+            cell[axis] = wp.min(int(seat[axis]), counts[axis] - 2)
         f = seat - wp.vec3(float(cell[0]), float(cell[1]), float(cell[2]))
-        rate = seat - (centre - edit.lower) * edit.inverse_spacing
+        rate = seat - (centre - cage.posed_lower) * cage.posed_inverse_spacing
         corner = cell[0] * nyz + cell[1] * nz + cell[2]
-        slope = node_slope(edit.nodes, corner, nyz, nz, f, rate)
-        entry = entry_of_sides(edit, corner)
+        slope = node_slope(cage.posed_nodes, corner, nyz, nz, f, rate)
+        entry = int(0)
+        if cage.side_index.shape[0] > 0:
+            entry = cage.side_index[corner]
         if entry != 0:
-            slope = side_slope(edit.sides, entry, f, rate)
+            slope = side_slope(cage.sides, entry, f, rate)
         along = wp.normalize(slope)
     cage.aims[n] = wp.vec4(along[0], along[1], along[2], cage.distance[n])
 

@@ -76,6 +76,12 @@ def largest_stretch(jacobian: wp.mat33):
 
 
 @wp.kernel
+def keep_edit(first: int, edit: LatticeEdit, index: int, edits: wp.array(dtype=LatticeEdit)):
+    """Put an edit into an array: an argument takes the host less time than a copy. One item."""
+    edits[first + wp.tid() + index] = edit
+
+
+@wp.kernel
 def mark_edit_cases(first: int, edit: LatticeEdit, cells: wp.array3d(dtype=wp.uint8)):
     """The CELL_... flags of each lattice cell of an edit, so that most samples need neither distance.
 

@@ -189,7 +189,7 @@ def claim_nodes(
 @wp.kernel(cuda_max_registers=128)
 def settle_nodes(first: int, edit: FlatEdit, owners: wp.array3d(dtype=int), places: wp.array3d(dtype=wp.vec4)):
     """Where each node of the rest lattice is in the posed scene, in cells of the posed lattice, with 1; 0 where no cell
-    of the posed lattice leads to it. places: as owners."""
+    of the posed lattice leads to it. places: as owners, which become NO_CELL again."""
     item = first + wp.tid()
     k = item % owners.shape[2]
     j = (item // owners.shape[2]) % owners.shape[1]
@@ -197,6 +197,7 @@ def settle_nodes(first: int, edit: FlatEdit, owners: wp.array3d(dtype=int), plac
     place = wp.vec4(0.0, 0.0, 0.0, 0.0)
     n = owners[i, j, k]
     if n != NO_CELL:
+        owners[i, j, k] = NO_CELL
         n = n % edit.nodes.shape[0]
         entry = entry_of_sides(edit, n)
         f = wp.vec3(0.5, 0.5, 0.5)

@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from ..core.arrays import empty_array, struct_array
+from ..core.arrays import empty_array
 from ..core.devices import RepeatedLaunches, launch
 from ..core.flags import HostFlag
 from ..core.textures import HALF_TEXEL_BYTES, MOST_TEXELS
@@ -16,6 +16,7 @@ from ..field.shading import ColumnTable, whole_warps
 from ..kernels.deform.carried_shades import (
     AimedCage,
     aim_nodes,
+    keep_cage,
     list_rows,
     mark_wall_rows,
     shade_carried_rows,
@@ -61,7 +62,9 @@ class CarriedShades:
         self._device = device
         pool = BufferPool(device)
         self._owners = pool.buffer(wp.int32)
+        self._settled = 0  # owners that are NO_CELL, from the first on
         self._places, self._aims = ([pool.buffer(wp.vec4) for _ in range(edit_count)] for _ in range(2))
+        self._kept_cages: list[Any] = [None] * edit_count
         self._posed: list[tuple[Any, wp.array, Any]] = []
         self._cages: wp.array | None = None
         self._walls: tuple[ColumnTable, wp.array] | None = None
@@ -83,30 +86,45 @@ class CarriedShades:
         """
         self._posed, self.is_posed, self._is_folded, self._aimed = [], False, None, None  # an interrupt leaves none
         self._folds.clear()
-        tables = zip(edits, cells, self._places, self._aims, strict=True)
-        for number, (edit, flags, places, aims) in enumerate(tables):
-            if edit.removes:
-                continue
-            shape = edit.rest.distance.shape
-            owners = self._owners.take(shape)
-            owners.fill_(int(NO_CELL))
-            found = places.take(shape)
-            # one thread on a CPU, where atomics are none
-            claims = [owners, self._folds.array]
-            self._launch(claim_nodes, flags.size, [edit, flags, grid], claims, number=number, threads=1)
-            self._launch(settle_nodes, owners.size, [edit, owners], [found], number=number)
-            cage = AimedCage()
-            cage.edit, cage.lower, cage.inverse_spacing = edit, edit.rest.lower, edit.rest.inverse_spacing
-            cage.node_counts, cage.distance = wp.vec3i(*shape), edit.rest.distance.flatten()
-            cage.places, cage.aims = found.flatten(), aims.take(math.prod(shape))
-            reach = STEEPEST * math.hypot(*grid.voxel_size)
-            cage.depth = math.inf if edit.keeps_source else reach
-            cage.height = edit.slack + edit.rest.spacing + reach  # a cell that stays in the cage may bulge out of it
-            self._posed.append((edit, found, cage))
+        for number, (edit, flags) in enumerate(zip(edits, cells, strict=True)):
+            if not edit.removes:
+                self._find_places(number, edit, flags, grid)
         self._folds.send()
-        cages, device = [cage for _, _, cage in self._posed], self._device
-        self._cages = struct_array(cages, AimedCage, device) if cages else empty_array(0, AimedCage, device)
+        if self._cages is None:
+            self._cages = empty_array(len(self._posed), AimedCage, self._device)
+        for index, (_, _, cage) in enumerate(self._posed):
+            self._launch(keep_cage, 1, [cage, index], [self._cages], number=index)
         self.is_posed = True
+
+    def _find_places(self, number: int, edit: Any, flags: wp.array, grid: Any) -> None:
+        """Launch what finds where the pose of an edit takes the nodes of its rest cage's lattice."""
+        shape = edit.rest.distance.shape
+        owners, found = self._owners.take(shape), self._places[number].take(shape)
+        settled, self._settled = self._settled, 0  # an interrupt leaves none
+        if owners.size > settled:
+            owners.fill_(int(NO_CELL))
+        # one thread on a CPU, where atomics are none
+        claims = [owners, self._folds.array]
+        self._launch(claim_nodes, flags.size, [edit, flags, grid], claims, number=number, threads=1)
+        self._launch(settle_nodes, owners.size, [edit, owners], [found], number=number)
+        self._settled = max(settled, owners.size)
+        self._posed.append((edit, found, self._aimed_cage(number, edit, found, grid)))
+
+    def _aimed_cage(self, number: int, edit: Any, places: wp.array, grid: Any) -> Any:
+        """The AimedCage of an edit, the same for all poses but for what is of one."""
+        cage = self._kept_cages[number]
+        if cage is None:
+            cage = self._kept_cages[number] = AimedCage()
+            cage.lower, cage.inverse_spacing = edit.rest.lower, edit.rest.inverse_spacing
+            cage.node_counts, cage.distance = wp.vec3i(*places.shape), edit.rest.distance.flatten()
+            cage.places, cage.aims = places.flatten(), self._aims[number].take(places.size)
+        reach = STEEPEST * math.hypot(*grid.voxel_size)
+        cage.depth = math.inf if edit.keeps_source else reach
+        cage.height = edit.slack + edit.rest.spacing + reach  # a cell that stays in the cage may bulge out of it
+        cage.posed_lower, cage.posed_inverse_spacing = edit.lower, edit.inverse_spacing
+        cage.posed_counts, cage.posed_nodes = edit.node_counts, edit.nodes
+        cage.side_index, cage.sides = edit.side_index, edit.sides
+        return cage
 
     @property
     def is_known_folded(self) -> bool:

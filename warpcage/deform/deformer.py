@@ -21,7 +21,7 @@ from ..kernels.deform.edits import MAPPED
 from ..kernels.deform.march import MarchOptions
 from ..kernels.deform.pictures import Picture
 from ..mesh.match import require_same_faces
-from ..mesh.usable import require_usable
+from ..mesh.usable import is_usable, require_usable
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
@@ -159,8 +159,13 @@ class Deformer:
         """
         cages = self._checked(deformed)
         with self.lock:
-            self.deformed = None  # should this fail half-way, the next use starts from rest
-            self._hold(cages)
+            before, self.deformed = self.deformed, None  # should this fail half-way, the next use starts from rest
+            try:
+                self._hold(cages)
+            except ValueError:
+                if not all(cage is None or is_usable(cage) for cage in cages):
+                    self.deformed = before
+                raise
             self.deformed = cages
         return self
 
@@ -196,7 +201,8 @@ class Deformer:
             return self._hold(self.deformed)
 
     def _checked(self, deformed: Cage | Sequence[Cage | None]) -> list[Cage | None]:
-        """The cages of a pose, one per edit."""
+        """The cages of a pose, one per edit. Whether they can be used is for the edits to find, which have the device
+        at work meanwhile."""
         cages = list(deformed) if isinstance(deformed, list | tuple) else [deformed]
         if len(cages) != len(self.edits):
             raise ValueError(f"a pose needs one cage per edit, {len(self.edits)}, got {len(cages)}")
@@ -437,15 +443,16 @@ def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None
         The cage, with the walls of the band at rest; None for an edit that removes.
 
     Raises:
-        ValueError: For something else than a Cage, other faces than the rest cage's, or a cage that cannot be used.
+        ValueError: For something else than a Cage, other faces than the rest cage's, or with a band a cage that cannot
+            be used.
     """
     if edit.remove:
         return None
     require_type(cage, Cage, f"the pose of edit {index} must be")
     require_same_faces(edit.cage, cage)
-    require_usable(cage, "the deformed cage")
     if band is None:
         return cage
+    require_usable(cage, "the deformed cage")
     cage = band.held(cage)
     require_usable(cage, "the deformed cage, its cut walls held at rest,")
     return cage

@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import empty_array, struct_array
+from ..core.arrays import empty_array
 from ..core.checks import warn_caller
 from ..core.devices import RepeatedLaunches, launch
 from ..core.modules import load_modules
@@ -25,6 +25,7 @@ from ..lattice.capture import BufferPool
 from ..lattice.lattice import CageLattice
 from ..lattice.position_map import PositionMap
 from ..mesh.containment import SURFACE_TOLERANCE
+from ..mesh.usable import require_usable, size_problem
 from .carried import CarriedCrumbs
 from .edits import CageEdit
 from .falloff import FalloffBand, faded_map, folded_cells, tell_of_squeezing
@@ -76,6 +77,7 @@ class EditLattices:
         self._faded: list[Any] = [None] * len(edits)
         self._walls: list[Any] = [None] * len(edits)
         self.rests = [CageLattice(edit.cage, resolution, origin=origin, device=device).measure() for edit in edits]
+        self._rest_maps = [distance_map(rest) for rest in self.rests]
         options: dict[str, Any] = {
             "coordinates": coordinates,
             "resolution": resolution,
@@ -90,8 +92,11 @@ class EditLattices:
         self._cell_buffers, self._skip_buffers = ([pool.buffer(wp.uint8) for _ in edits] for _ in range(2))
         self._mark_buffer, self._launch = pool.buffer(wp.uint8), RepeatedLaunches(device)
         self._cells: list[wp.array] = []
+        self._cages: list[Cage | None] = []
         self._structs: list[Any] = []
+        self._laid: list[Any] | None = None  # the CageMap that each struct has, None where there are no structs
         self.array: wp.array | None = None
+        self._array = empty_array(len(edits), LatticeEdit, device)
         self.marked_step, self._marked_skip = 0.0, None
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
@@ -99,13 +104,65 @@ class EditLattices:
 
         Args:
             cages: The deformed cages in the order of the edits, None for an edit that removes.
+
+        Raises:
+            ValueError: For a cage that cannot be used, or as `PositionMap.pose`.
         """
-        self._faded = [self._posed_map(index, cage) for index, cage in enumerate(cages)]
-        maps = [self._extended_map(index, cage) for index, cage in enumerate(cages)]
+        self.begin(cages)
+        self.finish()
+
+    def begin(self, cages: Sequence[Cage | None]) -> bool:
+        """Start on the maps, so that the device is at work while the host goes on.
+
+        Args:
+            cages: As for `pose`.
+
+        Returns:
+            Whether `posed` tells of them already: of arrays still to be filled, without the sides of narrow gaps.
+
+        Raises:
+            ValueError: As `PositionMap.begin`.
+        """
+        self._cages, self._structs, self._laid, self.array = list(cages), [], None, None
+        for cage in cages:
+            if cage is not None and (cage.size == 0.0 or size_problem(cage)):  # no lattice at all
+                require_usable(cage, "the deformed cage")
+        drafts = [
+            None if position_map is None or cage is None else position_map.begin(cage)
+            for position_map, cage in zip(self.maps, cages, strict=True)
+        ]
+        is_known = all(edit.remove or draft is not None for edit, draft in zip(self._edits, drafts, strict=True))
+        if is_known and not any(self._bands) and not any(self.carried):
+            self._lay_out(drafts)
+        return self._laid is not None
+
+    def finish(self) -> None:
+        """Wait for the maps that were begun last, and settle what holds for their cells.
+
+        Raises:
+            ValueError: As `pose`.
+        """
+        for cage in self._cages:  # by the host, while the device is at work
+            if cage is not None:
+                require_usable(cage, "the deformed cage")
+        self._faded = [self._posed_map(index, cage) for index, cage in enumerate(self._cages)]
+        maps = [self._extended_map(index, cage) for index, cage in enumerate(self._cages)]
+        if self._laid is None or any(laid is not found for laid, found in zip(self._laid, maps, strict=True)):
+            self._lay_out(maps)
+        else:
+            for struct, cage_map in zip(self._structs, maps, strict=True):
+                if cage_map is not None and has_sides(cage_map):
+                    struct.deformed.side_index, struct.deformed.sides = cage_map.side_index, cage_map.sides
+        self.settle_cells()
+        self._warn_of_folds(self._cages)
+
+    def _lay_out(self, maps: Sequence[Any]) -> None:
+        """Make the structs of the edits, with the arrays of their tables. maps: a CageMap each, None for an edit that
+        removes."""
         self._structs = [
             posed_struct(edit, rest, cage_map, cage, crumbs)
             for edit, rest, cage_map, cage, crumbs in zip(
-                self._edits, self.rests, maps, cages, self.carried, strict=True
+                self._edits, self._rest_maps, maps, self._cages, self.carried, strict=True
             )
         ]
         shapes = [cell_shape(struct.deformed) for struct in self._structs]
@@ -113,15 +170,15 @@ class EditLattices:
         self.skips = [buffer.take(shape) for buffer, shape in zip(self._skip_buffers, shapes, strict=True)]
         for struct, cells, skip in zip(self._structs, self._cells, self.skips, strict=True):
             struct.cells, struct.skip = cells, skip
-        self.settle_cells()
-        self._warn_of_folds(cages)
+            self._mark_buffer.take(skip.shape)  # which `mark_empty` asks for again
+        self._laid = list(maps)
 
     def _posed_map(self, index: int, cage: Cage | None) -> Any:
         """The CageMap of a posed edit, faded where it has a band. None for an edit that removes."""
         position_map, band = self.maps[index], self._bands[index]
         if position_map is None or cage is None:
             return None
-        data = self._plain[index] = position_map.pose(cage).data
+        data = self._plain[index] = position_map.finish().data
         if band is None:
             return data
         walls = self._walls[index] = band.on_device(cage, self._origin, self._device)
@@ -146,7 +203,7 @@ class EditLattices:
             faded = folded_cells(flags)
             if not faded.any():
                 continue
-            plain = posed_struct(edit, self.rests[index], self._plain[index], cages[index])
+            plain = posed_struct(edit, self._rest_maps[index], self._plain[index], cages[index])
             plain.cells = empty_array(faded.shape, wp.uint8, self._device)
             plain.skip = plain.cells
             launch(cell_tables.mark_edit_cases, faded.size, [plain], [plain.cells], device=self._device)
@@ -165,7 +222,9 @@ class EditLattices:
             if carried is not None and not struct.removes:
                 carried.mark(struct, struct.cells)
         # the structs stay, as they own what the array on the device points to
-        self.array = struct_array(self._structs, LatticeEdit, self._device)
+        for number, struct in enumerate(self._structs):
+            self._launch(cell_tables.keep_edit, 1, [struct, number], [self._array], number=number)
+        self.array = self._array
         for index, struct in enumerate(self._structs if len(self._structs) > 1 else []):
             if not struct.removes:
                 inputs = [self.array, index]
@@ -198,7 +257,7 @@ class EditLattices:
 
     def rest_maps(self) -> list[Any]:
         """A CageMap of each rest cage, which holds signed distances only."""
-        return [distance_map(rest) for rest in self.rests]
+        return self._rest_maps
 
     def posed(self) -> list[tuple[Any, wp.array]]:
         """The LatticeEdit of each posed edit, and the array in which `mark_empty` leaves what may be skipped."""
@@ -206,13 +265,13 @@ class EditLattices:
 
 
 def posed_struct(
-    edit: CageEdit, rest: CageLattice, deformed: Any, cage: Cage | None, carried: CarriedCrumbs | None = None
+    edit: CageEdit, rest: Any, deformed: Any, cage: Cage | None, carried: CarriedCrumbs | None = None
 ) -> Any:
     """An edit for kernels, without its tables of cells.
 
     Args:
         edit: The edit.
-        rest: Lattice of its rest cage.
+        rest: CageMap of its rest cage, which holds distances.
         deformed: CageMap of its posed cage. None for an edit that removes.
         cage: The posed cage. None for an edit that removes.
         carried: Crumbs that go with it, or None.
@@ -221,8 +280,8 @@ def posed_struct(
         A LatticeEdit of kernels/deform/edits.py.
     """
     struct = LatticeEdit()
-    struct.rest = distance_map(rest)
-    struct.deformed = struct.rest if deformed is None else deformed
+    struct.rest = rest
+    struct.deformed = rest if deformed is None else deformed
     struct.tolerance = SURFACE_TOLERANCE * (edit.cage if cage is None else cage).size
     struct.slack = LATTICE_SLACK * rest.spacing
     struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
@@ -246,6 +305,18 @@ def distance_map(lattice: CageLattice) -> Any:
     data.inverse_spacing = 1.0 / lattice.spacing
     data.distance = lattice.distance
     return data
+
+
+def has_sides(cage_map: Any) -> bool:
+    """Whether a map has cells at narrow gaps of its cage.
+
+    Args:
+        cage_map: A CageMap.
+
+    Returns:
+        Whether it has.
+    """
+    return cage_map.side_index is not None and cage_map.side_index.size > 0
 
 
 def cell_shape(cage_map: Any) -> tuple[int, ...]:

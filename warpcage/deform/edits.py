@@ -231,6 +231,9 @@ class PosedEdits(abc.ABC):
 
         Args:
             cages: The deformed cages in the order of the edits, None for an edit that removes.
+
+        Raises:
+            ValueError: For a cage that cannot be used.
         """
 
     @abc.abstractmethod

@@ -54,19 +54,22 @@ class FineCells:
             for edit, words, looks, is_told in zip(edits, self._words, self._looks, told, strict=True)
             if is_told
         ]
-        if held:  # memory is there before the launches fork
-            with self._side.fork():
-                for number, (edit, words, looks) in enumerate(held):
-                    self._mark(number, edit, grid, step, words, looks)
+        self._side.mark()  # behind which memory is there, and the tables of cells
+        stream = self._side.behind_mark()
+        for number, (edit, words, looks) in enumerate(held):
+            self._mark(number, edit, grid, step, words, looks, stream)
 
-    def _mark(self, number: int, edit: Any, grid: Any, step: float, words: wp.array, looks: wp.array) -> None:
+    def _mark(
+        self, number: int, edit: Any, grid: Any, step: float, words: wp.array, looks: wp.array, stream: wp.Stream | None
+    ) -> None:
         nodes = looks.size
         fine_look = array_view(words, wp.uint8, int(FINE_COUNT) * nodes)
         groups = -(-nodes // max(1, self._lanes // 4))  # an octet of cells for a group of lanes
-        inputs, work = [grid, edit, step], int(FINE_COUNT) / self._lanes
-        self._launch(mark_fine_cells, self._lanes * groups, inputs, [looks, fine_look], number=number, work=work)
+        inputs, how = [grid, edit, step], {"number": number, "stream": stream}
+        work = int(FINE_COUNT) / self._lanes
+        self._launch(mark_fine_cells, self._lanes * groups, inputs, [looks, fine_look], work=work, **how)
         whole_groups = -(-nodes // self._lanes) * self._lanes
-        self._launch(spread_fine_cells, whole_groups, [edit, looks], [words], number=number)
+        self._launch(spread_fine_cells, whole_groups, [edit, looks], [words], **how)
         tell_fine_cells(edit, FINE_BITS, fine_look)
 
 

@@ -65,7 +65,7 @@ from ..view.tile_order import BalancedTiles
 from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from .carried import CarriedCrumbs
 from .carried_shading import CarriedShades, shade_texture_bytes
-from .edit_lattices import EditLattices
+from .edit_lattices import EditLattices, has_sides
 from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand
 from .fine_cells import FineCells, tell_fine_cells
@@ -92,6 +92,9 @@ TILE_KERNELS = (render_cpu.render_edit_tiles, render_cpu.render_edit_tiles)
 
 #: Rays from which on a view is one of many pixels.
 LARGE_PICTURE = 1 << 20
+
+#: Whether a pose on a CPU launches what views are likely to ask for, too: there nothing waits for the host.
+LOOKS_AHEAD_ON_CPU = False
 
 #: Lattices of fewer nodes have numbers left that say on which side of the posed cage a place is.
 MOST_LATTICE_NODES = 1 << 30
@@ -157,6 +160,22 @@ class Plan(NamedTuple):
     is_shaded: bool
 
 
+class SeenView(NamedTuple):
+    """What the tables of a pose take of the views of it.
+
+    Args:
+        field: The field.
+        grid: Its VoxelGrid as it was marched.
+        centre: Of the camera, relative to the field's origin.
+        step: March step, world units.
+    """
+
+    field: VoxelField
+    grid: Any
+    centre: wp.vec3
+    step: float
+
+
 class LatticeEdits(PosedEdits):
     """Edits on lattices, for the kernel of one edit or that of several.
 
@@ -189,10 +208,13 @@ class LatticeEdits(PosedEdits):
         self._edits, self._device, self._origin = edits, device, np.asarray(origin)
         self._is_single, self._has_crumbs = len(edits) == 1 and not any(carried), any(carried)
         self._by_tiles = device.is_cpu and marching.TILES_ON_CPU
+        self._looks_ahead = device.is_cuda or LOOKS_AHEAD_ON_CPU
         super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
         load_pose_modules(coordinates, render_modules(device, len(edits), self._has_crumbs), device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
+        self._laid: list[tuple[Any, Any]] = []  # each LatticeEdit and its FlatEdit, once for a pose
+        self._seen: SeenView | None = None  # the last view, where it was of the last pose
         self._plan, self._lattice_boxes = Plan(None, False), []
         self._shades = CarriedShades(len(edits), device)
         self._side, self._join = SideStream(device, priority=-1), RepeatedLaunches(device)
@@ -221,17 +243,14 @@ class LatticeEdits(PosedEdits):
             return [field.marching.rows()]
         if not self._shades.is_posed:
             return []
-        return self._shaded_tables(field, centre, step)
-
-    def _shaded_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
-        """Voxels shaded for a view; rows where its pose turns matter over."""
         if self._shades.is_known_folded:
-            self._plan = Plan(self._plan.parts, False)
-            return [field.marching.rows()]
-        tables = [self._shades.shades(field.grid, field.marching.columns, centre, step)]
-        if self._shades.is_folded():  # asked behind what is launched for all others
-            return self._shaded_tables(field, centre, step)
-        return tables
+            return self._unshaded_tables(field)
+        return [self._shades.shades(field.grid, field.marching.columns, centre, step)]
+
+    def _unshaded_tables(self, field: VoxelField) -> list[Any]:
+        """Rows, as the pose turns matter over."""
+        self._plan = Plan(self._plan.parts, False)
+        return [field.marching.rows()]
 
     def _planned(self, field: VoxelField, centre: wp.vec3, step: float) -> Plan:
         """How a view is marched."""
@@ -248,14 +267,30 @@ class LatticeEdits(PosedEdits):
         return Plan(parts, is_shaded)
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
-        self.lattices.pose(cages)
-        self.array, self.scene = self.lattices.array, None
-        self._flat = []
+        seen, self._seen = self._seen, None
+        self._flat, self._laid, self.array, self.scene = [], [], None, None
         self._boxes = self._apart = None
+        if self.lattices.begin(cages) and seen is not None:  # the device is at work
+            self._lay_out()
+        self.lattices.finish()
+        self.array = self.lattices.array
         if len(self._edits) > 1 and not self._has_crumbs:
             structs = [struct for struct, _ in self.lattices.posed()]
             tolerances, slacks = ([float(getattr(each, name)) for each in structs] for name in ("tolerance", "slack"))
             self._boxes = edit_boxes(self._edits, cages, self._origin, tolerances, slacks)
+        if seen is not None:
+            self._look_ahead(seen)
+
+    def _look_ahead(self, seen: SeenView) -> None:
+        """Launch what the next view is likely to ask for: who saw the last pose will see this one, and the device would
+        wait for the host between. A view of something else finds its own."""
+        self.prepare(seen.grid, seen.step)
+        self._plan = self._planned(seen.field, seen.centre, seen.step)
+        has_begun = self._begin_tables(seen.grid)
+        if self._plan.is_shaded:
+            self._find_places(seen.grid)
+        if has_begun:
+            self._end_tables()
 
     def prepare(self, grid: Any, step: float) -> None:
         scene, self.scene = self.scene, None  # an interrupt leaves none
@@ -269,11 +304,14 @@ class LatticeEdits(PosedEdits):
         Returns:
             The one FlatEdit of kernels/deform/flat_edits.py, or an array of several.
         """
-        posed = zip(self.lattices.posed(), self._look_buffers, self._node_buffers, strict=True)
-        self._flat = [
-            flat_edit(edit, skip, look, nodes, functools.partial(self._join, number=number))
-            for number, ((edit, skip), look, nodes) in enumerate(posed)
-        ]
+        posed = self.lattices.posed()
+        if [id(edit) for edit, _ in posed] != [id(edit) for edit, _ in self._laid]:
+            self._lay_out()
+        laid, self._laid = self._laid, []
+        for number, ((edit, skip), (_, flat)) in enumerate(zip(posed, laid, strict=True)):
+            tell_sides(flat, edit)
+            join_tables(flat, edit, skip, functools.partial(self._join, number=number))
+        self._flat = [flat for _, flat in laid]
         self._lattice_boxes, self._shades.is_posed = [lattice_box(flat) for flat in self._flat], False
         self._is_fine = False
         if not self._is_single:
@@ -284,6 +322,37 @@ class LatticeEdits(PosedEdits):
         self.render_kernel = ROW_KERNELS[takes_any(flat)]
         return flat
 
+    def _lay_out(self) -> None:
+        """Make the FlatEdits of the pose, their tables still to be filled."""
+        edits = [edit for edit, _ in self.lattices.posed()]
+        buffers = zip(edits, self._look_buffers, self._node_buffers, strict=True)
+        self._laid = [(edit, flat_edit(edit, look, nodes)) for edit, look, nodes in buffers]
+
+    def _begin_tables(self, grid: Any) -> bool:
+        """Launch the tables of fine cells and the polynomials of cells, where the march is one that knows them, for one
+        edit or for those apart.
+
+        Returns:
+            Whether they are new: they are there behind `_end_tables`.
+        """
+        is_known = not self._by_tiles and (self._is_single or self._plan.parts is not None)
+        if self._is_fine or not is_known:
+            return False
+        self._fine.begin(self._flat, grid, self.lattices.marked_step)
+        self._polynomials.expand(self._flat)  # on the program's stream, which has less to do meanwhile
+        return True
+
+    def _end_tables(self) -> None:
+        """Let what follows wait for the tables."""
+        self._side.join()
+        self._is_fine = True
+        if self._is_single:
+            self.render_kernel = ROW_KERNELS[takes_any(self._flat[0])]
+
+    def _find_places(self, grid: Any) -> None:
+        """Launch what finds where the pose takes matter."""
+        self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], grid)
+
     def render(self, view: MarchedView) -> None:
         field, centre, step = view.field, view.pinhole.centre, view.options.step
         is_new = not view.rows or (self._plan.is_shaded and not self._shades.is_posed)
@@ -291,21 +360,19 @@ class LatticeEdits(PosedEdits):
         if is_new:
             self.begin_view(field, centre, step)
             rows = self.row_tables(field, centre, step)
-        # the march for one edit, and for those apart, knows fine cells
-        is_coarse = not self._is_fine and not self._by_tiles and (self._is_single or self._plan.parts is not None)
-        if is_coarse:
-            self._side.mark()  # tables of cells may be newer than the view's begin
-            self._fine.begin(self._flat, view.grid, self.lattices.marked_step)
-            self._polynomials.expand(self._flat)  # on the program's stream, which has less to do meanwhile
+        has_begun = self._begin_tables(view.grid)
         begins = self._tile_begins(view)
         if is_new and self._plan.is_shaded:
-            self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], view.grid)
-            rows = self._shaded_tables(field, centre, step)
-        self._side.join()
-        if is_coarse:
-            self._is_fine = True
-            if self._is_single:
-                self.render_kernel = ROW_KERNELS[takes_any(self._flat[0])]
+            self._find_places(view.grid)
+            rows = self.row_tables(field, centre, step)
+        if has_begun:
+            self._end_tables()
+        else:
+            self._side.join()
+        if self._plan.is_shaded and self._shades.is_folded():  # asked behind all that is launched for others
+            rows = self._unshaded_tables(field)
+        if self._looks_ahead:
+            self._seen = SeenView(field, view.grid, centre, step)
         view = dataclasses.replace(view, rows=rows)
         (parts, is_shaded), tiles = self._plan, view.threads // TILE_SIZE
         if parts is not None:
@@ -366,20 +433,18 @@ class LatticeEdits(PosedEdits):
         return struct_array(self._flat, flat_edits.FlatEdit, self._device)
 
 
-def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer, launch: Callable[..., None]) -> Any:
-    """A LatticeEdit with flat arrays.
+def flat_edit(edit: Any, look: Buffer, nodes: Buffer) -> Any:
+    """A LatticeEdit with flat arrays, which are still to be filled.
 
     Args:
-        edit: The posed LatticeEdit.
-        skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
+        edit: The posed LatticeEdit, perhaps without the sides of narrow gaps.
         look: Of uint8, for the table of cells.
         nodes: Of vec4, for the nodes.
-        launch: A RepeatedLaunches.
 
     Returns:
-        A FlatEdit of kernels/deform/flat_edits.py.
+        A FlatEdit of kernels/deform/flat_edits.py; see `tell_sides` and `join_tables`.
     """
-    device, node_count = edit.deformed.distance.device, edit.deformed.distance.size
+    node_count = edit.deformed.distance.size
     flat = flat_edits.FlatEdit()
     flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
     flat.spacing = 1.0 / edit.deformed.inverse_spacing
@@ -387,19 +452,39 @@ def flat_edit(edit: Any, skip: wp.array, look: Buffer, nodes: Buffer, launch: Ca
     flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)
     tell_fine_cells(flat, 0, flat.look)
     flat.rest = edit.rest
-    side_index = edit.deformed.side_index
-    flat.has_sides = int(side_index is not None and side_index.size > 0)
     flat.by_nodes = int(not edit.removes)  # until there are polynomials
-    if flat.has_sides:
-        flat.side_index, flat.sides = side_index, edit.deformed.sides
     flat.tolerance, flat.slack = edit.tolerance, edit.slack
     flat.keeps_source, flat.removes, flat.crumbs = edit.keeps_source, edit.removes, edit.crumbs
     flat.all_outside = int(CELL_OUTSIDE) if edit.removes else 0
     flat.carried_below = -math.inf if edit.removes else 0.0
-    launch(flat_edits.join_cell_tables, node_count, [edit.cells, skip, flat.node_counts], [flat.look])
-    positions = empty_array(0, wp.vec3, device) if edit.removes else edit.deformed.positions.flatten()
-    launch(flat_edits.join_nodes, node_count, [positions, edit.deformed.distance.flatten()], [flat.nodes])
     return flat
+
+
+def tell_sides(flat: Any, edit: Any) -> None:
+    """Let an edit with flat arrays have the sides of narrow gaps.
+
+    Args:
+        flat: The FlatEdit.
+        edit: The posed LatticeEdit that it is of.
+    """
+    flat.has_sides = int(has_sides(edit.deformed))
+    if flat.has_sides:
+        flat.side_index, flat.sides = edit.deformed.side_index, edit.deformed.sides
+
+
+def join_tables(flat: Any, edit: Any, skip: wp.array, launch: Callable[..., None]) -> None:
+    """Launch what fills the flat arrays of an edit.
+
+    Args:
+        flat: The FlatEdit.
+        edit: The posed LatticeEdit that it is of.
+        skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
+        launch: A RepeatedLaunches.
+    """
+    count = flat.nodes.size
+    launch(flat_edits.join_cell_tables, count, [edit.cells, skip, flat.node_counts], [flat.look])
+    positions = empty_array(0, wp.vec3, skip.device) if edit.removes else edit.deformed.positions.flatten()
+    launch(flat_edits.join_nodes, count, [positions, edit.deformed.distance.flatten()], [flat.nodes])
 
 
 def lattice_box(flat: Any) -> list[list[float]]:

@@ -16,6 +16,7 @@ from ..kernels.splats.pose import CarriedSplats
 from ..kernels.splats.splats import Splats
 from ..lattice.position_map import PositionMap
 from ..mesh.containment import SURFACE_TOLERANCE
+from ..mesh.usable import require_usable
 from ..splats.binding import RESOLUTION, CageBinding
 from ..splats.splat_field import SplatField
 from ..splats.splitting import split_tree
@@ -304,7 +305,13 @@ class SplatEdits:
 
         Args:
             cages: The posed cages in the order of the edits, None for an edit that removes.
+
+        Raises:
+            ValueError: For a cage that cannot be used; the splats stay where they are.
         """
+        for cage in cages:
+            if cage is not None:
+                require_usable(cage, "the deformed cage")
         if self.is_at_rest(cages):  # to the bit: nothing is in pieces or shares
             self.posed = self.field.splats
             return

@@ -244,7 +244,7 @@ class CageLattice:
     @property
     def local_lower(self) -> wp.vec3:
         """Position of node (0, 0, 0) relative to the origin; exact in float32."""
-        return wp.vec3(*(self.lower - self.origin))
+        return wp.vec3(*(self.lower - self.origin).tolist())  # NumPy's own take Warp longer
 
     def sizes(self, level_count: int) -> PoseSizes:
         """What launches over this pose count, before its nodes are listed.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
@@ -36,6 +38,21 @@ WARM_MEMORY = 8
 
 #: Crossings of a lattice line that these graphs have room for: twice what lines have otherwise.
 WARM_CROSSINGS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class BegunPose:
+    """A pose that was begun, and not finished yet.
+
+    Args:
+        cage: The posed cage.
+        draft: The map that it is to be, without the sides of narrow gaps, where a graph is at work on it; else None.
+        last: The cage of the map before, None where that is lost.
+    """
+
+    cage: ClosedMesh
+    draft: WarpStruct | None = None
+    last: ClosedMesh | None = None
 
 
 class PositionMap:
@@ -107,6 +124,8 @@ class PositionMap:
         self._data: WarpStruct | None = None
         self._graph: PoseGraph | None = None
         self._has_gaps = False
+        self._begun: BegunPose | None = None
+        self._is_replayable = False  # whether the graph's buffers and the lattice have seen a pose
 
     def pose(self, deformed: ClosedMesh) -> PositionMap:
         """Compute the map from a deformed cage. Buffers of the last pose are reused.
@@ -122,15 +141,70 @@ class PositionMap:
                 3e6 / resolution times its size, where float32 numbers are half a cell apart (the map then stays that
                 of the last pose). For too little memory (there is no map then, until the next pose).
         """
+        with self.lock:
+            self.begin(deformed)
+            self.finish()
+        return self
+
+    def begin(self, deformed: ClosedMesh) -> WarpStruct | None:
+        """Start on a pose, so that the device is at work while the host goes on; `finish` before the map is used. Hold
+        `lock` over both where threads share the map.
+
+        Args:
+            deformed: As for `pose`.
+
+        Returns:
+            What `data` is to be, its arrays still to be filled, without the sides of narrow gaps. None where `finish`
+            does the work, and perhaps makes buffers anew.
+
+        Raises:
+            ValueError: As `pose`, for what can be told before the work.
+        """
         require_mesh(deformed, "a pose must be")
         require_same_faces(self.rest, deformed)
         if deformed.size == 0.0:  # no lattice at all
             require_usable(deformed, "deformed cage")
         with self.lock:
-            if self._graph is None or self._data is None or not self._replay(self._graph, deformed):
-                require_usable(deformed, "deformed cage")
-                self._pose_step_by_step(deformed)
+            self._let_go()
+            draft, last = None, None
+            if self._graph is not None and self._is_replayable:
+                last = None if self._data is None or self.lattice is None else self.lattice.cage
+                draft = self._replay(self._graph, deformed)
+            self._begun = BegunPose(deformed, draft, last)
+            return draft
+
+    def finish(self) -> PositionMap:
+        """Wait for the pose that was begun last; the host checks its cage while the device is at work.
+
+        Returns:
+            self. `data` is what `begin` returned, unless that had no room: compare them (`is`).
+
+        Raises:
+            ValueError: As `pose`.
+        """
+        with self.lock:
+            assert self._begun is not None, "finish comes after begin"
+            begun, graph = self._begun, self._graph
+            try:
+                require_usable(begun.cage, "deformed cage")
+            except ValueError:
+                self._let_go()
+                if begun.draft is not None and begun.last is not None:
+                    self.pose(begun.last)
+                raise
+            has_room = begun.draft is not None and graph is not None and graph.finish()
+            self._begun = None
+            if has_room and self._launches is not None and graph is not None:
+                self._take_map(self._launches, graph.has_gaps, graph, begun.draft)
+            else:
+                self._pose_step_by_step(begun.cage)
         return self
+
+    def _let_go(self) -> None:
+        """Forget a pose that was not finished, once the device no longer reads what the host wrote for it."""
+        if self._begun is not None and self._begun.draft is not None and self._launches is not None:
+            self._launches.wait()
+        self._begun = None
 
     def warm(self) -> PositionMap:
         """Pose the rest cage, and capture the graphs that later poses replay; the first poses take no longer then.
@@ -157,6 +231,7 @@ class PositionMap:
         """Pose with exact sizes, which the device is waited for."""
         needed = self.memory_bytes(deformed)  # refuses a cage too far away
         self._data = self._weights = None  # what is in the buffers goes, and weights before new ones come
+        self._is_replayable = False
         held = 0 if self.lattice is None else self.lattice.buffers.bytes
         require_memory(needed, self.device, self._too_large(), held=held)
         launches = self._laid(deformed)
@@ -166,6 +241,7 @@ class PositionMap:
         self._map_positions(launches)
         if self._graph is not None:
             self._graph.release()
+            self._is_replayable = True
 
     def _laid(self, deformed: ClosedMesh) -> PoseLaunches:
         """The launches of a pose, with the lattice laid over it; made with the first one."""
@@ -180,32 +256,20 @@ class PositionMap:
             self._graph = PoseGraph(self._launches)
         return self._launches
 
-    def _replay(self, graph: PoseGraph, deformed: ClosedMesh) -> bool:
-        """Pose by the graph; the host checks the cage while the device is at work. False where there is no room.
-
-        Raises ValueError for an unusable cage, once the last pose's map is worked out again.
-        """
-        launches, lattice = self._posed()
-        last = lattice.cage
+    def _replay(self, graph: PoseGraph, deformed: ClosedMesh) -> WarpStruct | None:
+        """Start on a pose by the graph; the map that it is to be, None where there is no room."""
+        launches = self._launches
+        assert launches is not None
+        lattice = launches.solver.lattice
         lattice.lay(deformed)
         self._data = None  # what is in the buffers goes
-        has_room = graph.fits(lattice.sizes(launches.solver.nodes.level_count))
-        if has_room:
-            graph.begin()
-            with np.errstate(all="ignore"):  # of faces without area
-                self._write_values(lattice)
-            graph.go_on()
-        try:
-            require_usable(deformed, "deformed cage")
-        except ValueError:
-            if has_room:
-                launches.wait()  # before the constants change
-            self._pose_step_by_step(last)
-            raise
-        if not has_room or not graph.finish():
-            return False
-        self._take_map(launches, graph.has_gaps, graph)
-        return True
+        if not graph.fits(lattice.sizes(launches.solver.nodes.level_count)):
+            return None
+        graph.begin()
+        with np.errstate(all="ignore"):  # of faces without area
+            self._write_values(lattice)
+        graph.go_on()
+        return self._draft(launches)
 
     def rebind(self, rest: ClosedMesh) -> PositionMap:
         """Map the same pose to another canonical cage, from the weights that were kept.
@@ -328,13 +392,21 @@ class PositionMap:
             solver.take_status(status.solution)
         self._take_map(launches, status.has_gaps)
 
-    def _take_map(self, launches: PoseLaunches, has_gaps: bool, graph: PoseGraph | None = None) -> None:
-        """Let `data` be what was computed. graph: that had room for it."""
+    def _draft(self, launches: PoseLaunches) -> WarpStruct:
+        """The map of the pose that is laid out, without sides."""
         lattice = launches.solver.lattice
         data = CageMap()
         data.lower, data.spacing, data.inverse_spacing = lattice.local_lower, lattice.spacing, 1.0 / lattice.spacing
         data.positions = launches.solver.shaped_values
         data.distance = lattice.distance
+        return data
+
+    def _take_map(
+        self, launches: PoseLaunches, has_gaps: bool, graph: PoseGraph | None = None, draft: WarpStruct | None = None
+    ) -> None:
+        """Let `data` be what was computed. graph: that had room for it. draft: the map without sides, where it is
+        there."""
+        data = self._draft(launches) if draft is None else draft
         self.gap_jump = 0.0
         self._has_gaps = has_gaps
         if has_gaps:

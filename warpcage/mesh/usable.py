@@ -207,8 +207,26 @@ def require_usable(mesh: ClosedMesh, name: str = "cage") -> None:
     """
     if not hasattr(mesh, "topology"):
         raise ValueError(f"{name} must be a Cage, got {type(mesh).__name__}")
+    problem = _known_problem(mesh)
+    if problem:
+        raise ValueError(f"{name} {problem}")
+
+
+def is_usable(mesh: ClosedMesh) -> bool:
+    """Whether `require_usable` takes a mesh.
+
+    Args:
+        mesh: The mesh.
+
+    Returns:
+        Whether it does.
+    """
+    return not _known_problem(mesh)
+
+
+def _known_problem(mesh: ClosedMesh) -> str:
+    """`first_problem`, remembered."""
     problem = _known_problems.get(mesh)
     if problem is None:
         problem = _known_problems[mesh] = first_problem(mesh)
-    if problem:
-        raise ValueError(f"{name} {problem}")
+    return problem

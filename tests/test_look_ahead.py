@@ -1,0 +1,142 @@
+"""Poses that launch what the next view is likely to ask for, before it does."""
+
+import numpy as np
+import pytest
+from deformed_scenes import (
+    BOX,
+    KINDS,
+    alter_map,
+    box_around,
+    kernels_of,
+    mirrored,
+    shiny_field,
+    slotted,
+    two_balls,
+    use_march,
+    view,
+)
+
+from warpcage import CageEdit, Deformer
+from warpcage.deform import lattice_edits
+from warpcage.deform.fine_cells import FineCells
+from warpcage.lattice.graph import PoseGraph
+
+
+@pytest.fixture(params=["rows", "shaded"])
+def ahead(request, device, monkeypatch):
+    """The march by rows or of shaded voxels, with tables launched ahead on a CPU too; maps by graphs there too."""
+    use_march(request.param, device, monkeypatch)
+    monkeypatch.setattr(lattice_edits, "LOOKS_AHEAD_ON_CPU", True)
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
+    return request.param
+
+
+def one_cage():
+    return BOX, [BOX.twist(50), BOX.bend(40, towards="y"), BOX.scale((0.9, 1.2, 1.0)), BOX]
+
+
+def a_slot():
+    """The second pose has narrow gaps, the others none."""
+    rest = slotted(0.5)
+    narrow = rest.with_vertices(np.where(np.abs(rest.vertices) == 0.25, 0.02 * np.sign(rest.vertices), rest.vertices))
+    return rest, [rest.bend(20), narrow, rest.rotate(15), narrow]
+
+
+def beside_each_other():
+    rests = [box_around(-0.5, 0, 0), box_around(0.5, 0, 0)]
+    return rests, [[rests[0].rotate(angle), rests[1].translate([0, 0.1, 0.001 * angle])] for angle in (10, 20, 30)]
+
+
+def removed_and_copied():
+    rests = [CageEdit(box_around(-0.5, 0, 0), remove=True), CageEdit(box_around(0.5, 0, 0), keep_source=True)]
+    return rests, [[None, rests[1].cage.translate([0, 0.1 * k, 0.3])] for k in (1, 2, 3)]
+
+
+def same_frames(frame, other):
+    return all(np.array_equal(array.numpy(), other.arrays[name].numpy()) for name, array in frame.arrays.items())
+
+
+@pytest.mark.parametrize("scene", [one_cage, a_slot, beside_each_other, removed_and_copied])
+def test_frames_are_those_of_a_deformer_that_has_seen_nothing(ahead, scene, device):
+    """Cameras change between poses, and poses are seen more than once, or never."""
+    field, (rests, poses) = two_balls(device), scene()
+    options = {"coordinates": "mean_value", "resolution": 40}
+    deformer = Deformer(field, rests, **options)
+    for number, pose in enumerate([*poses, *poses]):
+        deformer.pose(pose)
+        eyes = [(2.5, 1.2, 1.0), (-2.0, 1.5, 0.5 + number)][: number % 3 or 1]
+        for eye in eyes:
+            expected = Deformer(field, rests, **options).pose(pose).render(view(eye))
+            assert same_frames(deformer.render(view(eye)), expected)
+    deformer.pose(poses[1])  # nobody looks
+    deformer.pose(poses[0])
+    assert same_frames(deformer.render(view()), Deformer(field, rests, **options).pose(poses[0]).render(view()))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_view_finds_its_tables_there(ahead, kind, device, monkeypatch):
+    """Those of a pose that follows one that was seen; of others the view finds them."""
+    begun = []
+    begin = FineCells.begin
+    monkeypatch.setattr(FineCells, "begin", lambda self, *rest: begun.append(len(views)) or begin(self, *rest))
+    field, views, camera = shiny_field(device), [], view()
+    deformer = Deformer(field, BOX, coordinates=kind, resolution=32)
+    _, poses = one_cage()
+    for pose in poses[:3]:
+        deformer.pose(pose)
+        assert begun[len(views) :] == [len(views)] * bool(views)
+        views.append(deformer.render(camera))
+        assert len(begun) == len(views)
+    deformer.pose(poses[0]).pose(poses[1])
+    assert begun == [0, 1, 2, 3]  # the first of both, which followed a view
+    deformer.render(camera, step=3 * field.step)  # for which what was looked for does not hold
+    assert begun == [0, 1, 2, 3, 3]
+
+
+def test_fields_that_change_between_a_pose_and_its_view(ahead, device):
+    field = two_balls(device)
+    deformer = Deformer(field, BOX, resolution=32)
+    for turn, angle in enumerate((20, 30, 40)):
+        deformer.pose(BOX.twist(angle))
+        density = field.grid.density.numpy()
+        density[turn :: 3 + turn] *= -1  # other voxels hold matter
+        field.grid.density.assign(density)
+        frame = deformer.render(view())
+        assert same_frames(frame, Deformer(field, BOX, resolution=32).pose(BOX.twist(angle)).render(view()))
+    assert frame.alpha.max() > 0.5
+
+
+def test_poses_that_turn_matter_over_are_found_out_ahead(ahead, device):
+    """The march by rows takes them, whatever the tables that were launched are for."""
+    deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=32)
+    plain = deformer.pose(BOX).render(view())
+    alter_map(deformer, mirrored)
+    deformer.pose(BOX)
+    with kernels_of(deformer._edits) as kernels:
+        frame = deformer.render(view())
+    assert "shaded" not in kernels[0].key and frame.fold.max() > 0.9 > plain.fold.max()
+
+
+@pytest.mark.parametrize("looked", [False, True])
+def test_a_cage_that_cannot_be_used_leaves_the_pose_before(ahead, looked, device):
+    """It is found while the device is at work on it, perhaps in the second of two edits."""
+    field, (rests, poses) = two_balls(device), beside_each_other()
+    deformer = Deformer(field, rests, resolution=32)
+    assert deformer.deformed is None
+    inverted = rests[1].with_vertices(rests[1].vertices * [-1, 1, 1])
+    with pytest.raises(ValueError, match="^the deformed cage looks inward"):
+        deformer.pose([poses[0][0], inverted])
+    assert deformer.deformed is None
+    for pose, other in zip(poses[1:], poses[:2], strict=True):
+        deformer.pose(pose)
+        if looked:
+            deformer.render(view())
+        for broken in ([poses[0][0], inverted], [inverted, inverted]):
+            with pytest.raises(ValueError, match="^the deformed cage looks inward"):
+                deformer.pose(broken)
+        assert deformer.deformed == pose
+        held = deformer.posed(other)
+        with pytest.raises(ValueError, match="^the deformed cage looks inward"):
+            deformer.posed(broken)
+        assert same_frames(held.render(view()), Deformer(field, rests, resolution=32).pose(other).render(view()))
+        assert same_frames(deformer.render(view()), Deformer(field, rests, resolution=32).pose(pose).render(view()))
