@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from deformed_scenes import (
     BOX,
     KINDS,
@@ -140,3 +141,19 @@ def test_a_cage_that_cannot_be_used_leaves_the_pose_before(ahead, looked, device
             deformer.posed(broken)
         assert same_frames(held.render(view()), Deformer(field, rests, resolution=32).pose(other).render(view()))
         assert same_frames(deformer.render(view()), Deformer(field, rests, resolution=32).pose(pose).render(view()))
+
+
+def test_poses_and_frames_on_different_streams_wait_for_each_other(device):
+    if wp.get_device(device).is_cpu:
+        pytest.skip("CUDA only")
+    field, rest = shiny_field(device), BOX
+    _, poses = one_cage()
+    options = {"coordinates": "harmonic", "resolution": 96}
+    expected = [Deformer(field, rest, **options).pose(pose).render(view()) for pose in poses]
+    deformer, streams = Deformer(field, rest, **options), [wp.Stream(device) for _ in range(3)]
+    for number in range(20):
+        pose, frame = poses[number % len(poses)], expected[number % len(poses)]
+        with wp.ScopedStream(streams[number % 3], sync_enter=False):
+            deformer.pose(pose)
+        with wp.ScopedStream(streams[(number + 1) % 3], sync_enter=False):
+            assert same_frames(deformer.render(view()), frame)

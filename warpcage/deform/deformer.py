@@ -20,6 +20,7 @@ from ..field.voxel_field import VoxelField
 from ..kernels.deform.edits import MAPPED
 from ..kernels.deform.march import MarchOptions
 from ..kernels.deform.pictures import Picture
+from ..lattice.capture import StreamOrder
 from ..mesh.match import require_same_faces
 from ..mesh.usable import is_usable, require_usable
 from ..splats.splat_field import SplatField
@@ -116,7 +117,7 @@ class Deformer:
         self.field = field.to(self.device)
         self.coordinates, self.resolution, self.density, self.store = coordinates, resolution, density, store
         self.deformed: list[Cage | None] | None = None
-        self.lock = owner_lock(self.device)
+        self.lock, self._order = owner_lock(self.device), StreamOrder(self.device)
         self._held: list[Cage | None] | None = None  # the pose that is in the buffers
         self._spans: list[float] = []  # of its cages
         self._edits: PosedEdits
@@ -211,6 +212,7 @@ class Deformer:
 
     def _hold(self, cages: list[Cage | None]) -> PosedEdits:
         """The edits with this pose in their buffers, computed where another one is there. Needs the lock."""
+        self._order.follow()  # poses and frames of other streams share the buffers
         if self._held is not cages:
             self._held = None
             self._edits.pose(cages)

@@ -20,6 +20,7 @@ from ..core.locks import owner_lock
 from ..core.names import DENSITIES, SPLAT_MAPS, require_coordinates, require_name
 from ..core.words import counted
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
+from ..lattice.capture import StreamOrder
 from ..splats.density import SplatDensity
 from ..splats.files.contents import SplatContents, logits_of
 from ..splats.files.files import splat_ending
@@ -103,7 +104,7 @@ class SplatDeformer(Deformer):
         self.device = field.device if device is None else resolve_device(device)
         self.field = field.to(self.device)
         self.deformed = None
-        self.lock = owner_lock(self.device)
+        self.lock, self._order = owner_lock(self.device), StreamOrder(self.device)
         self._held = None
         with self.lock:
             self._bands = [self._band(edit) if edit.falloff > 0.0 else None for edit in self.edits]

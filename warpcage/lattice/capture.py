@@ -218,3 +218,24 @@ class SideStream:
         """What follows waits for all that was forked."""
         if self._stream is not None:
             self.device.stream.wait_stream(self._stream)
+
+
+class StreamOrder:
+    """Lets work of one owner on several streams of a CUDA device follow each other.
+
+    Args:
+        device: Warp device.
+    """
+
+    def __init__(self, device: wp.DeviceLike):
+        self._device = wp.get_device(device)
+        self._last: wp.Stream | None = None
+
+    def follow(self) -> None:
+        """What is launched next on the current stream waits for what was on the one that was current at the last
+        call."""
+        if self._device.is_cuda:
+            stream = self._device.stream
+            if self._last is not None and self._last is not stream:
+                stream.wait_stream(self._last)
+            self._last = stream

@@ -147,8 +147,9 @@ class PositionMap:
         return self
 
     def begin(self, deformed: ClosedMesh) -> WarpStruct | None:
-        """Start on a pose, so that the device is at work while the host goes on; `finish` before the map is used. Hold
-        `lock` over both where threads share the map.
+        """Start on a pose, so that the device is at work while the host goes on.
+
+        Call `finish` before the map is used, and hold `lock` over both where threads share it.
 
         Args:
             deformed: As for `pose`.
