@@ -1,5 +1,7 @@
 """Poses that launch what the next view is likely to ask for, before it does."""
 
+import itertools
+
 import numpy as np
 import pytest
 import warp as wp
@@ -18,7 +20,9 @@ from deformed_scenes import (
 )
 
 from warpcage import CageEdit, Deformer
+from warpcage.core import devices
 from warpcage.deform import lattice_edits
+from warpcage.deform.carried_shading import CarriedShades
 from warpcage.deform.fine_cells import FineCells
 from warpcage.lattice.graph import PoseGraph
 
@@ -53,11 +57,19 @@ def removed_and_copied():
     return rests, [[None, rests[1].cage.translate([0, 0.1 * k, 0.3])] for k in (1, 2, 3)]
 
 
+def removed_alone():
+    return CageEdit(box_around(-0.5, 0, 0), remove=True), [[None], [None], [None]]
+
+
+def fading():
+    return CageEdit(BOX, falloff=0.2, held=(0, 1)), [BOX.translate([0.05 * k, 0, 0]) for k in (1, 2, 3)]
+
+
 def same_frames(frame, other):
     return all(np.array_equal(array.numpy(), other.arrays[name].numpy()) for name, array in frame.arrays.items())
 
 
-@pytest.mark.parametrize("scene", [one_cage, a_slot, beside_each_other, removed_and_copied])
+@pytest.mark.parametrize("scene", [one_cage, a_slot, beside_each_other, removed_and_copied, removed_alone, fading])
 def test_frames_are_those_of_a_deformer_that_has_seen_nothing(ahead, scene, device):
     """Cameras change between poses, and poses are seen more than once, or never."""
     field, (rests, poses) = two_balls(device), scene()
@@ -76,22 +88,25 @@ def test_frames_are_those_of_a_deformer_that_has_seen_nothing(ahead, scene, devi
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_view_finds_its_tables_there(ahead, kind, device, monkeypatch):
-    """Those of a pose that follows one that was seen; of others the view finds them."""
-    begun = []
+    """Those of the first pose, and of one that follows one that was seen; of others the view finds them."""
+    begun, views = [], []
     begin = FineCells.begin
     monkeypatch.setattr(FineCells, "begin", lambda self, *rest: begun.append(len(views)) or begin(self, *rest))
-    field, views, camera = shiny_field(device), [], view()
+    field, camera = shiny_field(device), view()
     deformer = Deformer(field, BOX, coordinates=kind, resolution=32)
+    begun.clear()
     _, poses = one_cage()
-    for pose in poses[:3]:
+    for number, pose in enumerate(poses[:3], 1):
         deformer.pose(pose)
-        assert begun[len(views) :] == [len(views)] * bool(views)
+        assert len(begun) == number
         views.append(deformer.render(camera))
-        assert len(begun) == len(views)
+    assert begun == [0, 1, 2]
     deformer.pose(poses[0]).pose(poses[1])
-    assert begun == [0, 1, 2, 3]  # the first of both, which followed a view
-    deformer.render(camera, step=3 * field.step)  # for which what was looked for does not hold
+    assert begun == [0, 1, 2, 3]  # of the first, which followed a view
+    deformer.render(camera)
     assert begun == [0, 1, 2, 3, 3]
+    deformer.render(camera, step=3 * field.step)  # for which what was looked for does not hold
+    assert begun == [0, 1, 2, 3, 3, 3]
 
 
 def test_fields_that_change_between_a_pose_and_its_view(ahead, device):
@@ -116,6 +131,35 @@ def test_poses_that_turn_matter_over_are_found_out_ahead(ahead, device):
     with kernels_of(deformer._edits) as kernels:
         frame = deformer.render(view())
     assert "shaded" not in kernels[0].key and frame.fold.max() > 0.9 > plain.fold.max()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("scene", [one_cage, a_slot, beside_each_other])
+def test_no_frame_waits_for_a_compiler(scene, kind, device, monkeypatch):
+    """Of poses with narrow gaps, and of those that turn matter over, once there is a Deformer. The field was seen."""
+    use_march("shaded", device, monkeypatch)
+    monkeypatch.setattr(lattice_edits, "LOOKS_AHEAD_ON_CPU", True)
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
+    (rests, poses), field = scene(), two_balls(device)
+    field.render(view())
+    loaded, needed = set(), set()
+    load = lattice_edits.load_modules
+    monkeypatch.setattr(
+        lattice_edits,
+        "load_modules",
+        lambda modules, where: loaded.update(module.__name__ for module in modules) or load(modules, where),
+    )
+    monkeypatch.setattr(devices, "require_loaded", lambda kernel, *_: needed.add(kernel.module.name))
+    folds = itertools.cycle([True, False])
+    monkeypatch.setattr(CarriedShades, "is_folded", lambda self: next(folds))
+    deformer = Deformer(field, rests, coordinates=kind, resolution=32)
+    loaded |= needed  # it launched them
+    needed.clear()
+    for pose in poses:
+        deformer.pose(pose)
+        for _ in range(3):
+            deformer.render(view())
+    assert needed and needed <= loaded
 
 
 @pytest.mark.parametrize("looked", [False, True])

@@ -160,7 +160,7 @@ class CarriedShades:
         Returns:
             A LaidShades of kernels/deform/laid_shades.py, of the values that the grid has now.
         """
-        device, rows, walls = self._device, table.nodes.shape[0], self._walls_of(grid, table)
+        device, rows, walls = self._device, table.nodes.shape[0], self.walls(grid, table)
         if self._aimed is not centre:
             self.aim(centre)
         self._aimed = None
@@ -189,9 +189,17 @@ class CarriedShades:
         """Let a frame's shades go once its march is launched. What the field does not keep waits for the GPU."""
         self._texture = None
 
-    def _walls_of(self, grid: Any, table: ColumnTable) -> wp.array:
-        """(m,) int32, the rows of a field that poses may show on both sides of a rest cage: those near it, and all of a
-        cage that keeps its source."""
+    def walls(self, grid: Any, table: ColumnTable) -> wp.array:
+        """The rows of a field that poses may show on both sides of a rest cage: those near it, and all of a cage that
+        keeps its source. Found once, behind `pose`.
+
+        Args:
+            grid: VoxelGrid.
+            table: Of its links.
+
+        Returns:
+            (m,) int32, ascending.
+        """
         if self._walls is None or self._walls[0] is not table:
             device, rows = self._device, table.nodes.shape[0]
             marks = wp.zeros(rows, dtype=wp.int32, device=device)

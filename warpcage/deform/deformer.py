@@ -129,7 +129,8 @@ class Deformer:
                 self._edits = ClosedFormEdits(self.edits, coordinates, origin, device, self._bands, self._carried)
             else:
                 kept = store, self._bands, self._carried
-                self._edits = LatticeEdits(self.edits, coordinates, resolution, origin, device, *kept)
+                edits = self._edits = LatticeEdits(self.edits, coordinates, resolution, origin, device, *kept)
+                edits.warm(self.field)
 
     @property
     def reached_bounds(self) -> np.ndarray:

@@ -16,9 +16,11 @@ from numpy.typing import ArrayLike
 from ..cage.cage import Cage
 from ..core.arrays import empty_array, struct_array
 from ..core.devices import RepeatedLaunches
+from ..core.memory import free_bytes
 from ..core.modules import load_modules
 from ..field import marching
 from ..field.voxel_field import VoxelField
+from ..kernels.core import texels
 from ..kernels.deform import (
     carried_shades,
     fine_cells,
@@ -42,7 +44,8 @@ from ..kernels.deform import (
 )
 from ..kernels.deform import cells as cell_tables
 from ..kernels.deform.edits import CELL_OUTSIDE
-from ..kernels.field import columns
+from ..kernels.field import columns, densities
+from ..kernels.field import rows as packed_rows
 from ..kernels.field import skip as grid_skip
 from ..kernels.lattice import (
     closed_form,
@@ -59,6 +62,7 @@ from ..kernels.lattice import (
     side_values,
 )
 from ..kernels.mesh import fans
+from ..kernels.view import tile_order
 from ..lattice.capture import Buffer, BufferPool, SideStream
 from ..view.camera import TILE_SIZE
 from ..view.tile_order import BalancedTiles
@@ -96,6 +100,12 @@ LARGE_PICTURE = 1 << 20
 #: Whether a pose on a CPU launches what views are likely to ask for, too: there nothing waits for the host.
 LOOKS_AHEAD_ON_CPU = False
 
+#: Sizes of a field at which it is seen from afar.
+FAR = 4.0
+
+#: Bytes a node that tables for views take, and the share of free memory that they may take before there is a view.
+TABLE_BYTES, WARM_MEMORY = 192, 1 / 16
+
 #: Lattices of fewer nodes have numbers left that say on which side of the posed cage a place is.
 MOST_LATTICE_NODES = 1 << 30
 
@@ -121,7 +131,7 @@ def load_usual_modules(coordinates: str, device: wp.Device) -> None:
         coordinates: Kind of coordinates.
         device: Warp device.
     """
-    load_pose_modules(coordinates, [*render_modules(device), columns], device)
+    load_pose_modules(coordinates, render_modules(device), device)
 
 
 def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = False) -> list[ModuleType]:
@@ -140,12 +150,14 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = Fa
     several = [render_plain, render] if edit_count > 1 else []
     if device.is_cpu and marching.TILES_ON_CPU:
         return [render_cpu, *several]
-    march_modules = [fine_cells, map_cells, tile_begins]
+    march_modules = [fine_cells, map_cells, tile_begins, *several]
+    by_rows = [render_part, render_part_sides] if several else [render_single, render_sides]
     if device.is_cpu and not marching.SHADES_ON_CPU:
-        by_rows = [render_part, render_part_sides] if several else [render_single, render_sides]
-        return [*march_modules, *by_rows, *several]
+        return [*march_modules, *by_rows]
     shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_large, shaded_sides]
-    return [*march_modules, posed_places, carried_shades, *shaded, *several]
+    # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler
+    frame_modules = [columns, densities, packed_rows, texels, tile_order]
+    return [*march_modules, posed_places, carried_shades, *shaded, *by_rows, *frame_modules]
 
 
 class Plan(NamedTuple):
@@ -280,6 +292,29 @@ class LatticeEdits(PosedEdits):
             self._boxes = edit_boxes(self._edits, cages, self._origin, tolerances, slacks)
         if seen is not None:
             self._look_ahead(seen)
+
+    def warm(self, field: VoxelField) -> None:
+        """Launch once what poses and views of them do, at rest and seen from afar: the first ones take no longer then.
+
+        Nothing is done where poses do not look ahead, or where memory is short.
+
+        Args:
+            field: The field that views are of.
+        """
+        lattices = [found.lattice for found in self.lattices.maps if found is not None]
+        nodes = sum(lattice.node_count for lattice in lattices if lattice is not None)  # none: no graphs there
+        is_short = TABLE_BYTES * nodes > WARM_MEMORY * free_bytes(self._device)
+        if not self._looks_ahead or is_short or any(lattice is None for lattice in lattices):
+            return
+        self.pose([None if edit.remove else edit.cage for edit in self._edits])
+        low, high = field.bounds
+        centre = wp.vec3(*(FAR * (high - low)).tolist())
+        seen = SeenView(field, field.marching.grid(), centre, field.step)
+        self._look_ahead(seen)
+        if self._plan.is_shaded:
+            self._shades.aim(centre)
+            self._shades.walls(seen.grid, field.marching.columns)
+        self._seen = seen  # by which the first pose goes
 
     def _look_ahead(self, seen: SeenView) -> None:
         """Launch what the next view is likely to ask for: who saw the last pose will see this one, and the device would
