@@ -125,6 +125,7 @@ class PositionMap:
         self._graph: PoseGraph | None = None
         self._has_gaps = False
         self._begun: BegunPose | None = None
+        self._is_at_work = False  # whether a graph may read what the host wrote for a pose
         self._is_replayable = False  # whether the graph's buffers and the lattice have seen a pose
 
     def pose(self, deformed: ClosedMesh) -> PositionMap:
@@ -190,11 +191,11 @@ class PositionMap:
                 require_usable(begun.cage, "deformed cage")
             except ValueError:
                 self._let_go()
-                if begun.draft is not None and begun.last is not None:
+                if self._data is None and begun.last is not None:
                     self.pose(begun.last)
                 raise
             has_room = begun.draft is not None and graph is not None and graph.finish()
-            self._begun = None
+            self._begun, self._is_at_work = None, False
             if has_room and self._launches is not None and graph is not None:
                 self._take_map(self._launches, graph.has_gaps, graph, begun.draft)
             else:
@@ -203,9 +204,9 @@ class PositionMap:
 
     def _let_go(self) -> None:
         """Forget a pose that was not finished, once the device no longer reads what the host wrote for it."""
-        if self._begun is not None and self._begun.draft is not None and self._launches is not None:
+        if self._is_at_work and self._launches is not None:
             self._launches.wait()
-        self._begun = None
+        self._begun, self._is_at_work = None, False
 
     def warm(self) -> PositionMap:
         """Pose the rest cage, and capture the graphs that later poses replay; the first poses take no longer then.
@@ -266,6 +267,7 @@ class PositionMap:
         self._data = None  # what is in the buffers goes
         if not graph.fits(lattice.sizes(launches.solver.nodes.level_count)):
             return None
+        self._is_at_work = True
         graph.begin()
         with np.errstate(all="ignore"):  # of faces without area
             self._write_values(lattice)
