@@ -14,6 +14,7 @@ PAGES = {
     "fits_page": "fits",
     "captures_page": "captures",
     "splats_page": "splats_views",
+    "frames_page": "frames",
     "select_page": "select",
 }
 
