@@ -16,9 +16,10 @@ from page import KINDS, source, table
 
 INTRODUCTION = """# Frames and poses
 
-Every number on this page was written by `benchmarks/deformed_render.py` to a JSON file in [results/](results/), with
-the machine and the versions in it; the page is made from them by `python benchmarks/frames_page.py`. Cells hold a
-figure of each run. What was tried is in [NOTES-render](../benchmarks/NOTES-render.md).
+Every number on this page was measured by `benchmarks/deformed_render.py` and lies in a JSON file in
+[results/](results/), with the machine and the versions; the page is made from them by
+`python benchmarks/frames_page.py`. Cells hold a figure of each run. What was tried is in
+[NOTES-render](../benchmarks/NOTES-render.md).
 """
 
 FRAMES = """## Frames
