@@ -7,11 +7,10 @@ Files are those of the folder whose names begin with "captures".
 
 from __future__ import annotations
 
-import argparse
 import json
 import pathlib
 
-from page import source, table
+from page import page_arguments, source, table
 
 TEXT = pathlib.Path(__file__).with_name("captures_text.md")
 
@@ -54,10 +53,7 @@ def fits(run: dict) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", default="docs/results")
-    parser.add_argument("--page", default="docs/captures.md")
-    args = parser.parse_args()
+    args = page_arguments(__doc__, "docs/captures.md")
     paths = sorted(pathlib.Path(args.results).glob("captures*.json"))
     if not paths:
         raise SystemExit(f"no captures*.json in {args.results}: run benchmarks/capture.py --json first")

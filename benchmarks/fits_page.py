@@ -8,11 +8,10 @@ is put below its table.
 
 from __future__ import annotations
 
-import argparse
 import json
 import pathlib
 
-from page import source, table
+from page import page_arguments, source, table
 
 from warpcage.fitting.options import checked_options
 
@@ -83,10 +82,7 @@ HEAD = [
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", default="docs/results")
-    parser.add_argument("--page", default="docs/fits.md")
-    args = parser.parse_args()
+    args = page_arguments(__doc__, "docs/fits.md")
     paths = sorted(pathlib.Path(args.results).glob("fits*.json"))
     if not paths:
         raise SystemExit(f"no fits*.json in {args.results}: run benchmarks/fit_scenes.py --json first")

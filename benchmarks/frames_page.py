@@ -8,11 +8,10 @@ stand beside each other.
 
 from __future__ import annotations
 
-import argparse
 import json
 import pathlib
 
-from page import KINDS, source, table
+from page import KINDS, page_arguments, source, table
 
 INTRODUCTION = """# Frames and poses
 
@@ -51,10 +50,7 @@ BEND, POSE_COUNT = 45.0, 40
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", default="docs/results")
-    parser.add_argument("--page", default="docs/frames.md")
-    args = parser.parse_args()
+    args = page_arguments(__doc__, "docs/frames.md")
     paths = sorted(pathlib.Path(args.results).glob("frames*.json"))
     files = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
     if not files:

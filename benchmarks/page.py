@@ -17,10 +17,7 @@ POSES = ("rigid", "twist", "bend", "stretch", "local")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", default="docs/results")
-    parser.add_argument("--page", default="docs/results.md")
-    args = parser.parse_args()
+    args = page_arguments(__doc__, "docs/results.md")
     folder = pathlib.Path(args.results)
     parts = [INTRODUCTION]
     sections = {
@@ -46,6 +43,14 @@ INTRODUCTION = """# Measured: the paper's table, and ground truth
 Every number on this page was written by a script to a JSON file in [results/](results/), with the machine and the
 versions in it; the page is made from them by `python benchmarks/page.py`.
 """
+
+
+def page_arguments(description: str | None, page: str) -> argparse.Namespace:
+    """The folder of results, and the page that is made of them."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--results", default="docs/results")
+    parser.add_argument("--page", default=page)
+    return parser.parse_args()
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:

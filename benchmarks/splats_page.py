@@ -8,12 +8,11 @@ them is splats_text.md.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import pathlib
 
-from page import KINDS, POSES, source, table
+from page import KINDS, POSES, page_arguments, source, table
 
 TEXT = pathlib.Path(__file__).with_name("splats_text.md")
 
@@ -28,10 +27,7 @@ CLEAR, STILL = 1.0, 5.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", default="docs/results")
-    parser.add_argument("--page", default="docs/splats_views.md")
-    args = parser.parse_args()
+    args = page_arguments(__doc__, "docs/splats_views.md")
     parts = [TEXT.read_text(encoding="utf-8")]
     sections = {"splats_times*.json": times, "splat_poses*.json": poses, "splats_truth*.json": truth}
     for pattern, section in sections.items():

@@ -21,7 +21,7 @@ from deformed_scenes import (
 
 from warpcage import CageEdit, Deformer
 from warpcage.core import devices
-from warpcage.deform import lattice_edits
+from warpcage.deform import lattice_edits, pose_modules
 from warpcage.deform.carried_shading import CarriedShades
 from warpcage.deform.fine_cells import FineCells
 from warpcage.lattice.graph import PoseGraph
@@ -143,9 +143,9 @@ def test_no_frame_waits_for_a_compiler(scene, kind, device, monkeypatch):
     (rests, poses), field = scene(), two_balls(device)
     field.render(view())
     loaded, needed = set(), set()
-    load = lattice_edits.load_modules
+    load = pose_modules.load_modules
     monkeypatch.setattr(
-        lattice_edits,
+        pose_modules,
         "load_modules",
         lambda modules, where: loaded.update(module.__name__ for module in modules) or load(modules, where),
     )

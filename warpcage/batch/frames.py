@@ -18,8 +18,8 @@ from ..core.recent import Recent
 from ..deform.deformer import Deformer
 from ..deform.edits import CageEdit
 from ..deform.fill import fill_unseen
-from ..deform.lattice_edits import load_usual_modules
 from ..deform.picture_cells import picture_cells
+from ..deform.pose_modules import load_usual_modules
 from ..field.voxel_field import VoxelField
 from ..splats.files.files import is_splat_file
 from ..splats.load import AnyField

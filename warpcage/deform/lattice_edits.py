@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Sequence
-from types import ModuleType
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,20 +13,13 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import empty_array, struct_array
+from ..core.arrays import struct_array
 from ..core.devices import RepeatedLaunches
 from ..core.memory import free_bytes
-from ..core.modules import load_modules
 from ..field import marching
 from ..field.voxel_field import VoxelField
-from ..kernels.core import texels
 from ..kernels.deform import (
-    carried_shades,
-    fine_cells,
-    flat_edits,
-    map_cells,
     points,
-    posed_places,
     render,
     render_cpu,
     render_part,
@@ -40,52 +32,23 @@ from ..kernels.deform import (
     shaded_part_sides,
     shaded_sides,
     shaded_single,
-    tile_begins,
 )
-from ..kernels.deform import cells as cell_tables
-from ..kernels.deform.edits import CELL_OUTSIDE
-from ..kernels.field import columns, densities
-from ..kernels.field import rows as packed_rows
-from ..kernels.field import skip as grid_skip
-from ..kernels.lattice import (
-    closed_form,
-    corrections,
-    crossings,
-    cut_rows,
-    distance,
-    gap_sides,
-    harmonic,
-    harmonic_coarse,
-    narrow_gaps,
-    nodes,
-    rings,
-    side_values,
-)
-from ..kernels.mesh import fans
-from ..kernels.view import tile_order
-from ..lattice.capture import Buffer, BufferPool, SideStream
+from ..kernels.deform.flat_edits import FlatEdit
+from ..lattice.capture import BufferPool, SideStream
 from ..view.camera import TILE_SIZE
 from ..view.tile_order import BalancedTiles
 from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from .carried import CarriedCrumbs
 from .carried_shading import CarriedShades, shade_texture_bytes
-from .edit_lattices import EditLattices, has_sides
+from .edit_lattices import EditLattices
 from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand
-from .fine_cells import FineCells, tell_fine_cells
+from .fine_cells import FineCells
+from .flat_edits import flat_edit, join_tables, lattice_box, tell_sides
 from .map_cells import MapPolynomials, takes_any
 from .parts import PartsInTurn
+from .pose_modules import load_pose_modules, render_modules
 from .tile_begins import TileBegins
-
-#: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
-POSE_MODULES = (
-    *(crossings, distance, nodes, rings, narrow_gaps, gap_sides, side_values, cell_tables, flat_edits, grid_skip),
-)
-SOLVER_MODULES = {
-    "harmonic": (harmonic, harmonic_coarse, cut_rows),
-    "mean_value": (closed_form, fans, cut_rows, corrections),
-    "green": (closed_form, fans),
-}
 
 #: Kernels for an edit, or a part of a scene, without narrow gaps whose cells have polynomials, and for any.
 ROW_KERNELS = (render_single.render_edit, render_sides.render_edit_with_sides)
@@ -111,53 +74,6 @@ MOST_LATTICE_NODES = 1 << 30
 
 #: Share of a GPU's memory that shades of a grid's nodes may take.
 MOST_SHADES = 0.25
-
-
-def load_pose_modules(coordinates: str, others: Sequence[ModuleType], device: wp.Device) -> None:
-    """Compile and load the kernels of a pose side by side, with others.
-
-    Args:
-        coordinates: Kind of coordinates.
-        others: Modules that frames need beside them.
-        device: Warp device.
-    """
-    load_modules([*POSE_MODULES, *SOLVER_MODULES[coordinates], *others], device)
-
-
-def load_usual_modules(coordinates: str, device: wp.Device) -> None:
-    """Compile and load the kernels of views of one edit, before there is a field or a cage.
-
-    Args:
-        coordinates: Kind of coordinates.
-        device: Warp device.
-    """
-    load_pose_modules(coordinates, render_modules(device), device)
-
-
-def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = False) -> list[ModuleType]:
-    """The modules of the kernels that render views.
-
-    Args:
-        device: Warp device.
-        edit_count: Number of edits.
-        has_crumbs: Whether crumbs go with one of them.
-
-    Returns:
-        The modules.
-    """
-    if has_crumbs:
-        return [render]
-    several = [render_plain, render] if edit_count > 1 else []
-    if device.is_cpu and marching.TILES_ON_CPU:
-        return [render_cpu, *several]
-    march_modules = [fine_cells, map_cells, tile_begins, *several]
-    by_rows = [render_part, render_part_sides] if several else [render_single, render_sides]
-    if device.is_cpu and not marching.SHADES_ON_CPU:
-        return [*march_modules, *by_rows]
-    shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_large, shaded_sides]
-    # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler
-    frame_modules = [columns, densities, packed_rows, texels, tile_order]
-    return [*march_modules, posed_places, carried_shades, *shaded, *by_rows, *frame_modules]
 
 
 class Plan(NamedTuple):
@@ -302,9 +218,10 @@ class LatticeEdits(PosedEdits):
             field: The field that views are of.
         """
         lattices = [found.lattice for found in self.lattices.maps if found is not None]
-        nodes = sum(lattice.node_count for lattice in lattices if lattice is not None)  # none: no graphs there
-        is_short = TABLE_BYTES * nodes > WARM_MEMORY * free_bytes(self._device)
-        if not self._looks_ahead or is_short or any(lattice is None for lattice in lattices):
+        if not self._looks_ahead or any(lattice is None for lattice in lattices):  # where no graphs are
+            return
+        node_count = sum(lattice.node_count for lattice in lattices if lattice is not None)
+        if TABLE_BYTES * node_count > WARM_MEMORY * free_bytes(self._device):
             return
         self.pose([None if edit.remove else edit.cage for edit in self._edits])
         low, high = field.bounds
@@ -465,71 +382,4 @@ class LatticeEdits(PosedEdits):
 
     def flat_array(self) -> wp.array:
         """(edits,) FlatEdit, as the kernel for several edits takes them."""
-        return struct_array(self._flat, flat_edits.FlatEdit, self._device)
-
-
-def flat_edit(edit: Any, look: Buffer, nodes: Buffer) -> Any:
-    """A LatticeEdit with flat arrays, which are still to be filled.
-
-    Args:
-        edit: The posed LatticeEdit, perhaps without the sides of narrow gaps.
-        look: Of uint8, for the table of cells.
-        nodes: Of vec4, for the nodes.
-
-    Returns:
-        A FlatEdit of kernels/deform/flat_edits.py; see `tell_sides` and `join_tables`.
-    """
-    node_count = edit.deformed.distance.size
-    flat = flat_edits.FlatEdit()
-    flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
-    flat.spacing = 1.0 / edit.deformed.inverse_spacing
-    flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
-    flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)
-    tell_fine_cells(flat, 0, flat.look)
-    flat.rest = edit.rest
-    flat.by_nodes = int(not edit.removes)  # until there are polynomials
-    flat.tolerance, flat.slack = edit.tolerance, edit.slack
-    flat.keeps_source, flat.removes, flat.crumbs = edit.keeps_source, edit.removes, edit.crumbs
-    flat.all_outside = int(CELL_OUTSIDE) if edit.removes else 0
-    flat.carried_below = -math.inf if edit.removes else 0.0
-    return flat
-
-
-def tell_sides(flat: Any, edit: Any) -> None:
-    """Let an edit with flat arrays have the sides of narrow gaps.
-
-    Args:
-        flat: The FlatEdit.
-        edit: The posed LatticeEdit that it is of.
-    """
-    flat.has_sides = int(has_sides(edit.deformed))
-    if flat.has_sides:
-        flat.side_index, flat.sides = edit.deformed.side_index, edit.deformed.sides
-
-
-def join_tables(flat: Any, edit: Any, skip: wp.array, launch: Callable[..., None]) -> None:
-    """Launch what fills the flat arrays of an edit.
-
-    Args:
-        flat: The FlatEdit.
-        edit: The posed LatticeEdit that it is of.
-        skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
-        launch: A RepeatedLaunches.
-    """
-    count = flat.nodes.size
-    launch(flat_edits.join_cell_tables, count, [edit.cells, skip, flat.node_counts], [flat.look])
-    positions = empty_array(0, wp.vec3, skip.device) if edit.removes else edit.deformed.positions.flatten()
-    launch(flat_edits.join_nodes, count, [positions, edit.deformed.distance.flatten()], [flat.nodes])
-
-
-def lattice_box(flat: Any) -> list[list[float]]:
-    """The box of the lattice over a posed cage.
-
-    Args:
-        flat: A FlatEdit.
-
-    Returns:
-        Its lower and its upper corner, (3,) each, relative to the edits' origin.
-    """
-    lower, counts, spacing = tuple(flat.lower), tuple(flat.node_counts), 1.0 / flat.inverse_spacing
-    return [list(lower), [low + (count - 1) * spacing for low, count in zip(lower, counts, strict=True)]]
+        return struct_array(self._flat, FlatEdit, self._device)

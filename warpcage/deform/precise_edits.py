@@ -20,7 +20,7 @@ from .carried import CarriedCrumbs
 from .edit_lattices import EditLattices, cell_shape
 from .edits import CageEdit, PosedEdits
 from .falloff import FalloffBand
-from .lattice_edits import load_pose_modules
+from .pose_modules import load_pose_modules
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, as a share of the cage's size:
 #: float32 evaluates the maps to about 1e-5.

@@ -1,0 +1,108 @@
+"""Which modules of kernels poses and their frames launch, to be compiled and loaded side by side beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import ModuleType
+
+import warp as wp
+
+from ..core.modules import load_modules
+from ..field import marching
+from ..kernels.core import texels
+from ..kernels.deform import (
+    carried_shades,
+    fine_cells,
+    flat_edits,
+    map_cells,
+    posed_places,
+    render,
+    render_cpu,
+    render_part,
+    render_part_sides,
+    render_plain,
+    render_sides,
+    render_single,
+    shaded_large,
+    shaded_part,
+    shaded_part_sides,
+    shaded_sides,
+    shaded_single,
+    tile_begins,
+)
+from ..kernels.deform import cells as cell_tables
+from ..kernels.field import columns, densities, rows
+from ..kernels.field import skip as grid_skip
+from ..kernels.lattice import (
+    closed_form,
+    corrections,
+    crossings,
+    cut_rows,
+    distance,
+    gap_sides,
+    harmonic,
+    harmonic_coarse,
+    narrow_gaps,
+    nodes,
+    rings,
+    side_values,
+)
+from ..kernels.mesh import fans
+from ..kernels.view import tile_order
+
+#: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
+POSE_MODULES = (
+    *(crossings, distance, nodes, rings, narrow_gaps, gap_sides, side_values, cell_tables, flat_edits, grid_skip),
+)
+SOLVER_MODULES = {
+    "harmonic": (harmonic, harmonic_coarse, cut_rows),
+    "mean_value": (closed_form, fans, cut_rows, corrections),
+    "green": (closed_form, fans, cut_rows),
+}
+
+
+def load_pose_modules(coordinates: str, others: Sequence[ModuleType], device: wp.Device) -> None:
+    """Compile and load the kernels of a pose side by side, with others.
+
+    Args:
+        coordinates: Kind of coordinates.
+        others: Modules that frames need beside them.
+        device: Warp device.
+    """
+    load_modules([*POSE_MODULES, *SOLVER_MODULES[coordinates], *others], device)
+
+
+def load_usual_modules(coordinates: str, device: wp.Device) -> None:
+    """Compile and load the kernels of views of one edit, before there is a field or a cage.
+
+    Args:
+        coordinates: Kind of coordinates.
+        device: Warp device.
+    """
+    load_pose_modules(coordinates, render_modules(device), device)
+
+
+def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = False) -> list[ModuleType]:
+    """The modules of the kernels that render views.
+
+    Args:
+        device: Warp device.
+        edit_count: Number of edits.
+        has_crumbs: Whether crumbs go with one of them.
+
+    Returns:
+        The modules.
+    """
+    if has_crumbs:
+        return [render]
+    several = [render_plain, render] if edit_count > 1 else []
+    if device.is_cpu and marching.TILES_ON_CPU:
+        return [render_cpu, *several]
+    march_modules = [fine_cells, map_cells, tile_begins, *several]
+    by_rows = [render_part, render_part_sides] if several else [render_single, render_sides]
+    if device.is_cpu and not marching.SHADES_ON_CPU:
+        return [*march_modules, *by_rows]
+    shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_large, shaded_sides]
+    # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler
+    frame_modules = [columns, densities, rows, texels, tile_order]
+    return [*march_modules, posed_places, carried_shades, *shaded, *by_rows, *frame_modules]
