@@ -122,6 +122,7 @@ class Deformer:
         self._spans: list[float] = []  # of its cages
         self._edits: PosedEdits
         with self.lock:
+            self._order.follow()
             self._bands = [FalloffBand(edit, self.field) if edit.falloff > 0.0 else None for edit in self.edits]
             self._carried = [found_crumbs(edit, self.field, index) for index, edit in enumerate(self.edits)]
             origin, device = self.field.center, self.device
