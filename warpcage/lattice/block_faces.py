@@ -46,44 +46,28 @@ BOX_BYTES, WORD_BYTES = 24, 4
 
 
 class BlockFaces:
-    """The faces near each block of 4 x 4 x 4 nodes, as kernels/lattice/distance.py lists them for a pose.
+    """The faces near each block of 4 x 4 x 4 nodes of a pose; `spacing` is in world units, `shape` counts nodes."""
 
-    A cage of many faces has their bounding boxes worked out first, and has them looked through for groups of blocks:
-    each block then looks at the boxes that its group found near.
-
-    Args:
-        cage: The cage.
-        shape: Nodes along each axis of the lattice.
-        spacing: World units per cell.
-        buffers: Of the lattice.
-
-    Attributes:
-        counts: (blocks,) int, how many faces are near.
-        near: (blocks, m) int, which: the first m of them, ascending.
-        clear_octants: (blocks,) int, octants of each block that are clear of the cage.
-        boxes: (f, 2) vec3, corners of the bounding box of each face, node units; (0, 2) for few faces.
-        candidates: (groups, words) int, bits of the faces that may be near a group of blocks; (0, 0) for few faces.
-        group_side: Blocks along each side of a group.
-    """
+    # A cage of many faces has their bounding boxes worked out first, and has them looked through for groups of blocks:
+    # each block then looks at the boxes that its group found near.
 
     def __init__(self, cage: ClosedMesh, shape: tuple[int, int, int], spacing: float, buffers: BufferPool):
         self._device = buffers.device
         self._counts, self._near, self._clear = (buffers.buffer(wp.int32) for _ in range(3))
         self._boxes, self._candidates = buffers.buffer(wp.vec3), buffers.buffer(wp.int32)
         self._listed = listed_faces(cage, shape, spacing)
+        # blocks along each side of a group
         self.group_side = group_side(len(cage.faces), max(shape))
+        # of each block: how many faces are near, (blocks,) int, which, the first m ascending (blocks, m) int, and the
+        # octants that are clear of the cage, (blocks,) int
         self.counts, self.near, self.clear_octants = self._counts.take(0), self._near.take((0, 0)), self._clear.take(0)
+        # corners of each face's bounding box (f, 2) vec3, node units, and bits of the faces that may be near a group of
+        # blocks, (groups, words) int; empty for few faces
         self.boxes, self.candidates = self._boxes.take((0, 2)), self._candidates.take((0, 0))
 
     def launch(self, sizes: PoseSizes, shapes: wp.array, vertices: wp.array, faces: wp.array) -> None:
         """Launch what lists the faces of a pose.
-
-        Args:
-            sizes: Of the pose, or bounds.
-            shapes: (L,) vec3i, nodes along each axis of the lattice's levels.
-            vertices: (v,) vec3, node units.
-            faces: (f,) vec3i.
-        """
+        shapes: (L,) vec3i nodes along each axis of the levels; vertices: (v,) vec3, node units; faces: (f,) vec3i."""
         lanes, device = lane_count(self._device), self._device
         if faces.size >= (MANY_FACES_CPU if device.is_cpu else MANY_FACES):
             words = word_count(faces.size)
@@ -100,16 +84,7 @@ class BlockFaces:
 
 
 def listed_faces(cage: ClosedMesh, shape: tuple[int, int, int], spacing: float) -> int:
-    """How many faces are listed for a block of nodes: more than BLOCK_FACES where a cage has many small ones.
-
-    Args:
-        cage: The cage.
-        shape: Nodes along each axis of the lattice.
-        spacing: World units per cell.
-
-    Returns:
-        A multiple of BLOCK_FACES.
-    """
+    """How many faces are listed for a block of nodes, a multiple of BLOCK_FACES: more for many small faces."""
     area = face_area(cage) / spacing**2
     # faces whose middle lies within reach of a block, on a flat piece of the cage
     reach = BAND_REACH + math.sqrt(area / len(cage.faces))
@@ -119,16 +94,7 @@ def listed_faces(cage: ClosedMesh, shape: tuple[int, int, int], spacing: float) 
 
 
 def more_list_bytes(cage: ClosedMesh, shape: tuple[int, int, int], spacing: float) -> int:
-    """Memory on the device that boxes, bits and lists of faces take beyond that of lists of BLOCK_FACES a block.
-
-    Args:
-        cage: The cage.
-        shape: Nodes along each axis of the lattice.
-        spacing: World units per cell.
-
-    Returns:
-        Bytes.
-    """
+    """Bytes on the device that boxes, bits and lists of faces take beyond those of lists of BLOCK_FACES a block."""
     face_count = len(cage.faces)
     total = 4 * block_count(shape) * (listed_faces(cage, shape, spacing) - BLOCK_FACES)
     if face_count >= min(MANY_FACES, MANY_FACES_CPU):
@@ -138,15 +104,10 @@ def more_list_bytes(cage: ClosedMesh, shape: tuple[int, int, int], spacing: floa
 
 
 def group_side(face_count: int, longest: int) -> int:
-    """Blocks along each side of a group that faces are looked through for.
-
-    Args:
-        face_count: Faces of the cage.
-        longest: Nodes along the longest side of the lattice. The other sides of another pose may be as long.
-
-    Returns:
-        GROUP_SIDE, or that times a power of two where more nodes have to share the bits of so many faces.
-    """
+    """Blocks along each side of a group that faces are looked through for; `longest` counts nodes along the longest
+    side."""
+    # The other sides of another pose may be as long as the longest. More nodes have to share the bits of many faces:
+    # the side doubles then.
     side, words = GROUP_SIDE, word_count(face_count)
     while (
         WORD_BYTES * words > GROUP_BYTES * (int(BLOCK) * side) ** 3
@@ -157,25 +118,11 @@ def group_side(face_count: int, longest: int) -> int:
 
 
 def word_count(face_count: int) -> int:
-    """Words that have a bit for each face.
-
-    Args:
-        face_count: Faces of the cage.
-
-    Returns:
-        Words of 32 bits.
-    """
+    """Words of 32 bits that have a bit for each face."""
     return -(-face_count // int(WORD_FACES))
 
 
 def block_count(shape: tuple[int, int, int], group_side: int = 1) -> int:
-    """Blocks over a lattice, or groups of them.
-
-    Args:
-        shape: Nodes along each axis.
-        group_side: Blocks along each side of a group; 1 counts the blocks.
-
-    Returns:
-        How many.
-    """
+    """Blocks over a lattice of so many nodes along each axis, or groups of them, of `group_side` blocks along each
+    side."""
     return math.prod(-(-nodes // (int(BLOCK) * group_side)) for nodes in shape)

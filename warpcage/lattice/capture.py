@@ -19,31 +19,16 @@ WORD = 4  # bytes; all constants are 32-bit numbers
 
 
 class BufferPool:
-    """The buffers of one owner on a device.
-
-    A CUDA graph captured over them stays valid while `generation` stays the same.
-
-    Args:
-        device: Warp device that holds them.
-
-    Attributes:
-        generation: Goes up whenever a buffer moves.
-    """
+    """The buffers of one owner on a device."""
 
     def __init__(self, device: wp.DeviceLike):
         self.device = wp.get_device(device)
+        # goes up whenever a buffer moves: a CUDA graph captured over them is valid while it stays
         self.generation = 0
         self._buffers: list[Buffer] = []
 
     def buffer(self, dtype) -> Buffer:
-        """A new buffer, still empty.
-
-        Args:
-            dtype: Type of its items.
-
-        Returns:
-            The buffer.
-        """
+        """A new buffer for items of a type, still empty."""
         self._buffers.append(Buffer(self, dtype))
         return self._buffers[-1]
 
@@ -54,12 +39,8 @@ class BufferPool:
 
 
 class Buffer:
-    """A flat array that only grows, so that a new pose of about the same shape allocates nothing.
-
-    Args:
-        pool: That it belongs to; use `BufferPool.buffer`.
-        dtype: Type of its items.
-    """
+    """A flat array that only grows, so that a new pose of about the same shape allocates nothing; see
+    `BufferPool.buffer`."""
 
     def __init__(self, pool: BufferPool, dtype):
         self._pool, self._dtype = pool, dtype
@@ -67,15 +48,9 @@ class Buffer:
         self._views: dict[tuple[int, ...], wp.array] = {}
 
     def take(self, shape: int | tuple[int, ...]) -> wp.array:
-        """A contiguous view, of what the buffer holds; it grows where it is too small, and its contents are lost then.
-
-        Args:
-            shape: Items along each axis.
-
-        Returns:
-            The view. Views of the same shape are the same object: making one takes a few microseconds.
-        """
+        """A contiguous view of what the buffer holds; it grows where it is too small, and loses its contents then."""
         shape = (shape,) if isinstance(shape, int) else tuple(shape)
+        # views of the same shape are the same object: making one takes a few microseconds
         view = self._views.get(shape)
         if view is None:
             view = self._view(shape)
@@ -105,29 +80,17 @@ class Buffer:
 
 @dataclass(frozen=True, eq=False)
 class Constant:
-    """A small array that the host writes and the device reads.
-
-    Args:
-        host: Where the host writes it.
-        array: The same on the device, once it is sent.
-    """
+    """A small array that the host writes in `host` and the device reads in `array`, once it is sent."""
 
     host: np.ndarray
     array: wp.array
 
 
 class PoseConstants:
-    """Small arrays that are written on the host and sent to a device together.
+    """Small arrays, each of a length and a type (int, float, wp.vec3 or wp.vec3i), written on the host and sent
+    together."""
 
-    Their addresses never change, so a CUDA graph can hold the copy.
-
-    Args:
-        device: Warp device that they are sent to.
-        slots: Length and type of each: int, float, wp.vec3 or wp.vec3i.
-
-    Attributes:
-        slots: The constants, in that order.
-    """
+    # Their addresses never change, so a CUDA graph can hold the copy.
 
     def __init__(self, device: wp.DeviceLike, slots: Sequence[tuple[int, type]]):
         device = wp.get_device(device)
@@ -152,20 +115,13 @@ class PoseConstants:
 
 
 class HostNumbers:
-    """Numbers that a device writes where the host reads them, without a copy.
-
-    Args:
-        count: How many.
-        device: Warp device that writes them.
-
-    Attributes:
-        array: (count,) float, for kernels.
-    """
+    """Numbers that a device writes where the host reads them, without a copy."""
 
     def __init__(self, count: int, device: wp.DeviceLike):
         self._device = wp.get_device(device)
         held = wp.zeros(count, dtype=wp.float32, device="cpu", pinned=self._device.is_cuda)
         self._host = held.numpy()
+        # (count,) float, for kernels
         self.array = array_view(held, wp.float32, count, device=self._device)
 
     def wait(self) -> np.ndarray:
@@ -177,11 +133,7 @@ class HostNumbers:
 
 class SideStream:
     """A second stream of a CUDA device; on a CPU launches run in the order of the program.
-
-    Args:
-        device: Warp device.
-        priority: -1 lets its launches start before blocks of the program's stream that have not.
-    """
+    Priority -1 lets its launches start before blocks of the program's stream that have not."""
 
     def __init__(self, device: wp.DeviceLike, priority: int = 0):
         self.device = wp.get_device(device)
@@ -195,12 +147,8 @@ class SideStream:
             self.device.stream.record_event(self._mark)
 
     def behind_mark(self) -> wp.Stream | None:
-        """For launches after all that came before `mark`, and after what was forked since, beside those that follow
-        until `join`.
-
-        Returns:
-            The stream; None on a CPU.
-        """
+        """The stream, None on a CPU, for launches after all that came before `mark`, and after what was forked since.
+        They run beside those that follow until `join`."""
         if self._stream is not None and self._mark is not None:
             self._stream.wait_event(self._mark)
         return self._stream
@@ -221,11 +169,7 @@ class SideStream:
 
 
 class StreamOrder:
-    """Lets work of one owner on several streams of a CUDA device follow each other.
-
-    Args:
-        device: Warp device.
-    """
+    """Lets work of one owner on several streams of a CUDA device follow each other."""
 
     def __init__(self, device: wp.DeviceLike):
         self._device = wp.get_device(device)

@@ -33,11 +33,7 @@ from .solver import MapSolver, WeightBlock
 
 
 class ClosedFormSolver(MapSolver):
-    """What both closed forms share: few nodes are evaluated, and the others interpolated.
-
-    Args:
-        lattice: The lattice.
-    """
+    """What both closed forms share: few nodes are evaluated, and the others interpolated."""
 
     def __init__(self, lattice: CageLattice):
         super().__init__(lattice, LatticeNodes(lattice, level_count=1, interpolates=True))
@@ -96,12 +92,9 @@ class ClosedFormSolver(MapSolver):
 
 
 class MeanValueSolver(ClosedFormSolver):
-    """Mean value maps. Their formula holds outside the cage as well, but bends at its edges and, in gaps, from one side
-    to the other, so that the rings continue the inside values through the cage instead, as harmonic maps do.
+    """Mean value maps, which the rings continue through the cage from inside, as harmonic maps do."""
 
-    Args:
-        lattice: The lattice.
-    """
+    # Their formula holds outside the cage as well, but bends at its edges and, in gaps, from one side to the other.
 
     def __init__(self, lattice: CageLattice):
         super().__init__(lattice)
@@ -155,12 +148,9 @@ class MeanValueSolver(ClosedFormSolver):
 
 
 class GreenSolver(ClosedFormSolver):
-    """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly. Cut nodes are
-    described where there are gaps only.
+    """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly."""
 
-    Args:
-        lattice: The lattice.
-    """
+    # Cut nodes are described where there are gaps only.
 
     def __init__(self, lattice: CageLattice):
         super().__init__(lattice)

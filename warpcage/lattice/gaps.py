@@ -38,110 +38,68 @@ GROOVE_STRETCH = 3.0
 
 
 def side_bytes(node_count: int, surface: float) -> int:
-    """The most bytes that tables of narrow gaps take.
-
-    Args:
-        node_count: Nodes of the lattice.
-        surface: Area of the cage, cells squared.
-
-    Returns:
-        Bytes on the device.
-    """
+    """The most bytes on the device that tables of narrow gaps take; surface: area of the cage, cells squared."""
     return int(SIDE_FIXED_BYTES + SIDE_NODE_BYTES * node_count + SIDE_SURFACE_BYTES * surface)
 
 
 def lattice_side_bytes(lattice: CageLattice) -> int:
-    """The same of the cage that a lattice lies over.
-
-    Args:
-        lattice: The lattice.
-
-    Returns:
-        Bytes on the device.
-    """
+    """The same of the cage that a lattice lies over."""
     return side_bytes(lattice.node_count, face_area(lattice.cage) / lattice.spacing**2)
 
 
 @dataclass(frozen=True, eq=False)
 class MapTarget:
-    """What a map on a lattice takes the cage to.
-
-    Args:
-        rest: The cage that it is mapped to.
-        affine: (4,) vec3 on the device, the affine part of the map; see add_affine.
-        vertex_values: (v,) vec3 on the device, what the map takes at the vertices besides, as a share of the rest
-            cage's size.
-        steepest: What these values change over a gap, for its length as a share of the posed cage's size, that is no
-            jump.
-    """
+    """What a map on a lattice takes the cage to."""
 
     rest: ClosedMesh
+    # (4,) vec3 on the device, the affine part of the map; see add_affine
     affine: wp.array
+    # (v,) vec3 on the device, what the map takes at the vertices besides, as a share of the rest cage's size
     vertex_values: wp.array
+    # what these values change over a gap, for its length as a share of the posed cage's size, that is no jump
     steepest: float = GROOVE_STRETCH
 
 
 @dataclass(frozen=True, eq=False)
 class MapNodes:
-    """A map at the nodes of a lattice, with all that sides of gaps are made from.
-
-    Args:
-        levels: The nodes, listed.
-        rows: Description of the cut nodes.
-        boundary: (rows of level 0, 6) vec3, the map less its affine part where links cross the cage.
-        values: (nodes,) vec3, the map.
-        corrections: (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,).
-        flags: (nodes of rings 0 and 1,) int, 1 at narrow gaps.
-    """
+    """A map at the nodes of a lattice, with all that sides of gaps are made from."""
 
     levels: WarpStruct
+    # description of the cut nodes
     rows: WarpStruct
+    # (rows of level 0, 6) vec3, the map less its affine part where links cross the cage
     boundary: wp.array
+    # (nodes,) vec3, the map
     values: wp.array
+    # (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,)
     corrections: wp.array
+    # (nodes of rings 0 and 1,) int, 1 at narrow gaps
     flags: wp.array
 
 
 class MapSides:
-    """The tables of a map's cells at narrow gaps, kept from pose to pose.
-
-    Args:
-        device: Warp device.
-
-    Attributes:
-        buffers: All that is held on the device.
-        rows: A table of cut nodes, for maps that describe none otherwise.
-        boundary: A buffer of vec3; see MapNodes.
-        index: `side_index` of CageMap.
-        table: `sides` of CageMap.
-        length: Rows of the table. 0 is not known yet.
-        jump: The largest that the map less its affine part makes over a gap narrower than a cell, but for grooves over
-            which it stretches alone; see MapTarget.
-    """
+    """The tables of a map's cells at narrow gaps, kept from pose to pose."""
 
     def __init__(self, device: wp.DeviceLike):
         self._device = wp.get_device(device)
         pool = self.buffers = BufferPool(self._device)
+        # a table of cut nodes, for maps that describe none otherwise, and room for the boundary of MapNodes
         self.rows, self.boundary = CutRowTable(pool), pool.buffer(wp.vec3)
         self._index = pool.buffer(wp.int32)
         self._counts, self._offsets = pool.buffer(wp.int32), pool.buffer(wp.int32)
         self._cells, self._masks = pool.buffer(wp.int32), pool.buffer(wp.int32)
         self._table, self._jump = pool.buffer(wp.vec4), pool.buffer(wp.float32)
         self._status = HostNumbers(2, self._device)
+        # `side_index` and `sides` of CageMap
         self.index = self._index.take(0)
         self.table = self._table.take((0, 8))
+        # rows of the table, 0 where not known yet, and the largest jump of the map less its affine part over a gap
+        # narrower than a cell, but for grooves over which it stretches alone; see MapTarget
         self.length, self.jump = 0, 0.0
 
     def launch_marks(self, sizes: PoseSizes, nodes: MapNodes) -> wp.array:
-        """Launch what finds the cells at narrow gaps.
-
-        Args:
-            sizes: Of this pose, or bounds.
-            nodes: The map on the lattice; `boundary` need not be there yet.
-
-        Returns:
-            (nodes,) int, below 0 for those cells, until `launch`.
-        """
+        """Launch what finds the cells at narrow gaps; `boundary` of the nodes need not be there yet.
+        Returns (nodes,) int, below 0 for those cells, until `launch`."""
         levels, rows = nodes.levels, nodes.rows
         index = self.index = self._index.take(sizes.nodes)
         index.zero_()
@@ -152,26 +110,15 @@ class MapSides:
     def launch(
         self, sizes: PoseSizes, lattice: CageLattice, nodes: MapNodes, target: MapTarget, room: int | None
     ) -> None:
-        """Launch what fills the tables, behind `launch_marks`; `take` tells what they hold.
-
-        Args:
-            sizes: Of this pose, or bounds.
-            lattice: The lattice.
-            nodes: The map on it, affine part included.
-            target: Of the map.
-            room: Rows of the table, at most. None waits until the device has counted them.
-        """
+        """Launch what fills the tables, behind `launch_marks`, with the affine part in `nodes`; `take` tells what they
+        hold. room: rows of the table, at most; None waits until the device has counted them."""
         counts, offsets = self._launch_count(sizes, nodes)
         if room is None:
             room = int(offsets[-1:].numpy()[0] + counts[-1:].numpy()[0])
         self._launch_tables(sizes, lattice, nodes, target, counts, offsets, room)
 
     def take(self) -> bool:
-        """Wait for the tables and note what they hold.
-
-        Returns:
-            False where they had no room.
-        """
+        """Wait for the tables and note what they hold; False where they had no room."""
         length, jump = self._status.wait()
         self.length, self.jump = int(length), float(jump)
         return self.length <= self.table.shape[0]
@@ -224,34 +171,20 @@ def launch_linear_boundary(
     vertex_values: wp.array,
     boundary: wp.array,
 ) -> None:
-    """Launch the values where links cross the cage, of a map that is linear on the cage's faces.
-
-    Args:
-        sections: Lengths of the lists of nodes, or bounds.
-        levels: The nodes, listed.
-        rows: Description of the cut nodes.
-        faces: (f,) vec3i of the cage.
-        vertex_values: (v,) vec3, the map at the cage's vertices.
-        boundary: (rows of level 0, 6) vec3, filled in.
-    """
+    """Launch the values (rows of level 0, 6) vec3 where links cross the cage, of a map that is linear on the cage's
+    faces. faces: (f,) vec3i; vertex_values: (v,) vec3, the map at the cage's vertices."""
     launch(set_boundary_values, sections.cut, [levels, rows, faces, vertex_values], [boundary], device=faces.device)
 
 
 class GapFlags:
-    """Which outside nodes next to the inside lie at gaps narrower than about two cells over which a map jumps.
-
-    Args:
-        lattice: Whose nodes they are.
-
-    Attributes:
-        flags: One int for each node of rings 0 and 1.
-        count: (1,) int, above zero where any is set (on a CPU not how many: see `total`).
-    """
+    """Which outside nodes next to the inside lie at gaps narrower than about two cells over which a map jumps."""
 
     def __init__(self, lattice: CageLattice):
         self._device, self._narrow = lattice.device, lattice.flags.narrow
         self._flags = lattice.buffers.buffer(wp.int32)
+        # (1,) int, above zero where any is set (on a CPU not how many: see `total`)
         self.count = lattice.flags.gaps
+        # one int for each node of rings 0 and 1
         self.flags = self._flags.take(0)
 
     def search(
@@ -263,21 +196,9 @@ class GapFlags:
         values: wp.array,
         least: float = GAP_JUMP,
     ) -> wp.array:
-        """Launch the search, the count being zero.
-
-        Args:
-            lattice: The lattice.
-            levels: Of its nodes, listed.
-            rows: Description of the cut nodes. Without rows, a gap that is narrower than a cell is seen by the
-                lattice's flag alone.
-            sections: Lengths of the lists, or bounds.
-            values: (nodes,) vec3, the remainder of a map, of which a difference above `least` between inside nodes
-                makes a gap.
-            least: The difference, as a share of the rest cage's size.
-
-        Returns:
-            The flags.
-        """
+        """Launch the search, the count being zero, in the remainder (nodes,) vec3 of a map; returns the flags.
+        least: a difference between inside nodes above it makes a gap, as a share of the rest cage's size."""
+        # Without rows, a gap that is narrower than a cell is seen by the lattice's flag alone.
         self.flags = self._flags.take(sections.near_rings)
         inputs = [lattice.crossings, levels, values]
         launch(confirm_narrow, sections.cut, inputs, [self._narrow], device=self._device)

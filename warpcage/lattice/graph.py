@@ -18,33 +18,21 @@ USUAL_SIDES = 4
 
 class PoseGraph:
     """The launches of a pose, captured with somewhat more room than the pose at hand needs.
+    The first pose of the launches is computed step by step, before."""
 
-    The first graph uploads the lattice's constants and lays it out, with the lists of nodes; the second uploads the
-    map's constants, which the host works out meanwhile, solves until the tolerance is met and downloads the outcome. A
-    pose costs the host two launches and one wait.
-
-    Args:
-        launches: Of a map. Its first pose is computed step by step.
-
-    Attributes:
-        has_gaps: Whether the last pose has nodes at narrow gaps.
-    """
+    # The first graph uploads the lattice's constants and lays it out, with the lists of nodes; the second uploads the
+    # map's constants, which the host works out meanwhile, solves until the tolerance is met and downloads the outcome.
+    # A pose costs the host two launches and one wait.
 
     @staticmethod
     def is_supported(device: wp.Device) -> bool:
-        """Whether the device can decide in a graph how often a part of it runs (CUDA 12.4).
-
-        Args:
-            device: Warp device.
-
-        Returns:
-            Whether it can.
-        """
+        """Whether the device can decide in a graph how often a part of it runs (CUDA 12.4)."""
         return device.is_cuda and wp.is_conditional_graph_supported()
 
     def __init__(self, launches: PoseLaunches):
         self._launches, self._solver = launches, launches.solver
         self._device, self._buffers = launches.solver.device, launches.solver.lattice.buffers
+        # whether the last pose has nodes at narrow gaps
         self.has_gaps = False
         self._room: PoseSizes | None = None
         self._layout: Launches | None = None
@@ -53,14 +41,7 @@ class PoseGraph:
         self._generation = self._sides_generation = self._sides_room = 0
 
     def fits(self, sizes: PoseSizes) -> bool:
-        """Whether a pose has room; a first one that has is captured.
-
-        Args:
-            sizes: Of the pose that the lattice lies over.
-
-        Returns:
-            Whether it can be replayed.
-        """
+        """Whether a pose with these sizes has room and can be replayed; graphs are captured where there are none."""
         if self._layout is None:
             self._capture()
         return self._generation == self._buffers.generation and sizes.fits(self._bounds)
@@ -90,11 +71,7 @@ class PoseGraph:
         self._map()
 
     def finish(self) -> bool:
-        """Wait for the map.
-
-        Returns:
-            False where a list was longer than foreseen.
-        """
+        """Wait for the map; False where a list was longer than foreseen."""
         status = self._launches.wait()
         if status.has_room:
             self._solver.take_status(status.solution)
@@ -103,11 +80,7 @@ class PoseGraph:
         return status.has_room
 
     def find_sides(self) -> bool:
-        """Fill the tables of sides for the pose that was finished.
-
-        Returns:
-            False where they must be found step by step.
-        """
+        """Fill the tables of sides for the pose that was finished; False where they must be found step by step."""
         self._find_sides()
         has_room = self._launches.sides.take()
         if not has_room:

@@ -57,17 +57,7 @@ COARSE_NODES = 2 * BLOCK_THREADS
 
 
 def require_tolerance(tolerance: float) -> float:
-    """The tolerance of a harmonic solver.
-
-    Args:
-        tolerance: As it was given.
-
-    Returns:
-        The same as a float.
-
-    Raises:
-        ValueError: Outside 2e-6 .. 0.1.
-    """
+    """The tolerance of a harmonic solver, 2e-6 to 0.1, as a float."""
     if not isinstance(tolerance, int | float | np.floating) or not MIN_TOLERANCE <= tolerance <= 0.1:
         raise ValueError(f"tolerance must be {MIN_TOLERANCE:g} to 0.1 of the cage's size, got {tolerance!r}")
     return float(tolerance)
@@ -75,23 +65,13 @@ def require_tolerance(tolerance: float) -> float:
 
 class HarmonicSolver(MapSolver):
     """Harmonic functions inside a cage, with values on it that are linear on each triangle.
+    tolerance: bound aimed at for the error of the discrete equations' solution, in units of the boundary values."""
 
-    The rows of kernels/lattice/cut_rows.py are solved by V(2, 2) cycles (kernels/lattice/harmonic.py). The residual is
-    the larger of 8 times the largest residual over its row's diagonal and a quarter of the last coarse correction, both
-    in units of the values. The second is there because smooth errors hide from residuals: they leave 1 / n^2 of their
-    size there.
-
-    References: Joshi, Meyer, DeRose, Green and Sanocki 2007; Gibou, Fedkiw, Cheng and Kang 2002.
-    Limitations: float32; parts of the cage thinner than a cell have no inside nodes and take values from its surface.
-
-    Args:
-        lattice: The lattice.
-        tolerance: Bound aimed at for the error of the solution of the discrete equations, in units of the boundary
-            values: 2e-6 to 0.1.
-
-    Raises:
-        ValueError: For a tolerance out of range.
-    """
+    # The rows of kernels/lattice/cut_rows.py are solved by V(2, 2) cycles (kernels/lattice/harmonic.py). The residual
+    # is the larger of 8 times the largest residual over its row's diagonal and a quarter of the last coarse correction,
+    # both in units of the values. The second is there because smooth errors hide from residuals: they leave 1 / n^2 of
+    # their size there. References: Joshi, Meyer, DeRose, Green and Sanocki 2007; Gibou, Fedkiw, Cheng and Kang 2002.
+    # Limitations: float32; parts of the cage thinner than a cell have no inside nodes and take values from its surface.
 
     def __init__(self, lattice: CageLattice, *, tolerance: float = 1e-5):
         super().__init__(lattice, LatticeNodes(lattice))
@@ -146,13 +126,8 @@ class HarmonicSolver(MapSolver):
         return [(0, weights, None)]
 
     def solve_vertices(self) -> Iterator[tuple[int, wp.array]]:
-        """Solve for the weights of all cage vertices at inside nodes, three at a time.
-
-        Afterwards cycles and residual are the largest of all.
-
-        Yields:
-            Index of the first of three vertices, and their boundary values (v,) vec3.
-        """
+        """Solve for the weights of all cage vertices at inside nodes, three at a time; yields the index of the first
+        and their boundary values (v,) vec3. Afterwards cycles and residual are the largest of all."""
         count = self.lattice.vertices.size
         selected = empty_array(count, wp.vec3, self.device)
         cycles, residual = 0, 0.0
@@ -164,13 +139,7 @@ class HarmonicSolver(MapSolver):
         self.cycles, self.residual = cycles, residual
 
     def solve_inside(self, vertex_values: wp.array) -> None:
-        """Solve for boundary values at the inside nodes of the last pose; other nodes are zero.
-
-        Warns where the tolerance was not met in 40 cycles.
-
-        Args:
-            vertex_values: (v,) vec3, values at the cage's vertices.
-        """
+        """Solve for the cage's vertex values (v,) vec3 at the inside nodes of the last pose; other nodes are zero."""
         sizes = self.sizes
         self.clear(sizes)
         self._launch_inside(sizes.lists, vertex_values)

@@ -44,17 +44,7 @@ COARSEST_RESOLUTION = 4
 
 
 def require_resolution(resolution: int) -> int:
-    """The number of cells along the longest side of a lattice.
-
-    Args:
-        resolution: As it was given.
-
-    Returns:
-        The same as an int.
-
-    Raises:
-        ValueError: Unless it is a whole number from 8 to 1024.
-    """
+    """The number of cells along the longest side of a lattice, 8 to 1024, as an int."""
     if isinstance(resolution, bool) or not isinstance(resolution, int | np.integer):
         raise ValueError(f"resolution must be a whole number of cells, got {resolution!r}")
     if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
@@ -63,100 +53,46 @@ def require_resolution(resolution: int) -> int:
 
 
 class PoseFlags:
-    """What a pose reports on the device while its lattice is laid out: (1,) int each, zero at first.
-
-    Args:
-        array: (FLAGS,) int that holds them.
-
-    Attributes:
-        lines: Crossings of the longest line where lines are too short for them.
-        lists: 1 where a list of nodes has no room.
-        narrow: 1 where the cage has gaps narrower than a cell, 2 where the map jumps over one.
-        gaps: Above 0 where nodes lie at narrow gaps over which the map jumps.
-    """
+    """What a pose reports on the device while its lattice is laid out: (1,) int each of (FLAGS,) int, zero at first."""
 
     def __init__(self, array: wp.array):
+        # lines: crossings of the longest line where lines are too short for them; lists: 1 where a list of nodes has no
+        # room; narrow: 1 where the cage has gaps narrower than a cell, 2 where the map jumps over one; gaps: above 0
+        # where nodes lie at narrow gaps over which the map jumps
         self.lines, self.lists, self.narrow, self.gaps = (array[flag : flag + 1] for flag in range(FLAGS))
 
 
 class LatticeConstants(PoseConstants):
-    """What a pose sends to the device for its lattice.
-
-    Args:
-        level_count: Levels of the lattice.
-        vertex_count: Vertices of the cage.
-        device: Warp device.
-
-    Attributes:
-        flags: (FLAGS,) zeros; see PoseFlags.
-        scales: (1,) world units per cell.
-        shapes: (L, 3) nodes along each axis of each level.
-        first_node: (L + 1,) where each level's nodes begin.
-        first_column: (L + 1,) where each level's columns begin.
-        vertices: (v, 3) the cage's vertices, node units.
-        centred: (v, 3) the same, from the middle of the lattice.
-    """
+    """What a pose sends to the device for its lattice, of `level_count` levels, L."""
 
     def __init__(self, level_count: int, vertex_count: int, device: wp.DeviceLike):
         levels = (level_count + 1, int)
         corners = (vertex_count, wp.vec3)
         super().__init__(device, [(FLAGS, int), (1, float), (level_count, wp.vec3i), levels, levels, corners, corners])
+        # flags: (FLAGS,) zeros, see PoseFlags; scales: (1,) world units per cell; shapes: (L, 3) nodes along each axis
+        # of each level; first_node, first_column: (L + 1,) where each level's begin; vertices: (v, 3) the cage's, node
+        # units; centred: (v, 3) the same, from the middle of the lattice
         (self.flags, self.scales, self.shapes, self.first_node, self.first_column, self.vertices, self.centred) = (
             self.slots
         )
 
 
 class MapConstants(PoseConstants):
-    """What a pose sends to the device for the map on its lattice.
-
-    Args:
-        vertex_count: Vertices of the cage.
-        device: Warp device.
-
-    Attributes:
-        affine: (4, 3) the affine part of the map: a step along each axis, and the place of node (0, 0, 0).
-        vertex_values: (v, 3) what the map takes at the vertices besides.
-    """
+    """What a pose sends to the device for the map on its lattice."""
 
     def __init__(self, vertex_count: int, device: wp.DeviceLike):
         super().__init__(device, [(4, wp.vec3), (vertex_count, wp.vec3)])
+        # affine: (4, 3) the affine part of the map: a step along each axis, and the place of node (0, 0, 0);
+        # vertex_values: (v, 3) what the map takes at the vertices besides
         self.affine, self.vertex_values = self.slots
 
 
 class CageLattice:
-    """Nodes over one cage, with the signed distance to it once they are measured.
+    """Nodes over a usable cage, with the signed distance to it once they are measured.
+    resolution: cells along its longest side; origin: world point of device arrays, None is the middle of its box."""
 
-    Cells are cubes. At least two of them lie between the cage's bounding box and the border of the lattice. Inside
-    means a winding number above 0.5, exact at nodes.
-
-    Args:
-        cage: A usable cage.
-        resolution: Cells along the longest side of the cage's bounding box, 8 to 1024.
-        origin: (3,) world point that all device arrays are relative to. None is the middle of the bounding box.
-        device: Warp device. None is CUDA where there is one.
-
-    Attributes:
-        cage: The pose that the lattice lies over.
-        layout: How its nodes are numbered.
-        lower: (3,) float64, world position of node (0, 0, 0).
-        spacing: World units per cell.
-        origin: (3,) float64.
-        crossings: Where lattice lines cross the cage.
-        flat_distance: (nodes or more,) float, the signed distance in world units; see `distance`.
-        block_faces: The faces near each block of nodes.
-        vertices: (v,) vec3, the cage's vertices in node units.
-        faces: (f,) vec3i.
-        constants: What a pose sends to the device for the lattice.
-        map_constants: What it sends for the map on the lattice.
-        flags: What it reports.
-        buffers: All that is held on the device and depends on the pose.
-        side: A stream for launches beside others.
-        other_side: Another one.
-
-    Raises:
-        ValueError: For a resolution out of range, a cage without extent, or one too far from the origin for float32
-            numbers to tell its cells apart.
-    """
+    # Cells are cubes. At least two of them lie between the cage's bounding box and the border of the lattice. Inside
+    # means a winding number above 0.5, exact at nodes.
 
     def __init__(
         self, cage: ClosedMesh, resolution: int, *, origin: ArrayLike | None = None, device: wp.DeviceLike = None
@@ -168,39 +104,37 @@ class CageLattice:
         self.level_count = 1
         while self.resolution >> self.level_count >= COARSEST_RESOLUTION:
             self.level_count += 1
+        # what a pose sends to the device for the lattice, and for the map on it
         self.constants = LatticeConstants(self.level_count, len(cage.vertices), self.device)
         self.map_constants = MapConstants(len(cage.vertices), self.device)
         self.flags = PoseFlags(self.constants.flags.array)
+        # (v,) vec3, node units
         self.vertices = self.constants.vertices.array
+        # (f,) vec3i
         self.faces = wp.array(cage.faces, dtype=wp.vec3i, device=self.device)
         self.side, self.other_side = SideStream(self.device), SideStream(self.device)
+        # all that is held on the device and depends on the pose
         self.buffers = BufferPool(self.device)
         self._distance = self.buffers.buffer(wp.float32)
         self._crossing_counts = self.buffers.buffer(wp.int32)
         self._crossing_places = self.buffers.buffer(wp.float32)
         self._crossing_faces = self.buffers.buffer(wp.int32)
         self._line_capacity = LINE_CAPACITY
+        # where lattice lines cross the cage
         self.crossings = LineCrossings()
+        # (nodes or more,) float, the signed distance in world units; see `distance`
         self.flat_distance = self._distance.take(0)
         self._place(cage)
         self.block_faces = BlockFaces(cage, self.layout.shape, self.spacing, self.buffers)
 
     def lay(self, cage: ClosedMesh) -> CageLattice:
         """Lay the lattice over another pose, on the host; `constants` hold it then, still to be sent.
-
-        Args:
-            cage: A usable cage with the faces of the first one.
-
-        Returns:
-            self.
-
-        Raises:
-            ValueError: For a cage too far from the origin; the lattice stays where it is.
-        """
+        `cage` is usable and has the faces of the first one; where it is too far from the origin, the lattice stays."""
         self._place(cage)
         return self
 
     def _place(self, cage: ClosedMesh) -> None:
+        # world position (3,) float64 of node (0, 0, 0), and world units per cell
         shape, self.lower, self.spacing = lattice_frame(cage, self.resolution, self.origin)
         self.cage = cage
         self.layout = layout = level_layout(shape, self.level_count)
@@ -216,11 +150,7 @@ class CageLattice:
 
     @in_turn
     def measure(self) -> CageLattice:
-        """Cross the lines and measure distances for the pose that the lattice lies over, whatever there was before.
-
-        Returns:
-            self.
-        """
+        """Cross the lines and measure distances for the pose that the lattice lies over, whatever there was before."""
         self.constants.send()
         self.launch_geometry(self.sizes(1))
         return self
@@ -247,24 +177,14 @@ class CageLattice:
         return wp.vec3(*(self.lower - self.origin).tolist())  # NumPy's own take Warp longer
 
     def sizes(self, level_count: int) -> PoseSizes:
-        """What launches over this pose count, before its nodes are listed.
-
-        Args:
-            level_count: Levels that are used.
-
-        Returns:
-            The sizes, without sections.
-        """
+        """What launches over this pose count, of so many levels, before nodes are listed: sizes without sections."""
         return pose_sizes(self.layout, level_count, self.block_faces.group_side)
 
     def launch_geometry(self, sizes: PoseSizes) -> None:
-        """Launch what finds crossings and signed distances, the constants being sent.
-
-        Args:
-            sizes: Of this pose, or bounds. Before its lists are counted, lines that are too short are made longer,
-                which waits for the device; else `flags` tell.
-        """
+        """Launch what finds crossings and signed distances, the constants being sent; sizes: of the pose, or bounds."""
         self._launch_geometry(sizes)
+        # before its lists are counted, lines that are too short are made longer, which waits for the device; else
+        # `flags` tell
         while sizes.sections is None and self._lengthen_lines():
             self._launch_geometry(sizes)
 
@@ -305,21 +225,9 @@ class CageLattice:
 def lattice_frame(
     cage: ClosedMesh, resolution: int, origin: ArrayLike
 ) -> tuple[tuple[int, int, int], np.ndarray, float]:
-    """Where the lattice over a cage's bounding box lies.
-
-    Args:
-        cage: The cage.
-        resolution: Cells along the longest side.
-        origin: (3,) world point that device arrays are relative to.
-
-    Returns:
-        Shape (node counts), lower (3,) float64 and spacing, world units. Spacing and lower - origin are float32
-        numbers, so that kernels see exactly the same lattice.
-
-    Raises:
-        ValueError: For a cage so far from the origin that float32 numbers are about half a cell apart there, or one
-            whose longest side is not 1e-9 to 1e9 units.
-    """
+    """Where the lattice over a cage's bounding box lies: shape (node counts), lower (3,) float64 and spacing, world
+    units. origin: (3,) world point that device arrays are relative to."""
+    # Spacing and lower - origin are float32 numbers, so that kernels see exactly the same lattice.
     require_ordinary_side(cage.size, "the cage of a lattice")
     (low, high), place = cage.bounds.tolist(), np.asarray(origin).tolist()
     spacing = float(np.float32(max(b - a for a, b in zip(low, high, strict=True)) / resolution))
@@ -337,18 +245,14 @@ def lattice_frame(
 
 @dataclass(frozen=True, eq=False)
 class LevelLayout:
-    """How the nodes of a lattice of some shape are numbered, level after level.
+    """How the nodes of a lattice of some shape are numbered, level after level."""
 
-    Args:
-        shape: Nodes along each axis of level 0.
-        shapes: (L, 3) those of all levels. Each level keeps every second node and has a last one at or beyond the finer
-            level's.
-        first_node: (L + 1,) where each level's nodes begin.
-        first_column: (L + 1,) where each level's columns begin.
-    """
+    # Each level keeps every second node and has a last one at or beyond the finer level's.
 
     shape: tuple[int, int, int]
+    # (L, 3) nodes along each axis of all levels
     shapes: np.ndarray
+    # (L + 1,) where each level's nodes and columns begin
     first_node: np.ndarray
     first_column: np.ndarray
 
@@ -361,15 +265,7 @@ class LevelLayout:
 
 @functools.lru_cache(maxsize=256)
 def level_layout(shape: tuple[int, int, int], level_count: int) -> LevelLayout:
-    """The layout of a lattice; poses of the same shape share it.
-
-    Args:
-        shape: Nodes along each axis.
-        level_count: Levels.
-
-    Returns:
-        The layout.
-    """
+    """The layout of a lattice of so many nodes along each axis; poses of the same shape share it."""
     sides = [np.asarray(shape, dtype=np.int64)]
     for _ in range(level_count - 1):
         sides.append(sides[-1] // 2 + 1)
@@ -384,16 +280,8 @@ def level_layout(shape: tuple[int, int, int], level_count: int) -> LevelLayout:
 
 @functools.lru_cache(maxsize=256)
 def pose_sizes(layout: LevelLayout, level_count: int, group_side: int) -> PoseSizes:
-    """What launches over a lattice count, before its nodes are listed.
-
-    Args:
-        layout: Of the lattice.
-        level_count: Levels that are used.
-        group_side: Blocks along each side of a group.
-
-    Returns:
-        The sizes, without sections.
-    """
+    """What launches over a lattice count, before its nodes are listed: sizes without sections.
+    `level_count` levels are used; `group_side` counts blocks along each side of a group."""
     nx, ny, nz = layout.shape
     level_nodes, level_columns = int(layout.first_node[level_count]), int(layout.first_column[level_count])
     return PoseSizes(

@@ -27,37 +27,24 @@ class MapSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PoseStatus:
-    """What a pose was found to be, once it is computed.
+    """What a pose was found to be, once it is computed."""
 
-    Args:
-        has_room: Whether lines and lists were long enough.
-        solution: (2,) cycles and residual of the solver.
-        has_gaps: Whether there are narrow gaps over which the map jumps.
-        sections: Lengths of the lists of nodes.
-    """
-
+    # whether lines and lists were long enough
     has_room: bool
+    # (2,) cycles and residual of the solver
     solution: np.ndarray
+    # whether there are narrow gaps over which the map jumps
     has_gaps: bool
+    # lengths of the lists of nodes
     sections: NodeSections
 
 
 class PoseLaunches:
     """The launches of a pose, in order: the layout, the map, and where it has narrow gaps their sides.
-
-    Each takes the sizes of its pose, or bounds: a CUDA graph that holds the launches serves all poses within them.
-
-    Args:
-        solver: Of the map, on its lattice.
-        target: Of the map.
-
-    Attributes:
-        solver: As given.
-        target: As given; another one makes another map of the same layout.
-        sides: Tables of the sides of narrow gaps.
-    """
+    Each takes the sizes of its pose, or bounds: a CUDA graph that holds the launches serves all poses within them."""
 
     def __init__(self, solver: MapSolver, target: MapTarget):
+        # another target makes another map of the same layout
         self.solver, self.target = solver, target
         self.sides = MapSides(solver.device)
         self._lattice, self._device = solver.lattice, solver.device
@@ -65,22 +52,12 @@ class PoseLaunches:
 
     def launch_layout(self, sizes: PoseSizes) -> PoseSizes:
         """Launch what lays out the pose that the lattice's constants hold, from their upload on.
-
-        Args:
-            sizes: Bounds, or sizes of the pose without sections, which waits for what only the device knows.
-
-        Returns:
-            The sizes, with sections.
-        """
+        Returns sizes with sections. Without sections it waits for what only the device knows."""
         return self.solver.launch_layout(sizes)
 
     def launch_map(self, sizes: PoseSizes, source: MapSource | None = None) -> None:
         """Launch the map that the lattice's map_constants hold, from their upload on; `wait` tells how it ended.
-
-        Args:
-            sizes: With sections: of the pose, or bounds.
-            source: What fills in the map. None is the solver.
-        """
+        sizes: with sections; source: what fills in the map, None is the solver."""
         lattice, solver, levels = self._lattice, self.solver, self.solver.nodes.levels
         values = solver.values_of(sizes)
         lattice.map_constants.send()
@@ -95,11 +72,7 @@ class PoseLaunches:
         lattice.side.join()
 
     def wait(self) -> PoseStatus:
-        """Wait for the map.
-
-        Returns:
-            How it ended.
-        """
+        """Wait for the map, and tell how it ended."""
         status = self._status.wait()
         return PoseStatus(
             has_room=status[0] == 0.0 and status[1] == 0.0,
@@ -110,11 +83,7 @@ class PoseLaunches:
 
     def launch_sides(self, sizes: PoseSizes, room: int | None = None) -> None:
         """Launch the tables of sides, of a map that is there; `sides.take` tells what they hold.
-
-        Args:
-            sizes: With sections: of the pose, or bounds.
-            room: Rows of the tables, at most. None waits until the device has counted them.
-        """
+        sizes: with sections; room: rows of the tables, at most, None waits until the device has counted them."""
         solver, sides, sections = self.solver, self.sides, sizes.lists
         lattice, levels, values = self._lattice, solver.nodes.levels, solver.values_of(sizes)
         boundary = sides.boundary.take((sections.cut, 6))
@@ -128,10 +97,6 @@ class PoseLaunches:
         sides.launch(sizes, lattice, nodes, self.target, room)
 
     def find_sides(self, sizes: PoseSizes) -> None:
-        """Fill the tables of sides, with as many rows as they take.
-
-        Args:
-            sizes: Of the pose, with sections.
-        """
+        """Fill the tables of sides, with as many rows as they take; sizes: of the pose, with sections."""
         self.launch_sides(sizes)
         self.sides.take()

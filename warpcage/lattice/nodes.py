@@ -12,24 +12,16 @@ from .sizes import NodeSections, PoseSizes
 
 
 class LatticeNodes:
-    """Numbering, codes and lists of the nodes of a lattice (see kernels/lattice/nodes.py).
+    """Numbering, codes and lists of a lattice's nodes (kernels/lattice/nodes.py); level_count None: all of multigrid.
+    interpolates: sections of inside nodes are by evaluated or interpolated, not by colour (one level only)."""
 
-    Args:
-        lattice: The lattice.
-        level_count: 1 lists the inside nodes and the rings around them, as the closed forms need. None takes as many
-            levels as multigrid has use for.
-        interpolates: Whether inside nodes clear of the cage have sections by whether they are evaluated or
-            interpolated, not by colour (one level only).
-
-    Attributes:
-        levels: The kernels' struct.
-        sections: Lengths of the lists of the last pose.
-    """
+    # One level lists the inside nodes and the rings around them, as the closed forms need.
 
     def __init__(self, lattice: CageLattice, level_count: int | None = None, *, interpolates: bool = False):
         self.level_count = lattice.level_count if level_count is None else level_count
         self._lattice, self._interpolates = lattice, interpolates
         section_count = 3 * self.level_count + RINGS
+        # lengths of the lists of the last pose
         self.sections = NodeSections(np.zeros(section_count, dtype=np.int64))
         self._limits = wp.zeros(section_count, dtype=wp.int32, device=lattice.device)
         self._codes = lattice.buffers.buffer(wp.int32)
@@ -40,15 +32,8 @@ class LatticeNodes:
         self.levels = NodeLevels()
 
     def launch(self, sizes: PoseSizes) -> PoseSizes:
-        """Launch what classifies the nodes and lists them, once the lattice is measured.
-
-        Args:
-            sizes: Of this pose, or bounds. Where they have no sections yet, this waits until the device has counted
-                them.
-
-        Returns:
-            The sizes, with sections.
-        """
+        """Launch what classifies the nodes and lists them, once the lattice is measured; returns sizes with sections.
+        Where sizes have no sections yet, this waits until the device has counted them."""
         offsets = self._launch_classes(sizes)
         if sizes.sections is None:
             self.sections = self._counted_sections(offsets)
@@ -61,11 +46,7 @@ class LatticeNodes:
         return sizes
 
     def limit(self, sections: NodeSections) -> None:
-        """Let all lists be left out, and that be flagged, where one of them is longer than its section here.
-
-        Args:
-            sections: Lengths that there is room for.
-        """
+        """Let all lists be left out, and that be flagged, where one of them is longer than its section here."""
         self._limits.assign(sections.lengths.astype(np.int32))
 
     def _launch_classes(self, sizes: PoseSizes) -> wp.array:

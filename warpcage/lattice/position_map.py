@@ -42,16 +42,12 @@ WARM_CROSSINGS = 16
 
 @dataclass(frozen=True, eq=False)
 class BegunPose:
-    """A pose that was begun, and not finished yet.
-
-    Args:
-        cage: The posed cage.
-        draft: The map that it is to be, without the sides of narrow gaps, where a graph is at work on it; else None.
-        last: The cage of the map before, None where that is lost.
-    """
+    """A pose that was begun, and not finished yet."""
 
     cage: ClosedMesh
+    # the map that it is to be, without the sides of narrow gaps, where a graph is at work on it
     draft: WarpStruct | None = None
+    # the cage of the map before, None where that is lost
     last: ClosedMesh | None = None
 
 
@@ -441,15 +437,8 @@ class PositionMap:
 
 
 def fit_affine(source: ClosedMesh, target: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
-    """The affine map that takes the vertices of one cage nearest to another's (least squares).
-
-    Args:
-        source: A cage. Vertices that no face uses do not count.
-        target: The same faces in another pose.
-
-    Returns:
-        Matrix (3, 3) and offset (3,), float64, world units.
-    """
+    """The affine map that takes one cage's vertices nearest to another's: matrix (3, 3), offset (3,), world units."""
+    # Nearest by least squares. Vertices that no face uses do not count.
     unused = source.topology.unused_vertices
     a, b = (np.delete(cage.vertices, unused, axis=0) if len(unused) else cage.vertices for cage in (source, target))
     centre, middle = a.mean(axis=0), b.mean(axis=0)

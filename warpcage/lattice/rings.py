@@ -15,11 +15,7 @@ from .sizes import NodeSections
 
 
 class CutRowTable:
-    """Buffers for the description of cut nodes (kernels/lattice/cut_rows.py).
-
-    Args:
-        pool: That they belong to.
-    """
+    """Buffers for the description of cut nodes (kernels/lattice/cut_rows.py)."""
 
     def __init__(self, pool: BufferPool):
         self._links = pool.buffer(wp.int32)
@@ -29,16 +25,8 @@ class CutRowTable:
         self._corners = pool.buffer(wp.vec3)
 
     def describe(self, lattice: CageLattice, levels: WarpStruct, sections: NodeSections) -> WarpStruct:
-        """Launch the description of the cut nodes of all listed levels.
-
-        Args:
-            lattice: With its crossings and distances.
-            levels: Of its nodes, listed.
-            sections: Lengths of the lists, or bounds.
-
-        Returns:
-            The table that it fills.
-        """
+        """Launch the description of the cut nodes of all listed levels, and return the table that it fills.
+        The lattice has crossings and distances; sections are lengths of the lists, or bounds."""
         rows = CutRows()
         rows.links = self._links.take(sections.all_cut)
         rows.diagonals = self._diagonals.take(sections.all_cut)
@@ -59,15 +47,7 @@ def continue_through_cage(
     values: wp.array,
 ) -> None:
     """Launch the continuation to ring 0 of a map that is linear on the cage's faces (kernels/lattice/rings.py).
-
-    Args:
-        lattice: The lattice.
-        levels: Of its nodes, listed.
-        rows: Description of the cut nodes.
-        sections: Lengths of the lists, or bounds.
-        vertex_values: (v,) vec3, the map at the cage's vertices.
-        values: (nodes,) vec3, the map at inside nodes; ring 0 is filled in.
-    """
+    vertex_values: (v,) vec3, at the cage's vertices; values: (nodes,) vec3, at inside nodes, ring 0 is filled in."""
     inputs = [levels, rows, lattice.faces, vertex_values, values]
     count = sections.ring(0)
     # an octet of lanes for each node, in whole warps
@@ -83,16 +63,8 @@ def continue_outwards(
     vertex_values: wp.array,
     values: wp.array,
 ) -> None:
-    """Launch the continuation of a map to a ring from values alone; rings before it come first.
-
-    Args:
-        ring: 0, 1 or 2.
-        lattice: The lattice.
-        levels: Of its nodes, listed.
-        sections: Lengths of the lists, or bounds.
-        vertex_values: (v,) vec3, the map at the cage's vertices.
-        values: (nodes,) vec3, the map so far; the ring is filled in.
-    """
+    """Launch the continuation of a map to ring 0, 1 or 2 from values alone; rings before it come first.
+    vertex_values: (v,) vec3, at the cage's vertices; values: (nodes,) vec3, so far, the ring is filled in."""
     inputs = [ring, lattice.vertices, lattice.faces, levels, vertex_values, lattice.flat_distance]
     launch(extend_outwards, lane_count(lattice.device) * sections.ring(ring), inputs, [values], device=lattice.device)
 
@@ -106,15 +78,7 @@ def continue_to_rings(
     values: wp.array,
 ) -> None:
     """Launch the continuation of a map that is linear on the cage's faces to all rings.
-
-    Args:
-        lattice: The lattice.
-        levels: Of its nodes, listed.
-        rows: Description of the cut nodes.
-        sections: Lengths of the lists, or bounds.
-        vertex_values: (v,) vec3, the map at the cage's vertices.
-        values: (nodes,) vec3, the map at inside nodes; the rings are filled in.
-    """
+    vertex_values: (v,) vec3, at the cage's vertices; values: (nodes,) vec3, at inside nodes, rings are filled in."""
     continue_through_cage(lattice, levels, rows, sections, vertex_values, values)
     for ring in range(1, RINGS):
         continue_outwards(ring, lattice, levels, sections, vertex_values, values)

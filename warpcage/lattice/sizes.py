@@ -15,24 +15,14 @@ FINE_NODES, WIDE_ROOM, NARROW_ROOM = 1 << 22, 1.0, 0.125
 
 
 def room_share(nodes: int) -> float:
-    """Room over the pose at hand.
-
-    Args:
-        nodes: Of its lattice.
-
-    Returns:
-        A share of what the pose counts.
-    """
+    """Room over the pose at hand, as a share of what it counts."""
     return WIDE_ROOM if nodes < FINE_NODES else NARROW_ROOM
 
 
 @dataclass(frozen=True, eq=False)
 class NodeSections:
-    """Lengths of the sections of a list of nodes on L levels, by name (kernels/lattice/nodes.py).
-
-    Args:
-        lengths: (3 L + RINGS,) int64, in the order of the list.
-    """
+    """Lengths (3 L + RINGS,) int64 of the sections of a list of nodes on L levels, in the list's order, by name.
+    See kernels/lattice/nodes.py."""
 
     lengths: np.ndarray
 
@@ -100,33 +90,24 @@ class NodeSections:
 
 @dataclass(frozen=True, eq=False)
 class PoseSizes:
-    """What the launches of a pose count, on the finest level of a lattice unless a name says otherwise.
-
-    Args:
-        nodes: Nodes.
-        lines: Lattice lines.
-        runs: Pieces of lines that are crossed with the cage together.
-        blocks: Blocks of nodes.
-        groups: Groups of blocks that faces are looked through for.
-        columns: Columns of nodes.
-        level_nodes: Nodes of all levels that a solver uses.
-        coarse_nodes: Those above the finest.
-        level_columns: Columns of all levels.
-        entries: Entries to be scanned for the lists.
-        sections: Lengths of the lists. None is not known yet: a launch that needs them waits until the device has
-            counted them.
-    """
+    """What the launches of a pose count, on the finest level of a lattice unless a name says otherwise."""
 
     nodes: int
+    # lattice lines, and runs of neighbouring ones that are crossed with the cage together
     lines: int
     runs: int
+    # blocks of nodes, and groups of blocks that faces are looked through for
     blocks: int
     groups: int
     columns: int
+    # nodes of all levels that a solver uses, and those above the finest
     level_nodes: int
     coarse_nodes: int
+    # columns of all levels
     level_columns: int
+    # entries to be scanned for the lists
     entries: int
+    # lengths of the lists; None is not known yet: a launch that needs them waits until the device has counted them
     sections: NodeSections | None = None
 
     @property

@@ -21,31 +21,22 @@ WeightBlock = tuple[int, wp.array, wp.array | None]
 
 
 class MapSolver(ABC):
-    """Values of a map at the nodes of a lattice over a posed cage.
+    """Values of a map at the nodes of a lattice over a posed cage; `nodes` has the lists that the solver works on.
+    A pose is `launch_layout`, then `launch_solution`, and where the pose opens narrow gaps `launch_boundary`."""
 
-    A pose is a list of launches: `launch_layout`, then `launch_solution`, and where the pose opens narrow gaps
-    `launch_boundary`. Sizes are those of the pose, or bounds that other poses fit as well, so that a CUDA graph can
-    hold the launches.
-
-    Args:
-        lattice: The lattice.
-        nodes: The lists of its nodes that the solver works on.
-
-    Attributes:
-        rows: Description of the cut nodes, with as many rows as are known.
-        corrections: (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,).
-        gaps: Nodes at narrow gaps.
-        status: (2,) float on the device: cycles and residual.
-        cycles: Multigrid cycles of the last map. 0 for closed forms.
-        residual: What they left, as a share of the rest cage's size.
-    """
+    # Sizes are those of the pose, or bounds that other poses fit as well, so that a CUDA graph can hold the launches.
 
     def __init__(self, lattice: CageLattice, nodes: LatticeNodes):
         self.lattice, self.nodes, self.device = lattice, nodes, lattice.device
+        # description of the cut nodes, with as many rows as are known
         self.rows = CutRows()
+        # (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,)
         self.corrections = empty_array(0, wp.vec3, self.device)
+        # nodes at narrow gaps
         self.gaps = GapFlags(lattice)
+        # on the device: cycles and residual
         self.status = wp.zeros(2, dtype=wp.float32, device=self.device)
+        # multigrid cycles of the last map, 0 for closed forms, and what they left, as a share of the rest cage's size
         self.cycles, self.residual = 0, 0.0
         self._values: Buffer = lattice.buffers.buffer(wp.vec3)
 
@@ -60,14 +51,7 @@ class MapSolver(ABC):
         return self._values.take(self.lattice.node_count)
 
     def values_of(self, sizes: PoseSizes) -> wp.array:
-        """The last map where launches fill it in.
-
-        Args:
-            sizes: Of the pose, or bounds.
-
-        Returns:
-            (nodes or more,) vec3, flat.
-        """
+        """The last map, (nodes or more,) vec3, flat, where launches with these sizes fill it in."""
         return self._values.take(sizes.level_nodes)
 
     @property
@@ -76,23 +60,12 @@ class MapSolver(ABC):
         return self._values.take(self.lattice.shape)
 
     def prepare(self) -> PoseSizes:
-        """Lay out the pose that the lattice lies over, with exact sizes.
-
-        Returns:
-            The sizes.
-        """
+        """Lay out the pose that the lattice lies over, with exact sizes, and return these."""
         return self.launch_layout(self.lattice.sizes(self.nodes.level_count))
 
     def launch_layout(self, sizes: PoseSizes) -> PoseSizes:
         """Launch all that does not depend on what the map takes at the cage, cleared values included.
-
-        Args:
-            sizes: Bounds, or sizes of the pose without sections: then this waits until lines are long enough and lists
-                are counted.
-
-        Returns:
-            The sizes, with sections.
-        """
+        Returns sizes with sections. Without sections it waits until lines are long enough and lists are counted."""
         lattice = self.lattice
         lattice.constants.send()
         with lattice.side.fork():
@@ -101,82 +74,39 @@ class MapSolver(ABC):
         return self.nodes.launch(sizes)
 
     def clear(self, sizes: PoseSizes) -> None:
-        """Launch what clears the values and the count of gaps, before a solution.
-
-        Args:
-            sizes: Of the pose, or bounds.
-        """
+        """Launch what clears the values and the count of gaps, before a solution."""
         self.gaps.count.zero_()
         self._values.take(sizes.level_nodes).zero_()
 
     @abstractmethod
     def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
-        """Launch what fills the cleared values, at inside nodes and the rings around them, and the search for gaps.
-
-        Args:
-            sizes: Of the pose, or bounds.
-            target: Of the map.
-        """
+        """Launch what fills the cleared values, at inside nodes and the rings around them, and the search for gaps."""
 
     @abstractmethod
     def launch_continuation(self, sizes: PoseSizes, vertex_values: wp.array) -> None:
         """Launch what continues the values at inside nodes to the rings, and the search for gaps.
-
-        Args:
-            sizes: Of the pose, or bounds.
-            vertex_values: (v,) vec3, the map at the cage's vertices.
-        """
+        vertex_values: (v,) vec3, the map at the cage's vertices."""
 
     def cut_rows(self, sizes: PoseSizes, table: CutRowTable) -> WarpStruct:
-        """The description of the cut nodes, launched where there is none yet.
-
-        Args:
-            sizes: Of the pose, or bounds.
-            table: For the description.
-
-        Returns:
-            The description.
-        """
+        """The description of the cut nodes, launched into `table` where there is none yet."""
         return self.rows
 
     @abstractmethod
     def launch_boundary(
         self, sizes: PoseSizes, target: MapTarget, rows: WarpStruct, marks: wp.array, boundary: wp.array
     ) -> None:
-        """Launch the map less its affine part where links cross the cage at narrow gaps.
-
-        Args:
-            sizes: Of the pose, or bounds.
-            target: Of the map.
-            rows: Description of the cut nodes.
-            marks: (nodes,) int, below 0 for the cells at narrow gaps.
-            boundary: (rows of level 0, 6) vec3, filled in for cut nodes of those cells and of the ones beside them, at
-                least.
-        """
+        """Launch the map less its affine part, (rows of level 0, 6) vec3, where links cross the cage at narrow gaps.
+        marks: (nodes,) int, below 0 for cells there; filled in at least for cut nodes of these and of cells beside."""
 
     @abstractmethod
     def weigh(self) -> list[WeightBlock]:
-        """The weights of all cage vertices at the inside nodes of the last pose.
-
-        Returns:
-            Blocks of rows.
-        """
+        """The weights of all cage vertices at the inside nodes of the last pose, in blocks of rows."""
 
     def weighted_values(self, target: MapTarget) -> tuple[wp.array, ...]:
-        """What weights multiply, in the order of a block: values at vertices, and at faces where they have weights.
-
-        Args:
-            target: Of the map.
-
-        Returns:
-            Arrays of vec3.
-        """
+        """What weights multiply, vec3, in the order of a block: values at vertices, and at faces where they have
+        weights."""
         return (target.vertex_values,)
 
     def take_status(self, status: np.ndarray) -> None:
-        """Note how a solution ended.
-
-        Args:
-            status: (2,) cycles and residual.
-        """
+        """Note how a solution ended: (2,) cycles and residual."""
         self.cycles, self.residual = int(status[0]), float(status[1])

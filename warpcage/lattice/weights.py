@@ -11,40 +11,23 @@ from .solver import MapSolver
 
 
 class LatticeWeights:
-    """Weights at the listed nodes of a solver's lattice; the paper's own way, at many times the memory of a map.
+    """Weights at the listed nodes of a solver's lattice, which has laid out a pose."""
 
-    Args:
-        solver: That has laid out a pose.
-
-    Attributes:
-        blocks: A list of (begin, vertex_weights (m, v), face_weights (m, f) or None). Rows of a block belong to the
-            entries begin .. begin + m - 1 of the list of nodes (kernels/lattice/nodes.py).
-    """
+    # The paper's own way, at many times the memory of a map.
 
     def __init__(self, solver: MapSolver):
         self._solver = solver
+        # (begin, vertex_weights (m, v), face_weights (m, f) or None): rows of a block belong to the entries begin ..
+        # begin + m - 1 of the list of nodes (kernels/lattice/nodes.py)
         self.blocks = solver.weigh()
 
     @staticmethod
     def row_bytes(coordinates: str, cage: ClosedMesh) -> int:
-        """Bytes of the weights of one node.
-
-        Args:
-            coordinates: Kind of coordinates.
-            cage: The cage.
-
-        Returns:
-            Bytes on the device.
-        """
+        """Bytes on the device of the weights of one node."""
         return 4 * (len(cage.vertices) + (len(cage.faces) if coordinates == "green" else 0))
 
     def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
-        """Launch the solver's solution, from the weights: values at inside nodes and the rings around them.
-
-        Args:
-            sizes: Of the pose.
-            target: Of the map.
-        """
+        """Launch the solver's solution, from the weights: values at inside nodes and the rings around them."""
         solver = self._solver
         factors = solver.weighted_values(target)
         solver.clear(sizes)
