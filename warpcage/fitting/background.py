@@ -45,24 +45,12 @@ EPSILON = 1e-12
 
 
 def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
-    """What is behind a field while it is fitted to a scene.
-
-    "auto" is random colours where the pictures carry opacity, with layers where masks split their surroundings off. For
-    pictures without opacity it is an outer field, unless the border of the pictures shows the background colour alone.
-
-    Args:
-        scene: The scene.
-        kind: One of FIT_BACKGROUNDS.
-
-    Returns:
-        Whether there are random colours; and "layers", "outer" or None, what is fitted beside the field.
-
-    Raises:
-        ValueError: For another kind, or one that the scene does not allow.
-    """
+    """Whether random colours are behind a field in a fit; and "layers", "outer" or None, what is fitted beside it."""
     if kind not in FIT_BACKGROUNDS:
         raise ValueError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
+        # without opacity an outer field, unless the border of the pictures shows the background colour alone; layers
+        # where masks split the surroundings off
         if scene.alphas is None:
             return False, None if _is_plain(scene) else "outer"
         return True, None if scene.surroundings is None else "layers"
@@ -87,17 +75,8 @@ def _is_plain(scene: Scene) -> bool:
 
 
 def layers_that_fit(scene: Scene, options: FitOptions, shards: int, limit: int) -> tuple[int, int]:
-    """The resolution of the layers.
-
-    Args:
-        scene: The scene.
-        options: Options of the fit.
-        shards: Arrays of gradients, one for each CPU thread.
-        limit: Bytes that the fit may take. The layers take a quarter at most.
-
-    Returns:
-        Cells along a layer's edge, and the bytes that the layers, their moments and their gradients then take.
-    """
+    """Cells along a layer's edge, and the bytes that the layers, their moments and their gradients then take.
+    shards: arrays of gradients, one for each CPU thread; limit: bytes that the fit may take."""
     side = options.background_side
     if side is None:
         focal = float(np.median([camera.fx for camera in scene.cameras]))  # pixels per unit of a face's half side
@@ -110,28 +89,7 @@ def layers_that_fit(scene: Scene, options: FitOptions, shards: int, limit: int) 
 
 class BackgroundOptimizer:
     """RMSProp on the layers behind a field, one step with each of the field's.
-
-    `prepare`, `accumulate` and `apply` make a step.
-
-    Args:
-        colour: (3,) of all nodes at the start.
-        split: False for whole pictures, whose every ray the field and the layers explain together. True for split ones,
-            whose surroundings the layers explain alone.
-        bounds: (2, 3) box of the field, world units.
-        options: Options of the fit.
-        side: Cells along a layer's edge in the last level.
-        batch_rays: Rays per batch.
-        shards: Arrays of gradients, one for each CPU thread.
-        device: Warp device.
-
-    Attributes:
-        sides: Cells along a layer's edge in each level.
-        layers: BackgroundLayers of the level: colours and optical depths of their nodes.
-        moments: (layers, nodes) vec4 second moments.
-        gradients: (layers, nodes) vec4 for each shard.
-        behind: (rays,) vec3, what each ray of a batch sees behind the field. None for split pictures, where the field
-            does not need it.
-    """
+    `prepare`, `accumulate` and `apply` make a step, in this order."""
 
     #: Nothing is before the field.
     front = grad_front = None
@@ -139,35 +97,37 @@ class BackgroundOptimizer:
     def __init__(
         self,
         colour: np.ndarray,
+        # False for whole pictures, whose every ray the field and the layers explain together; True for split ones,
+        # whose surroundings the layers explain alone
         split: bool,
         bounds: np.ndarray,
         options: FitOptions,
+        # cells along a layer's edge in the last level
         side: int,
         batch_rays: int,
+        # arrays of gradients, one for each CPU thread
         shards: int,
         device: wp.Device,
     ):
         self.options, self.device, self.batch_rays, self.shards = options, device, batch_rays, shards
         self.center, self.half = bounds.mean(axis=0), 0.5 * float((bounds[1] - bounds[0]).max())
+        # cells along a layer's edge in each level
         self.sides = [max(2, round(side / 2 ** (options.levels - 1 - level))) for level in range(options.levels)]
         self.start = np.empty(4, np.float32)  #: of each node
         self.start[:3] = colour
         self.start[3] = -math.log(1.0 - START_OPACITY) / (options.background_layers - 1)
         self.layers = self._untouched(0)
+        # (layers, nodes) vec4 for each shard, as the second moments
         self.gradients: list[wp.array] = []
         self.moments = wp.zeros(0, dtype=wp.vec4, device=device)
         self._allocate()
+        # (rays,) vec3, what each ray of a batch sees behind the field; split pictures do not need it
         self.behind = None if split else wp.zeros(batch_rays, dtype=wp.vec3, device=device)
         self._grad_behind = wp.zeros(batch_rays, dtype=wp.vec3, device=device)
 
     def start_level(self, level: int, rays: Any, field: VoxelField) -> None:
-        """Layers of a level, interpolated from the ones before. Gradients and moments start anew.
-
-        Args:
-            level: Index of the level.
-            rays: Not used: layers are not pruned.
-            field: Not used.
-        """
+        """Layers of a level, interpolated from the ones before; gradients and moments start anew.
+        The rest is not used: layers are not pruned."""
         self._release()
         coarse, self.layers = self.layers, self._untouched(level)
         values = self.layers.values
@@ -205,12 +165,8 @@ class BackgroundOptimizer:
         return None if self.behind is None else self._grad_behind
 
     def prepare(self, rays: Any, surroundings: Any) -> None:
-        """Before the field's march of a batch: fill `behind`, or compare with the surroundings.
-
-        Args:
-            rays: TrainingRays that begin at the batch's first tile.
-            surroundings: Pictures that masks split off. None for whole pictures.
-        """
+        """Fill `behind`, or compare with the surroundings that masks split off, None for whole pictures.
+        Before the field's march of a batch; rays: TrainingRays that begin at its first tile."""
         if self.behind is not None:
             self.gather(rays, self.behind)
         else:
@@ -219,22 +175,12 @@ class BackgroundOptimizer:
             launch(background_loss.compare_surroundings, self.batch_rays, inputs, outputs, device=self.device)
 
     def gather(self, rays: Any, behind: wp.array, front: wp.array | None = None) -> None:
-        """What rays see of the layers.
-
-        Args:
-            rays: TrainingRays that begin at the batch's first tile.
-            behind: (rays,) vec3, filled.
-            front: Not used: nothing is before the field.
-        """
+        """Fill `behind`, (rays,) vec3, with what TrainingRays see of the layers; front is not used."""
         launch(background_loss.gather_background, behind.size, [self.layers, rays], [behind], device=self.device)
 
     def accumulate(self, rays: Any, random: np.random.Generator) -> None:
         """Add the gradients of the batch, after the field's march, and of the total variation.
-
-        Args:
-            rays: TrainingRays that begin at the batch's first tile.
-            random: Chooses the first node that gets a gradient of the total variation.
-        """
+        random: chooses the first node that gets one of the total variation."""
         options = self.options
         nodes = self.layers.values.size
         varied = max(1, int(options.variation_share * nodes))
@@ -261,11 +207,7 @@ class BackgroundOptimizer:
         """Nothing: layers are not pruned."""
 
     def apply(self, rates: Rates) -> None:
-        """One step of RMSProp by the gradients, which are cleared.
-
-        Args:
-            rates: Learning rates.
-        """
+        """One step of RMSProp by the gradients, which are cleared."""
         total = sum_shards([_numbers(gradients) for gradients in self.gradients])
         inputs = [rates.background, self.options.beta, EPSILON, total, _numbers(self.moments)]
         outputs = [_numbers(self.layers.values)]
@@ -282,16 +224,7 @@ class BackgroundOptimizer:
         }
 
     def restore(self, contents: dict[str, np.ndarray], level: int, path: pathlib.Path) -> None:
-        """Take over the state of a level.
-
-        Args:
-            contents: Arrays of a checkpoint.
-            level: Index of the level.
-            path: The checkpoint, for errors.
-
-        Raises:
-            ValueError: For a state that does not fit.
-        """
+        """Take over the state of a level from a checkpoint's arrays; path: for errors."""
         self._release()
         self.layers = self._untouched(level)
         self._allocate()
@@ -308,15 +241,7 @@ class BackgroundOptimizer:
             target.assign(values)
 
     def result(self, rays: Any, field: VoxelField) -> LayeredBackground:
-        """The layers so far, colours in [0, 1] and optical depths of at least 0.
-
-        Args:
-            rays: Not used: layers are not pruned.
-            field: Not used.
-
-        Returns:
-            The layers.
-        """
+        """The layers so far, colours in [0, 1] and optical depths of at least 0; the arguments are not used."""
         values = self.layers.values.numpy()
         values[..., :3] = np.clip(values[..., :3], 0.0, 1.0)
         values[..., 3] = np.maximum(values[..., 3], 0.0)

@@ -33,25 +33,20 @@ LEAST_ERROR = 1e-12
 
 @dataclasses.dataclass(frozen=True)
 class Batch:
-    """One batch, as the photometric loss takes it.
+    """One batch, as the photometric loss takes it."""
 
-    Args:
-        rays: TrainingRays that begin at the batch's first tile.
-        squared_error: (rays,) float32, where the loss leaves the error of each ray.
-        seed: Of the places within pixels and of random backgrounds.
-        random_background: Whether a random colour is behind each ray.
-        behind: (rays,) vec3, what is behind the field for each ray. None is one colour.
-        grad_behind: (rays,) vec3, where the loss leaves its gradient by `behind`. None where that is None.
-        front: (rays,) vec4, what is before the field for each ray, and the light that passes. None is nothing.
-        grad_front: (rays,) vec4, where the loss leaves its gradient by `front`. None where that is None.
-    """
-
+    # TrainingRays that begin at the batch's first tile
     rays: Any
+    # (rays,) float32, where the loss leaves the error of each ray
     squared_error: wp.array
+    # of the places within pixels and of random backgrounds
     seed: int
     random_background: bool
+    # (rays,) vec3, what is behind the field for each ray, None is one colour; then where the loss leaves its gradient
     behind: wp.array | None
     grad_behind: wp.array | None
+    # (rays,) vec4, what is before it and the light that passes, None is nothing; then where the loss leaves its
+    # gradient
     front: wp.array | None
     grad_front: wp.array | None
 
@@ -62,63 +57,43 @@ class Batch:
 
 
 class Batches:
-    """The pixels of a scene's pictures in batches: runs of square tiles in a shuffled order.
-
-    Args:
-        scene: The scene.
-        center: (3,) world point that positions are relative to.
-        tile_size: Side of a tile in pixels.
-        random: Shuffles the tiles.
-        device: Warp device.
-        held: Bytes on the device that others hold while the pictures are uploaded.
-        limit: Bytes that the fit may take: decides the precision of the pictures.
-
-    Raises:
-        ValueError: Where the pictures do not fit into the memory.
-
-    Attributes:
-        rays: TrainingRays, what the losses take.
-        pictures: The scene's pictures on the device.
-        tile_total: Tiles of all pictures.
-        active_tiles: Tiles that see anything of the field.
-        batch_tiles: Tiles per batch.
-        view_tiles: (views + 1,) int32, where the active tiles of each view begin among all.
-        cursor: Where the next batch begins in the order.
-        squared_error: (rays,) float32 of the last batch, summed over the channels.
-    """
+    """The pixels of a scene's pictures in batches: runs of square tiles in a shuffled order."""
 
     def __init__(
         self,
         scene: Scene,
+        # (3,) world point that positions are relative to
         center: np.ndarray,
         tile_size: int,
         random: np.random.Generator,
         device: wp.Device,
         *,
+        # bytes that others hold while the pictures are uploaded, and that the fit may take: they decide the precision
         held: int,
         limit: int,
     ):
         count, height, width = scene.images.shape[:3]
         self.device, self.random = device, random
+        # what the losses take
         self.rays: Any = TrainingRays()
         self.rays.cameras = camera_array(scene.cameras, center, device)
         self.rays.height, self.rays.width = height, width
         self.rays.tile_size = tile_size
         self.rays.rays_per_side = 1
         self.rays.exposures = wp.zeros((0, 0), dtype=wp.vec3, device=device)
+        # of all pictures; active ones see anything of the field
         self.tile_total = count * -(-height // tile_size) * -(-width // tile_size)
+        # tiles per batch; cursor: where the next batch begins in the order
         self.active_tiles = self.batch_tiles = self.cursor = 0
+        # (views + 1,), where the active tiles of each view begin among all
         self.view_tiles = np.zeros(len(scene) + 1, np.int32)
+        # (rays,) of the last batch, summed over the channels
         self.squared_error = wp.zeros(0, dtype=wp.float32, device=device)
         self.pictures = TrainingPictures(scene, chosen_bits(scene, held + self.rays.cameras.capacity, limit), device)
         self.rays.pictures = self.pictures.seen
 
     def keep_pictures(self, bits: int) -> None:
-        """Go on with the pictures at another precision.
-
-        Args:
-            bits: Per channel, one of PRECISIONS.
-        """
+        """Go on with the pictures at another precision, bits per channel, one of PRECISIONS."""
         if bits != self.pictures.bits:
             self.rays.pictures = Pictures()  # lets go of the ones before
             self.pictures.keep(bits)
@@ -143,13 +118,7 @@ class Batches:
 
     def activate(self, field: VoxelField | None) -> None:
         """Find the tiles that see anything of a field, and shuffle them.
-
-        Args:
-            field: The field. None where all tiles count, as every pixel shows something.
-
-        Raises:
-            ValueError: Where no tile sees the field.
-        """
+        field: None where all tiles count, as every pixel shows something."""
         tiles = np.arange(self.tile_total, dtype=np.int32) if field is None else self._seeing(field)
         if len(tiles) == 0:
             raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
@@ -173,32 +142,19 @@ class Batches:
         self.order(int(self.random.integers(ORDERS)), 0)
 
     def take(self, tiles: np.ndarray) -> None:
-        """Batches of these tiles from now on.
-
-        Args:
-            tiles: (tiles,) int32, those that count.
-        """
+        """Batches of these tiles, (tiles,) int32, from now on."""
         self.active_tiles = len(tiles)
         views = self.rays.cameras.shape[0]
         self.view_tiles = np.searchsorted(tiles, self.tile_total // views * np.arange(views + 1)).astype(np.int32)
         self.rays.tiles = wp.array(tiles, dtype=wp.int32, device=self.device)
 
     def order(self, key: int, cursor: int) -> None:
-        """Go on in a given order.
-
-        Args:
-            key: Of the order, see kernels/fitting/shuffle.
-            cursor: Where the next batch begins.
-        """
+        """Go on in the order of a key, see kernels/fitting/shuffle; cursor: where the next batch begins."""
         self.rays.order = key
         self.cursor = cursor
 
     def advance(self, rays_per_side: int) -> None:
-        """On to the next batch.
-
-        Args:
-            rays_per_side: Rays along each side of a pixel.
-        """
+        """On to the next batch; rays_per_side: of a pixel."""
         if self.cursor + self.batch_tiles > self.active_tiles:
             self.shuffle()
         self.rays.first_tile = self.cursor

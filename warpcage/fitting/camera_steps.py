@@ -31,18 +31,15 @@ TINY = 1e-30
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CameraSums:
-    """What a sample of rays says of their cameras.
+    """What a sample of rays says of their cameras."""
 
-    Args:
-        normal: (n, 7, 7) float64, J^T J by turns, shifts and logarithm of the focal length.
-        slope: (n, 7) J^T e.
-        exposure: (n, 3, 5) sums of x x, x a, a a, x y and a y for each channel; see kernels/fitting/cameras.
-        error: (n,) e^T e.
-    """
-
+    # (n, 7, 7) float64, J^T J by turns, shifts and logarithm of the focal length
     normal: np.ndarray
+    # (n, 7) J^T e
     slope: np.ndarray
+    # (n, 3, 5) sums of x x, x a, a a, x y and a y for each channel; see kernels/fitting/cameras
     exposure: np.ndarray
+    # (n,) e^T e
     error: np.ndarray
 
     @classmethod
@@ -62,21 +59,8 @@ def camera_steps(
     changes: np.ndarray | None = None,
     firmness: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """A damped step of Gauss-Newton for cameras of which some share their lens.
-
-    The matrix is an arrow: six numbers of each camera by themselves, and those of the lenses with all. The cameras are
-    eliminated first (Schur's complement; Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6).
-
-    Args:
-        normal: (n, 7, 7) J^T J of each camera.
-        slope: (n, 7) J^T e of each camera.
-        lenses: (n,) int, the lens of each camera.
-        changes: (n, 7) the numbers relative to the given cameras, which hold them. None holds nothing.
-        firmness: (n, 7) how firmly they do beyond HOLD.
-
-    Returns:
-        (n, 7) what to add to the numbers of each camera.
-    """
+    """A damped step of Gauss-Newton (n, 7) for cameras of which some share a lens; J^T J (n, 7, 7) and J^T e (n, 7).
+    changes: (n, 7) from the given cameras, None holds nothing; firmness: (n, 7) how firmly those hold beyond HOLD."""
     diagonal = np.einsum("nii->ni", normal)
     largest = diagonal.max(axis=1, keepdims=True)
     added = DAMPING * diagonal + LEAST_DAMPING * largest + TINY
@@ -85,6 +69,8 @@ def camera_steps(
         slope, added = slope + hold * changes, added + hold
     raised = normal.copy()
     raised[:, np.arange(NUMBERS), np.arange(NUMBERS)] += added
+    # The matrix is an arrow: six numbers of each camera by themselves, and those of the lenses with all. The cameras
+    # are eliminated first (Schur's complement; Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6).
     crossing = raised[:, :6, 6:]
     solved = np.linalg.solve(raised[:, :6, :6], np.concatenate([slope[:, :6, None], crossing], axis=2))
     complement = raised[:, 6, 6] - (crossing[..., 0] * solved[..., 1]).sum(axis=1)
@@ -95,14 +81,8 @@ def camera_steps(
 
 
 def fitted_exposures(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The exposures that make a field's colours those of its pictures: y = gain x + offset a, by least squares.
-
-    Args:
-        sums: (n, 3, 5) of CameraSums.
-
-    Returns:
-        Gains and offsets, (n, 3) each.
-    """
+    """Gains and offsets (n, 3) that make a field's colours those of its pictures, by exposure sums (n, 3, 5)."""
+    # y = gain x + offset a, by least squares
     xx, xa, aa, xy, ay = np.moveaxis(sums, -1, 0)
     prior = EXPOSURE_PRIOR * aa + TINY
     xx, xy, aa = xx + prior, xy + prior, (1.0 + OFFSET_PRIOR) * aa + TINY

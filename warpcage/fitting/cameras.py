@@ -58,41 +58,31 @@ Gather = Callable[[Any, wp.array, "wp.array | None"], None]
 
 
 class CameraRefinement:
-    """The cameras of a fit and the exposures of its pictures, as they are refined.
+    """The cameras of a fit and the exposures of its pictures, as they are refined."""
 
-    A pose's six numbers are solved for by damped Gauss-Newton, and the focal length of a lens with the poses of all its
-    cameras. What the pictures alone cannot tell is held: after each step the cameras as a whole see the middle of the
-    box where the given ones do, and gains and offsets of the exposures are 1 and 0 in the mean.
-
-    Args:
-        cameras: As they are given. Those of the same numbers share a lens.
-        bounds: (2, 3) box of the field, world units. Positions on the device are relative to its middle.
-        device: Warp device.
-        held: Whether the cameras as a whole, and each a little, are held where they are given.
-
-    Attributes:
-        given: The cameras as they are given.
-        lenses: (n,) int, the lens of each camera.
-        poses: (n, 4, 4) float64 camera_to_world, world units.
-        zooms: (lenses,) float64, logarithm of the focal lengths over the given ones.
-        gains: (n, 3) float64, what the field's colours are multiplied by in a picture.
-        offsets: (n, 3) float64, what is added to them then.
-        normal: (n, 7, 7) float64, running mean of the normal equations' matrices.
-        reach: World units of a shift by 1: how far the cameras are from the middle.
-    """
+    # A pose's six numbers are solved for by damped Gauss-Newton, and the focal length of a lens with the poses of all
+    # its cameras. What the pictures alone cannot tell is held: after each step the cameras as a whole see the middle of
+    # the box where the given ones do, and gains and offsets of the exposures are 1 and 0 in the mean.
 
     def __init__(self, cameras: Sequence[Camera], bounds: np.ndarray, device: wp.Device, *, held: bool = True):
+        # held: whether the cameras as a whole, and each a little, are held where they are given
         self.given, self.device, self.held = list(cameras), device, held
+        # positions on the device are relative to it
         self.center = bounds.mean(axis=0)
         grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
         self.points = self.center + 0.5 * POINTS_SHARE * grid * (bounds[1] - bounds[0])
         keys = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in cameras]
         found = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+        # the lens of each camera: those of the same numbers share one
         self.lenses = np.array([found[key] for key in keys])
         self.given_poses = np.array([camera.camera_to_world for camera in cameras])
+        # (n, 4, 4) camera_to_world; (lenses,) logarithm of the focal lengths over the given ones
         self.poses, self.zooms = self.given_poses.copy(), np.zeros(len(found))
+        # the field's colours are multiplied by gains in a picture, and offsets are added then
         self.gains, self.offsets = np.ones((len(keys), 3)), np.zeros((len(keys), 3))
+        # running mean of the normal equations' matrices
         self.normal = np.zeros((len(keys), NUMBERS, NUMBERS))
+        # world units of a shift by 1: how far the cameras are from the middle
         self.reach = float(np.median(np.linalg.norm(self.poses[:, :3, 3] - self.center, axis=1)))
 
     def __len__(self) -> int:
@@ -126,11 +116,7 @@ class CameraRefinement:
         return wp.array(rows, dtype=PinholeCamera, device=self.device)
 
     def attach(self, rays: Any) -> None:
-        """Let TrainingRays have the cameras and exposures as they are.
-
-        Args:
-            rays: TrainingRays of the scene, changed.
-        """
+        """Let TrainingRays of the scene have the cameras and exposures as they are."""
         rays.cameras = self.uploaded()
         undone = np.stack([1.0 / self.gains, -self.offsets / self.gains], axis=1)
         rays.exposures = wp.array(undone, dtype=wp.vec3, device=self.device)
@@ -147,22 +133,10 @@ class CameraRefinement:
         gather: Gather | None = None,
         has_front: bool = False,
     ) -> CameraSums:
-        """Look at every camera with a sample of rays.
-
-        Args:
-            field: The field so far.
-            rays: TrainingRays, which have the cameras as they are.
-            view_tiles: (n + 1,) int32, where the tiles of each view begin among those of the rays.
-            tiles: Tiles of each camera; a few more are taken where that fills runs.
-            seed: Of the choice of the tiles, and of random colours.
-            random_background: Whether random colours are behind the rays.
-            gather: Fills what is around the field. None where nothing is.
-            has_front: Whether anything is before it.
-
-        Returns:
-            The sums.
-        """
+        """Look at every camera with a sample of so many tiles of TrainingRays, which have the cameras as they are.
+        view_tiles: (n + 1,) int32, where the tiles of each view begin; gather: fills what is around the field."""
         device, size = self.device, rays.tile_size**2
+        # a few more tiles of each camera are taken where that fills runs
         run_tiles = max(1, RUN // size)
         runs = -(-tiles // run_tiles)
         drawn: Any = TrainingRays()
@@ -211,13 +185,7 @@ class CameraRefinement:
     # Steps
 
     def step(self, sums: CameraSums, rates: CameraRates, voxel: float) -> None:
-        """Move the cameras and change the exposures.
-
-        Args:
-            sums: What their rays say.
-            rates: Shares of a whole step.
-            voxel: Side of the field's voxels, world units.
-        """
+        """Move the cameras and change the exposures by what their rays say; voxel: side, world units."""
         met = self.normal.any(axis=(1, 2), keepdims=True)
         self.normal = np.where(met, KEPT * self.normal + (1.0 - KEPT) * sums.normal, sums.normal)
         changes, firmness = (self.changes(), self._firmness(rates)) if self.held else (None, 0.0)
@@ -245,12 +213,10 @@ class CameraRefinement:
             self.gains, self.offsets = even_exposures(self.gains, self.offsets)
 
     def _firmness(self, rates: CameraRates) -> np.ndarray:
-        """(n, 7) how firmly the given cameras hold theirs: by how little those have moved.
-
-        A camera that the pictures alone would move by y settles at x = y / (1 + (DOUBT / x)^4): almost y where that is
-        far, and 0 where it is below 1.75 DOUBT (as the garrote of Breiman 1995). So little does a field that is not
-        exact ask of exact cameras too.
-        """
+        """(n, 7) how firmly the given cameras hold theirs: by how little those have moved."""
+        # A camera that the pictures alone would move by y settles at x = y / (1 + (DOUBT / x)^4): almost y where that
+        # is far, and 0 where it is below 1.75 DOUBT (as the garrote of Breiman 1995). So little does a field that is
+        # not exact ask of exact cameras too.
         focal = np.array([camera.fx for camera in self.given])
         moved = focal * picture_shifts(self.poses, self.given_poses, self.points)
         # how far from the middle of a picture the object reaches
@@ -276,15 +242,7 @@ class CameraRefinement:
         return {f"camera_{name}": getattr(self, name) for name in STATE}
 
     def restore(self, contents: dict[str, np.ndarray], path: pathlib.Path) -> None:
-        """Take over a state.
-
-        Args:
-            contents: Arrays of a checkpoint.
-            path: The checkpoint, for errors.
-
-        Raises:
-            ValueError: For a state that does not fit.
-        """
+        """Take over a state from a checkpoint's arrays; path: for errors."""
         held = {}
         for name in STATE:
             now = getattr(self, name)

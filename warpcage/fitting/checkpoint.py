@@ -76,12 +76,7 @@ def require_writable(path: str | pathlib.Path) -> pathlib.Path:
 
 
 def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
-    """Write voxels, second moments and the order of the pixels, whole or not at all.
-
-    Args:
-        optimizer: The fit.
-        path: File (.npz).
-    """
+    """Write voxels, second moments and the order of the pixels to a file (.npz), whole or not at all."""
     field, grid = optimizer.current.field, optimizer.current.field.grid
     schedule, batches = optimizer.schedule, optimizer.batches
     occupied = grid.links.numpy() >= 0
@@ -119,16 +114,7 @@ def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
 
 
 def load_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
-    """Put a fresh fit where a saved one was.
-
-    Args:
-        optimizer: A fit of the same scene, seed and options, before its first step.
-        path: File (.npz).
-
-    Raises:
-        ValueError: For a file that is not a checkpoint, or is one of another scene, seed or options.
-        FileNotFoundError: Where there is no file.
-    """
+    """Put a fresh fit, of the same scene, seed and options and before its first step, where a saved one was."""
     contents = read_npz(path, "checkpoint", NAMES.__contains__, room=ROOM)
     if str(contents.get("format", "")) != KIND:
         raise ValueError(f"{path} is no fit checkpoint: remove it or name another file")
@@ -211,16 +197,8 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
 
 
 def fingerprint(optimizer: Fit) -> str:
-    """Hash of all that a fit depends on: seed and options, and the scene's pictures, alphas, background and cameras.
-
-    Taken once for each fit, as the scene's pictures are only read when it begins.
-
-    Args:
-        optimizer: The fit.
-
-    Returns:
-        Hexadecimal digits.
-    """
+    """Hash, in hexadecimal digits, of all that a fit depends on: seed, options and scene."""
+    # Taken once for each fit, as the scene's pictures are only read when it begins.
     if optimizer not in _fingerprints:
         given = json.dumps(optimizer.given, sort_keys=True).encode()
         _fingerprints[optimizer] = hashlib.blake2b(given + scene_digest(optimizer.scene), digest_size=32).hexdigest()
@@ -228,18 +206,10 @@ def fingerprint(optimizer: Fit) -> str:
 
 
 def scene_digest(scene: Scene) -> bytes:
-    """Hash of every number of a scene that a fit uses.
-
-    BLAKE2b (RFC 7693) over each picture, in parallel, then over the pictures' hashes. Measured: 0.33 GB/s for each
-    thread (a Xeon, CPython 3.11, by the time of that thread). So 87 views of 800x800 with alphas (0.9 GB) take 2.7 s on
-    one thread and 0.2 s on 16.
-
-    Args:
-        scene: The scene.
-
-    Returns:
-        32 bytes, the same for any number of threads.
-    """
+    """32 bytes, a hash of every number of a scene that a fit uses, the same for any number of threads."""
+    # BLAKE2b (RFC 7693) over each picture, in parallel, then over the pictures' hashes. Measured: 0.33 GB/s for each
+    # thread (a Xeon, CPython 3.11, by the time of that thread). So 87 views of 800x800 with alphas (0.9 GB) take 2.7 s
+    # on one thread and 0.2 s on 16.
     cameras = [[camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height] for camera in scene.cameras]
     arrays = {
         "images": scene.images,

@@ -47,18 +47,7 @@ def psnr(image: ArrayLike, reference: ArrayLike) -> float:
 
 
 def ssim(image: ArrayLike, reference: ArrayLike) -> float:
-    """Structural similarity of an image (Wang et al. 2004, Gaussian window of 1.5 pixels).
-
-    Args:
-        image: (h, w, 3) values in [0, 1]. Others are clamped.
-        reference: (h, w, 3), what it should be.
-
-    Returns:
-        At most 1, where they agree.
-
-    Raises:
-        ValueError: As `psnr`, and for sides below 11 pixels.
-    """
+    """Structural similarity of images (h, w, 3) in [0, 1], others clamped; at most 1, where they agree."""
     from skimage.metrics import structural_similarity
 
     first, second = _clamped_pair(image, reference)
@@ -66,6 +55,7 @@ def ssim(image: ArrayLike, reference: ArrayLike) -> float:
         raise ValueError(
             f"structural similarity needs images of at least {SSIM_WINDOW}x{SSIM_WINDOW} pixels, got {first.shape[:2]}"
         )
+    # Wang et al. 2004, Gaussian window of 1.5 pixels
     similarity: Any = structural_similarity(
         first, second, channel_axis=-1, data_range=1.0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
     )
@@ -86,15 +76,7 @@ def _clamped_pair(image: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, n
 
 
 def error_image(image: ArrayLike, reference: ArrayLike) -> np.ndarray:
-    """A render in grey, with its errors in red.
-
-    Args:
-        image: (h, w, 3) the render, in [0, 1].
-        reference: (h, w, 3) what it should be.
-
-    Returns:
-        (h, w, 3) float32; full red from an absolute error of 0.1 on.
-    """
+    """A render (h, w, 3) in [0, 1] in grey, with its errors in red; float32."""
     shown = np.clip(np.asarray(image, np.float32), 0, 1)
     error = np.clip(np.abs(shown - np.asarray(reference)).max(axis=-1, keepdims=True) / RED_ERROR, 0, 1)
     grey = 0.5 + 0.5 * shown.mean(axis=-1, keepdims=True)
@@ -102,19 +84,7 @@ def error_image(image: ArrayLike, reference: ArrayLike) -> np.ndarray:
 
 
 def masked_psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike) -> float:
-    """PSNR over the pixels of a mask.
-
-    Args:
-        image: (h, w, 3) values in [0, 1].
-        reference: (h, w, 3), what it should be.
-        mask: (h, w); pixels count where it is above 1/2.
-
-    Returns:
-        dB; inf where they agree.
-
-    Raises:
-        ValueError: Where no pixel counts.
-    """
+    """PSNR, dB, of (h, w, 3) over the pixels where a mask (h, w) is above 1/2; inf where they agree."""
     inside = np.asarray(mask) > OPAQUE
     if not inside.any():
         raise ValueError("the mask is empty: there is nothing to compare")
@@ -162,29 +132,14 @@ def evaluate(
 
 
 def in_world_of(renderer: Renderer, scene: Scene) -> Scene:
-    """A scene in the world of a field that was straightened, where it was read in that of its files.
-
-    Args:
-        renderer: A VoxelField, a Deformer, or anything that renders.
-        scene: The scene.
-
-    Returns:
-        The scene moved by the field's `straightening`; as it is where there is none, or where it was moved already.
-    """
+    """A scene in the world of a field that was straightened, where it was read in that of its files."""
     motion = getattr(getattr(renderer, "field", renderer), "straightening", None)
     return scene if motion is None or scene.straightening is not None else scene.moved(motion)
 
 
 def comparison(renderer: Renderer, scene: Scene) -> tuple[np.ndarray | None, np.ndarray]:
-    """What a renderer is compared with.
-
-    Args:
-        renderer: See `evaluate`.
-        scene: The views.
-
-    Returns:
-        The colour (3,) to render on, or None for what the field has around it, and the pictures (n, h, w, 3).
-    """
+    """The colour (3,) to render on, and the pictures (n, h, w, 3) to compare with.
+    None for the colour is what the field has around it."""
     field = getattr(renderer, "field", renderer)
     has_surroundings = scene.alphas is None or scene.surroundings is not None
     if getattr(field, "background_model", None) is not None and has_surroundings:

@@ -53,30 +53,18 @@ EPSILON = 1e-12
 
 
 class Level:
-    """The rows of the level that a fit has reached: their values, gradients and second moments.
+    """The rows of the level that a fit has reached: their values, gradients and second moments."""
 
-    Args:
-        mask: (nx, ny, nz) uint8, the voxels that get a row.
-        bounds: (2, 3) box of the field, world units.
-        background: (3,) colour behind the field.
-        shards: Arrays of gradients, one for each CPU thread.
-
-    Raises:
-        ValueError: Where the mask is empty.
-
-    Attributes:
-        field: The field so far.
-        nodes: (rows,) vec3i, grid indices of each row.
-        gradients: (25 rows,) float32 for each shard: 24 coefficients of each row, then their densities. None of them
-            while pruning.
-        moments: (25 rows,) bfloat16 second moments in the same order; none while the level changes.
-        touched: (rows,) uint8, 1 where there is a gradient.
-    """
+    # 25 numbers of each row: the 24 coefficients of all rows, then their densities.
 
     def __init__(self, mask: wp.array, bounds: np.ndarray, background: np.ndarray, shards: int):
+        # arrays of gradients, one for each CPU thread
         self.shards = shards
+        # nodes: (rows,) vec3i, grid indices of each row
         self.field, self.nodes = _started(mask, bounds, background)
+        # (25 rows,) float32 for each shard; none while pruning
         self.gradients: list[wp.array] = []
+        # touched: (rows,), 1 where there is a gradient; moments: (25 rows,) bfloat16, none while the level changes
         self.touched, self.moments = _marks(0, self.field.device), _moments(0, self.field.device)
         self.allocate()
 
@@ -128,12 +116,8 @@ class Level:
         self.field.grid.sh.assign(np.tile(row, (self.field.voxel_count, 1)))
 
     def refine(self, shape: tuple[int, ...], kept: wp.array) -> None:
-        """Values on a finer grid, interpolated. Gradients and second moments stay released.
-
-        Args:
-            shape: (nx, ny, nz) voxels of the finer grid.
-            kept: uint8 mask over the nodes of this grid: voxels with children.
-        """
+        """Values on a finer grid (nx, ny, nz), interpolated; gradients and second moments stay released.
+        kept: uint8 mask over the nodes of this grid, voxels with children."""
         mask = empty_array(shape, wp.uint8, kept.device)
         launch(grid_refine.refine_mask, mask.size, [_ratio(shape, kept.shape), kept], [mask], device=mask.device)
         self.resample(mask)
@@ -163,30 +147,16 @@ class Level:
         self.allocate_gradients()
 
     def finish(self, rays: Any, threshold: float) -> VoxelField:
-        """The field of the voxels that matter to the pictures, with its rendering weights.
-
-        Args:
-            rays: TrainingRays, whose cameras are taken.
-            threshold: Rendering weight from which a voxel matters.
-
-        Returns:
-            The field.
-        """
+        """The field of the voxels that matter to the pictures of TrainingRays, with its rendering weights.
+        threshold: rendering weight from which a voxel matters."""
         self.release()
         self.resample(self.weighty_mask(rays, threshold))
         self.field.weights = self.measure_weights(rays)
         return self.field
 
     def measure_weights(self, rays: Any, pixel_stride: int = 1) -> wp.array:
-        """The largest rendering weight that training rays give to each voxel.
-
-        Args:
-            rays: TrainingRays, whose cameras are taken.
-            pixel_stride: Every how many pixels there is a ray, along both sides of a picture.
-
-        Returns:
-            (rows,) float32.
-        """
+        """(rows,) float32, the largest rendering weight that TrainingRays' cameras give to each voxel.
+        pixel_stride: every how many pixels there is a ray, along both sides of a picture."""
         field, rows = self.field, self.field.voxel_count
         count = rays.cameras.shape[0] * -(-rays.width // pixel_stride) * -(-rays.height // pixel_stride)
         weights = [wp.zeros(rows, dtype=wp.float32, device=field.device) for _ in range(self.shards)]
@@ -198,15 +168,8 @@ class Level:
         return weights[0]
 
     def weighty_mask(self, rays: Any, threshold: float) -> wp.array:
-        """The voxels that matter to the pictures, and their neighbours, among those that have a row.
-
-        Args:
-            rays: TrainingRays, whose cameras are taken.
-            threshold: Rendering weight from which a voxel matters.
-
-        Returns:
-            (nx, ny, nz) uint8.
-        """
+        """(nx, ny, nz) uint8 mask of the voxels with a rendering weight from a threshold on, and their neighbours.
+        Of those that have a row; rays: TrainingRays, whose cameras are taken."""
         field = self.field
         stride = max(1, int(0.5 * field.resolution[0] ** -1 * rays.width))
         weights = self.measure_weights(rays, stride)
@@ -222,15 +185,8 @@ class Level:
     def accumulate(
         self, batch: Batch, weights: tuple[float, float, float], share: float, random: np.random.Generator
     ) -> None:
-        """Add the gradients of the photometric loss of a batch, and of the total variation.
-
-        Args:
-            batch: The batch. Its squared errors are written.
-            weights: Of the total variation of density, of SH coefficients of degree 0 and 1, and of degree 2 and 3, per
-                voxel of the box.
-            share: Of the rows that get a gradient of the total variation.
-            random: Chooses the first of those rows.
-        """
+        """Add the gradients of a batch's photometric loss, which writes its squared errors, and of the total variation.
+        weights: of density, SH degrees 0 and 1, and 2 and 3, per voxel of the box; share: of rows that it takes."""
         field, device = self.field, self.field.device
         photometric = [
             batch.rays,
@@ -278,12 +234,7 @@ class Level:
         launch_shards(works, self.shards, device)
 
     def apply(self, rates: Rates, beta: float) -> None:
-        """One step of RMSProp by the gradients, which are cleared.
-
-        Args:
-            rates: Learning rates.
-            beta: Decay of the second moments.
-        """
+        """One step of RMSProp by the gradients, which are cleared; beta: decay of the second moments."""
         field = self.field
         voxel = float(field.voxel_size.max())
         if field.device.is_cpu:  # its photometric gradient leaves no marks
@@ -319,17 +270,8 @@ def node_bytes(shape: tuple[int, ...]) -> int:
 
 
 def level_memory(shape: tuple[int, ...], shards: int, fixed: int, tiles: int) -> FitMemory:
-    """What levels of a fit take.
-
-    Args:
-        shape: (nx, ny, nz) of a level, for the cells per node.
-        shards: Arrays of gradients.
-        fixed: Bytes of all that does not depend on the grid.
-        tiles: Bytes of one number for each tile of the pictures.
-
-    Returns:
-        The memory of levels of any resolution.
-    """
+    """What levels of any resolution take; shape (nx, ny, nz) is for the cells per node, shards are arrays of gradients.
+    fixed: bytes of all that does not depend on the grid; tiles: bytes of one number for each tile of the pictures."""
     return FitMemory(
         fixed=fixed,
         node=node_bytes(shape) / math.prod(shape),

@@ -50,17 +50,7 @@ _UNITS = {
 
 
 def memory_size(size: object) -> int:
-    """A memory size in bytes.
-
-    Args:
-        size: A number of bytes, or text such as "4GB" (10^9) or "512 MiB" (2^20).
-
-    Returns:
-        Whole bytes.
-
-    Raises:
-        ValueError: For anything else, and for sizes that are not positive.
-    """
+    """A memory size in whole bytes, from a number or text such as "4GB" (10^9) or "512 MiB" (2^20)."""
     value = math.nan
     if isinstance(size, str):
         match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-zA-Z]*)\s*", size)
@@ -75,26 +65,21 @@ def memory_size(size: object) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class FitMemory:
-    """Bytes that a fit takes on its device, by what they grow with, as the owners of the arrays state them.
+    """Bytes that a fit takes on its device, by what they grow with, as the owners of the arrays state them."""
 
-    Args:
-        fixed: All that does not depend on the grid: pictures, batches, layers.
-        node: For each node of the box.
-        row: For each voxel that holds values.
-        field_row: The part of `row` that is the field's.
-        moment_row: The part of `row` that is the optimiser's second moments.
-        shards: Copies of the weights while a level is pruned.
-        tiles: One number for each tile of the images.
-        row_numbers: Numbers of a voxel's gradient; a launch has an item for each.
-    """
-
+    # all that does not depend on the grid: pictures, batches, layers
     fixed: int
+    # for each node of the box
     node: float
+    # for each voxel that holds values; the parts of it that are the field's, and the optimiser's second moments
     row: int
     field_row: int
     moment_row: int
+    # copies of the weights while a level is pruned
     shards: int
+    # one number for each tile of the images
     tiles: int
+    # numbers of a voxel's gradient; a launch has an item for each
     row_numbers: int
 
     def countable(self, rows: int, shape: tuple[int, ...]) -> bool:
@@ -106,16 +91,8 @@ class FitMemory:
         return dataclasses.replace(self, fixed=self.fixed - size)
 
     def first_shapes(self, shapes: Sequence[tuple[int, ...]], rows: int, limit: int) -> list[tuple[int, ...]] | None:
-        """The resolutions of all levels that the first one allows.
-
-        Args:
-            shapes: (nx, ny, nz) voxels of each level, as planned.
-            rows: Voxels of the first that hold values.
-            limit: Bytes that the fit may take.
-
-        Returns:
-            The shapes, made coarser where the first level would not fit. None where too few voxels would be left.
-        """
+        """The resolutions of all levels, coarser than planned where the first one, of `rows` voxels, does not fit.
+        None where too few voxels would be left."""
         needed = self.level_bytes(rows, shapes[0])
         if needed <= limit and self.countable(rows, shapes[0]):
             return list(shapes)
@@ -154,18 +131,8 @@ class FitMemory:
     def refinement(
         self, rows: int, kept: int, shape: tuple[int, ...], new_shape: tuple[int, ...], limit: int
     ) -> tuple[int, ...] | None:
-        """The resolution to which a level can be refined.
-
-        Args:
-            rows: Voxels of the level that hold values.
-            kept: Those of them that have children.
-            shape: (nx, ny, nz) voxels of the level.
-            new_shape: (nx, ny, nz) voxels of the next one, as planned.
-            limit: Bytes that the fit may take.
-
-        Returns:
-            (nx, ny, nz), at most `new_shape`. None where the refinement would not be worth its time.
-        """
+        """The resolution, at most `new_shape`, to which a level of `rows` voxels, `kept` with children, can be refined.
+        None where the refinement would not be worth its time."""
         whole = new_shape[0] / shape[0]
         for factor in np.arange(whole, SMALLEST_FACTOR - 1e-9, -FACTOR_STEP):
             finer = new_shape if factor == whole else scaled_shape(shape, factor)
@@ -177,17 +144,8 @@ class FitMemory:
 
 
 def finest(memory: FitMemory, spare: int, choice: Callable[[FitMemory], _Shape | None]) -> tuple[_Shape | None, bool]:
-    """The most voxels that the memory allows.
-
-    Args:
-        memory: What the fit takes.
-        spare: Bytes that pictures of the lowest precision would give back.
-        choice: The shape, or shapes, for a memory; None where there is none.
-
-    Returns:
-        The choice, and whether it needs pictures of the lowest precision: they are taken where they leave room for more
-        voxels.
-    """
+    """The shapes of most voxels that the memory allows, and whether they need pictures of the lowest precision.
+    spare: bytes that these would give back; choice: None where no shape fits."""
     shape, finer = (choice(memory.without(size)) for size in (0, spare))
     if finer is None or (shape is not None and _voxels(finer) <= _voxels(shape)):
         return shape, False

@@ -260,17 +260,7 @@ def checked_seed(seed: object) -> int:
 
 
 def checked_options(options: dict) -> FitOptions:
-    """Check the options that a caller gave.
-
-    Args:
-        options: `quality` and fields of FitOptions by name. Fields have priority over the quality.
-
-    Returns:
-        All options, `max_memory` in bytes.
-
-    Raises:
-        ValueError: For unknown names, and for values out of range.
-    """
+    """The options of a caller, `quality` and fields of FitOptions by name, checked; `max_memory` in bytes."""
     options = dict(options)
     names = {field.name for field in dataclasses.fields(FitOptions)} | {"quality"}
     unknown = sorted(set(options) - names)
@@ -285,6 +275,7 @@ def checked_options(options: dict) -> FitOptions:
         raise ValueError(f"refine_cameras must be True or False, got {options['refine_cameras']!r}")
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
+    # fields have priority over the quality
     checked = FitOptions(**{**_SET_BY_QUALITY[quality], **options})
     for field in dataclasses.fields(FitOptions):
         value, values = getattr(checked, field.name), field.metadata["range"]

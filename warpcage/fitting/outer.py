@@ -61,30 +61,7 @@ VALUE_BYTES, PLACE_BYTES, NODE_BYTES, FRONT_BYTES, COLOUR_BYTES = 16, 12, 5, 16,
 
 class OuterOptimizer:
     """RMSProp on the outer field of a fit, one step with each of the field's.
-
-    `prepare`, `accumulate` and `apply` make a step.
-
-    Args:
-        colour: (3,) of all voxels at the start, and of the sky.
-        bounds: (2, 3) box of the field, world units.
-        cameras: Of all views.
-        options: Options of the fit, with the number of its levels.
-        side: Voxels along a side of contracted space in the last level.
-        limit: Bytes that the outer field may take.
-        batch_rays: Rays per batch.
-        shards: Arrays of gradients, one for each CPU thread.
-        device: Warp device.
-
-    Attributes:
-        sides: Voxels along a side in each level; made coarser during the fit where memory is short.
-        outer: The OuterField so far.
-        nodes: (rows,) vec3i, grid indices of each row.
-        gradients: (rows,) vec4 for each shard.
-        moments: (rows,) vec4 second moments.
-        front: (rays,) vec4, what is before the box for each ray of a batch, and the light that passes.
-        behind: (rays,) vec3, what is behind it.
-        grad_front, grad_behind: Of the loss by them: the field's march leaves them there.
-    """
+    `prepare`, `accumulate` and `apply` make a step, in this order."""
 
     def __init__(
         self,
@@ -92,41 +69,43 @@ class OuterOptimizer:
         bounds: np.ndarray,
         cameras: list[Camera],
         options: FitOptions,
+        # voxels along a side of contracted space in the last level
         side: int,
+        # bytes that the outer field may take
         limit: int,
         batch_rays: int,
+        # arrays of gradients, one for each CPU thread
         shards: int,
         device: wp.Device,
     ):
         self.options, self.shards, self.device, self.limit = options, shards, device, limit
         self.batch_rays = batch_rays
         self.center, self.half = bounds.mean(axis=0), 0.5 * (bounds[1] - bounds[0])
+        # of all voxels at the start, and of the sky
         self.colour = np.asarray(colour, np.float32)
         self.cameras = cameras
         unit = 2 ** (options.levels - 1)
+        # voxels along a side in each level; made coarser during the fit where memory is short
         self.sides = [max(1, side // unit) * 2**level for level in range(options.levels)]
         self.sides = [max(4, each) for each in self.sides]
         while self.sides[0] > 4 and self._memory().level_bytes(self.sides[0] ** 3, (self.sides[0],) * 3) > limit:
             self.sides = [max(4, each * 7 // 8) for each in self.sides]
+        # (rows,) vec4 for each shard, as the second moments
         self.gradients: list[wp.array] = []
         self.sky_gradients: list[wp.array] = []
         self.moments = wp.zeros(0, dtype=wp.vec4, device=device)
+        # grid indices of each row
         self.nodes = wp.zeros(0, dtype=wp.vec3i, device=device)
         colours = np.broadcast_to(self.colour, (surface_node_count(SKY_SIDE), 3))
         self.outer = self._started(self.possible(self.sides[0]), sky_layers(colours, device).values)
         self._allocate()
+        # what is before and behind the box for each ray of a batch; a front also has the light that passes. The field's
+        # march leaves the gradients of the loss by both.
         self.front, self.grad_front = (wp.zeros(batch_rays, dtype=wp.vec4, device=device) for _ in range(2))
         self.behind, self.grad_behind = (wp.zeros(batch_rays, dtype=wp.vec3, device=device) for _ in range(2))
 
     def possible(self, side: int) -> wp.array:
-        """Voxels that may hold anything, by where cameras stand and look.
-
-        Args:
-            side: Voxels along a side.
-
-        Returns:
-            (side, side, side) uint8 mask.
-        """
+        """(side, side, side) uint8 mask of voxels that may hold anything, by where cameras stand and look."""
         centres = np.stack([camera.centre for camera in self.cameras]) - self.center
         nearest = NEAREST_SHARE * float(np.linalg.norm(centres, axis=1).min())
         least = max(1, math.ceil(FRONT_SHARE * len(self.cameras)))
@@ -187,13 +166,8 @@ class OuterOptimizer:
     # Levels
 
     def start_level(self, level: int, rays: Any, field: VoxelField) -> None:
-        """Prune, and go on to the voxels of a level, interpolated from the ones before.
-
-        Args:
-            level: Index of the level.
-            rays: TrainingRays, whose cameras are taken.
-            field: The field of the level before.
-        """
+        """Prune by the cameras of TrainingRays, and go on to the voxels of a level, interpolated from the ones before.
+        field: of the level before."""
         self._release()
         coarse, side = self.outer, self.outer.side
         kept = self._weighty_mask(rays, field, self.options.prune_weight / side)
@@ -222,12 +196,7 @@ class OuterOptimizer:
         launch(resample_outer, self.nodes.shape[0], inputs, [grid.values], device=self.device)
 
     def thin_out(self, rays: Any, field: VoxelField) -> None:
-        """Remove what no view shows, and keep the second moments of the rest.
-
-        Args:
-            rays: TrainingRays, whose cameras are taken.
-            field: The field.
-        """
+        """Remove what no view of TrainingRays shows, and keep the second moments of the rest."""
         self.gradients = []
         before, moments = self.outer, self.moments
         mask = self._weighty_mask(rays, field, self.options.keep_weight)
@@ -257,32 +226,18 @@ class OuterOptimizer:
     # Steps
 
     def prepare(self, rays: Any, surroundings: Any) -> None:
-        """Before the field's march of a batch: fill `front` and `behind`.
-
-        Args:
-            rays: TrainingRays that begin at the batch's first tile.
-            surroundings: Not used: the pictures are whole.
-        """
+        """Fill `front` and `behind` before a batch's march of the field; rays: TrainingRays from its first tile on.
+        surroundings are not used: the pictures are whole."""
         self.gather(rays, self.behind, self.front)
 
     def gather(self, rays: Any, behind: wp.array, front: wp.array | None) -> None:
-        """What is before and behind the box for rays.
-
-        Args:
-            rays: TrainingRays that begin at the batch's first tile.
-            behind: (rays,) vec3, filled.
-            front: (rays,) vec4, filled.
-        """
+        """Fill `behind` (rays,) vec3 and `front` (rays,) vec4 with what TrainingRays see around the box."""
         inputs, outputs = [self.outer.grid, rays], [front, behind]
         launch(outer_loss.gather_outer, behind.size, inputs, outputs, device=self.device)
 
     def accumulate(self, rays: Any, random: np.random.Generator) -> None:
         """Add the gradients of the batch, after the field's march, and of the total variation.
-
-        Args:
-            rays: TrainingRays that begin at the batch's first tile.
-            random: Chooses the first row that gets a gradient of the total variation.
-        """
+        random: chooses the first row that gets one of the total variation."""
         options, rows, side = self.options, self.nodes.shape[0], self.outer.side
         sky = self.outer.grid.sky
         by_front = options.front_opacity / self.batch_rays
@@ -312,11 +267,7 @@ class OuterOptimizer:
         launch_shards(works, self.shards, self.device)
 
     def apply(self, rates: Rates) -> None:
-        """One step of RMSProp by the gradients, which are cleared.
-
-        Args:
-            rates: Learning rates.
-        """
+        """One step of RMSProp by the gradients, which are cleared."""
         rows = self.nodes.shape[0]
         total = sum_shards([_numbers(gradients) for gradients in self.sky_gradients])
         inputs = [SKY_RATE * rates.outer, self.options.beta, EPSILON, total, _numbers(self.sky_moments)]
@@ -342,16 +293,7 @@ class OuterOptimizer:
         }
 
     def restore(self, contents: dict[str, np.ndarray], level: int, path: pathlib.Path) -> None:
-        """Take over the state of a level.
-
-        Args:
-            contents: Arrays of a checkpoint.
-            level: Index of the level.
-            path: The checkpoint, for errors.
-
-        Raises:
-            ValueError: For a state that does not fit.
-        """
+        """Take over the state of a level from a checkpoint's arrays; path: for errors."""
         sides = [int(side) for side in require_numbers(contents, "outer_sides", (len(self.sides),), path)]
         if any(not 4 <= side <= planned for side, planned in zip(sides, self.sides, strict=True)):
             raise ValueError(f"outer fields of {sides} voxels along a side, {self.sides} planned")
@@ -378,15 +320,7 @@ class OuterOptimizer:
         self.moments.assign(moments.astype(np.float32))
 
     def result(self, rays: Any, field: VoxelField) -> OuterField:
-        """The outer field so far, pruned, colours in [0, 1] and densities of at least 0.
-
-        Args:
-            rays: TrainingRays, whose cameras are taken.
-            field: The field.
-
-        Returns:
-            The outer field.
-        """
+        """The outer field so far, pruned, colours in [0, 1] and densities of at least 0."""
         self._release()
         mask = self._weighty_mask(rays, field, self.options.keep_weight)
         self._resample(self.outer, mask, self.outer.grid.sky.side)

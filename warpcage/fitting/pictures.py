@@ -18,67 +18,34 @@ PRECISIONS = (16, 8)
 
 
 def picture_bytes(scene: Scene, bits: int) -> int:
-    """Device memory that pictures take.
-
-    Args:
-        scene: The scene, with what masks split off its pictures.
-        bits: Per channel.
-
-    Returns:
-        Bytes of four channels per pixel.
-    """
+    """Device memory of a scene's pictures, and what masks split off them, at so many bits for each of four channels."""
     kinds = 1 if scene.surroundings is None else 2
     return kinds * scene.images.size // 3 * 4 * bits // 8
 
 
 def chosen_bits(scene: Scene, held: int, limit: int) -> int:
-    """The best precision of a scene's pictures that fits into the memory.
-
-    Args:
-        scene: The scene.
-        held: Bytes that are taken already.
-        limit: Bytes that may be taken.
-
-    Returns:
-        Bits per channel, one of PRECISIONS.
-
-    Raises:
-        ValueError: Where not even the lowest precision fits.
-    """
+    """The best of PRECISIONS for a scene's pictures that fits, beside `held` bytes, into `limit` bytes."""
     needed = {bits: held + picture_bytes(scene, bits) for bits in PRECISIONS}
     require_image_memory(needed[PRECISIONS[-1]], limit)
     return next(bits for bits in PRECISIONS if needed[bits] <= limit)
 
 
 class TrainingPictures:
-    """The pictures of a scene on a device, and what masks split off them.
+    """The pictures of a scene on a device, and what masks split off them; bits: per channel, one of PRECISIONS."""
 
-    At 8 bits numbers are rounded to the nearest of 0 to 1 in 255 steps.
-
-    Args:
-        scene: The scene.
-        bits: Per channel, one of PRECISIONS.
-        device: Warp device.
-
-    Attributes:
-        seen: Pictures of premultiplied colours and opacity.
-        surroundings: Pictures of the colours that masks split off times their share, and the share. None for a scene
-            that is not split.
-        bits: Per channel.
-    """
+    # At 8 bits numbers are rounded to the nearest of 0 to 1 in 255 steps.
 
     def __init__(self, scene: Scene, bits: int, device: wp.Device):
         self.scene, self.device, self.bits = scene, device, bits
+        # premultiplied colours and opacity
         self.seen: Any = None
+        # colours that masks split off times their share, and the share; None for a scene that is not split
         self.surroundings: Any = None
         self.keep(bits)
 
     def keep(self, bits: int) -> None:
-        """Upload them at another precision. The arrays before are freed first, where nothing else holds them.
-
-        Args:
-            bits: Per channel, one of PRECISIONS.
-        """
+        """Upload them at another precision, bits per channel."""
+        # frees the arrays before first, where nothing else holds them
         self.seen = self.surroundings = None
         self.bits = bits
         scene = self.scene

@@ -51,37 +51,21 @@ LATE_DIRECTIONAL = 0.7
 
 @dataclasses.dataclass(frozen=True)
 class GridPlan:
-    """The grid of a fit: cubic voxels that halve from level to level.
-
-    Args:
-        levels: How many levels.
-        bounds: (2, 3) float64, world units: the object's box, grown to whole voxels.
-        shapes: (nx, ny, nz) voxels of each level.
-        scarcity: How few rays see a voxel; see `scarcity`.
-        variation: Weights of the total variation of density, of SH coefficients of degree 0 and 1, and of degree 2
-            and 3.
-    """
+    """The grid of a fit: cubic voxels that halve from level to level."""
 
     levels: int
+    # (2, 3) float64, world units: the object's box, grown to whole voxels
     bounds: np.ndarray
+    # (nx, ny, nz) voxels of each level
     shapes: list[tuple[int, ...]]
+    # how few rays see a voxel, see `scarcity`
     scarcity: float
+    # weights of the total variation of density, of SH coefficients of degree 0 and 1, and of degree 2 and 3
     variation: tuple[float, float, float]
 
 
 def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool) -> GridPlan:
-    """The grid over the box of an object.
-
-    Args:
-        scene: The scene.
-        options: Options of the fit.
-        box: (2, 3) world units.
-        layered: Whether background layers or an outer field are fitted too. Without silhouettes there are then as many
-            more levels as it takes for the first to have at most COARSE_SIDE voxels along its longest side.
-
-    Returns:
-        The plan.
-    """
+    """The grid over the box (2, 3) of an object; layered: whether layers or an outer field are fitted too."""
     extent = box[1] - box[0]
     longest = float(extent.max())
     resolution = options.resolution
@@ -89,6 +73,7 @@ def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool)
         voxels = math.ceil(longest / (options.footprint * pixel_size(scene.cameras, box.mean(axis=0))))
         resolution = int(np.clip(voxels, SMALLEST_RESOLUTION, options.max_resolution))
     levels = options.levels
+    # without silhouettes, as many more levels as it takes for the first to be coarse
     if layered and scene.alphas is None:
         needed = 1 + math.ceil(math.log2(max(1.0, resolution / COARSE_SIDE)))
         levels = max(levels, min(needed, MAX_LEVELS))
@@ -120,16 +105,7 @@ def _variation(options: FitOptions, scarce: float, captured: bool) -> tuple[floa
 
 
 def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[int, list[int]]:
-    """Batches and steps of a fit.
-
-    Args:
-        options: Options of the fit.
-        pixels: Of all pictures.
-        active_tiles: Tiles that see the grid.
-
-    Returns:
-        Tiles per batch, and the steps of each level.
-    """
+    """Tiles per batch, and the steps of each level; pixels: of all pictures, active_tiles: those that see the grid."""
     batch, active_pixels = options.batch_rays, active_tiles * options.tile_size**2
     if batch is None:
         batch = np.clip(pixels // BATCH_SHARE, *BATCH_RAYS)
@@ -150,33 +126,15 @@ def pixel_size(cameras: list[Camera], centre: np.ndarray) -> float:
 
 
 def scarcity(cameras: list[Camera], centre: np.ndarray, voxel: float, supersampling: int = 1) -> float:
-    """How few rays see a voxel, relative to PLENTY.
-
-    A prior has to be weighed against the evidence, and the photometric loss is a mean. Where fewer pixels show each
-    voxel, the weight of the total variation must grow as much, or the field matches these views and little else.
-
-    Args:
-        cameras: Of all views.
-        centre: (3,) of the object, world units.
-        voxel: Side of a voxel of the last level, world units.
-        supersampling: Rays along each side of a pixel.
-
-    Returns:
-        1 where there are as many rays as PLENTY, 2 where there are half as many; at most MOST_SCARCE.
-    """
+    """How few rays see a voxel, relative to PLENTY: 1 where there are as many or more, 2 where there are half as many.
+    centre: (3,) of the object, voxel: side of one of the last level, world units."""
+    # A prior has to be weighed against the evidence, and the photometric loss is a mean. Where fewer pixels show each
+    # voxel, the weight of the total variation must grow as much, or the field matches these views and little else.
     seen = len(cameras) * (supersampling * voxel / pixel_size(cameras, centre)) ** 2
     return float(np.clip(PLENTY / max(seen, 1e-9), 1.0, MOST_SCARCE))
 
 
 def directional_rate(steps: int) -> float:
-    """Learning rate of the coefficients that depend on direction, over that of the constant ones.
-
-    In a long fit fast ones learn what is particular to each view; in a short one slow ones do not get anywhere.
-
-    Args:
-        steps: Steps of the fit.
-
-    Returns:
-        The factor, at most 1.
-    """
+    """Learning rate of the coefficients that depend on direction over that of the constant ones, at most 1."""
+    # In a long fit fast ones learn what is particular to each view; in a short one slow ones do not get anywhere.
     return float(np.clip(DIRECTIONAL_STEPS / max(steps, 1), LEAST_DIRECTIONAL, 1.0))

@@ -13,12 +13,9 @@ from .evaluation import SSIM_WINDOW, evaluate, mean_psnr
 
 @dataclasses.dataclass(frozen=True)
 class Report:
-    """The figures of every view, and their means.
+    """The figures of every view, and their means."""
 
-    Args:
-        rows: As `evaluate` returns them, at least one.
-    """
-
+    # as `evaluate` returns them, at least one
     rows: list[dict[str, Any]]
 
     @property
@@ -42,11 +39,7 @@ class Report:
         return min(range(len(self.rows)), key=lambda index: self.rows[index]["psnr"])
 
     def to_json(self) -> dict[str, Any]:
-        """The figures as JSON takes them: None for the infinite PSNR of equal pictures.
-
-        Returns:
-            Means, the worst view, and the views.
-        """
+        """The figures as JSON takes them: None for the infinite PSNR of equal pictures."""
         return {
             "mean_psnr": finite(self.mean_psnr),
             "mean_ssim": self.mean_ssim,
@@ -64,29 +57,10 @@ class Report:
 
 
 def evaluation_report(field: VoxelField, scene: Scene, *, progress: bool = False) -> Report:
-    """Compare a field with the pictures of a scene; the structural similarity too where they are large enough.
-
-    Args:
-        field: The field.
-        scene: The views.
-        progress: Whether to show a bar.
-
-    Returns:
-        What was found.
-
-    Raises:
-        ValueError: As `evaluate`.
-    """
+    """Compare a field with the pictures of a scene; the structural similarity too where they are large enough."""
     return Report(evaluate(field, scene, similarity=min(scene.images.shape[1:3]) >= SSIM_WINDOW, progress=progress))
 
 
 def finite(decibels: float | None) -> float | None:
-    """A number that JSON has.
-
-    Args:
-        decibels: A PSNR, or None.
-
-    Returns:
-        The same, None for infinity.
-    """
+    """A PSNR or None as JSON has it: None for infinity."""
     return decibels if decibels is not None and decibels < math.inf else None

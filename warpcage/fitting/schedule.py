@@ -36,18 +36,14 @@ DOUBT_START, DOUBT_END = 0.15, 0.3
 
 @dataclasses.dataclass(frozen=True)
 class CameraRates:
-    """Shares of a whole step that cameras take.
+    """Shares of a whole step that cameras take."""
 
-    Args:
-        poses: Of turns and shifts.
-        lenses: Of focal lengths.
-        exposures: Of the exposures of pictures.
-        doubt: Share to which small moves are doubted.
-    """
-
+    # turns and shifts
     poses: float
+    # focal lengths
     lenses: float
     exposures: float
+    # share to which small moves are doubted
     doubt: float = 0.0
 
     def __bool__(self) -> bool:
@@ -57,45 +53,32 @@ class CameraRates:
 
 @dataclasses.dataclass(frozen=True)
 class Rates:
-    """How far one step goes.
+    """How far one step goes: learning rates."""
 
-    Args:
-        density: Learning rate of density, in optical depth per voxel of the level.
-        sh: Learning rates of the SH coefficients of degree 0 to 3.
-        directional_kept: Factor on those coefficients after the step; 1 leaves them.
-        background: Learning rate of the layers behind the field.
-        outer: Learning rate of the colours of an outer field.
-        outer_density: Learning rate of its density, in optical depth per voxel of the level.
-    """
-
+    # in optical depth per voxel of the level, as outer_density
     density: float
+    # of degree 0 to 3
     sh: tuple[float, float, float, float]
+    # factor on the coefficients that depend on direction after the step; 1 leaves them
     directional_kept: float
+    # of the layers behind the field
     background: float
+    # of the colours of an outer field
     outer: float
     outer_density: float
 
 
 class Schedule:
-    """The steps of a fit and its place among them.
-
-    Args:
-        options: Options of the fit, with the number of its levels.
-        level_steps: Steps of each level.
-        scarcity: How few rays see a voxel; see `plan.scarcity`.
-
-    Attributes:
-        level_steps: Steps of each level.
-        step_count: Steps done.
-        level: Index of the level that the fit has reached.
-    """
+    """The steps of a fit and its place among them; level_steps: of each level."""
 
     def __init__(self, options: FitOptions, level_steps: list[int], scarcity: float):
+        # scarcity: see `plan.scarcity`
         self.options, self.scarcity, self.level_steps = options, scarcity, level_steps
         total = self.total_steps
         first = directional_rate(total) if options.directional is None else options.directional
         last = max(first, LATE_DIRECTIONAL) if options.directional_end is None else options.directional_end
         self.directional = first, last
+        # steps done, and index of the level that the fit has reached
         self.step_count = self.level = 0
 
     @property

@@ -1,7 +1,4 @@
-"""Kernels whose items add to shared outputs, cut over CPU threads that each have outputs of their own.
-
-CPU atomics are plain reads and writes, so threads must not share an output. A GPU needs one shard.
-"""
+"""Kernels whose items add to shared outputs, cut over CPU threads that each have outputs of their own."""
 
 from __future__ import annotations
 
@@ -26,36 +23,28 @@ MOST_PARTS = 8192
 
 def shard_count(device: wp.Device) -> int:
     """Shards of a fit on a device."""
+    # CPU atomics are plain reads and writes, so threads must not share an output. A GPU needs one shard.
     return min(cpu_threads(), MAX_SHARDS) if device.is_cpu else 1
 
 
 @dataclasses.dataclass(frozen=True)
 class ShardedWork:
-    """A kernel to launch in shards.
+    """A kernel to launch in shards."""
 
-    Args:
-        kernel: Kernel whose first parameter is `first`, the index of a shard's first item.
-        count: Parts of the work that stay together in one shard.
-        inputs: What the kernel takes after `first`, the same for all shards.
-        outputs: What it then takes, for each shard.
-        items: Items of the kernel per part.
-    """
-
+    # its first parameter is `first`, the index of a shard's first item
     kernel: Kernel
+    # parts of the work that stay together in one shard
     count: int
+    # what the kernel takes after `first`, the same for all shards
     inputs: list
+    # what it then takes, for each shard
     outputs: Sequence[Sequence]
+    # items of the kernel per part
     items: int = 1
 
 
 def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) -> None:
-    """Launch kernels one after another in each of several threads.
-
-    Args:
-        works: The kernels, in their order.
-        shards: Number of threads. Each takes one run of the parts of each work.
-        device: Warp device of all arrays.
-    """
+    """Launch kernels one after another in each of several threads, which take one run of the parts of each work."""
     for work in works:  # before the threads, so that each module is compiled once
         require_loaded(work.kernel, device, module_block_dim(work.kernel))
 

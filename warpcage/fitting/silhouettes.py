@@ -21,19 +21,7 @@ OPAQUE = 0.5 / 255
 
 
 class Silhouettes:
-    """The outlines of a scene's object in its images, on a device.
-
-    Args:
-        scene: The scene, with alphas.
-        device: Warp device.
-
-    Raises:
-        ValueError: Where the scene has no alphas, or every pixel is transparent.
-
-    Attributes:
-        sums: (views, h + 1, w + 1) int32, summed-area tables of the opaque pixels.
-        bounded: (views,) int32, 1 where the silhouette keeps clear of the image's border.
-    """
+    """The outlines of a scene's object in its images, by their alphas, on a device."""
 
     def __init__(self, scene: Scene, device: wp.Device):
         if scene.alphas is None:
@@ -43,12 +31,14 @@ class Silhouettes:
             raise ValueError("every pixel of the scene is transparent: there is nothing to fit")
         self.cameras, self.device = scene.cameras, device
         count, height, width = opaque.shape
+        # summed-area tables of the opaque pixels
         self.sums = wp.zeros((count, height + 1, width + 1), dtype=wp.int32, device=device)
         held = wp.array(opaque, dtype=wp.uint8, device=device)
         launch(sum_rows, count * height, [held], [self.sums], device=device)
         launch(sum_columns, count * (width + 1), [], [self.sums], device=device)
         touching = opaque[:, [0, -1]].any(axis=(1, 2)) | opaque[:, :, [0, -1]].any(axis=(1, 2))
         showing = opaque.any(axis=(1, 2))  # a view of nothing only says where the object is not
+        # (views,) 1 where the silhouette keeps clear of the image's border
         self.bounded = wp.array(np.asarray(showing & ~touching), dtype=wp.int32, device=device)
 
     @property
@@ -57,34 +47,14 @@ class Silhouettes:
         return 4 * self.sums.size + 4 * self.bounded.size
 
     def carve(self, bounds: np.ndarray, resolution: tuple[int, ...]) -> wp.array:
-        """The visual hull: the voxels that no image shows as transparent.
-
-        Args:
-            bounds: (2, 3) box, world units.
-            resolution: (nx, ny, nz) voxels of the box.
-
-        Returns:
-            (nx, ny, nz) uint8 mask.
-        """
+        """The visual hull, (nx, ny, nz) uint8: the voxels of a box (2, 3) that no image shows as transparent."""
         mask = empty_array(tuple(int(n) for n in resolution), wp.uint8, self.device)
         inputs = [*_node_places(bounds, resolution, self.cameras, self.device), self.sums, self.bounded]
         launch(carve_visual_hull, mask.size, inputs, [mask], device=self.device)
         return mask
 
     def bound(self, box: np.ndarray, *, resolution: int = 64, rounds: int = 2) -> np.ndarray:
-        """A box shrunk to the visual hull.
-
-        Args:
-            box: (2, 3), world units.
-            resolution: Voxels along its longest side.
-            rounds: How many times it is shrunk.
-
-        Returns:
-            (2, 3), world units.
-
-        Raises:
-            ValueError: Where the silhouettes have no common inside.
-        """
+        """A box (2, 3), world units, shrunk to the visual hull; resolution: voxels along its longest side."""
         for _ in range(rounds):
             shape = np.maximum(8, np.ceil(resolution * (box[1] - box[0]) / (box[1] - box[0]).max()).astype(int))
             occupied = np.argwhere(self.carve(box, shape).numpy())
@@ -96,28 +66,13 @@ class Silhouettes:
 
 
 def object_bounds(scene: Scene, device: wp.Device) -> np.ndarray:
-    """The box of a scene's object.
-
-    Args:
-        scene: The scene.
-        device: Warp device.
-
-    Returns:
-        (2, 3) world units: `scene_box`, shrunk to the visual hull where the scene has alphas.
-    """
+    """The box (2, 3), world units, of a scene's object, shrunk to the visual hull where there are alphas."""
     box = scene_box(scene.cameras, scene.bounds)
     return box if scene.alphas is None else Silhouettes(scene, device).bound(box)
 
 
 def keep_seen(bounds: np.ndarray, cameras: list[Camera], least: int, mask: wp.array) -> None:
-    """Clear the voxels of a mask that too few cameras see.
-
-    Args:
-        bounds: (2, 3) box of the mask, world units.
-        cameras: The cameras.
-        least: Number of cameras that must see a voxel.
-        mask: (nx, ny, nz) uint8, changed.
-    """
+    """Clear the voxels of a mask (nx, ny, nz) uint8 over bounds (2, 3) that fewer than `least` cameras see."""
     inputs = [*_node_places(bounds, mask.shape, cameras, mask.device), least]
     launch(keep_seen_voxels, mask.size, inputs, [mask], device=mask.device)
 
@@ -137,22 +92,8 @@ def possible_voxels(
     view_share: float,
     device: wp.Device,
 ) -> wp.array:
-    """The voxels that may hold something of the object.
-
-    Args:
-        silhouettes: Of the object, where its pictures have opacity.
-        cameras: The scene's cameras.
-        bounds: (2, 3) box, world units.
-        resolution: (nx, ny, nz) voxels of the box.
-        view_share: Share of the cameras that must see a voxel.
-        device: Warp device.
-
-    Returns:
-        (nx, ny, nz) uint8 mask: voxels that enough cameras see, inside all silhouettes, and then their neighbours.
-
-    Raises:
-        ValueError: Where there are none.
-    """
+    """(nx, ny, nz) uint8 mask of the voxels of bounds (2, 3) that may hold something of the object.
+    Those that a share of the cameras see, inside all silhouettes, and then their neighbours."""
     if silhouettes is None:
         mask = wp.ones(resolution, dtype=wp.uint8, device=device)
     else:

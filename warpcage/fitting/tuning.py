@@ -30,23 +30,11 @@ TILE = 2
 
 
 def tuned_scene(field: VoxelField, scene: Scene) -> Scene:
-    """A scene whose cameras are turned and shifted so that its pictures match a field best.
-
-    A field that was fitted with refined cameras lies where those see it, and a held-out view has a camera that was not
-    refined. Its pose is found with the field fixed (Gauss-Newton on the photometric error, damped), as NeRF-- (Wang et
-    al. 2021, section 4) and BARF (Lin et al. 2021, section 4) do for their figures. What is measured then is the field,
-    and no longer where the views are: say so beside the figure.
-
-    Args:
-        field: The field.
-        scene: The views. Those of a field that was straightened may be in the world of their files.
-
-    Returns:
-        The scene with other poses, in the field's world. Focal lengths and pictures stay.
-
-    Raises:
-        ValueError: For anything but a Scene, or pictures that do not fit into the memory.
-    """
+    """A scene whose cameras are turned and shifted so that its pictures match a field best, in the field's world."""
+    # A field that was fitted with refined cameras lies where those see it, and a held-out view has a camera that was
+    # not refined. Its pose is found with the field fixed (Gauss-Newton on the photometric error, damped), as NeRF--
+    # (Wang et al. 2021, section 4) and BARF (Lin et al. 2021, section 4) do for their figures. What is measured then is
+    # the field, and no longer where the views are: say so beside the figure.
     require_type(scene, Scene, "views are tuned in")
     scene = in_world_of(field, scene)
     behind, images = comparison(field, scene)
