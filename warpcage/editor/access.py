@@ -23,17 +23,10 @@ HEADERS = {
 
 class Access:
     """Lets those in who know the word in the address, and pages of the same origin only.
+    `allowed_hosts`: names under which pages may come, beside those of this machine's loopback and `host`."""
 
-    The name in `Host` must be one that was told: a foreign name that is made to lead to this machine is refused, even
-    where somebody learned the token.
-
-    Args:
-        host: Address that the server listens on.
-        allowed_hosts: Names under which pages may come, beside those of this machine's loopback and `host`.
-
-    Attributes:
-        token: The word in the address.
-    """
+    # The name in `Host` must be one that was told: a foreign name that is made to lead to this machine is refused, even
+    # where somebody learned the token.
 
     def __init__(self, host: str, allowed_hosts: Iterable[str] = ()):
         self.token = secrets.token_urlsafe(24)

@@ -28,18 +28,8 @@ MAX_LINE = 500
 
 
 def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:
-    """Vertices as a document holds them.
-
-    Args:
-        vertices: (v, 3) numbers: an array, or lists of Python's numbers.
-        count: How many there must be. None takes any number.
-
-    Returns:
-        (v, 3) float64, read-only, an array of its own.
-
-    Raises:
-        ValueError: For another shape or number, or values that are not finite numbers within MAX_PLACE.
-    """
+    """Vertices (v, 3), an array or lists of numbers, as a document holds them: float64, read-only, an array of its own.
+    `count`: how many there must be; None takes any number."""
     if not isinstance(vertices, np.ndarray):
         if not isinstance(vertices, list | tuple) or not all(map(_is_row, vertices)):
             raise ValueError("vertices must be a list of three numbers each")
@@ -105,18 +95,7 @@ def checked_between(value: Any, low: float, high: float, what: str) -> float:
 
 
 def checked_vertices(numbers: Any, count: int) -> tuple[int, ...]:
-    """Numbers of vertices, ascending, each once.
-
-    Args:
-        numbers: A list of whole numbers.
-        count: Vertices of the cage.
-
-    Returns:
-        The numbers.
-
-    Raises:
-        ValueError: For anything but whole numbers below `count`.
-    """
+    """Numbers of vertices of a cage that has `count`, ascending, each once."""
     given = checked_items(numbers, MAX_VERTICES, "vertices")
     if not all(type(number) is int and 0 <= number < count for number in given):
         raise ValueError(f"vertices must be whole numbers from 0 to {count - 1}")
@@ -139,17 +118,7 @@ def checked_items(values: Any, most: int, what: str) -> list[Any]:
 
 
 def parsed_json(text: str) -> Any:
-    """What a text in JSON says.
-
-    Args:
-        text: The text. NaN and Infinity, which Python writes, are no JSON.
-
-    Returns:
-        Dictionaries, lists, numbers, texts, True, False and None.
-
-    Raises:
-        ValueError: For anything but JSON.
-    """
+    """What a text in JSON says; NaN and Infinity, which Python writes, are no JSON."""
     try:
         return json.loads(text, parse_constant=_refuse_constant)
     except RecursionError:

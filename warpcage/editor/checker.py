@@ -31,21 +31,14 @@ _log = logging.getLogger(__name__)
 
 class Checker:
     """Checks the active edit, one check at a time, in another thread. All else is in the thread of the server's loop.
-
-    Args:
-        session: The session.
-        busy: Whether the hand moves or the film plays: then the check waits.
-        tell: Called when the section has changed.
-
-    Attributes:
-        section: The section `check` that pages are told, or None where no edit is active.
-    """
+    While `busy` (the hand moves or the film plays) the check waits; `tell` is called when the section has changed."""
 
     def __init__(self, session: Session, busy: Callable[[], bool], tell: Callable[[], None]):
         self._session, self._busy, self._tell = session, busy, tell
         self._timer: asyncio.TimerHandle | None = None
         self._task: asyncio.Task | None = None
         self._known: tuple[object, ...] = ()  # what the section says something of
+        # the section `check` that pages are told; None where no edit is active
         self.section: dict[str, Any] | None = None
 
     def plan(self) -> None:

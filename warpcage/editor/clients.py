@@ -37,26 +37,15 @@ VERTICES = struct.Struct("<4I")
 
 
 class Client:
-    """A connected page.
-
-    Args:
-        number: Its number.
-        socket: Its WebSocket.
-
-    Attributes:
-        number: As given.
-        size: Width and height of its viewport in pixels, or None.
-        sequence: Number of its newest pose or view.
-        mistakes: Messages in a row that nothing could be made of.
-        strayed: Whether it was told that its gesture has ended.
-        slow: Its commands that are under way.
-    """
+    """A connected page."""
 
     def __init__(self, number: int, socket: web.WebSocketResponse):
-        self.number, self.sequence = number, 0
-        self.size: tuple[int, int] | None = None
+        self.number, self.sequence = number, 0  # sequence: the number of its newest pose or view
+        self.size: tuple[int, int] | None = None  # width and height of its viewport, pixels
+        # mistakes: messages in a row that nothing could be made of; strayed: whether it was told that its gesture has
+        # ended
         self.mistakes, self.strayed = 0, False
-        self.slow: set[asyncio.Task] = set()
+        self.slow: set[asyncio.Task] = set()  # its commands that are under way
         self._socket, self._closed = socket, False
         self._sections: dict[str, str] = {}
         self._texts: list[str] = []
@@ -149,9 +138,7 @@ class Client:
 
     async def keep_pace(self, size: int) -> None:
         """Count a message of so many bytes; wait where a page sends more than a hand can, or reads too little.
-
-        TCP then holds it back.
-        """
+        TCP then holds it back."""
         now = time.monotonic()
         passed, self._counted = now - self._counted, now
         for name, rate, burst, used in (
@@ -179,17 +166,8 @@ def packed_vertices(kind: int, edit: int, vertices: np.ndarray) -> bytes:
 
 
 def unpacked_vertices(message: bytes) -> tuple[int, int, int, np.ndarray]:
-    """The parts of a page's vertices.
-
-    Args:
-        message: As `VERTICES` and float64 (count, 3), little-endian.
-
-    Returns:
-        Kind (2 posed, 3 at rest), sequence number, edit, and vertices (count, 3).
-
-    Raises:
-        ValueError: For a message of another form.
-    """
+    """The parts of a page's message: kind (2 posed, 3 at rest), sequence number, edit, and vertices (count, 3).
+    It is `VERTICES`, then float64 (count, 3), little-endian."""
     if len(message) < VERTICES.size:
         raise ValueError(f"a message of {len(message)} bytes is too short for vertices")
     kind, sequence, edit, count = VERTICES.unpack_from(message)

@@ -1,9 +1,4 @@
-"""What a page may ask for that changes the document: one function per command, from document to document.
-
-Each takes the document and the message, a dictionary of JSON values that nobody has checked. It returns the name of the
-step for undo, and the new document. Each raises ValueError in one line for what cannot be. Nothing else happens here:
-no lock is held and no file touched.
-"""
+"""What a page may ask for that changes the document: one function per command, from document to document."""
 
 from __future__ import annotations
 
@@ -46,6 +41,10 @@ from .document import (
 
 Message = Mapping[str, Any]
 Step = tuple[str, Document]
+
+# Each command takes the document and the message, a dictionary of JSON values that nobody has checked, and returns the
+# name of the step for undo and the new document. It raises ValueError in one line for what cannot be. Nothing else
+# happens here: no lock is held and no file touched.
 
 #: Words for the kinds of edits in names.
 KIND_NAMES = {"move": "Move", "copy": "Copy", "remove": "Remove"}
@@ -93,19 +92,8 @@ def reset_pose(document: Document, message: Message) -> Step:
 
 
 def preset_pose(edit: Edit, chosen: Sequence[int] | None, message: Message) -> np.ndarray:
-    """Vertices (v, 3) of an edit's pose after a preset.
-
-    Args:
-        edit: The edit as it was before the slider was touched.
-        chosen: Numbers of the vertices that follow. None takes all.
-        message: preset, amount, axis, towards, limits; see `warpcage.cage.poses`.
-
-    Returns:
-        (v, 3) float64, read-only.
-
-    Raises:
-        ValueError: For a preset or values that cannot be.
-    """
+    """Vertices (v, 3) float64, read-only, of an edit's pose after a preset; see `warpcage.cage.poses` for the message.
+    `edit`: as it was before the slider was touched. `chosen`: vertices that follow, None takes all."""
     name = checked_choice(message["preset"], list(PRESETS), "preset")
     amount = checked_between(message["amount"], -1440.0, 1440.0, "amount")
     if amount == PRESETS[name]:
@@ -218,20 +206,7 @@ def subdivide_cage(document: Document, message: Message) -> Step:
 
 
 def replace_cage(document: Document, number: int, cage: Cage, label: str) -> Step:
-    """Another cage for an edit. Poses follow: its vertices go where the old cage carries them.
-
-    Args:
-        document: The document.
-        number: The edit.
-        cage: The new cage at rest.
-        label: Name of the step.
-
-    Returns:
-        Name and new document.
-
-    Raises:
-        ValueError: Where the edit is gone, or a pose of the old cage cannot be used.
-    """
+    """Another cage at rest for an edit, as a step; poses follow: its vertices go where the old cage carries them."""
     edit = document.edit(number)
 
     def posed(pose: np.ndarray) -> np.ndarray:
@@ -246,19 +221,7 @@ def replace_cage(document: Document, number: int, cage: Cage, label: str) -> Ste
 
 
 def moved_rest(document: Document, before: Edit, rest: Any) -> Document:
-    """A document whose cage at rest has other places. Poses keep their distance from it.
-
-    Args:
-        document: The document.
-        before: The edit before its cage was touched.
-        rest: (v, 3) new places.
-
-    Returns:
-        The new document; keys are not touched, see `moved_keys`.
-
-    Raises:
-        ValueError: For other shapes, or where the edit is gone.
-    """
+    """A document whose cage at rest has new places (v, 3) since `before`; poses keep their distance, keys are left."""
     places = frozen_vertices(rest, len(before.rest))
     edit = dataclasses.replace(
         document.edit(before.id), rest=places, posed=frozen_vertices(before.posed + (places - before.rest))
@@ -357,18 +320,7 @@ COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
 
 
 def run_command(document: Document, message: Message) -> Step:
-    """Carry out one of COMMANDS.
-
-    Args:
-        document: The document.
-        message: The message; `do` names the command.
-
-    Returns:
-        Name of the step and new document.
-
-    Raises:
-        ValueError: For values that are missing or wrong, in one line.
-    """
+    """Carry out the one of COMMANDS that `do` names; ValueError for values that are missing or wrong, in one line."""
     try:
         return COMMANDS[message["do"]](document, message)
     except KeyError as error:

@@ -20,17 +20,7 @@ VIEWS, SIZE, VERTICES = 60, 100, 100
 
 
 def demo_files(device: wp.Device) -> tuple[pathlib.Path, pathlib.Path]:
-    """The demo's field and cage, made where they are not there yet: in a minute and a half on two cores.
-
-    Args:
-        device: Warp device.
-
-    Returns:
-        Paths of the field and of the cage, in `demo_folder()`.
-
-    Raises:
-        OSError: If the folder cannot be written.
-    """
+    """The demo's field and cage, made where they are not there yet: in a minute and a half on two cores."""
     folder = demo_folder()
     field_path, cage_path = folder / "bricks.npz", folder / "bricks_cage.obj"
     if field_path.is_file() and cage_path.is_file():

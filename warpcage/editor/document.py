@@ -45,31 +45,19 @@ LARGEST_LENGTH = 1e9
 
 @dataclasses.dataclass(frozen=True)
 class Edit:
-    """One cage and what becomes of its content.
+    """One cage and what becomes of its content."""
 
-    Args:
-        id: Number that no other edit of the session has had.
-        name: What the person calls it.
-        kind: "move", "copy" (a duplicate: the source stays) or "remove".
-        visible: Whether it acts on the picture.
-        faces: (f, 3) int32.
-        rest: (v, 3) float64, the cage around the captured object, world units.
-        posed: (v, 3) float64.
-        falloff: Width of the band inside held walls in which the edit fades to rest, world units; see `CageEdit`.
-        held: The walls that are held: "cut" or "still".
-        crumbs: Size of the crumbs that go with the part, world units.
-    """
-
-    id: int
+    id: int  # that no other edit of the session has had
     name: str
-    kind: str
-    visible: bool
-    faces: np.ndarray
-    rest: np.ndarray
+    kind: str  # one of KINDS; a copy is a duplicate: the source stays
+    visible: bool  # whether it acts on the picture
+    faces: np.ndarray  # (f, 3) int32
+    rest: np.ndarray  # (v, 3) float64, the cage around the captured object, world units; so is `posed`
     posed: np.ndarray
+    # width of the band inside held walls in which the edit fades to rest, world units; see `CageEdit`
     falloff: float = 0.0
-    held: str = "cut"
-    crumbs: float = 0.0
+    held: str = "cut"  # the walls that are held: "cut" or "still"
+    crumbs: float = 0.0  # size of the crumbs that go with the part, world units
 
     @property
     def rest_cage(self) -> Cage:
@@ -101,78 +89,46 @@ class Edit:
 
 @dataclasses.dataclass(frozen=True)
 class Selection:
-    """What the next tool acts on.
-
-    Args:
-        edit: The active edit, or None where there is none.
-        mode: What a click picks: "vertex", "edge" or "face".
-        vertices: Numbers of the selected vertices of the active edit, ascending.
-    """
+    """What the next tool acts on."""
 
     edit: int | None = None
-    mode: str = "vertex"
-    vertices: tuple[int, ...] = ()
+    mode: str = "vertex"  # what a click picks, one of PICKS
+    vertices: tuple[int, ...] = ()  # numbers of those of the active edit, ascending
 
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """A moment of the film.
+    """A moment of the film; None as poses or view: it is no key of those."""
 
-    Args:
-        id: Number that no other key of the session has had.
-        time: Seconds from the film's start.
-        name: What the person calls it.
-        easing: How the way from here to the next key goes, one of EASINGS.
-        poses: Posed vertices (v, 3) by the number of the edit. None: this is no key of poses.
-        view: The camera. None: this is no key of cameras.
-    """
-
-    id: int
-    time: float
+    id: int  # that no other key of the session has had
+    time: float  # seconds from the film's start
     name: str
-    easing: str = "smooth"
-    poses: Mapping[int, np.ndarray] | None = None
+    easing: str = "smooth"  # how the way from here to the next key goes, one of EASINGS
+    poses: Mapping[int, np.ndarray] | None = None  # posed vertices (v, 3) by the number of the edit
     view: View | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class Timeline:
-    """The film.
+    """The film; its length is in seconds."""
 
-    Args:
-        keys: By time.
-        length: Seconds.
-        fps: Frames per second.
-        loop: "once", "loop" or "ping-pong".
-    """
-
-    keys: tuple[Key, ...] = ()
+    keys: tuple[Key, ...] = ()  # by time
     length: float = 4.0
     fps: float = 24.0
-    loop: str = "once"
+    loop: str = "once"  # one of LOOPS
 
 
 @dataclasses.dataclass(frozen=True)
 class Document:
-    """All that a session edits.
+    """All that a session edits."""
 
-    Args:
-        edits: In the order in which they act.
-        selection: What tools act on.
-        settings: How the scene is shown.
-        view: Where the person looks from.
-        timeline: The film.
-        time: Where the timeline stands, seconds.
-        next_id: The number of the next edit or key.
-    """
-
-    edits: tuple[Edit, ...]
+    edits: tuple[Edit, ...]  # in the order in which they act
     selection: Selection
     settings: Settings
     view: View
     timeline: Timeline
-    time: float = 0.0
-    next_id: int = 1
+    time: float = 0.0  # where the timeline stands, seconds
+    next_id: int = 1  # of the next edit or key
 
     def edit(self, number: int) -> Edit:
         """An edit by its number. Raises ValueError where there is none."""
@@ -229,17 +185,7 @@ class Document:
 
     @classmethod
     def from_json(cls, content: Any) -> Document:
-        """A document from what `to_json` made, or somebody else.
-
-        Args:
-            content: Dictionaries, lists, numbers and texts.
-
-        Returns:
-            The document.
-
-        Raises:
-            ValueError: What is wrong with it, in one line.
-        """
+        """A document from what `to_json` made, or somebody else."""
         try:
             return _document(content)
         except KeyError as error:
@@ -265,21 +211,7 @@ def edit_json(edit: Edit) -> dict[str, Any]:
 
 
 def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed: Any = None) -> Edit:
-    """An edit around a cage.
-
-    Args:
-        number: Its number.
-        cage: The cage at rest.
-        name: What the person calls it.
-        kind: One of KINDS.
-        posed: (v, 3) the posed vertices. None: it is at rest.
-
-    Returns:
-        The edit.
-
-    Raises:
-        ValueError: For a kind or a name that cannot be, vertices that do not fit, or a cage beyond MAX_VERTICES.
-    """
+    """An edit around a cage at rest; `posed` (v, 3) None is at rest too."""
     if len(cage.vertices) > MAX_VERTICES:
         raise ValueError(
             f"a cage of {len(cage.vertices)} vertices is too large to edit by hand: at most {MAX_VERTICES}"
@@ -292,17 +224,7 @@ def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed
 
 
 def checked_walls(content: Mapping[str, Any]) -> dict[str, Any]:
-    """What a message or a session says of the walls and crumbs of an edit.
-
-    Args:
-        content: Dictionary that may have falloff, held and crumbs; others are ignored.
-
-    Returns:
-        Those of them that it has.
-
-    Raises:
-        ValueError: For widths and sizes below 0 or beyond LARGEST_LENGTH, and other words than HELD.
-    """
+    """What a message or a session says of falloff, held and crumbs of an edit: those of them that it has."""
     lengths = {
         name: checked_between(content[name], 0.0, LARGEST_LENGTH, name)
         for name in ("falloff", "crumbs")
@@ -345,18 +267,7 @@ def _document(content: Mapping[str, Any]) -> Document:
 
 
 def checked_selection(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Selection:
-    """A selection from its parts.
-
-    Args:
-        content: Dictionary of edit, mode and vertices.
-        sizes: Vertices of each edit by its number.
-
-    Returns:
-        The selection.
-
-    Raises:
-        ValueError: For an edit or vertices that are not there.
-    """
+    """A selection from edit, mode and vertices; `sizes` are the vertices of each edit by its number."""
     number = content["edit"]
     if number is not None and checked_id(number, "the number of an edit") not in sizes:
         raise ValueError(f"there is no edit {number!r}: it may have been deleted")

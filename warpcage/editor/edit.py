@@ -26,24 +26,8 @@ RESOLUTION_CPU, RESOLUTION_CUDA = 64, 128
 
 
 class Editor:
-    """A running editor. Use it in a `with` block, or call `close`.
-
-    In a notebook the object shows the page.
-
-    Args:
-        session: What is edited.
-        folder: Files that pages may load and that they make lie here.
-        host: Address to listen on.
-        port: Port to listen on; 0 takes a free one.
-        allowed_hosts: Further host names under which pages may come.
-
-    Raises:
-        OSError: If the port is taken, or the address is not this machine's.
-        ImportError: If what `pip install warpcage[edit]` brings is not there.
-
-    Attributes:
-        url: Address of the page, with the word that lets one in.
-    """
+    """A running editor; use it in a `with` block, or call `close`. In a notebook the object shows the page.
+    Pages load files of `folder` and make theirs there; port 0 takes a free one."""
 
     def __init__(
         self,
@@ -63,6 +47,7 @@ class Editor:
         self._thread = threading.Thread(target=self._loop.run_forever, name="warpcage-editor", daemon=True)
         self._thread.start()
         try:
+            # with the word that lets one in
             self.url = asyncio.run_coroutine_threadsafe(self._server.start(), self._loop).result()
         except BaseException:
             self._end_loop()

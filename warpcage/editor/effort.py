@@ -28,33 +28,19 @@ FIRST_POSE, FIRST_PIXEL = 3e-6, 2e-6
 
 @dataclasses.dataclass(frozen=True)
 class Effort:
-    """What goes into one picture.
+    """What goes into one picture."""
 
-    Args:
-        width: Width of the picture, pixels.
-        height: Height of the picture, pixels.
-        cells: Cells of the lattices along the longest side of a cage.
-        step: March steps of the field that are taken as one.
-        supersampling: Rays along each side of a pixel.
-        quality: Quality of the JPEG.
-        sharp: Whether it is as good as the settings ask for.
-    """
-
-    width: int
+    width: int  # of the picture, pixels; so is the height
     height: int
-    cells: int
-    step: float
-    supersampling: int
-    quality: int
-    sharp: bool
+    cells: int  # of the lattices along the longest side of a cage
+    step: float  # march steps of the field that are taken as one
+    supersampling: int  # rays along each side of a pixel
+    quality: int  # of the JPEG
+    sharp: bool  # whether it is as good as the settings ask for
 
 
 class Pace:
-    """What poses and pixels cost on this machine, measured as pictures are made.
-
-    Args:
-        cuda: Whether the device is a GPU.
-    """
+    """What poses and pixels cost on this machine, measured as pictures are made."""
 
     def __init__(self, cuda: bool):
         self.kind = "cuda" if cuda else "cpu"
@@ -63,14 +49,7 @@ class Pace:
         self._scale = 0.0  # of the last picture while the hand moved
 
     def learn(self, effort: Effort, coordinates: str, pose: float | None, render: float) -> None:
-        """Take in what a picture took.
-
-        Args:
-            effort: What went into it.
-            coordinates: Kind of the coordinates.
-            pose: Seconds that the pose took; None where it was there already.
-            render: Seconds that the pixels took.
-        """
+        """Take in what a picture took, seconds for the pose (None: it was there already) and for the pixels."""
         if pose is not None:
             key = (coordinates, effort.cells)
             self._pose[key] = _mixed(self._pose.get(key), pose)
@@ -95,18 +74,8 @@ class Pace:
         return self.pose_seconds(coordinates, effort.cells) + pixels * self._pixel[True]
 
     def moving(self, width: int, height: int, cells: int, coordinates: str, posing: bool) -> Effort:
-        """A picture that is there in time while the hand moves.
-
-        Args:
-            width: Wanted width, pixels.
-            height: Wanted height, pixels.
-            cells: Cells of the lattices that the settings ask for.
-            coordinates: Kind of the coordinates.
-            posing: Whether the pose changes, not the view alone.
-
-        Returns:
-            The effort. It falls to pictures of LEAST_SIDE pixels, and no further.
-        """
+        """A picture that is there in time while the hand moves, of at most so many pixels (but LEAST_SIDE) and cells.
+        `posing`: whether the pose changes, not the view alone."""
         budget = MOVING_SECONDS[self.kind]
         if self.kind == "cpu":
             good = [c for c in COARSE_CELLS if c <= cells and self.pose_seconds(coordinates, c) < 0.4 * budget]

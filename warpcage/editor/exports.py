@@ -41,22 +41,12 @@ Report = Callable[[float | None, str], None]
 
 @dataclasses.dataclass(frozen=True)
 class Film:
-    """How a film is written.
-
-    Args:
-        width: Width of its pictures, pixels.
-        height: Height of its pictures, pixels.
-        overlay: Draw the cages of visible edits into the pictures.
-        transparent: Write pictures with opacity instead of a background: for .mov, .webm and folders of PNG files.
-
-    Raises:
-        ValueError: For sizes that are not 1 to LARGEST_SIDE.
-    """
+    """How a film is written; its size is in pixels."""
 
     width: int = DEFAULT_SIZE[0]
     height: int = DEFAULT_SIZE[1]
-    overlay: bool = False
-    transparent: bool = False
+    overlay: bool = False  # draw the cages of visible edits into the pictures
+    transparent: bool = False  # with opacity instead of a background: for .mov, .webm and folders of PNG files
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -70,25 +60,10 @@ def _silent(share: float | None, text: str) -> None:
 def export_film(
     document: Document, field: AnyField, path: PathLike, film: Film | None = None, report: Report = _silent
 ) -> int:
-    """Write the film of a document, whole or not at all.
-
-    Each frame shows all visible edits as the timeline has them, at the settings of the document. A session without keys
-    makes a film that stands still.
-
-    Args:
-        document: The document.
-        field: The radiance field.
-        path: The film (.mp4, .gif, .mov or .webm), or a folder of PNG files, which must not be there or be empty.
-        film: Size and kind of its pictures. None is the default of each.
-        report: Told after each frame. What it raises ends the work.
-
-    Returns:
-        Number of frames.
-
-    Raises:
-        ValueError: For another ending, a rate that such a film cannot have, a folder with something in it, opacity in a
-            film that has none, or a pose that cannot be used.
-    """
+    """Write the film of a document (or a new folder of PNG files), whole or not at all; returns the number of frames.
+    What `report` raises ends the work."""
+    # Each frame shows all visible edits as the timeline has them, at the settings of the document. A session without
+    # keys makes a film that stands still.
     film = film or Film()
     target, times = checked_film_path(path), frame_times(document.timeline)
     ending = target.suffix.lower()
@@ -108,21 +83,8 @@ def export_film(
 
 
 def film_pictures(document: Document, field: AnyField, film: Film, report: Report = _silent) -> Iterator[np.ndarray]:
-    """The pictures of a film, each rendered when it is asked for.
-
-    Args:
-        document: The document.
-        field: The radiance field.
-        film: Size and kind of the pictures.
-        report: Told before each picture and after the last one.
-
-    Yields:
-        (height, width, 3) or, with opacity, (height, width, 4) float32 in [0, 1], colours not multiplied by opacity.
-        They cannot be written to: a moment that looks like the one before is the same array.
-
-    Raises:
-        ValueError: For a pose that cannot be used, with its time.
-    """
+    """The pictures of a film, each rendered when it is asked for: (height, width, 3 or 4) float32 in [0, 1], read-only.
+    Colours are not multiplied by opacity. A moment that looks like the one before is the same array."""
     times = frame_times(document.timeline)
     settings = dataclasses.replace(document.settings, mode="pose")
     document = dataclasses.replace(document, settings=settings)
@@ -144,17 +106,7 @@ def film_pictures(document: Document, field: AnyField, film: Film, report: Repor
 
 
 def checked_film_path(path: PathLike) -> pathlib.Path:
-    """The path of a film, once it is clear that one can be written there.
-
-    Args:
-        path: One of FILM_ENDINGS, or a folder without an ending.
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: For another ending, a folder that ends so, or a folder with something in it.
-    """
+    """The path of a film, or of a folder without an ending, once it is clear that one can be written there."""
     target = pathlib.Path(path)
     if target.suffix.lower() in FILM_ENDINGS:
         if target.is_dir():
@@ -169,17 +121,7 @@ def checked_film_path(path: PathLike) -> pathlib.Path:
 
 @contextlib.contextmanager
 def atomic_folder(path: PathLike) -> Iterator[pathlib.Path]:
-    """A temporary folder that becomes `path` when the block ends without an error. After one it is removed.
-
-    Args:
-        path: The folder. It must not be there, or be empty.
-
-    Yields:
-        The temporary folder, beside it.
-
-    Raises:
-        ValueError: If there is something in the folder, also when the block ends.
-    """
+    """A temporary folder that becomes `path`, which is not there or empty, when the block ends without an error."""
     target = pathlib.Path(path).absolute()
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.name[:60]}-{os.urandom(8).hex()}")
@@ -199,17 +141,7 @@ def atomic_folder(path: PathLike) -> Iterator[pathlib.Path]:
 
 
 def export_cage(document: Document, number: int, path: PathLike, *, rest: bool = False) -> None:
-    """Write the cage of an edit, whole or not at all.
-
-    Args:
-        document: The document.
-        number: Number of the edit.
-        path: The file; its ending, one of CAGE_ENDINGS, says which format it gets.
-        rest: Write the cage at rest, not the posed one.
-
-    Raises:
-        ValueError: If there is no such edit, or for another ending.
-    """
+    """Write the posed cage of an edit, or that at rest, whole or not at all; the ending is one of CAGE_ENDINGS."""
     edit, path = document.edit(number), pathlib.Path(path)
     if path.suffix.lower() not in CAGE_ENDINGS:
         raise ValueError(f"cage {str(path)!r} must end in {', '.join(CAGE_ENDINGS)}")
@@ -217,36 +149,15 @@ def export_cage(document: Document, number: int, path: PathLike, *, rest: bool =
 
 
 def export_poses(document: Document, number: int, path: PathLike) -> None:
-    """Write the keys of an edit as a pose file, whole or not at all.
-
-    Args:
-        document: The document.
-        number: Number of the edit.
-        path: The file; it must end in .json.
-
-    Raises:
-        ValueError: If there is no such edit, no key holds a pose of it, or for another ending.
-    """
+    """Write the keys of an edit as a pose file (.json), whole or not at all."""
     if pathlib.Path(path).suffix.lower() != ".json":
         raise ValueError(f"pose file {str(path)!r} must end in .json")
     pose_file(document, number).save(path)
 
 
 def export_baked(document: Document, field: AnyField, path: PathLike, report: Report = _silent) -> AnyField:
-    """Write the deformed scene as a field of its own, whole or not at all. Without visible edits it is the field.
-
-    Args:
-        document: The document; its poses of now count.
-        field: The radiance field.
-        path: The file; it must end in .npz, for splats in .ply or another ending of theirs.
-        report: Told between the steps. What it raises ends the work.
-
-    Returns:
-        The field that was written.
-
-    Raises:
-        ValueError: For another ending, a pose that cannot be used, or too little memory.
-    """
+    """Write the scene, deformed by the poses of now, as a field of its own, whole or not at all; returns that field.
+    Without visible edits it is the field. A file of voxels ends in .npz. What `report` raises ends the work."""
     if isinstance(field, SplatField):
         splat_ending(path)
     elif pathlib.Path(path).suffix.lower() != ".npz":
@@ -264,18 +175,7 @@ def export_baked(document: Document, field: AnyField, path: PathLike, report: Re
 def export_command(
     session: PathLike, field: PathLike, film: Film | None = None, *, output: str = "film.mp4", scene_scale: float = 1.0
 ) -> str:
-    """The command that makes the film of a session without the editor.
-
-    Args:
-        session: The session's file.
-        field: The field's file.
-        film: Size and kind of its pictures. None is the default of each.
-        output: The film (.mp4, .gif, .mov or .webm), or a folder without an ending.
-        scene_scale: The factor that the field was loaded with.
-
-    Returns:
-        One line for a shell.
-    """
+    """The command, one line for a shell, that makes the film of a session without the editor."""
     film = film or Film()
     paths = [os.fspath(path) for path in (field, session, output)]
     # a name that begins like an option is taken for one

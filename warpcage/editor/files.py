@@ -23,12 +23,7 @@ BROKEN = (ValueError, OSError, LookupError, AssertionError, MemoryError, HttpPro
 
 
 class Files:
-    """Handlers for files. Who may ask at all is decided before; see `access`.
-
-    Args:
-        tasks: Knows the session's folder.
-        largest: Bytes of an upload.
-    """
+    """Handlers for files; who may ask at all is decided before, see `access`. `largest`: bytes of an upload."""
 
     def __init__(self, tasks: Tasks, largest: int):
         self._tasks, self._largest = tasks, largest

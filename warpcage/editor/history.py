@@ -11,18 +11,13 @@ DEPTH = 500
 
 
 class History:
-    """Documents before and after the present one, each with the name of the step between.
+    """Documents before and after the present one, each with the name of the step between."""
 
-    Documents share what did not change, so a step costs what it moved: 2.4 kB for a cage of 100 vertices.
-
-    Attributes:
-        undo_steps: (name, document before it), the newest last.
-        redo_steps: (name, document after it), the next one last.
-    """
+    # Documents share what did not change, so a step costs what it moved: 2.4 kB for a cage of 100 vertices.
 
     def __init__(self) -> None:
-        self.undo_steps: list[tuple[str, Document]] = []
-        self.redo_steps: list[tuple[str, Document]] = []
+        self.undo_steps: list[tuple[str, Document]] = []  # (name, document before it), the newest last
+        self.redo_steps: list[tuple[str, Document]] = []  # (name, document after it), the next one last
 
     def push(self, label: str, before: Document) -> None:
         """Remember the document before a step. What was undone before is forgotten."""

@@ -36,27 +36,16 @@ KEPT = 8
 
 @dataclasses.dataclass(frozen=True)
 class RestFindings:
-    """What is known of a cage at rest.
+    """What is known of a cage at rest."""
 
-    Args:
-        problem: What makes it unusable; empty for a usable cage.
-        crossing: (k, 2) pairs of faces that pass through each other.
-        leaking: (k,) faces that visible matter passes through.
-        inside_share: Share of the visible nodes that is inside. None for an unusable cage, or where nothing is visible.
-    """
-
-    problem: str
-    crossing: np.ndarray
-    leaking: np.ndarray
-    inside_share: float | None
+    problem: str  # what makes it unusable; empty for a usable cage
+    crossing: np.ndarray  # (k, 2) pairs of faces that pass through each other
+    leaking: np.ndarray  # (k,) faces that visible matter passes through
+    inside_share: float | None  # of the visible nodes; None for an unusable cage, or where nothing is visible
 
 
 class Inspector:
-    """Checks edits in one field. Any thread may use it, one at a time.
-
-    Args:
-        field: The radiance field.
-    """
+    """Checks edits in one field. Any thread may use it, one at a time."""
 
     def __init__(self, field: AnyField):
         self._mask = visible_mask(field)
@@ -68,14 +57,7 @@ class Inspector:
         self._lock = threading.Lock()
 
     def rest(self, edit: Edit) -> RestFindings:
-        """What is known of the rest cage of an edit.
-
-        Args:
-            edit: The edit.
-
-        Returns:
-            The findings, from before where the cage was looked at already.
-        """
+        """What is known of the rest cage of an edit, from before where it was looked at already."""
         key = (edit.rest.tobytes(), edit.faces.tobytes())
         with self._lock:
             if key not in self._known:
@@ -94,14 +76,7 @@ class Inspector:
         return RestFindings(problem, crossing, self.leaking_faces(cage), share)
 
     def leaking_faces(self, cage: Cage) -> np.ndarray:
-        """The faces that visible matter passes through: there is some right outside of them.
-
-        Args:
-            cage: A cage at rest.
-
-        Returns:
-            (k,) numbers of faces, ascending.
-        """
+        """The faces (k,), ascending, that visible matter passes through: there is some right outside of them."""
         edges = face_edges(cage)
         normals = column_cross(*edges)
         double_area = np.sqrt(column_dot(normals, normals))
@@ -133,37 +108,15 @@ _inspectors: weakref.WeakKeyDictionary[AnyField, Inspector] = weakref.WeakKeyDic
 
 
 def inspector(field: AnyField) -> Inspector:
-    """The inspector of a field, made once; it knows which of the field's voxels can be seen.
-
-    Args:
-        field: The radiance field.
-
-    Returns:
-        The inspector.
-    """
+    """The inspector of a field, made once; it knows which of the field's voxels can be seen."""
     if field not in _inspectors:
         _inspectors[field] = Inspector(field)
     return _inspectors[field]
 
 
 def inspect(document: Document, number: int, field: AnyField) -> dict[str, Any]:
-    """Check an edit, as pages show it.
-
-    The map is sampled by mean value coordinates at a few hundred places; `Cage.check` looks closer.
-
-    Args:
-        document: The document.
-        number: Number of the edit.
-        field: The radiance field.
-
-    Returns:
-        The section `check`: edit, pending (False), problem (empty for cages that can be used), crossing_faces (of the
-        cage that is edited), folded_share and outside_share (of the posed cage's inside), leaking_faces (of the rest
-        cage), inside_share (of what is visible, or None) and lines, sentences for people.
-
-    Raises:
-        ValueError: If there is no such edit.
-    """
+    """Check an edit, as pages show it: the section `check`.
+    Shares are folded and outside of the posed cage's inside, inside of what is visible (or None); leaks are at rest."""
     edit = document.edit(number)
     known = inspector(field).rest(edit)
     rest_only = document.settings.mode == "rest" or edit.kind == "remove"
@@ -178,6 +131,7 @@ def inspect(document: Document, number: int, field: AnyField) -> dict[str, Any]:
             trouble = first_problem(pose)
             problem = f"The posed cage {trouble}" if trouble else ""
             if not problem:
+                # by mean value coordinates at a few hundred places; `Cage.check` looks closer
                 _, folded, outside, _ = sample_pose(rest, pose, POSE_SAMPLES)
     crossing_faces = np.unique(crossing).tolist()
     leaking = known.leaking.tolist()

@@ -25,12 +25,7 @@ class Cancelled(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What a job leaves.
-
-    Args:
-        text: What came of it, in one line.
-        download: Address of the file that it wrote. None where there is none.
-    """
+    """What a job leaves: a line, and the address of the file that it wrote, if any."""
 
     text: str | None = None
     download: str | None = None
@@ -38,48 +33,27 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A job as pages see it.
+    """A job as pages see it."""
 
-    Args:
-        id: Number that no other job of the session has had.
-        name: What is done, for people.
-        share: How much of it is done, 0 to 1. None is not known.
-        text: What is done right now.
-        state: "running" (or waiting for others of its kind), "done", "failed" or "cancelled".
-        download: Address of the file that came of it, or None.
-        result: What came of it or went wrong, in one line, or None.
-    """
-
-    id: int
+    id: int  # that no other job of the session has had
     name: str
-    share: float | None = None
-    text: str = ""
-    state: str = "running"
-    download: str | None = None
-    result: str | None = None
+    share: float | None = None  # how much of it is done, 0 to 1; None is not known
+    text: str = ""  # what is done right now
+    state: str = "running"  # "running" (or waiting for others of its kind), "done", "failed" or "cancelled"
+    download: str | None = None  # address of the file that came of it
+    result: str | None = None  # what came of it or went wrong, in one line
 
 
 class Progress:
-    """What a job's work calls between its steps.
-
-    Args:
-        report: Takes share and text of what has changed.
-    """
+    """What a job's work calls between its steps; `report` takes share and text of what has changed."""
 
     def __init__(self, report: Callable[[float | None, str], None]):
         self._report = report
         self._cancelled = threading.Event()
 
     def __call__(self, share: float | None, text: str = "") -> None:
-        """Say how far the work is.
-
-        Args:
-            share: How much is done, 0 to 1. None is not known.
-            text: What is done next.
-
-        Raises:
-            Cancelled: If the job was cancelled. Work lets it pass, after it has removed what is half written.
-        """
+        """Say how far the work is, 0 to 1 (None is not known), and what is done next; raises Cancelled if the job was.
+        Work lets it pass, after it has removed what is half written."""
         if self._cancelled.is_set():
             raise Cancelled
         self._report(None if share is None else min(max(float(share), 0.0), 1.0), text[:MAX_TEXT])
@@ -100,10 +74,7 @@ Work = Callable[[Progress], Outcome | None]
 
 class Jobs:
     """Jobs of a session, one at a time of each kind. All methods may be called from any thread.
-
-    Args:
-        listener: Called after each change, from the thread that made it; it takes no arguments.
-    """
+    `listener` is called after each change, from the thread that made it."""
 
     def __init__(self, listener: Callable[[], None] = lambda: None):
         self._listener = listener
@@ -115,19 +86,7 @@ class Jobs:
         self._next, self._closed = 1, False
 
     def start(self, name: str, kind: str, work: Work) -> int:
-        """Begin a job, or let it wait for those of its kind that came before.
-
-        Args:
-            name: What is done, for people.
-            kind: Jobs of one kind never run at the same time.
-            work: Takes a Progress and returns what came of it. It runs in a thread of its own.
-
-        Returns:
-            The job's number.
-
-        Raises:
-            ValueError: If too many jobs are unfinished, or the session is closing.
-        """
+        """Begin a job in a thread, or let it wait for those of its kind that came before; returns its number."""
         with self._lock:
             if self._closed:
                 raise ValueError("the session is closing: nothing new is begun")
@@ -162,14 +121,7 @@ class Jobs:
             return self._job(number)
 
     def cancel(self, number: int) -> None:
-        """Ask a job to stop. One that waits is stopped at once, one that runs at its next sign of progress.
-
-        Args:
-            number: The job's number. A finished job stays what it is.
-
-        Raises:
-            ValueError: If there is no such job.
-        """
+        """Ask a job to stop: one that waits does at once, one that runs at its next sign of progress."""
         with self._lock:
             job = self._job(number)
             if number not in self._progress:
@@ -185,14 +137,7 @@ class Jobs:
         self._tell()
 
     def clear(self, number: int) -> None:
-        """Forget a finished job.
-
-        Args:
-            number: The job's number.
-
-        Raises:
-            ValueError: If there is no such job, or it is not finished.
-        """
+        """Forget a finished job."""
         with self._lock:
             if self._job(number).state == "running":
                 raise ValueError("the job is still running: cancel it first")
@@ -200,14 +145,7 @@ class Jobs:
         self._tell()
 
     def close(self, timeout: float = 10.0) -> bool:
-        """Cancel all jobs and wait for their threads; nothing new is begun.
-
-        Args:
-            timeout: Seconds to wait at most, in all.
-
-        Returns:
-            Whether all threads have ended.
-        """
+        """Cancel all jobs, begin none, and wait so many seconds for their threads; returns whether all have ended."""
         with self._lock:
             self._closed = True
             numbers = list(self._progress)
@@ -216,14 +154,7 @@ class Jobs:
         return self.wait(timeout)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until no job is left to run.
-
-        Args:
-            timeout: Seconds to wait at most, in all.
-
-        Returns:
-            Whether all threads have ended.
-        """
+        """Wait, so many seconds at most, until no job is left to run; returns whether all threads have ended."""
         end = time.monotonic() + timeout
         with self._lock:
             threads = list(self._threads)
@@ -285,14 +216,7 @@ class Jobs:
 
 
 def one_line(error: BaseException) -> str:
-    """What an error says, in one line.
-
-    Args:
-        error: The error.
-
-    Returns:
-        Its message without breaks and cut to MAX_TEXT letters; its name where it has none.
-    """
+    """What an error says, in one line of MAX_TEXT letters at most; its name where it says nothing."""
     return " ".join(str(error).split())[:MAX_TEXT] or type(error).__name__
 
 

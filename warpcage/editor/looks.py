@@ -19,58 +19,32 @@ MODES = ("pose", "rest")
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """Where the person looks from.
+    """Where the person looks from; (3,) world units."""
 
-    Args:
-        eye: (3,) centre of projection, world units.
-        target: (3,) the point in the middle of the picture.
-        up: (3,) unit vector, the direction that points up.
-        fov: Vertical field of view, degrees.
-    """
-
-    eye: tuple[float, float, float]
-    target: tuple[float, float, float]
-    up: tuple[float, float, float]
-    fov: float = 40.0
+    eye: tuple[float, float, float]  # centre of projection
+    target: tuple[float, float, float]  # in the middle of the picture
+    up: tuple[float, float, float]  # unit vector
+    fov: float = 40.0  # vertical, degrees
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """How the scene is deformed and shown.
-
-    Args:
-        coordinates: "harmonic", "mean_value" or "green".
-        resolution: Cells of the map's lattice along the longest side of a cage, in pictures that rest.
-        density: "opacity" or "paper"; see `Deformer`.
-        background: A name, three numbers in [0, 1], or None for the field's own.
-        supersampling: Rays along each side of a pixel, in pictures that rest.
-        show: "rgb", "disparity", "alpha" or "masks".
-        mode: "pose": the posed cage and the deformed scene. "rest": the cage at rest and the scene as captured.
-        fill: Whether background that no picture showed is filled, in pictures that rest; see `fill_unseen`.
-    """
+    """How the scene is deformed and shown."""
 
     coordinates: str = "harmonic"
-    resolution: int = 64
-    density: str = "opacity"
+    resolution: int = 64  # cells of the map's lattice along the longest side of a cage, in pictures that rest
+    density: str = "opacity"  # see `Deformer`
+    # a name, three numbers in [0, 1], or None for the field's own
     background: str | tuple[float, float, float] | None = None
-    supersampling: int = 1
-    show: str = "rgb"
+    supersampling: int = 1  # rays along each side of a pixel, in pictures that rest
+    show: str = "rgb"  # one of SHOWN
+    # "pose": the posed cage and the deformed scene; "rest": the cage at rest and the scene as captured
     mode: str = "pose"
-    fill: bool = False
+    fill: bool = False  # background that no picture showed, in pictures that rest; see `fill_unseen`
 
 
 def checked_view(content: Any) -> View:
-    """A view from its parts.
-
-    Args:
-        content: Dictionary of eye, target, up and fov; others are ignored.
-
-    Returns:
-        The view; its `up` has the length 1.
-
-    Raises:
-        ValueError: For values that are not finite, an eye at the target, or a direction that is zero.
-    """
+    """A view from eye, target, up and fov of a dictionary, others ignored; its `up` gets the length 1."""
     eye, target, up = (checked_triple(content[name], name) for name in ("eye", "target", "up"))
     length = float(np.linalg.norm(up))
     if not 1e-12 < length < 1e12:
@@ -85,18 +59,7 @@ def checked_view(content: Any) -> View:
 
 
 def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """Settings with some of them changed.
-
-    Args:
-        settings: As they are.
-        changes: New value by name.
-
-    Returns:
-        The new settings.
-
-    Raises:
-        ValueError: For names that do not exist and values that cannot be.
-    """
+    """Settings with new values by name, checked."""
     known = {field.name for field in dataclasses.fields(Settings)}
     unknown = sorted(set(changes) - known)
     if unknown:

@@ -30,18 +30,11 @@ HIDING_ALPHA = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class Pixels:
-    """A frame on the host, as it is sent.
+    """A frame on the host, as it is sent."""
 
-    Args:
-        colours: (h, w, 3) uint8.
-        depths: (rows, columns) uint16, see kernels/view/preview.py.
-        near: Distance that the depth 1 stands for, world units.
-        far: Distance that the depth 65535 stands for.
-    """
-
-    colours: np.ndarray
-    depths: np.ndarray
-    near: float
+    colours: np.ndarray  # (h, w, 3) uint8
+    depths: np.ndarray  # (rows, columns) uint16, see kernels/view/preview.py
+    near: float  # distances that the depths 1 and 65535 stand for, world units
     far: float
 
 
@@ -52,19 +45,8 @@ def depth_size(width: int, height: int, depths: int) -> tuple[int, int]:
 
 
 def frame_pixels(frame: Frame, show: str, near: float, far: float, columns: int, rows: int) -> Pixels:
-    """What is sent of a frame.
-
-    Args:
-        frame: The frame, its arrays on a device.
-        show: "rgb", "disparity", "alpha" or "masks".
-        near: Distance that the depth 1 stands for, world units.
-        far: Distance that the depth 65535 stands for.
-        columns: Depths in a row.
-        rows: Rows of depths.
-
-    Returns:
-        The pixels.
-    """
+    """What is sent of a frame, whose arrays are on a device: `show` is one of SHOWN.
+    `near` and `far`: distances that the depths 1 and 65535 stand for, world units."""
     rgb = frame.arrays["rgb"]
     width, height = frame.width, frame.height
     with device_turn(rgb.device):
@@ -95,21 +77,12 @@ def band_camera(camera: Camera, first: int, last: int) -> Camera:
 
 def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) -> bytes:
     """A frame's message: four little-endian uint32 (FRAME, bytes of the header, of the JPEG, of the depths), then those
-    three, each padded to a multiple of 8.
-
-    Args:
-        header: What is said about the frame.
-        pixels: The frame. None where there is only something to say.
-        quality: Quality of the JPEG, 1 to 100. From 90 on colours keep their full resolution.
-
-    Returns:
-        The message.
-    """
+    three. Each but the last is padded to a multiple of 8. pixels None: there is only something to say."""
     import simplejpeg
 
     jpeg, depths = b"", b""
     if pixels is not None:
-        sampling = "444" if quality >= 90 else "420"
+        sampling = "444" if quality >= 90 else "420"  # from 90 on colours keep their full resolution
         jpeg = simplejpeg.encode_jpeg(pixels.colours, quality=quality, colorspace="RGB", colorsubsampling=sampling)
         depths = pixels.depths.astype("<u2").tobytes()
     words = json.dumps(header, allow_nan=False).encode()

@@ -17,14 +17,8 @@ _log = logging.getLogger(__name__)
 
 
 class Player:
-    """Moves a session along its film in real time: moments that no picture can be made of in time are left out.
-
-    All in the thread of the server's loop.
-
-    Args:
-        session: The session.
-        tell: Called when it begins or ends to play.
-    """
+    """Moves a session along its film in real time, leaving out moments that no picture can be made of in time.
+    All in the thread of the server's loop. `tell`: called when it begins or ends to play."""
 
     def __init__(self, session: Session, tell: Callable[[], None]):
         self._session, self._tell = session, tell

@@ -46,21 +46,13 @@ EXPECTED = (ValueError, MemoryError, RuntimeError, OverflowError)
 
 @dataclasses.dataclass(frozen=True)
 class Request:
-    """A picture that is wanted.
-
-    Args:
-        document: What it shows.
-        width: Wanted width, pixels.
-        height: Wanted height, pixels.
-        moving: Whether the hand moves: the picture should come soon rather than be sharp.
-        applied: Newest message of each page that it shows.
-    """
+    """A picture that is wanted, of so many pixels."""
 
     document: Document
     width: int
     height: int
-    moving: bool
-    applied: Mapping[int, int]
+    moving: bool  # whether the hand moves: the picture should come soon rather than be sharp
+    applied: Mapping[int, int]  # the newest message of each page that it shows
 
 
 class Superseded(Exception):
@@ -69,21 +61,13 @@ class Superseded(Exception):
 
 class Renderer:
     """Renders documents in a thread. Only the newest request counts: others that wait are forgotten.
-
-    Args:
-        field: The field.
-        deliver: Called with the header and the message of each frame, from a thread of the renderer.
-
-    Attributes:
-        pace: What pictures cost here.
-        frames: Frames that were delivered.
-    """
+    `deliver`: called with the header and the message of each frame, from a thread of the renderer."""
 
     def __init__(self, field: AnyField, deliver: Callable[[dict[str, Any], bytes], None]):
         self._scene = PosedScene(field)
         self._field, self._deliver = field, deliver
         self.pace = Pace(not field.device.is_cpu)
-        self.frames = 0
+        self.frames = 0  # that were delivered
         self._changed = threading.Condition()
         self._wanted: Request | None = None
         self._closed = False

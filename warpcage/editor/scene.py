@@ -30,41 +30,21 @@ Background = str | Sequence[float] | None
 
 
 def camera(view: View, width: int, height: int) -> Camera:
-    """The camera of a view, with square pixels.
-
-    Args:
-        view: The view; its `fov` is vertical, degrees.
-        width: Width of the picture, pixels.
-        height: Height of the picture, pixels.
-
-    Returns:
-        The camera.
-
-    Raises:
-        ValueError: If the eye is the target, or the picture has no pixel.
-    """
+    """The camera of a view, with square pixels, for a picture of so many pixels."""
     focal = 0.5 * height / math.tan(math.radians(view.fov) / 2)
     looking = Camera.look_at(view.eye, view.target, up=view.up, width=width, height=height)
     return dataclasses.replace(looking, fx=focal, fy=focal)
 
 
 class PosedScene:
-    """The scene of a document, posed and ready to be rendered. One thread at a time may use it.
+    """The scene of a document, posed and ready to be rendered. One thread at a time may use it."""
 
-    A Deformer is made only when what it is made of changes: faces, rest cages, kinds, falloffs, crumbs, visibility,
-    order, coordinates, resolution or density. A changed pose is posed, and an unchanged one is left as it is.
-
-    Args:
-        field: The radiance field. Several scenes may share it.
-
-    Attributes:
-        field: As given.
-        deformer: The Deformer of the last `prepare`, None where the field is shown as it is.
-    """
+    # A Deformer is made only when what it is made of changes: faces, rest cages, kinds, walls, crumbs, visibility,
+    # order, coordinates, resolution or density. A changed pose is posed, and an unchanged one is left as it is.
 
     def __init__(self, field: AnyField):
         self.field = field
-        self.deformer: Deformer | None = None
+        self.deformer: Deformer | None = None  # of the last `prepare`; None where the field is shown as it is
         self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of
         self._options: tuple[str, str] = ("", "")
         self._rest: list[Cage] = []
@@ -72,15 +52,8 @@ class PosedScene:
         self._posed: dict[int, list[np.ndarray]] = {}  # the vertices that each of them is posed with
 
     def prepare(self, document: Document, resolution: int | None = None) -> None:
-        """Make the scene that a document describes. Where that fails, the scene before stays.
-
-        Args:
-            document: The document: its edits and its settings are looked at.
-            resolution: Cells of the lattices along the longest side of a cage. None is that of the settings.
-
-        Raises:
-            ValueError: For a cage that cannot be used, with the name of its edit, or too many edits.
-        """
+        """Make the scene of a document's edits and settings; where that fails, the scene before stays.
+        `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
         edits = tuple(edit for edit in document.edits if edit.visible)
         if not edits or document.settings.mode == "rest":
             self.deformer = None
@@ -122,21 +95,8 @@ class PosedScene:
         supersampling: int | None = None,
         fill: bool = False,
     ) -> Frame:
-        """The view of a camera of the scene that was prepared last; of the field itself where none was.
-
-        Args:
-            camera: The camera.
-            background: Colour behind the scene: a name or three numbers in [0, 1]. None is the field's own.
-            step: March step, world units. None is the field's. Splats have none.
-            supersampling: Rays along each side of a pixel. None is the field's.
-            fill: Fill the background that no picture showed; see `fill_unseen`.
-
-        Returns:
-            The frame. That of a field without edits has no masks.
-
-        Raises:
-            ValueError: As `Deformer.render`.
-        """
+        """The view of a camera of the scene that was prepared last, or of the field itself, which has no masks.
+        None is the field's own; `step` is world units (splats have none); for `fill` see `fill_unseen`."""
         options: dict[str, Any] = {"background": background, "supersampling": supersampling}
         if isinstance(self.field, VoxelField):
             options["step"] = step

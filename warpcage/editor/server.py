@@ -1,8 +1,4 @@
-"""Server: brings a session to pages over HTTP and WebSockets.
-
-Everything lies under `/TOKEN/`, a random word in the address that is printed: whoever does not know it gets nothing.
-Requests from pages of other origins, and those that come under a foreign host name, are refused all the same.
-"""
+"""Server: brings a session to pages over HTTP and WebSockets, under `/TOKEN/`, a random word in the address."""
 
 from __future__ import annotations
 
@@ -55,24 +51,14 @@ EXPECTED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError,
 #: What a page is told that moves on although its step has ended.
 STRAYED = "Another page, or another command, changed the scene meanwhile: this move has ended."
 
+# Whoever does not know the token gets nothing. Requests from pages of other origins, and those that come under a
+# foreign host name, are refused all the same.
 _log = logging.getLogger(__name__)
 
 
 class Server:
-    """An editor's server. Its methods run in the thread of its event loop, unless they say otherwise.
-
-    Args:
-        session: The session.
-        folder: Files that pages may load and that they make lie here.
-        host: Address to listen on.
-        port: Port to listen on; 0 takes a free one.
-        allowed_hosts: Names under which pages may come, beside those of this machine's loopback and `host`.
-
-    Attributes:
-        session: As given.
-        token: The word in the address.
-        clients: Connected pages by number.
-    """
+    """An editor's server; its methods run in the thread of its event loop, unless they say otherwise.
+    `folder`: files that pages may load and that they make lie here. Port 0 takes a free one."""
 
     def __init__(
         self,

@@ -33,30 +33,10 @@ _log = logging.getLogger(__name__)
 
 class Session:
     """What is edited, by one or several pages. All methods are called from one thread, the server's, but for `save`.
+    Without a path nothing is kept. `stamp`: of its file where the document was read from it; no other is replaced."""
 
-    A change is a step of the history (`apply`), or part of a gesture: a drag or a slider that becomes one step when it
-    ends. Views, scrubbing and playing are no steps.
-
-    Args:
-        field: The field.
-        document: The document to begin with.
-        path: The session's file. None keeps nothing.
-        field_path: The field's file. None where it has none.
-        stamp: Of the file at `path`, where the document was read from it. Another file there is never replaced.
-        scene_scale: The factor that the field's file was loaded with.
-
-    Attributes:
-        field: As given.
-        field_path: The field's file, or None.
-        scene_scale: As given.
-        document: The newest document.
-        settled: The newest document without what a gesture under way has moved.
-        history: Its history.
-        path: The session's file, or None. It changes where another program wrote that file: nothing is saved over it.
-        saved: When it was saved last, ISO 8601, or None.
-        save_error: Why it could not be saved, or None.
-        listeners: Each is called with the set of the sections that changed; "vertices" stands for those of a gesture.
-    """
+    # A change is a step of the history (`change`), or part of a gesture: a drag or a slider that becomes one step when
+    # it ends. Views, scrubbing and playing are no steps.
 
     def __init__(
         self,
@@ -67,13 +47,16 @@ class Session:
         stamp: Stamp | None = None,
         scene_scale: float = 1.0,
     ):
+        # settled: the newest document without what a gesture under way has moved
         self.field, self.document, self.settled = field, document, document
-        self.scene_scale = scene_scale
+        self.scene_scale = scene_scale  # the factor that the field's file was loaded with
         self.field_path = None if field_path is None else pathlib.Path(field_path)
+        # it changes where another program wrote that file: nothing is saved over it
         self.path = None if path is None else pathlib.Path(path)
         self.history = History()
-        self.saved: str | None = None
-        self.save_error: str | None = None
+        self.saved: str | None = None  # when it was saved last, ISO 8601
+        self.save_error: str | None = None  # why it could not be saved
+        # each is called with the set of the sections that changed; "vertices" are those of a gesture
         self.listeners: list[Callable[[set[str]], None]] = []
         self._gesture: Gesture | None = None
         self._steps = 0
@@ -95,16 +78,8 @@ class Session:
         self._apply(*step(self.document))
 
     def adopt(self, before: Document, label: str, document: Document) -> bool:
-        """Take a document that another thread has made of an older one, as one step of the history.
-
-        Args:
-            before: What it was made of: `settled` of a moment ago.
-            label: Name of the step.
-            document: The new document.
-
-        Returns:
-            False, and nothing is changed, where somebody has changed the scene since, or is about to.
-        """
+        """Take a document that another thread has made of `before`, a `settled` one, as one step of the history.
+        False, and nothing is changed, where somebody has changed the scene since, or is about to."""
         shared = (part for part in PARTS if part != "view")
         if self.moving or any(getattr(before, part) is not getattr(self.document, part) for part in shared):
             return False
@@ -136,35 +111,14 @@ class Session:
         self._take(dataclasses.replace(self.document, view=view))
 
     def begin_gesture(self, owner: object, number: int, label: str, chosen: tuple[int, ...] | None = None) -> None:
-        """Begin to move an edit's cage. Another gesture that is under way ends.
-
-        Args:
-            owner: Who moves it; only this owner goes on with the gesture.
-            number: The edit.
-            label: Name of the step.
-            chosen: Vertices that a preset acts on. None for all.
-
-        Raises:
-            ValueError: Where the edit is gone.
-        """
+        """Begin to move an edit's cage; another gesture that is under way ends. Only the same owner goes on with it.
+        `chosen`: vertices that a preset acts on, None for all."""
         self.end_gesture()
         self._gesture = Gesture(owner, self.document, self.document.edit(number), label, chosen)
 
     def move(self, owner: object, number: int, vertices: Any, rest: bool = False) -> bool:
-        """Move the cage of a gesture.
-
-        Args:
-            owner: Who moves it.
-            number: The edit.
-            vertices: (v, 3) all its posed vertices, or all at rest.
-            rest: Whether they are those at rest.
-
-        Returns:
-            False, and nothing is moved, where this owner has no gesture: another page's change has ended it.
-
-        Raises:
-            ValueError: For another edit, another number of vertices, or values that cannot be.
-        """
+        """Move the cage of a gesture: (v, 3) all its posed vertices, or all at rest.
+        False, and nothing is moved, where this owner has no gesture: another page's change has ended it."""
         if not self.is_moved_by(owner):
             return False
         gesture = self._gesture
@@ -194,12 +148,7 @@ class Session:
         return True
 
     def end_gesture(self, owner: object = None, cancel: bool = False) -> None:
-        """Make a step of the gesture that is under way, or take it back.
-
-        Args:
-            owner: Ends the gesture of this owner alone. None ends any.
-            cancel: Whether to take it back.
-        """
+        """Make a step of the gesture that is under way, or take it back; of this owner alone, None ends any."""
         gesture = self._gesture
         if gesture is None or (owner is not None and gesture.owner is not owner):
             return
@@ -223,12 +172,10 @@ class Session:
         return self._gesture is not None and self._gesture.owner is owner
 
     def scrub(self, time: float) -> None:
-        """Go to a time of the film: poses and camera are those of the keys around it.
-
-        A pose that no key holds would be lost by this; it becomes a step of the history first.
-        """
+        """Go to a time of the film, seconds: poses and camera are those of the keys around it."""
         self.end_gesture()
         told = {"playback", "vertices"}
+        # a pose that no key holds would be lost: it becomes a step of the history first
         here, _ = timeline.state_at(self.document, self.document.time)
         edits = {edit.id: edit for edit in self.document.edits}
         if any(number in edits and not np.array_equal(edits[number].posed, pose) for number, pose in here.items()):
@@ -321,36 +268,18 @@ class Session:
 
 @dataclasses.dataclass
 class Gesture:
-    """A drag or a slider that is being moved.
-
-    Args:
-        owner: Who moves it.
-        before: The document before it.
-        edit: The edit before it.
-        label: Name of the step that it becomes.
-        chosen: Vertices that a preset acts on, None for all.
-        rest: Whether the cage at rest was moved.
-    """
+    """A drag or a slider that is being moved by `owner`."""
 
     owner: object
-    before: Document
+    before: Document  # the document before it; so is the edit
     edit: Edit
-    label: str
-    chosen: tuple[int, ...] | None
-    rest: bool = False
+    label: str  # of the step that it becomes
+    chosen: tuple[int, ...] | None  # vertices that a preset acts on, None for all
+    rest: bool = False  # whether the cage at rest was moved
 
 
 def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 64) -> Document:
-    """The document of a new session.
-
-    Args:
-        field: The field.
-        cages: A cage for each edit.
-        resolution: Cells of the lattices.
-
-    Returns:
-        The document; it looks at the whole field.
-    """
+    """The document of a new session, with an edit for each cage; it looks at the whole field."""
     edits = tuple(new_edit(number, cage, f"Move {number}") for number, cage in enumerate(cages, start=1))
     low, high = field.bounds
     points = np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)

@@ -47,17 +47,7 @@ def file_stamp(path: pathlib.Path) -> Stamp | None:
 
 
 def write_session(path: PathLike, document: Document, field: AnyField, field_name: str | None) -> None:
-    """Write a session's file, whole or not at all.
-
-    Args:
-        path: The file.
-        document: The document.
-        field: The field that it belongs to.
-        field_name: Name of the field's file. None where it has none.
-
-    Raises:
-        OSError: If the file cannot be written. What was there stays.
-    """
+    """Write a session's file, whole or not at all; the name of a field without a file is None."""
     content = {
         "format": FORMAT,
         "version": VERSION,
@@ -69,19 +59,7 @@ def write_session(path: PathLike, document: Document, field: AnyField, field_nam
 
 
 def read_session(path: PathLike, field: AnyField | None = None) -> Document:
-    """Read a session's file.
-
-    Args:
-        path: The file.
-        field: The field that it should belong to. None takes any.
-
-    Returns:
-        The document.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: What is wrong with it, in one line with its name.
-    """
+    """Read a session's file, which should belong to the field; None takes any."""
     path = require_file(path, "session file")
     try:
         content: Any = read_json(path, "session file")

@@ -78,22 +78,14 @@ Result = TypeVar("Result")
 
 class Tasks:
     """Long work for a session, and its files. All in the thread of the server's loop, but for the work itself.
-
-    Args:
-        session: The session.
-        jobs: Runs the work.
-        folder: Files that pages may load and that they make lie here; no name from a page leads out of it.
-        loop: The server's loop.
-
-    Attributes:
-        commands: What `obey` carries out, by the word in `do`.
-    """
+    `folder`: files that pages may load and that they make lie here; no name from a page leads out of it."""
 
     def __init__(self, session: Session, jobs: Jobs, folder: pathlib.Path, loop: asyncio.AbstractEventLoop):
         self.session, self.jobs, self.folder, self.loop = session, jobs, folder, loop
         self._made: dict[str, Stamp | None] = {}  # files that the editor wrote, by name
         self._naming, self._closed = threading.Lock(), threading.Event()
         self.field_path = session.field_path
+        # what `obey` carries out, by the word in `do`
         self.commands: dict[str, Callable[[dict[str, Any]], Any]] = {
             "files": self._files,
             "cage.generate": self._generate,
@@ -109,11 +101,7 @@ class Tasks:
         }
 
     def obey(self, message: dict[str, Any]) -> Any:
-        """Carry out one of `commands`. Returns its result, or a coroutine that does, where files are touched.
-
-        Raises:
-            ValueError, OSError: In one line.
-        """
+        """Carry out one of `commands`; returns its result, or a coroutine that does, where files are touched."""
         return self.commands[message["do"]](message)
 
     def close(self) -> None:
@@ -123,17 +111,7 @@ class Tasks:
     # -- Files
 
     def path_of(self, name: Any) -> pathlib.Path:
-        """The path of a file in the session's folder.
-
-        Args:
-            name: Its name, without folders.
-
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For a name that leads elsewhere, also by a link.
-        """
+        """The path of a file in the session's folder by its name, which may not lead elsewhere, also not by a link."""
         if not isinstance(name, str) or not name or name != pathlib.PurePosixPath(name).name or "\\" in name:
             raise ValueError(f"{str(name)[:100]!r} is no name of a file in the session's folder")
         if name.startswith(".") or not name.isprintable():
@@ -164,19 +142,7 @@ class Tasks:
         return {"files": await self._read(look)}
 
     def keep_upload(self, name: str, content: bytes) -> str:
-        """Write an uploaded file into the session's folder. No file that is there is replaced.
-
-        Args:
-            name: Name that the page gave.
-            content: What is in it.
-
-        Returns:
-            The name that it got.
-
-        Raises:
-            ValueError: For a kind of file that cannot be loaded.
-            OSError: If it cannot be written.
-        """
+        """Write an uploaded file into the session's folder, where it replaces none; returns the name that it got."""
         plain = re.sub(r"[^\w.\- ]", "_", pathlib.PurePosixPath(name.replace("\\", "/")).name).lstrip(". ")
         stem, ending = os.path.splitext(plain)
         if LOADABLE.get(ending.lower()) not in ("cage", "poses") or plain.lower().endswith(ENDING):
@@ -220,11 +186,8 @@ class Tasks:
         return self.jobs.start(f"Cage of {count} vertices", "cage", work)
 
     def _clicked(self, click: Any) -> Callable[[], AnyField | NodeSelection]:
-        """What finds what a cage goes around: the object at a place in a page's picture, or all of the field.
-
-        click: None, or across and down (shares of the picture), aspect (its width over its height) and plane, a name
-        of what the object stands on, or "none".
-        """
+        """What finds what a cage goes around: the object at a place in a page's picture, or for None all of the field.
+        `click`: across and down (shares of the picture), aspect (width over height) and plane, of PLANES or "none"."""
         field = self.session.field
         if click is None:
             return lambda: field
@@ -300,18 +263,7 @@ class Tasks:
     # -- Exports
 
     def free_path(self, name: Any, endings: tuple[str, ...]) -> pathlib.Path:
-        """The path of a file or folder to write. What the editor did not write itself is never replaced.
-
-        Args:
-            name: Its name, from a page.
-            endings: What it may end in.
-
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another name, or one that is taken.
-        """
+        """The path of a file or folder to write; what the editor did not write itself is never replaced."""
         path = self.path_of(name)
         if len(os.fsencode(path.name)) > 2 * MAX_NAME_BYTES:
             raise ValueError(f"{path.name[:40]!r}... is too long for the name of a file")
@@ -390,14 +342,9 @@ class Tasks:
 
     def _hand_over(self, step: Callable[[Document], Step], patient: bool = True) -> None:
         """Change the document from another thread; raises what the change raises, or Cancelled.
-
-        The new document is made here, so that the server's loop goes on meanwhile. Where somebody else has changed
-        the scene since, it is made anew.
-
-        Args:
-            step: Makes the new document.
-            patient: Whether to wait for a hand that moves. Otherwise its gesture ends.
-        """
+        `patient`: wait for a hand that moves; otherwise its gesture ends."""
+        # The new document is made here, so that the server's loop goes on meanwhile. Where somebody else has changed
+        # the scene since, it is made anew.
         for _ in range(ATTEMPTS):
             before = self.session.settled
             adopt = functools.partial(self.session.adopt, before, *step(before))

@@ -26,19 +26,10 @@ LEAST_FOV, LARGEST_FOV = 1.0, 150.0
 
 
 def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], View | None]:
-    """The poses and the view of a film at a time.
-
-    The way from a key to the next goes as the easing of the earlier one says (see `warpcage.view.keys.value_at`). A
-    film that loops, from a key at its start to an equal one at its end, goes through them without stopping.
-
-    Args:
-        document: The document.
-        time: Seconds from the film's start.
-
-    Returns:
-        Posed vertices (v, 3), read-only, by the number of the edit, for those edits that keys hold; the others stay as
-        the document has them. And the view, or None where there is no key of cameras.
-    """
+    """Posed vertices (v, 3), read-only, by the number of the edit, and the view of a film at a time, seconds.
+    Edits that no key holds are left out; the view is None where there is no key of cameras."""
+    # The way from a key to the next goes as the easing of the earlier one says (see `warpcage.view.keys.value_at`). A
+    # film that loops, from a key at its start to an equal one at its end, goes through them without stopping.
     moments = document.timeline.keys
     poses = {}
     for edit in document.edits:
@@ -53,79 +44,38 @@ def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], Vi
 
 
 def document_at(document: Document, time: float) -> Document:
-    """The document as its film has it at a time.
-
-    Args:
-        document: The document.
-        time: Seconds from the film's start.
-
-    Returns:
-        The document with the poses and the view of that time.
-    """
+    """The document with the poses and the view that its film has at a time, seconds."""
     poses, view = state_at(document, time)
     edits = tuple(dataclasses.replace(edit, posed=poses.get(edit.id, edit.posed)) for edit in document.edits)
     return dataclasses.replace(document, edits=edits, view=view or document.view, time=time)
 
 
 def looped_time(timeline: Timeline, elapsed: float) -> float:
-    """Where a film is that has been played for a while.
-
-    Args:
-        timeline: The film.
-        elapsed: Seconds since it began to play at its start.
-
-    Returns:
-        Seconds from the film's start, 0 to its length.
-    """
+    """Where a film is, 0 to its length, that has been played from its start for so many seconds."""
     return between.looped_time(timeline.loop, timeline.length, elapsed)
 
 
 def frame_times(timeline: Timeline) -> list[float]:
-    """The times of a film's frames.
-
-    A film that is played once ends with the frame at its length, where a frame falls on it. A film that loops or goes
-    back and forth has every moment of its round once: the frame after its last one is the first.
-
-    Args:
-        timeline: The film.
-
-    Returns:
-        Seconds from the film's start, one number per frame, at least one.
-    """
+    """The times of a film's frames, at least one, seconds from its start."""
+    # A film that is played once ends with the frame at its length, where a frame falls on it. A film that loops or goes
+    # back and forth has every moment of its round once: the frame after its last one is the first.
     return between.frame_times(timeline.length, timeline.fps, timeline.loop)
 
 
 def frame_rate(timeline: Timeline) -> Fraction:
-    """The frames per second of a film, such as 30000/1001 for 29.97003.
-
-    Args:
-        timeline: The film.
-
-    Returns:
-        The nearest fraction whose denominator is at most 1001.
-    """
+    """The frames per second of a film as the nearest fraction of denominator 1001 at most: 30000/1001 for 29.97003."""
     return between.frame_rate(timeline.fps)
 
 
 def pose_file(document: Document, number: int) -> PoseFile:
-    """The keys of an edit as a pose file, with times, easings, and the keys of cameras.
-
-    Args:
-        document: The document.
-        number: Number of the edit.
-
-    Returns:
-        The pose file. A name that several keys have gets a number behind it.
-
-    Raises:
-        ValueError: If there is no such edit, or no key holds a pose of it.
-    """
+    """The keys of an edit as a pose file, with times, easings, and the keys of cameras."""
     edit = document.edit(number)
     file = PoseFile(edit.rest_cage)
     for key in document.timeline.keys:
         if key.poses is None or number not in key.poses:
             continue
         name, count = key.name, 1
+        # a name that several keys have gets a number behind it
         while name in file:
             count += 1
             name = f"{key.name} {count}"
@@ -142,23 +92,10 @@ def pose_file(document: Document, number: int) -> PoseFile:
 
 
 def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
-    """A document whose keys hold the poses of a file, in the place of those that they held of the edit.
-
-    A keyframe goes into the key of its time, if there is one. Keyframes without times are spread evenly over the film.
-    Cameras of the file take the place of those that the film has.
-
-    Args:
-        document: The document.
-        number: Number of the edit.
-        file: Keyframes of the edit's cage.
-
-    Returns:
-        The document. The film is longer where the file's is.
-
-    Raises:
-        ValueError: If there is no such edit, for a file of another cage, times below 0 or beyond MAX_SECONDS, easings
-            that are not known, two cameras at one time, or too many keyframes.
-    """
+    """A document whose keys hold the poses and cameras of a file, in the place of those that they held of the edit.
+    The film gets longer where the file's is."""
+    # A keyframe goes into the key of its time, if there is one. Keyframes without times are spread evenly over the
+    # film.
     edit = document.edit(number)
     if not np.array_equal(file.rest.faces, edit.faces):
         raise ValueError(f"the pose file is of another cage than {edit.name!r}: load it with this cage")
@@ -209,15 +146,8 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
 
 def view_of(key: CameraKey, middle: np.ndarray, up: Sequence[float]) -> View:
     """The view that looks as a camera does: from its place, along its axis, with its height of picture.
-
-    Args:
-        key: The camera. Where its axis leaves the middle of its picture, or pixels are not square, that is left out.
-        middle: (3,) what it is thought to look at where it names no target.
-        up: (3,) unit vector that is up in the view where the camera stands upright by it.
-
-    Returns:
-        The view.
-    """
+    `middle` (3,): what it looks at where it names no target. `up` (3,): unit, kept where the camera stands upright."""
+    # Where the camera's axis leaves the middle of its picture, or pixels are not square, that is left out.
     pose = key.camera.camera_to_world
     eye, right, upward, forward = pose[:3, 3], pose[:3, 0], -pose[:3, 1], pose[:3, 2]
     ahead = float(((middle if key.target is None else key.target) - eye) @ forward)
@@ -234,20 +164,7 @@ def view_of(key: CameraKey, middle: np.ndarray, up: Sequence[float]) -> View:
 
 
 def load_poses(document: Document, number: int, path: str) -> Document:
-    """`with_pose_file` of a file on disk, matched to the edit's cage.
-
-    Args:
-        document: The document.
-        number: Number of the edit.
-        path: The file.
-
-    Returns:
-        The document.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: As `with_pose_file`, and for a file that cannot be read or is of another cage.
-    """
+    """`with_pose_file` of a file on disk, matched to the edit's cage."""
     edit = document.edit(number)
     file = PoseFile.load(path, Cage(edit.rest, edit.faces))
     try:
@@ -278,11 +195,9 @@ def _closes(film: Timeline, track: Sequence[tuple[Key, np.ndarray]]) -> bool:
 
 
 def _view_track(moments: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
-    """Keys of cameras as numbers, such that a camera turns about its target by the shorter way.
-
-    They are (10,): target, logarithm of the distance, angle about the first key's up, angle above the plane across it,
-    up, and field of view.
-    """
+    """Keys of cameras as numbers (10,), such that a camera turns about its target by the shorter way."""
+    # Target, logarithm of the distance, angle about the first key's up, angle above the plane across it, up, and field
+    # of view.
     views = [(key, key.view) for key in moments if key.view is not None]
     if not views:
         return []
