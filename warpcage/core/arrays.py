@@ -32,14 +32,7 @@ PointsLike = ArrayLike | wp.array | DLPackArray
 
 
 def is_device_array(array: object) -> bool:
-    """Whether an array may be on a device.
-
-    Args:
-        array: What a caller gave.
-
-    Returns:
-        True for a Warp array or one of another library (torch, CuPy, JAX), False for NumPy and sequences.
-    """
+    """Whether an array may be on a device: Warp's or another library's (torch, CuPy, JAX), not NumPy's."""
     if isinstance(array, wp.array):
         return True
     if isinstance(array, np.ndarray | list | tuple):
@@ -49,31 +42,14 @@ def is_device_array(array: object) -> bool:
 
 
 def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike, *, pinned: bool = False) -> wp.array:
-    """A Warp array whose values are not set yet: wp.empty, whose annotations know no data type but float.
-
-    Args:
-        shape: Size along each axis.
-        dtype: Warp data type or struct.
-        device: Warp device.
-        pinned: Whether memory of the CPU is page-locked, for copies to and from CUDA devices.
-
-    Returns:
-        The array.
-    """
+    """A Warp array whose values are not set yet; pinned memory of the CPU is page-locked."""
+    # wp.empty, whose annotations know no data type but float.
     return wp.empty(shape, dtype=dtype, device=device, pinned=pinned)
 
 
 def struct_array(structs: Sequence[WarpStruct], dtype: Any, device: wp.DeviceLike) -> wp.array:
-    """Structs as an array: wp.array, which looks for a NumPy type of the struct each time and takes ten times as long.
-
-    Args:
-        structs: Instances of one struct. What their arrays point to must be kept alive by the caller.
-        dtype: The struct.
-        device: Warp device.
-
-    Returns:
-        (n,) on the device.
-    """
+    """Structs of one type as an array (n,) on the device; the caller keeps alive what their arrays point to."""
+    # wp.array looks for a NumPy type of the struct each time and takes ten times as long.
     raw = np.frombuffer(b"".join(bytes(struct.__ctype__()) for struct in structs), dtype=np.uint8)
     return array_view(wp.array(raw, dtype=wp.uint8, device=device), dtype, len(structs))
 
@@ -81,22 +57,10 @@ def struct_array(structs: Sequence[WarpStruct], dtype: Any, device: wp.DeviceLik
 def as_points(
     points: PointsLike, device: wp.DeviceLike = None, *, name: str = "points"
 ) -> tuple[wp.array[Any, Any], bool]:
-    """Points as a Warp array.
-
-    An array that is float32, contiguous and on the device already is not copied. Arrays on a device are not read back,
-    so only those of NumPy are looked through for values that are not finite.
-
-    Args:
-        points: (n, 3) float. NumPy, a sequence, or any DLPack or `__cuda_array_interface__` array.
-        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
-        name: How messages call the points.
-
-    Returns:
-        (n,) vec3 on the device, and whether results should go back as Warp arrays.
-
-    Raises:
-        ValueError: For another shape, or for NumPy values that are not finite.
-    """
+    """Points (n, 3) of any library as (n,) vec3 on the device, and whether results should go back as Warp arrays.
+    None is the device of an array on a device, else CUDA where there is one."""
+    # What is float32, contiguous and on the device already is not copied. Arrays on a device are not read back, so only
+    # those of NumPy are looked through for values that are not finite.
     if is_device_array(points):
         array: wp.array[Any, Any] = points if isinstance(points, wp.array) else _from_foreign(points, name)
         if array.dtype in (wp.vec3, wp.vec3d):
@@ -120,14 +84,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def points_in_turn(function: _Function) -> _Function:
-    """Let a function of points hold `device_turn` of the device that it works on.
-
-    Args:
-        function: Takes points first, and a `device`.
-
-    Returns:
-        The function.
-    """
+    """Let a function that takes points first, and a `device`, hold `device_turn` of the device that it works on."""
     place = list(inspect.signature(function).parameters).index("device") - 1
 
     @functools.wraps(function)
@@ -150,18 +107,7 @@ def _points_device(points: Any, device: wp.DeviceLike) -> wp.Device:
 
 
 def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
-    """Points as NumPy.
-
-    Args:
-        points: (n, 3) real numbers. NumPy, a sequence or a Warp array.
-        name: How messages call the points.
-
-    Returns:
-        (n, 3) float64, a copy.
-
-    Raises:
-        ValueError: For anything but real numbers, another shape, or values that are not finite.
-    """
+    """Points (n, 3) of finite real numbers as NumPy: (n, 3) float64, a copy."""
     try:
         host = np.asarray(points.numpy() if isinstance(points, wp.array) else points)
         host = host.astype(np.float64, casting="unsafe" if host.dtype == object else "same_kind")
@@ -198,21 +144,9 @@ def array_view(
     offset: int = 0,
     strides: tuple[int, ...] | None = None,
 ) -> wp.array:
-    """The memory of an array as an array of another type, shape or device. It keeps its owner alive.
-
-    Warp's own views (slices, `reshape`, `view`) do so as well, where they can say what is wanted.
-
-    Args:
-        owner: The array whose memory it is.
-        dtype: Type of the items of the view.
-        shape: Items along each axis of the view.
-        device: Device that the view is used on: for pinned host memory a CUDA device. None is the owner's.
-        offset: Bytes from the owner's first item to the view's.
-        strides: Bytes from item to item along each axis of the view. None is without gaps.
-
-    Returns:
-        The view. It holds the same memory as `owner`, whose lifetime it extends.
-    """
+    """The memory of an array, which stays alive, as an array of another type, shape or device (CUDA for pinned memory).
+    Offset and strides are bytes; None is the owner's device, and strides without gaps."""
+    # Warp's own views (slices, `reshape`, `view`) do so as well, where they can say what is wanted.
     assert owner.ptr is not None
     view = wp.array(
         ptr=owner.ptr + offset,
@@ -227,18 +161,8 @@ def array_view(
 
 
 def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
-    """Bytes that the arrays and textures of an object take: those of its attributes, of theirs, of what lists and dicts
-    hold.
-
-    Views of one array count once. Only objects of this package and structs of Warp are looked into.
-
-    Args:
-        thing: The object.
-        leave: Objects whose arrays do not count.
-
-    Returns:
-        Bytes on devices and in main memory together.
-    """
+    """Bytes, on devices and in main memory, of an object's arrays and textures at any depth; not those of `leave`."""
+    # Views of one array count once. Only objects of this package and structs of Warp are looked into.
     held: dict[tuple[str, int], int] = {}
     seen, open_things = {id(each) for each in leave}, [thing]
     while open_things:

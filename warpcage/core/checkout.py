@@ -1,11 +1,9 @@
-"""Import this package from whatever is there: a wheel, an editable install, or the root of a checkout.
-
-`warpcage/__init__.py` calls both functions before it imports anything else, so this file needs the standard library
-alone, and little of it: until it is done an interrupt ends in a traceback.
-"""
+"""Import this package from whatever is there: a wheel, an editable install, or the root of a checkout."""
 
 from __future__ import annotations
 
+# `warpcage/__init__.py` calls both functions before it imports anything else: this file needs the standard library
+# alone, and little of it, as until it is done an interrupt ends in a traceback.
 import importlib.util
 import os.path
 import sys
@@ -19,11 +17,7 @@ _ROOT = os.path.dirname(_PACKAGE)
 
 
 def require_dependencies() -> None:
-    """Refuse to begin where a module is missing that the package imports.
-
-    Raises:
-        ImportError: One line that names what is missing and the command that installs it.
-    """
+    """Refuse to begin where a module is missing that the package imports."""
     missing = [name for module, name in NEEDED.items() if importlib.util.find_spec(module) is None]
     if missing:
         import shlex
@@ -35,17 +29,9 @@ def require_dependencies() -> None:
 
 
 def find_kernels(package: str) -> None:
-    """Make `kernels` of a checkout importable as a part of the package where nothing else does.
-
-    In a checkout warpcage/kernels is a symbolic link to ../kernels. Git on Windows and programs that pack zip files do
-    not keep it. An installed package holds the kernels themselves.
-
-    Args:
-        package: Name of the package that is being imported.
-
-    Raises:
-        ImportError: One line that says what to do where there are no kernels at all.
-    """
+    """Make `kernels` of a checkout importable as a part of the package where nothing else does."""
+    # In a checkout warpcage/kernels is a symbolic link to ../kernels. Git on Windows and programs that pack zip files
+    # do not keep it. An installed package holds the kernels themselves.
     name = f"{package}.kernels"
     found = importlib.util.find_spec(name)
     if found is not None and found.origin is not None:

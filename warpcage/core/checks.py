@@ -29,33 +29,13 @@ MOST_SHOWN = 60
 
 
 def require_type(value: object, kind: type, what: str) -> None:
-    """Refuse an object of another type.
-
-    Args:
-        value: What was given.
-        kind: The class that it must be an instance of.
-        what: How the message begins: "`what` a `kind`, got ...".
-
-    Raises:
-        ValueError: If `value` is no instance of `kind`.
-    """
+    """Refuse an object of another type; `what` begins the message: "`what` a `kind`, got ..."."""
     if not isinstance(value, kind):
         raise ValueError(f"{what} a {kind.__name__}, got {type(value).__name__}")
 
 
 def checked_number(value: Any, name: str) -> float:
-    """One finite number as a float.
-
-    Args:
-        value: A number, or an array of no dimensions.
-        name: How the message calls it.
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: For text, arrays of numbers, NaN and infinities.
-    """
+    """One finite number, or an array of no dimensions, as a float."""
     number = _number(value)
     if not math.isfinite(number):
         raise ValueError(f"{name} must be one finite number, got {shown(value)}")
@@ -63,18 +43,7 @@ def checked_number(value: Any, name: str) -> float:
 
 
 def checked_positive(value: Any, name: str) -> float:
-    """One positive, finite number as a float.
-
-    Args:
-        value: A number, or an array of no dimensions.
-        name: How the message calls it.
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """One positive, finite number, or an array of no dimensions, as a float."""
     number = _number(value)
     if not (math.isfinite(number) and number > 0.0):
         raise ValueError(f"{name} must be positive and finite, got {shown(value)}")
@@ -82,37 +51,13 @@ def checked_positive(value: Any, name: str) -> float:
 
 
 def checked_step(step: float | None, default: float) -> float:
-    """A march step, world units.
-
-    Args:
-        step: What the caller asked for, world units. None takes `default`.
-        default: The field's own step, world units.
-
-    Returns:
-        The step.
-
-    Raises:
-        ValueError: For a step that is not one positive, finite number.
-    """
+    """A march step, world units; None takes `default`."""
     return default if step is None else checked_positive(step, "the march step")
 
 
 def checked_march(step: float | None, default: float, diagonal: float, distance: float) -> float:
-    """The step of a march from a camera through a field, world units.
-
-    Args:
-        step: What the caller asked for, world units. None takes `default`.
-        default: The field's own step, world units.
-        diagonal: Of the field's box, world units.
-        distance: From the camera to the middle of that box, world units.
-
-    Returns:
-        The step.
-
-    Raises:
-        ValueError: For a step that is not one positive, finite number, one that asks for more than MOST_SAMPLES
-            samples, or one that float32 cannot tell at the camera's distance.
-    """
+    """The step of a march from a camera through a field; all are world units, None takes `default`.
+    `diagonal` is that of the field's box, `distance` goes from the camera to the middle of it."""
     number, shortest = checked_step(step, default), diagonal / MOST_SAMPLES
     if step is not None and number < shortest:
         raise ValueError(
@@ -130,29 +75,14 @@ def checked_march(step: float | None, default: float, diagonal: float, distance:
 
 
 def float32_spacing(value: float) -> float:
-    """How far apart float32 numbers are.
-
-    Args:
-        value: A number, finite or not.
-
-    Returns:
-        The distance from its absolute value to the next number; infinite beyond float32.
-    """
+    """The distance from a number's absolute value to the next float32 number; infinite beyond float32."""
     if not abs(value) < float(np.finfo(np.float32).max):
         return math.inf
     return float(np.spacing(np.float32(abs(value))))
 
 
 def require_ordinary_side(side: float, what: str) -> None:
-    """Refuse what float32 kernels cannot compute in world units.
-
-    Args:
-        side: Longest side, world units.
-        what: How the message begins.
-
-    Raises:
-        ValueError: Outside SMALLEST_SIDE .. LARGEST_SIDE.
-    """
+    """Refuse a longest side, world units, that float32 kernels cannot take: outside SMALLEST_SIDE .. LARGEST_SIDE."""
     if not SMALLEST_SIDE <= side <= LARGEST_SIDE:
         raise ValueError(
             f"{what} has a longest side of {side:.3g} units: kernels can work with {SMALLEST_SIDE:g} to "
@@ -161,17 +91,7 @@ def require_ordinary_side(side: float, what: str) -> None:
 
 
 def checked_margin(margin: float) -> float:
-    """A distance that is kept between two surfaces.
-
-    Args:
-        margin: The distance, in units of the caller.
-
-    Returns:
-        The margin.
-
-    Raises:
-        ValueError: For a margin that is negative or not one finite number.
-    """
+    """A distance that is kept between two surfaces, not negative, in units of the caller."""
     number = _number(margin)
     if not (math.isfinite(number) and number >= 0.0):
         raise ValueError(f"margin must be finite and not negative, got {shown(margin)}")
@@ -179,20 +99,7 @@ def checked_margin(margin: float) -> float:
 
 
 def checked_whole(value: Any, name: str, least: int, most: int | None = None) -> int:
-    """A whole number within a range.
-
-    Args:
-        value: An int, of Python or NumPy. A bool is none.
-        name: How the message calls it.
-        least: Lowest number allowed.
-        most: Highest number allowed. None is no limit.
-
-    Returns:
-        The number as an int.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """A whole number, of Python or NumPy, from `least` to `most` (None is no limit) as an int; a bool is none."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < least or (most is not None and value > most):
         span = f"of at least {least}" if most is None else f"from {least} to {most}"
@@ -201,55 +108,21 @@ def checked_whole(value: Any, name: str, least: int, most: int | None = None) ->
 
 
 def checked_flag(value: Any, name: str) -> bool:
-    """Yes or no.
-
-    Args:
-        value: A bool, of Python or NumPy.
-        name: How the message calls it.
-
-    Returns:
-        The same as a bool of Python.
-
-    Raises:
-        ValueError: For anything else, such as words, which would all be yes.
-    """
+    """Yes or no: a bool of Python or NumPy; words are refused, which would all be yes."""
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} must be True or False, got {shown(value)}")
     return bool(value)
 
 
 def checked_path(path: Any, name: str) -> pathlib.Path:
-    """The name of a file or a folder.
-
-    Args:
-        path: Text or a path.
-        name: How the message calls it.
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """The name of a file or a folder, text or a path."""
     if not isinstance(path, str | os.PathLike) or isinstance(os.fspath(path), bytes):
         raise ValueError(f"{name} must be a path, got {type(path).__name__}")
     return pathlib.Path(path)
 
 
 def real_array(values: Any, name: str, dtype: Any = np.float64) -> np.ndarray:
-    """Real numbers of any shape.
-
-    Args:
-        values: Numbers, sequences of them, or an array.
-        name: How the message calls them.
-        dtype: Of the array.
-
-    Returns:
-        An array, the one that was given where it fits.
-
-    Raises:
-        ValueError: For anything else: text, None, sequences of unequal lengths, numbers that are too large.
-    """
+    """Real numbers of any shape as an array, the one that was given where it fits."""
     try:
         given = np.asarray(values)
         if given.dtype.kind in "biuf" or given.dtype == object:
@@ -260,18 +133,7 @@ def real_array(values: Any, name: str, dtype: Any = np.float64) -> np.ndarray:
 
 
 def checked_vector(value: ArrayLike, name: str) -> np.ndarray:
-    """A point or a direction.
-
-    Args:
-        value: (3,) numbers.
-        name: How the message calls it.
-
-    Returns:
-        (3,) float64.
-
-    Raises:
-        ValueError: For another shape or numbers that are not finite.
-    """
+    """A point or a direction: (3,) float64, finite."""
     try:
         vector = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -282,18 +144,7 @@ def checked_vector(value: ArrayLike, name: str) -> np.ndarray:
 
 
 def checked_direction(value: ArrayLike, name: str) -> np.ndarray:
-    """A direction as a unit vector.
-
-    Args:
-        value: (3,) numbers, of any length but zero.
-        name: How the message calls it.
-
-    Returns:
-        (3,) float64 of length 1.
-
-    Raises:
-        ValueError: For another shape, numbers that are not finite, or zero.
-    """
+    """A direction, of any length but zero, as a unit vector (3,) float64."""
     direction = checked_vector(value, name)
     length = np.linalg.norm(direction)
     if not length > 0:
@@ -302,18 +153,7 @@ def checked_direction(value: ArrayLike, name: str) -> np.ndarray:
 
 
 def checked_bounds(bounds: ArrayLike, name: str = "bounds") -> np.ndarray:
-    """An axis-aligned box.
-
-    Args:
-        bounds: (2, 3) lower and upper corner, world units.
-        name: How the message calls it.
-
-    Returns:
-        (2, 3) float64, read-only.
-
-    Raises:
-        ValueError: For another shape, corners that are not finite, or a lower corner that is not below the upper one.
-    """
+    """An axis-aligned box: (2, 3) float64, lower and upper corner, read-only."""
     box = real_array(bounds, name).copy()
     if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[1] > box[0]).all():
         raise ValueError(f"{name} must be (2, 3), finite, lower below upper, got {box.tolist()}")
@@ -322,33 +162,14 @@ def checked_bounds(bounds: ArrayLike, name: str = "bounds") -> np.ndarray:
 
 
 def axis_index(axis: str) -> int:
-    """The number of an axis.
-
-    Args:
-        axis: "x", "y" or "z".
-
-    Returns:
-        0, 1 or 2.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """The number of an axis: 0, 1 or 2 for "x", "y" or "z"."""
     if not isinstance(axis, str) or len(axis) != 1 or axis not in AXES:
         raise ValueError(f"axis must be 'x', 'y' or 'z', got {shown(axis)}")
     return AXES.index(axis)
 
 
 def listed(names: Iterable[Any], most: int = 8, *, none: str = "none") -> str:
-    """Names in a message: the first of them, and how many more there are.
-
-    Args:
-        names: The names, in the order in which they are shown. Long ones are cut.
-        most: Number of names that are shown.
-        none: What is said where there are none.
-
-    Returns:
-        "a, b, c and 5 more".
-    """
+    """Names in a message, long ones cut: the first `most` of them, and how many more there are."""
     texts = [str(name) for name in names]
     return (", ".join(map(_cut, texts[:most])) or none) + (
         f" and {len(texts) - most} more" if len(texts) > most else ""
@@ -356,14 +177,7 @@ def listed(names: Iterable[Any], most: int = 8, *, none: str = "none") -> str:
 
 
 def shown(value: object) -> str:
-    """A value in a message, cut where it is long.
-
-    Args:
-        value: The value.
-
-    Returns:
-        What `repr` makes of it, or its beginning, in one line.
-    """
+    """A value in a message: its `repr` in one line, cut where it is long."""
     try:
         return _cut(" ".join(repr(value).split()))
     except ValueError:  # a whole number of too many digits
@@ -387,11 +201,7 @@ _PACKAGE = str(pathlib.Path(__file__).parents[1]) + os.sep
 
 
 def warn_caller(message: str) -> None:
-    """Give a UserWarning at the line of the caller outside this package, however deep inside it the call is.
-
-    Args:
-        message: The text of the warning.
-    """
+    """Give a UserWarning at the line of the caller outside this package, however deep inside it the call is."""
     depth, frame = 1, sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         depth, frame = depth + 1, frame.f_back

@@ -9,18 +9,8 @@ POLYNOMIAL, ONE, X = 0xEDB88320, 1 << 31, 1 << 30
 
 
 def joined_crc(first: int, second: int, length: int) -> int:
-    """The checksum of two parts one after the other.
-
-    Reference: `crc32_combine` of zlib.
-
-    Args:
-        first: That of the first part.
-        second: That of the second part.
-        length: Bytes of the second part.
-
-    Returns:
-        The checksum of both.
-    """
+    """The checksum of two parts one after the other, by that of each and the bytes of the second."""
+    # `crc32_combine` of zlib.
     return _product(_shift(8 * length), first) ^ second
 
 

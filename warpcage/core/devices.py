@@ -19,17 +19,7 @@ USUAL_WORK = 16
 
 
 def resolve_device(device: wp.DeviceLike = None) -> wp.Device:
-    """The Warp device of a name.
-
-    Args:
-        device: A Warp device or its name. None is the first CUDA device, or the CPU where there is none.
-
-    Returns:
-        The device.
-
-    Raises:
-        ValueError: If the machine has no such device.
-    """
+    """The Warp device of a name; None is the first CUDA device, or the CPU where there is none."""
     if isinstance(device, wp.Device):
         return device
     start_warp()
@@ -56,27 +46,14 @@ def launch(
     work: float = USUAL_WORK,
 ) -> None:
     """Launch a one-dimensional kernel whose first parameter is `first`, the index of this launch's first item.
-
-    On CUDA it is one launch with `first` = 0. On the CPU the items are cut into parts that run on several threads, so
-    outputs of different items must be disjoint: no atomics across items there. Parts last a fraction of a second, so
-    that an interrupt acts soon. Any thread may launch.
-
-    Args:
-        kernel: The kernel.
-        count: Number of items. Nothing is launched for 0.
-        inputs: Arguments of the kernel after `first`.
-        outputs: Arguments of the kernel after those.
-        device: Warp device that holds them.
-        threads: Threads on the CPU. None is `cpu_threads()`.
-        block_dim: Threads per block on CUDA. None is what the kernel's module names, as a module is compiled once more
-            for each other number.
-        work: Steps that an item may take, such as samples along a ray, where it may be many. Each should last about
-            0.1 us or less.
-    """
+    On the CPU outputs of items must be disjoint: no atomics. `work`: steps an item may take, each 0.1 us or less."""
+    # On CUDA it is one launch with `first` = 0. On the CPU parts of the items run on several threads. Any
+    # thread may launch.
     assert isinstance(kernel, wp.Kernel)
     device = wp.get_device(device)
     if count <= 0:
         return
+    # a module is compiled once more for each other number
     block_dim = module_block_dim(kernel) if block_dim is None else block_dim
     require_loaded(kernel, device, block_dim)
 
@@ -90,6 +67,7 @@ def launch(
         with device_turn(device):
             run(0, count)
         return
+    # parts last a fraction of a second, so that an interrupt acts soon
     threads = cpu_threads() if threads is None else threads
     first = max(1, int(FIRST_WORK / max(work, 1.0)))
     if count < 2 * threads:
@@ -101,16 +79,11 @@ def launch(
 
 
 class RepeatedLaunch:
-    """A kernel that frames launch one after the other with mostly the same arguments.
+    """A kernel that frames launch one after the other with mostly the same arguments; on a CPU it is `launch`."""
 
-    To pack all arguments takes the host several times as long as the launch itself. So CUDA launches are recorded: a
-    later one sets those that have become other objects, and what a struct holds may change. The arguments of the last
-    one stay alive, but for those that are said to pass. On a CPU it is `launch`.
-
-    Args:
-        kernel: The kernel.
-        device: Warp device.
-    """
+    # To pack all arguments takes the host several times as long as the launch itself. So CUDA launches are recorded: a
+    # later one sets those that have become other objects, and what a struct holds may change. The arguments of the last
+    # one stay alive, but for those that are said to pass.
 
     def __init__(self, kernel: Kernel, device: wp.DeviceLike):
         self._kernel, self._device = kernel, wp.get_device(device)
@@ -127,17 +100,7 @@ class RepeatedLaunch:
         threads: int | None = None,
         work: float = USUAL_WORK,
     ) -> None:
-        """Launch it.
-
-        Args:
-            count: Number of items. Nothing is launched for 0.
-            inputs: Arguments of the kernel after `first`.
-            outputs: Arguments of the kernel after those.
-            passing: How many of the last arguments are not kept alive: what one frame alone has.
-            stream: Of CUDA. None is the current one.
-            threads: As `launch` has it.
-            work: As `launch` has it.
-        """
+        """Launch it; the last `passing` arguments are not kept alive: what one frame alone has."""
         if self._device.is_cpu:
             launch(self._kernel, count, inputs, outputs, device=self._device, threads=threads, work=work)
         elif count > 0:
@@ -167,11 +130,7 @@ class RepeatedLaunch:
 
 
 class RepeatedLaunches:
-    """The launches that an owner makes once a pose or a frame, each a RepeatedLaunch.
-
-    Args:
-        device: Warp device.
-    """
+    """The launches that an owner makes once a pose or a frame, each a RepeatedLaunch."""
 
     def __init__(self, device: wp.DeviceLike):
         self._device = wp.get_device(device)
@@ -187,16 +146,7 @@ class RepeatedLaunches:
         number: int = 0,
         **how: Any,
     ) -> None:
-        """Launch a kernel.
-
-        Args:
-            kernel: The kernel.
-            count: Number of items.
-            inputs: Arguments of the kernel after `first`.
-            outputs: Arguments of the kernel after those.
-            number: Of the launch, among those of the same kernel.
-            **how: As RepeatedLaunch has it.
-        """
+        """Launch a kernel; `number` tells launches of the same kernel apart, `how` goes on to RepeatedLaunch."""
         key = kernel, number
         if key not in self._launches:
             self._launches[key] = RepeatedLaunch(kernel, self._device)
@@ -204,25 +154,11 @@ class RepeatedLaunches:
 
 
 def lane_count(device: wp.DeviceLike) -> int:
-    """Items that share a piece of work in kernels written for a group of lanes (kernels/core/lanes.py).
-
-    Args:
-        device: Warp device.
-
-    Returns:
-        1 on the CPU, else 32.
-    """
+    """Items that share a piece of work in kernels for groups of lanes (kernels/core/lanes): 1 on the CPU, else 32."""
     return 1 if wp.get_device(device).is_cpu else 32
 
 
 def module_block_dim(kernel: Kernel) -> int:
-    """Threads per block that a kernel's module is meant for.
-
-    Args:
-        kernel: The kernel.
-
-    Returns:
-        The option block_dim of its module, 256 where it names none.
-    """
+    """Threads per block that a kernel's module is meant for: its option block_dim, 256 where it names none."""
     assert isinstance(kernel, wp.Kernel)
     return kernel.module.options["block_dim"]

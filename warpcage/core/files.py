@@ -50,24 +50,10 @@ _HEADERS = {(1, 0): (np.lib.format.read_array_header_1_0, 2), (2, 0): (np.lib.fo
 def read_npz(
     path: PathLike, what: str, wanted: Callable[[str], object] | None = None, *, room: int = 1
 ) -> dict[str, np.ndarray]:
-    """Read an .npz file without trusting it.
-
-    Sizes are compared with that of the file and with the memory that is free before anything is allocated. Pickled
-    objects are refused and never opened. Arrays that nobody asked for are not read, however large they are.
-
-    Args:
-        path: The file.
-        what: How messages call it.
-        wanted: Whether an array of that name is read. None reads all.
-        room: Bytes of memory that each byte of the arrays takes until the caller is done with them.
-
-    Returns:
-        The arrays by name.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: What is wrong in which array.
-    """
+    """Read the arrays of an .npz file that are wanted (None: all) without trusting it.
+    `room`: bytes of memory that each byte of the arrays takes until the caller is done with them."""
+    # Sizes are compared with that of the file and with the memory that is free before anything is allocated. Pickled
+    # objects are never opened. Arrays that nobody asked for are not read, however large they are.
     with _opened_npz(path, what) as archive:
         members = [info for info in _members(archive) if wanted is None or wanted(_array_name(info))]
         _check_sizes(archive, members, room)
@@ -75,38 +61,13 @@ def read_npz(
 
 
 def npz_names(path: PathLike, what: str) -> list[str]:
-    """The names of the arrays in an .npz file. None of them is read.
-
-    Args:
-        path: The file.
-        what: How messages call it.
-
-    Returns:
-        The names in alphabetical order.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is no .npz file.
-    """
+    """The names of the arrays in an .npz file, in alphabetical order; none of them is read."""
     with _opened_npz(path, what) as archive:
         return sorted(map(_array_name, _members(archive)))
 
 
 def read_limited(path: PathLike, what: str, room: int = 1) -> bytes:
-    """The bytes of a file, if there is memory for what becomes of them.
-
-    Args:
-        path: The file.
-        what: How messages call it.
-        room: Bytes of memory that each byte of the file takes until the caller is done with it.
-
-    Returns:
-        The bytes.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If there is not enough memory.
-    """
+    """The bytes of a file, if there is memory for what becomes of them: `room` bytes for each."""
     path = require_file(path, what)
     size = path.stat().st_size
     require_host_memory(room * size, f"{path}: its {size} bytes need")
@@ -116,20 +77,7 @@ def read_limited(path: PathLike, what: str, room: int = 1) -> bytes:
 def require_numbers(
     contents: dict[str, np.ndarray], name: str, shape: tuple[int | None, ...] | None, path: PathLike
 ) -> np.ndarray:
-    """An array of real numbers from a file.
-
-    Args:
-        contents: What `read_npz` read.
-        name: Name of the array.
-        shape: Its shape. None, or None for a side, is any.
-        path: The file, for the message.
-
-    Returns:
-        The array.
-
-    Raises:
-        ValueError: If the array is missing, or holds something else or another shape.
-    """
+    """An array of real numbers from what `read_npz` read; a shape of None, or None for a side, is any."""
     if name not in contents:
         raise ValueError(f"{path} lacks {name}")
     array = contents[name]
@@ -209,17 +157,7 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 
 
 def _read_stored(archive: zipfile.ZipFile, info: zipfile.ZipInfo, octets: np.ndarray) -> None:
-    """Read the last bytes of a member that is stored as it is, on several threads, and compare the checksum of all.
-
-    Args:
-        archive: The archive, of a file on the disk.
-        info: The member.
-        octets: (n,) uint8 is filled.
-
-    Raises:
-        ValueError: For a file that ends before.
-        BadZipFile: For a checksum that differs.
-    """
+    """Fill octets (n,) uint8 with the last bytes of a stored member, on several threads, and compare its checksum."""
     path, head = archive.filename, info.file_size - len(octets)
     assert path is not None
     with open(path, "rb") as file:
@@ -249,18 +187,8 @@ def _read_stored(archive: zipfile.ZipFile, info: zipfile.ZipInfo, octets: np.nda
 
 
 def read_npy_header(file: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """What the header of a .npy file says; pickled objects are refused.
-
-    Args:
-        file: The file, at its beginning; afterwards at the array's first byte.
-        name: How messages call the array.
-
-    Returns:
-        Shape, whether columns come first, and data type of an array of numbers or text.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """Shape, whether columns come first, and data type of a .npy file of numbers or text; pickled objects are refused.
+    The file is at its beginning, afterwards at the array's first byte."""
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:
         raise ValueError(f"array {name!r} has the unknown .npy version {version}")
@@ -279,18 +207,9 @@ def read_npy_header(file: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, 
 
 @contextlib.contextmanager
 def atomic_path(path: PathLike) -> Iterator[pathlib.Path]:
-    """A temporary file that takes the place of `path` when the block ends without an error.
-
-    The parent folder is made. After an error the temporary file is removed and `path` is as it was. A file that is
-    replaced passes on its permissions; a new one gets what an ordinary `open` gives it. Where `path` is a symbolic
-    link, it stays one, and the file that it leads to is replaced.
-
-    Args:
-        path: The file to be written.
-
-    Yields:
-        The path of the temporary file, in the folder of the file that is replaced, and with the same ending.
-    """
+    """A temporary file, with the same ending, that takes the place of `path` when the block ends without an error.
+    After an error `path` is as it was. Where it is a symbolic link, it stays one, and its target is replaced."""
+    # A file that is replaced passes on its permissions; a new one gets what an ordinary `open` gives it.
     path = checked_path(path, "the file to write")
     path.parent.mkdir(parents=True, exist_ok=True)
     target = pathlib.Path(os.path.realpath(path)) if path.is_symlink() else path
@@ -331,18 +250,7 @@ def _temporary_name(stem: str, suffix: str) -> str:
 
 
 def require_file(path: PathLike, what: str) -> pathlib.Path:
-    """The path of a file that must be there.
-
-    Args:
-        path: The file.
-        what: How the message calls it.
-
-    Returns:
-        The path.
-
-    Raises:
-        FileNotFoundError: If it is not a file.
-    """
+    """The path of a file that must be there."""
     path = checked_path(path, f"the {what}")
     if path.is_dir():
         raise FileNotFoundError(f"{what} {str(path)!r} is a folder")
@@ -352,16 +260,6 @@ def require_file(path: PathLike, what: str) -> pathlib.Path:
 
 
 def file_stamp(path: PathLike) -> tuple[int, int]:
-    """Size of a file and its time of change, by which one that was replaced or written to is known.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Bytes and nanoseconds.
-
-    Raises:
-        OSError: If it cannot be looked at.
-    """
+    """Bytes of a file and its time of change, nanoseconds, by which one that was replaced or written to is known."""
     status = os.stat(path)
     return status.st_size, status.st_mtime_ns

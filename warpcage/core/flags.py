@@ -6,17 +6,11 @@ import warp as wp
 
 
 class HostFlag:
-    """One number that kernels set and the host waits for.
-
-    Args:
-        device: Warp device that the kernels run on.
-
-    Attributes:
-        array: (1,) int32 on the device, for kernels.
-    """
+    """One number that kernels set and the host waits for."""
 
     def __init__(self, device: wp.DeviceLike):
         self._device = wp.get_device(device)
+        # (1,) int32, for kernels
         self.array = wp.zeros(1, dtype=wp.int32, device=self._device)
         self._host = wp.zeros(1, dtype=wp.int32, device="cpu", pinned=True) if self._device.is_cuda else self.array
         self._sent = wp.Event(self._device) if self._device.is_cuda else None

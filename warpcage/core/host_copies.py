@@ -1,8 +1,4 @@
-"""Copies to the host that nobody waits for yet: they follow what was launched, and other work is launched behind them.
-
-Behind each copy the device writes a number into memory that the host reads. Whoever needs the copy looks at that
-number, in any thread and without a word to the device: its turn (`device_turn`) stays with the thread that launches.
-"""
+"""Copies to the host that nobody waits for yet: they follow what was launched, and other work goes on behind them."""
 
 from __future__ import annotations
 
@@ -33,12 +29,12 @@ THERE = 1
 
 
 class HostCopy:
-    """A copy of an array on a CUDA device, as it is when all is done that was launched before.
+    """A copy of a contiguous array on a CUDA device, as it is when all is done that was launched before.
+    `state`, (1,) int32 on its device and not 0 by then, comes with the copy; None is THERE."""
 
-    Args:
-        array: Contiguous, of any type.
-        state: (1,) int32 on its device, not 0 then; it comes with the copy. None is THERE.
-    """
+    # Behind each copy the device writes a number into memory that the host reads. Whoever needs the copy looks at that
+    # number, in any thread and without a word to the device: its turn (`device_turn`) stays with the thread that
+    # launches.
 
     def __init__(self, array: wp.array, state: wp.array | None = None):
         assert array.device is not None
@@ -51,14 +47,8 @@ class HostCopy:
             self._piece.send(array, state)
 
     def wait(self) -> tuple[np.ndarray, int]:
-        """Wait until it is there.
-
-        Returns:
-            (bytes,) uint8, and the number of `state`. Memory is given to other copies once nothing refers to it.
-
-        Raises:
-            RuntimeError: Where the device failed.
-        """
+        """Wait until it is there: (bytes,) uint8, and the number of `state`; RuntimeError where the device failed.
+        The memory is given to other copies once nothing refers to the array."""
         if self._piece is None:
             array, state = self._found
             return array.reshape(-1).view(np.uint8), state

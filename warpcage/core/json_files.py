@@ -12,19 +12,7 @@ DAMAGED = (KeyError, TypeError, AttributeError, OverflowError, RecursionError)
 
 
 def read_json(path: PathLike, what: str) -> dict[str, Any]:
-    """The object that a JSON file holds.
-
-    Args:
-        path: The file.
-        what: How messages call it, such as "pose file".
-
-    Returns:
-        The object.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: What is wrong, without the path, where it holds no JSON object.
-    """
+    """The object that a JSON file holds; a ValueError says what is wrong without the path."""
     data = read_limited(path, what, JSON_ROOM)
     try:
         content = json.loads(data.decode("utf-8"))

@@ -1,8 +1,4 @@
-"""The kernel files as text: their names, what each one needs, and copies that work without warpcage.
-
-A kernel file is named by its folder and its stem, as in `coordinates/mean_value`. The files import each other
-relatively (`from ..mesh.fans import ...`), so a copy keeps the folders.
-"""
+"""The kernel files as text: their names (`folder/stem`), what each one needs, and copies that work without warpcage."""
 
 from __future__ import annotations
 
@@ -28,17 +24,7 @@ def kernel_names() -> list[str]:
 
 
 def find_kernel(text: str) -> str:
-    """The full name of a kernel file.
-
-    Args:
-        text: "coordinates/mean_value", "coordinates.mean_value", or "mean_value" where one folder alone has that file.
-
-    Returns:
-        The name as `kernel_names` has it.
-
-    Raises:
-        ValueError: For a name that no file has, or that several have; the message names candidates.
-    """
+    """The full name of a kernel file, given so, with a dot for the slash, or as a stem that one folder alone has."""
     names = kernel_names()
     wanted = text.replace(".", "/")
     found = [name for name in names if wanted in (name, _stem(name))]
@@ -86,25 +72,12 @@ def all_needs(name: str) -> set[str]:
 
 
 def copy_kernel(name: str, destination: str | os.PathLike) -> list[pathlib.Path]:
-    """Copy a kernel file and all that it needs into a package that imports without warpcage.
-
-    After `copy_kernel("coordinates/mean_value", "borrowed")` a program beside that folder can say
-    `from borrowed.coordinates.mean_value import ...`. Everything is copied, or nothing where an error ends it. Files
-    that are there already with the same text stay, and so does every `__init__.py`.
-
-    Args:
-        name: The full name of the kernel file, see `find_kernel`.
-        destination: Folder of the package. It is made where there is none; its name must be one that Python can import.
-
-    Returns:
-        The kernel files of the copy, sorted: the one asked for and those that it needs.
-
-    Raises:
-        ValueError: For a folder whose name Python cannot import, and where a file of another text is in the way.
-    """
+    """Copy a kernel file and all that it needs into a package that imports without warpcage; returns their paths,
+    sorted. All or nothing is copied; files that are there with the same text stay, and so does every `__init__.py`."""
     destination = pathlib.Path(destination)
     _check_package_name(destination)
     names = sorted({name} | all_needs(name))
+    # The files import each other relatively (`from ..mesh.fans import ...`), so a copy keeps the folders.
     texts = {destination / f"{each}.py": kernel_source(each) for each in names}
     for path, text in texts.items():
         if path.exists() and path.read_text(encoding="utf-8") != text:

@@ -22,44 +22,22 @@ _device_locks: dict[int, Lock] = {}
 
 
 def device_turn(device: wp.Device) -> contextlib.AbstractContextManager[object]:
-    """What to hold (`with`) while work for a device is handed over.
-
-    Warp keeps one current stream and one list of captures for each CUDA device, and all threads share them: a launch of
-    another thread would land in this thread's graph, or on a side stream that nothing waits for. One thread at a time
-    may therefore talk to a CUDA device. What it launched goes on without the lock.
-
-    Args:
-        device: Warp device.
-
-    Returns:
-        The lock of a CUDA device, one for the whole process; nothing to wait for on the CPU, where launches share no
-        state.
-    """
+    """What to hold (`with`) while work for a device is handed over: one lock in the process for each CUDA device."""
+    # Warp keeps one current stream and one list of captures for each CUDA device, and all threads share them: a launch
+    # of another thread would land in this thread's graph, or on a side stream that nothing waits for. What was launched
+    # goes on without the lock. On the CPU launches share no state.
     return _NO_LOCK if device.is_cpu else _device_lock(device)
 
 
 def owner_lock(device: wp.Device) -> Lock:
-    """The lock of an object that owns buffers on a device.
-
-    Args:
-        device: Warp device.
-
-    Returns:
-        A lock of its own on the CPU, so that threads with an object each do not wait for each other. The device's on
-        CUDA (see `device_turn`): with two locks, two threads could wait for each other for ever.
-    """
+    """The lock of an object that owns buffers on a device: its own on the CPU, `device_turn` on CUDA."""
+    # On the CPU threads with an object each do not wait for each other. On CUDA, with two locks, two threads could wait
+    # for each other for ever.
     return threading.RLock() if device.is_cpu else _device_lock(device)
 
 
 def in_turn(method: _Method) -> _Method:
-    """Let a method hold `device_turn` of its object's device.
-
-    Args:
-        method: Of an object with a `device`.
-
-    Returns:
-        The method.
-    """
+    """Let a method of an object with a `device` hold `device_turn` of it."""
 
     @functools.wraps(method)
     def turn(self: Any, *args: Any, **options: Any) -> Any:

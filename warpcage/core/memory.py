@@ -30,16 +30,10 @@ class MemoryShortage(ValueError):
 
 
 def is_shortage(error: BaseException | None) -> bool:
-    """Whether an error says that there was not enough memory, or came of one that did.
-
-    Args:
-        error: The error.
-
-    Returns:
-        Whether it did. Warp has no class of its own for it, but words.
-    """
+    """Whether an error says that there was not enough memory, or came of one that did."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
+        # Warp has no class of its own for it, but words
         if isinstance(error, MemoryError | MemoryShortage) or "Failed to allocate" in str(error):
             return True
         seen.add(id(error))
@@ -48,44 +42,22 @@ def is_shortage(error: BaseException | None) -> bool:
 
 
 def free_bytes(device: wp.Device) -> int:
-    """Memory that can still be allocated on a device.
-
-    Args:
-        device: The device.
-
-    Returns:
-        Bytes; for the CPU as `free_host_bytes`.
-    """
+    """Bytes that can still be allocated on a device; for the CPU as `free_host_bytes`."""
     return free_host_bytes() if device.is_cpu else device.free_memory
 
 
 def free_host_bytes(root: str = "/") -> int:
-    """Main memory that this process can still allocate.
-
-    Args:
-        root: Folder that holds proc and sys, for tests.
-
-    Returns:
-        Bytes, the least of: what the system has free, what the control groups of the process (containers, jobs of a
-        cluster) have left, and what is left of the process's own limits (`ulimit -v` and `-d`). Limits that the system
-        does not tell count as none.
-    """
+    """Bytes of main memory that this process can still allocate; `root` holds proc and sys, for tests."""
+    # The least of what the system has free, what the control groups of the process (containers, jobs of a cluster) have
+    # left, and what is left of its own limits (`ulimit -v` and `-d`). Limits that the system does not tell count as
+    # none.
     base = pathlib.Path(root)
     return max(0, min(_system_bytes(base), *_group_bytes(base), *_process_bytes(base)))
 
 
 def require_memory(size: int, device: wp.Device, message: str, *, held: int = 0) -> None:
-    """Refuse work that needs more memory than is free.
-
-    Args:
-        size: Bytes that the work needs.
-        device: The device that it runs on.
-        message: The error's text; `{size}` in it becomes what is needed and what is free.
-        held: Bytes that are allocated now and will be used again.
-
-    Raises:
-        ValueError: If fewer bytes are free.
-    """
+    """Refuse work that needs more bytes than are free or `held`: allocated now and used again.
+    `{size}` in the message becomes what is needed and what is free."""
     free = free_bytes(device) + held
     if size > free:
         figures = f"{size / 2**30:.2f} GiB, {device.alias} has {free / 2**30:.2f} GiB free"
@@ -93,16 +65,8 @@ def require_memory(size: int, device: wp.Device, message: str, *, held: int = 0)
 
 
 def require_host_memory(size: int, what: str) -> None:
-    """Refuse what needs more main memory than is free.
-
-    Args:
-        size: Bytes that are needed.
-        what: How the message begins: "`what` 4.00 GiB of memory, 1.00 GiB are free".
-
-    Raises:
-        ValueError: If fewer bytes are free. For LITTLE bytes the system is not asked, which would take longer than
-            to fill them.
-    """
+    """Refuse what needs more bytes of main memory than are free: "`what` 4.00 GiB of memory, 1.00 GiB are free"."""
+    # to ask the system would take longer than to fill them
     if size <= LITTLE:
         return
     free = free_host_bytes()

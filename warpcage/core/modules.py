@@ -29,11 +29,7 @@ _loaded: set[tuple[wp.Module, str, int | None]] = set()
 
 
 def start_warp() -> None:
-    """Start Warp, in one thread; costs nothing where it has started.
-
-    Raises:
-        RuntimeError: Where the folder of the kernel cache cannot be made.
-    """
+    """Start Warp, in one thread; costs nothing where it has started."""
     with _loading:
         try:
             with without_driver_note():
@@ -43,17 +39,8 @@ def start_warp() -> None:
 
 
 def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> None:
-    """Compile and load modules of kernels side by side, each for the block size that it names.
-
-    Launched one by one they would wait for each other. Costs nothing where they are loaded.
-
-    Args:
-        modules: Python modules that hold kernels.
-        device: Warp device.
-
-    Raises:
-        RuntimeError: For files of the kernel cache that are damaged and cannot be replaced.
-    """
+    """Compile and load modules of kernels side by side, each for the block size that it names; none twice."""
+    # Launched one by one they would wait for each other.
     device = wp.get_device(device)
     warp_modules = [wp.get_module(module.__name__) for module in modules]
     with device_turn(device), _loading:
@@ -67,16 +54,7 @@ def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> 
 
 
 def require_loaded(kernel: Kernel, device: wp.Device, block_dim: int) -> None:
-    """Compile and load the module of a kernel, where that was not done.
-
-    Args:
-        kernel: The kernel.
-        device: Warp device.
-        block_dim: Threads per block on CUDA.
-
-    Raises:
-        RuntimeError: For files of the kernel cache that are damaged and cannot be replaced.
-    """
+    """Compile and load the module of a kernel, where that was not done, for so many threads per block on CUDA."""
     assert isinstance(kernel, wp.Kernel)
     place = (kernel.module, device.alias, None if device.is_cpu else block_dim)
     if place in _loaded:
@@ -140,11 +118,9 @@ def _removed(folder: pathlib.Path) -> bool:
 
 
 def _ask_cpu_target() -> None:
-    """Ask Warp for the compiler's version, which it keeps, before threads do.
-
-    Its library writes the answer into one buffer at each call (Warp 1.19): two threads that load their first modules at
-    once may read it half written, and their objects get names that the next process does not find in the cache.
-    """
+    """Ask Warp for the compiler's version, which it keeps, before threads do."""
+    # Its library writes the answer into one buffer at each call (Warp 1.19): two threads that load their first modules
+    # at once may read it half written, and their objects get names that the next process does not find in the cache.
     ask = getattr(sys.modules.get("warp._src.context"), "_get_cpu_toolchain_version", None)
     if ask is not None:
         ask()

@@ -37,49 +37,17 @@ LOOPS = ("once", "loop", "ping-pong")
 
 
 def require_name(value: object, names: Sequence[str], what: str) -> str:
-    """One of the names that an option takes.
-
-    Args:
-        value: As it was given.
-        names: The names.
-        what: Name of the option.
-
-    Returns:
-        The value.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """A value that is one of the names that an option takes; `what` is the option's name."""
     if not isinstance(value, str) or value not in names:
         raise ValueError(f"{what} must be one of {', '.join(names)}, got {' '.join(repr(value)[:60].split())}")
     return value
 
 
 def require_coordinates(value: object) -> str:
-    """One of COORDINATES.
-
-    Args:
-        value: As it was given.
-
-    Returns:
-        The value.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """One of COORDINATES."""
     return require_name(value, COORDINATES, "coordinates")
 
 
 def require_store(value: object) -> str:
-    """One of STORES.
-
-    Args:
-        value: As it was given.
-
-    Returns:
-        The value.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """One of STORES."""
     return require_name(value, STORES, "store")

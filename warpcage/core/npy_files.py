@@ -14,27 +14,14 @@ NUMBERS = "fiu"
 
 
 class NpyFile:
-    """An array in a .npy file, of which a row is read at a time.
+    """An array in a .npy file, of which a row is read at a time by its place in the file."""
 
-    Rows are read by their place in the file: of millions of poses none but the one that is asked for is in memory. A
-    mapped file would do the same, but a file that is cut off under it kills the process.
-
-    Args:
-        path: The file.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is no .npy file of numbers, or shorter than it says.
-
-    Attributes:
-        path: The file.
-        shape: Of the whole array.
-        dtype: Data type of the numbers.
-        stamp: Size and time of the file, by which a changed one is known.
-    """
+    # Of millions of poses none but the one that is asked for is in memory. A mapped file would do the same, but a file
+    # that is cut off under it kills the process.
 
     def __init__(self, path: PathLike):
         self.path = require_file(path, "array file")
+        # size and time, by which a changed file is known
         self.stamp = file_stamp(self.path)
         with self.path.open("rb") as file:
             try:
@@ -60,17 +47,7 @@ class NpyFile:
         return math.prod(self.shape[1:]) * self.dtype.itemsize
 
     def row(self, index: int) -> np.ndarray:
-        """A row.
-
-        Args:
-            index: Its number, from 0.
-
-        Returns:
-            The array's part at that place of its first axis.
-
-        Raises:
-            ValueError: For a number that it does not have, or a file that was cut off.
-        """
+        """The array's part at a place of its first axis, from 0."""
         return self._array(self.row_data(index), self.shape[1:])
 
     def row_data(self, index: int) -> bytes:

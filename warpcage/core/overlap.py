@@ -1,12 +1,10 @@
-"""Work beside work: pictures are encoded by other threads while the next ones are rendered, and only few of them wait.
-
-What makes the pictures stays in the caller's thread, where interrupts arrive and where a device is talked to. What
-encodes them runs beside it, and lets go of the interpreter's lock. Whoever is faster waits for the other, so that
-memory is the same after a hundred pictures and after ten thousand.
-"""
+"""Work beside work: other threads encode pictures while the next ones are rendered, and only few of them wait."""
 
 from __future__ import annotations
 
+# What makes the pictures stays in the caller's thread, where interrupts arrive and where a device is talked to. What
+# encodes them runs beside it, and lets go of the interpreter's lock. Whoever is faster waits for the other, so that
+# memory is the same after a hundred pictures and after ten thousand.
 import queue
 import threading
 import types
@@ -30,18 +28,11 @@ _Prepared = TypeVar("_Prepared")
 
 
 class Beside:
-    """Runs tasks on a few threads of its own while the caller makes the next ones (`with`).
+    """Runs tasks on a few threads of its own while the caller makes the next ones (`with`); the block ends when all are
+    done. The first error of a task is raised by `run` or at the end. `room`: bytes that unfinished tasks may hold."""
 
-    The block ends when all of them are done. After an error, in the block or of a task, and after an interrupt, no task
-    begins any more, and those that run are waited for.
-
-    Args:
-        threads: How many. None is one for each CPU thread, TASK_THREADS at most.
-        room: Bytes that tasks which are not done may hold.
-
-    Raises:
-        BaseException: The first error of a task, by `run` or at the end of the block.
-    """
+    # After an error, in the block or of a task, and after an interrupt, no task begins any more, and those that run are
+    # waited for.
 
     def __init__(self, threads: int | None = None, room: int = ROOM):
         count = min(TASK_THREADS, cpu_threads()) if threads is None else threads
@@ -50,12 +41,7 @@ class Beside:
         self._error: BaseException | None = None
 
     def run(self, task: Callable[[], Any], size: int = 0) -> None:
-        """Hand a task over; waits while too many are under way.
-
-        Args:
-            task: Takes no arguments.
-            size: Bytes that it holds.
-        """
+        """Hand over a task that holds so many bytes; waits while too many are under way."""
         if self._gate.enter(size):
             self._pool.submit(self._run, task, size)
         else:
@@ -104,21 +90,10 @@ def stream(
     threads: int | None = None,
     room: int = ROOM,
 ) -> None:
-    """Take items here while another thread consumes those before them.
-
-    After an error of any of the three, and after an interrupt, nothing is left running when this returns: `consume`
-    gets an exception from its iterator, and can clean up.
-
-    Args:
-        items: Are taken one by one in this thread. Where they have `nbytes`, those count as their size.
-        prepare: Applied to each, on a few threads at once.
-        consume: Takes the results, in order.
-        threads: How many prepare. None is one for each CPU thread, PREPARING_THREADS at most.
-        room: Bytes of items that may wait and be worked on.
-
-    Raises:
-        BaseException: The first error.
-    """
+    """Take items in this thread, prepare each on a few others, and consume the results, in order, in one more.
+    `room`: bytes (`nbytes` of items) that may wait and be worked on. The first error is raised."""
+    # After an error of any of the three, and after an interrupt, nothing is left running when this returns: `consume`
+    # gets an exception from its iterator, and can clean up.
     count = min(PREPARING_THREADS, cpu_threads()) if threads is None else threads
     gate, line = Gate(count + SPARE, room), queue.SimpleQueue[tuple[Future[_Prepared], int] | None]()
     abandoned, ended = threading.Event(), threading.Event()
@@ -172,15 +147,7 @@ class _Abandoned(Exception):
 
 
 class Gate:
-    """Lets in what there is room for.
-
-    Args:
-        most: Most things that are in.
-        room: Most bytes that they hold; one thing is let in whatever it holds.
-
-    Attributes:
-        closed: Whether nothing is let in any more.
-    """
+    """Lets in what there is room for: at most so many things and bytes, but one thing whatever it holds."""
 
     def __init__(self, most: int, room: int = ROOM):
         self._changed = threading.Condition()
@@ -189,14 +156,7 @@ class Gate:
         self.closed = False
 
     def enter(self, size: int) -> bool:
-        """Wait for room, and take it.
-
-        Args:
-            size: Bytes.
-
-        Returns:
-            False where the gate is closed.
-        """
+        """Wait for room for so many bytes, and take it; False where the gate is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self.closed or self._fits(size))
             if self.closed:
@@ -206,11 +166,7 @@ class Gate:
             return True
 
     def leave(self, size: int) -> None:
-        """Give room back.
-
-        Args:
-            size: Bytes, as it came in.
-        """
+        """Give room back: as many bytes as came in."""
         with self._changed:
             self._count -= 1
             self._bytes -= size

@@ -24,15 +24,8 @@ class _Kept(Generic[Thing]):
 
 
 class Recent(Generic[Thing]):
-    """Things by key, of which those that were not used for longest are let go.
-
-    Args:
-        most: Most things that are kept, at least 1.
-        most_bytes: Most bytes that they take together; the one that is used last stays whatever it takes. None is no
-            limit.
-        measure: How many bytes a thing takes. None counts none.
-        dropped: Called with each thing that is let go. None calls nothing.
-    """
+    """Things by key, of which those that were not used for longest are let go, and `dropped` is called with each.
+    The one that is used last stays, whatever bytes it takes by `measure`. None: no limit of bytes, none counted."""
 
     def __init__(
         self,
@@ -56,15 +49,7 @@ class Recent(Generic[Thing]):
         return sum(kept.size for kept in self._things.values())
 
     def get(self, key: Hashable, make: Callable[[], Thing]) -> Thing:
-        """The thing of a key, made where it is not kept.
-
-        Args:
-            key: The key.
-            make: Makes it.
-
-        Returns:
-            The thing, which is now the one that was used last.
-        """
+        """The thing of a key, made where it is not kept; it is now the one that was used last."""
         if key in self._things:
             self._things.move_to_end(key)
             return self._things[key].thing
@@ -76,18 +61,12 @@ class Recent(Generic[Thing]):
         return thing
 
     def settle(self, key: Hashable) -> None:
-        """Measure a thing anew, which may have grown since it was made, and let go of what is too much.
-
-        Measuring takes a while: of many calls for one thing it is done at the first, second, fourth and so on, then at
-        every MEASURED_EVERY.
-
-        Args:
-            key: Its key; nothing is done where it is not kept.
-        """
+        """Measure a thing anew, which may have grown since it was made, and let go of what is too much."""
         if key not in self._things or self.measure is None:
             return
         kept = self._things[key]
         kept.calls += 1
+        # measuring takes a while: at the first, second, fourth call and so on, then at every MEASURED_EVERY
         if kept.calls % MEASURED_EVERY and kept.calls & (kept.calls - 1):
             return
         kept.size = self.measure(kept.thing)

@@ -17,16 +17,12 @@ _set: dict[int, int] = {}
 
 
 class SpareMemory:
-    """What one owner of frames lets the pool of its device keep.
+    """What one owner of frames lets the pool of its device keep."""
 
-    Whenever the host waits for a GPU, its pool gives back to the driver what it holds beyond its release threshold,
-    which is nothing by default. To get it anew takes the next frame longer than a launch. So the threshold follows the
-    memory in use, and leaves room for a few frames beside that. It goes back to nothing with the owner. A threshold
-    that a program has set itself stays as it is.
-
-    Args:
-        device: Warp device.
-    """
+    # Whenever the host waits for a GPU, its pool gives back to the driver what it holds beyond its release threshold,
+    # which is nothing by default. To get it anew takes the next frame longer than a launch. So the threshold follows
+    # the memory in use, and leaves room for a few frames beside that. It goes back to nothing with the owner. A
+    # threshold that a program has set itself stays as it is.
 
     def __init__(self, device: wp.Device):
         self._device = device if device.is_cuda and device.is_mempool_enabled else None
@@ -34,11 +30,7 @@ class SpareMemory:
             weakref.finalize(self, _give_back, self._device).atexit = False
 
     def keep(self, size: int) -> None:
-        """Keep memory for frames, once they are dropped.
-
-        Args:
-            size: Bytes of one.
-        """
+        """Keep memory for frames of so many bytes each, once they are dropped."""
         device = self._device
         if device is None:
             return

@@ -21,11 +21,9 @@ _done = threading.Event()
 
 @contextlib.contextmanager
 def without_driver_note() -> Iterator[None]:
-    """Leave the line out of standard error that Warp writes as it starts without a CUDA driver; once in a process.
-
-    Native code writes to the descriptor, so that is led into a file for the moment, of which all other lines come back.
-    Where there is a driver, nothing is led anywhere.
-    """
+    """Leave the line out of standard error that Warp writes as it starts without a CUDA driver; once in a process."""
+    # Native code writes to the descriptor, so that is led into a file for the moment, of which all other lines come
+    # back. Where there is a driver, nothing is led anywhere.
     if _done.is_set() or _has_driver():
         yield
         return

@@ -13,17 +13,8 @@ MOST_TEXELS = 16384
 
 
 def half_texture(shape: tuple[int, int, int], device: wp.DeviceLike) -> wp.Texture3D:
-    """A texture of four halves a texel, whose values are not set yet.
-
-    It is asked by unnormalised coordinates, and blends texels.
-
-    Args:
-        shape: (depth, height, width), texels along each axis, the slowest first.
-        device: CUDA device.
-
-    Returns:
-        The texture.
-    """
+    """A texture of four halves a texel, (depth, height, width) texels, on a CUDA device; its values are not set yet.
+    It is asked by unnormalised coordinates, and blends texels."""
     depth, height, width = shape
     return wp.Texture3D(
         width=width,

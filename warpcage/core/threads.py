@@ -32,14 +32,8 @@ _limit: int | None = None  # of `limit_threads`
 
 
 def cpu_threads() -> int:
-    """Threads over which launches on the CPU are cut: Warp's CPU backend runs a launch on one thread, without the GIL.
-
-    Returns:
-        The number that WARPCAGE_THREADS asks for, else that of the cores.
-
-    Raises:
-        ValueError: Where WARPCAGE_THREADS is not a whole number of at least 1.
-    """
+    """Threads over which launches on the CPU are cut: what WARPCAGE_THREADS asks for, else the number of cores."""
+    # Warp's CPU backend runs a launch on one thread, without the GIL.
     if _limit is not None:
         return _limit
     asked = os.environ.get(THREADS_VARIABLE, "")
@@ -52,11 +46,7 @@ def cpu_threads() -> int:
 
 @contextlib.contextmanager
 def limit_threads(count: int) -> Iterator[None]:
-    """Use another number of CPU threads for a while, in this process: in all its threads.
-
-    Args:
-        count: Threads, at least 1.
-    """
+    """Use another number of CPU threads for a while, in this process: in all its threads."""
     global _limit
     before, _limit = _limit, count
     _forget_pool()
@@ -70,18 +60,9 @@ def limit_threads(count: int) -> Iterator[None]:
 def run_parallel(
     tasks: Sequence[Callable[[], Any]], threads: int | None = None, stop: Callable[[], None] | None = None
 ) -> list[Any]:
-    """Run tasks on the shared pool of CPU threads. Several threads may do so at once.
-
-    After an error or an interrupt no task is left running: its arrays may be freed as soon as this returns.
-
-    Args:
-        tasks: Callables without arguments.
-        threads: 1 runs them here, one after the other. None is `cpu_threads()`.
-        stop: Called after an error or an interrupt, so that long tasks can end early.
-
-    Returns:
-        Their results in order. The first error is raised.
-    """
+    """Run tasks on the shared pool of CPU threads, or here where `threads` is 1; returns their results in order.
+    Several threads may do so at once. The first error is raised, after `stop`, by which long tasks can end early."""
+    # After an error or an interrupt no task is left running: its arrays may be freed as soon as this returns.
     if (cpu_threads() if threads is None else threads) <= 1 or len(tasks) == 1:
         return [task() for task in tasks]
     pool = _shared_pool()
@@ -96,16 +77,10 @@ def run_parallel(
 
 
 def run_parts(run: Callable[[int, int], None], count: int, threads: int, first: int) -> None:
-    """Run items in parts on the shared pool: short enough that an interrupt acts soon, long enough to cost nothing.
-
-    The first few run here. Where the rest would be done as soon as other threads have begun, it runs here too.
-
-    Args:
-        run: Runs the items from one index to another (exclusive).
-        count: Number of items.
-        threads: 1 runs the parts here, one after the other.
-        first: Items that a part has at most, until it is known how long they take.
-    """
+    """Run items in parts, `run(begin, end)`, on the shared pool; 1 thread runs them here.
+    `first`: items that a part has at most, until it is known how long they take."""
+    # Parts are short enough that an interrupt acts soon, long enough to cost nothing. The first few run here. Where the
+    # rest would be done as soon as other threads have begun, it runs here too.
     parts = _Parts(count, threads, first)
     if threads > 1 and parts.run_here(run):
         return
@@ -192,13 +167,11 @@ def _started_pool() -> ThreadPoolExecutor:
 
 
 class _Batch:
-    """Tasks that can be stopped: none begins afterwards.
-
-    It counts those that run, as an interrupt while a task is handed over leaves no future to wait for.
-    """
+    """Tasks that can be stopped: none begins afterwards."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
+        # counted, as an interrupt while a task is handed over leaves no future to wait for
         self._running, self._stopped = 0, False
 
     def run(self, task: Callable[[], Any]) -> Any:

@@ -4,42 +4,18 @@ from __future__ import annotations
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
-    """A number of things.
-
-    Args:
-        count: How many.
-        noun: What one of them is called.
-        plural: What several are called. Empty adds an "s".
-
-    Returns:
-        Such as "1 frame", "2 frames".
-    """
+    """A number of things, such as "1 frame" or "2 frames"; an empty plural adds an "s"."""
     return f"{count} {agreed(count, noun, plural or f'{noun}s')}"
 
 
 def agreed(count: int, one: str, several: str) -> str:
-    """A word as a number has it.
-
-    Args:
-        count: How many.
-        one: The word of one thing, such as "is".
-        several: That of none or several, such as "are".
-
-    Returns:
-        One of both.
-    """
+    """The word of one thing, such as "is", or that of none or several, such as "are"."""
     return one if count == 1 else several
 
 
 def system_error_line(error: object) -> str | None:
-    """What an error of the system or a shortage of memory says.
-
-    Args:
-        error: The error.
-
-    Returns:
-        One line, such as "no space left on device 'film.mp4'". None for errors of other kinds.
-    """
+    """One line for an error of the system or a shortage of memory, such as "no space left on device 'film.mp4'"; else
+    None."""
     if isinstance(error, OSError) and error.strerror:
         name = f" {str(error.filename)!r}" if error.filename else ""
         return f"{error.strerror[0].lower()}{error.strerror[1:]}{name}"
