@@ -1,7 +1,4 @@
-"""Which worker makes what: lots, deaths, retries and stragglers, as pure logic without clock, files or processes.
-
-Times are handed in, so that a simulation under a virtual clock runs the very same code (benchmarks/batch_scale.py).
-"""
+"""Which worker makes what: lots, deaths, retries and stragglers, as pure logic without clock, files or processes."""
 
 from __future__ import annotations
 
@@ -30,26 +27,20 @@ STRAGGLING = 3.0
 
 @dataclasses.dataclass
 class LotReport:
-    """What became of a lot.
-
-    Attributes:
-        done: Items that were made.
-        seconds: How long each of those took; where something was loaded, how long the worker was at each.
-        failed: Items that will not be tried again, with one line each.
-        errors: Items that may be tried again, with one line each.
-        left: Items that were not begun, or whose making ended without blame.
-        loading: Whether the first item loaded what the others found there: its seconds are not usual.
-        halt: Why nothing can be written any more, one line; None else.
-        broken: Why the worker can make no more, one line; None else.
-        pack_error: Why the lot's shard was not packed, one line; None else.
-    """
+    """What became of a lot."""
 
     done: list[int] = dataclasses.field(default_factory=list)
+    # of each of those; where something was loaded, how long the worker was at each
     seconds: list[float] = dataclasses.field(default_factory=list)
+    # will not be tried again, with one line each
     failed: list[tuple[int, str]] = dataclasses.field(default_factory=list)
+    # may be tried again, with one line each
     errors: list[tuple[int, str]] = dataclasses.field(default_factory=list)
+    # were not begun, or their making ended without blame
     left: list[int] = dataclasses.field(default_factory=list)
+    # whether the first item loaded what the others found there: its seconds are not usual
     loading: bool = False
+    # one line each: why nothing can be written any more, the worker can make no more, the shard was not packed
     halt: str | None = None
     broken: str | None = None
     pack_error: str | None = None
@@ -74,24 +65,15 @@ class _Worker:
 
 
 class Dispatcher:
-    """Hands out lots, and knows when all is settled.
+    """Hands out lots, and knows when all is settled; retries: how often an item may be tried again.
+    shards: items that are open of each shard, where lots are shards; 0 where it is only to be packed."""
 
-    Args:
-        lots: What is to be made.
-        retries: How often an item may be tried again.
-        shards: Items that are open of each shard, by its number, where lots are shards; 0 where it is only to be
-            packed. None where there are no shards.
-
-    Attributes:
-        done: Items that were made.
-        failures: Items that will not be tried again, with one line each.
-        stopped: Whether no more are handed out.
-        unpacked: Shards that could not be packed, with one line each.
-    """
+    # Times are handed in: a simulation under a virtual clock runs the very same code (benchmarks/batch_scale.py).
 
     def __init__(self, lots: Lots, *, retries: int = 2, shards: dict[int, int] | None = None):
         self.lots, self.retries = lots, retries
         self.done = 0
+        # items that will not be tried again, with one line each
         self.failures: dict[int, str] = {}
         self.stopped = False
         self._workers: dict[str, _Worker] = {}
@@ -150,15 +132,8 @@ class Dispatcher:
         self._workers[name] = _Worker()
 
     def next_lot(self, name: str, now: float) -> Lot | None:
-        """The next lot of a worker that makes items of none.
-
-        Args:
-            name: The worker.
-            now: Seconds of any clock that never goes back.
-
-        Returns:
-            The lot; None where there is nothing for it at present.
-        """
+        """The next lot of a worker that makes items of none; None where there is nothing for it at present.
+        now: seconds of any clock that never goes back."""
         worker = self._workers[name]
         if self.stopped:
             return None
@@ -171,30 +146,16 @@ class Dispatcher:
         return lot
 
     def begun(self, name: str, number: int) -> bool:
-        """A worker has begun all items of a lot: it could make those of another one while files are written.
-
-        Args:
-            name: The worker.
-            number: Of the lot. Nothing happens where it is not what the worker makes, as its report was there before.
-
-        Returns:
-            Whether the worker takes another one.
-        """
+        """A worker has begun all items of a lot; returns whether it takes another one while files are written."""
         worker = self._workers.get(name)
         if worker is None or worker.lot is None or worker.lot.number != number:
+            # not what it makes: its report was there before
             return False
         worker.ending[number], worker.lot = worker.lot, None
         return self.takes(name)
 
     def reported(self, name: str, report: LotReport, now: float, number: int | None = None) -> None:
-        """A worker is done with a lot.
-
-        Args:
-            name: The worker.
-            report: What became of it.
-            now: Seconds.
-            number: Of the lot. None is the one of which it makes items.
-        """
+        """A worker is done with a lot; number: of the lot, None is the one of which it makes items."""
         worker = self._workers[name]
         lot = worker.ending.pop(number, None) if number is not None else None
         if lot is None:
@@ -221,20 +182,8 @@ class Dispatcher:
             self.stop()
 
     def died(self, name: str, report: LotReport, begun: Sequence[int], reason: str) -> list[tuple[int, str]]:
-        """A worker died.
-
-        The item that it began last is charged an attempt. Others that it had begun, whose files were being written,
-        are made again alone, so that one that kills its worker is known by that.
-
-        Args:
-            name: The worker.
-            report: What it had settled of its lots.
-            begun: The items that it had begun and not settled, the newest last.
-            reason: One line.
-
-        Returns:
-            The item that it began last, with its error, where that is not tried again.
-        """
+        """A worker died; report: what it had settled; begun: items begun and not settled, the newest last.
+        Returns the newest, with its error, where that is not tried again."""
         worker = self._workers[name]
         self._move(worker, None)  # what takes its place has nothing loaded
         worker.barren = 0 if report.done else worker.barren + (not begun)
@@ -242,6 +191,7 @@ class Dispatcher:
         if not lots:
             return []
         lost: list[tuple[int, str]] = []
+        # the item that it began last is charged an attempt
         charged = begun[-1] if begun else None
         if charged is not None and self._attempts.get(charged, 0) >= self.retries:
             times = counted(self._attempts.get(charged, 0) + 1, "time")
@@ -253,6 +203,7 @@ class Dispatcher:
         report.left = [item for lot in lots for item in lot.items if item not in settled]
         self._settle(name, lots, report)
         groups = {item: lot.group for lot in lots for item in lot.items}
+        # those whose files were being written are made again alone, so that one that kills its worker is known by that
         self._retries.extend((item, groups[item], "") for item in begun[:-1])
         for lot in lots:
             if lot.shard is not None:
@@ -260,29 +211,15 @@ class Dispatcher:
         return lost
 
     def given_up(self, name: str) -> bool:
-        """Whether a worker's place is not filled again, as it dies before it makes anything.
-
-        Args:
-            name: The worker.
-
-        Returns:
-            True from the third death on; the worker is forgotten then.
-        """
+        """Whether a worker's place is not filled again, as it dies before it makes anything; it is forgotten then."""
         if self._workers[name].barren < MOST_BARREN:
             return False
         del self._workers[name]
         return True
 
     def recalls(self, idle: int, now: float) -> list[tuple[str, int, float]]:
-        """Lots that are to be shortened, so that workers that have nothing to do get some of them.
-
-        Args:
-            idle: How many workers have nothing to do.
-            now: Seconds.
-
-        Returns:
-            Workers, the numbers of their lots, and the share of what each has not begun that it should give back.
-        """
+        """Lots that are to be shortened, so that `idle` workers that have nothing to do get some of them.
+        Returns workers, numbers of their lots, and the share of what each has not begun that it should give back."""
         if self.stopped or not idle or self.lots.left:
             return []
         late = []
@@ -304,13 +241,7 @@ class Dispatcher:
         return [(name, number, share) for _, name, number, share in late[:idle]]
 
     def returned(self, name: str, number: int, items: Sequence[int]) -> None:
-        """A worker gave back items of its lot that it had not begun.
-
-        Args:
-            name: The worker.
-            number: Of the lot.
-            items: Those items.
-        """
+        """A worker gave back items of its lot that it had not begun."""
         worker = self._workers.get(name)
         if worker is None or worker.lot is None or worker.lot.number != number or not items:
             return  # the lot ended meanwhile, or soon will: its report says what was left

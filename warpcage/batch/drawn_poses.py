@@ -25,19 +25,8 @@ class DrawnPoses:
         self._poses: Recent[np.ndarray] = Recent(MOST_POSES)
 
     def vertices(self, posed: dict[str, Any], rest: Cage, rest_hash: str) -> np.ndarray:
-        """The vertices of a pose: those of `RandomPoses`, to the bit.
-
-        Args:
-            posed: Its words, as `pose_words.drawn_pose` returns them.
-            rest: The cage.
-            rest_hash: Its `cage_hash`.
-
-        Returns:
-            (v, 3) float64, world units.
-
-        Raises:
-            ValueError: Where no way from rest stays within the bounds.
-        """
+        """The vertices (v, 3) float64, world units, of a pose: those of `RandomPoses`, to the bit.
+        posed: its words, as `pose_words.drawn_pose` returns them; rest_hash: the `cage_hash` of `rest`."""
         probe = self._probes.get(rest_hash, lambda: PoseProbe(rest))
         words = dict(posed[RANDOM])
         number = words.pop("number")

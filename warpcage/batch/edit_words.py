@@ -60,27 +60,23 @@ EDIT_WORDS: dict[str, Checker] = {
 
 @dataclasses.dataclass(frozen=True)
 class EditWords:
-    """One edit of a frame, with the words of `warpcage.CageEdit`.
+    """One edit of a frame, with the words of `warpcage.CageEdit`."""
 
-    Args:
-        cage: The cage at rest: a file, or "vertices" and "faces".
-        posed: The same cage posed: a file, a keyframe ("poses.json#wave"), an array, or an object with what a random
-            pose is drawn by (`pose_words`). None for an edit that removes.
-        keep: Leave a copy where it was.
-        remove: Draw nothing in its place.
-        falloff: Width of the band in which the edit fades to rest, world units.
-        held: The walls that it fades towards: "cut", "still", or numbers of faces.
-        crumbs: Size of the crumbs that go with the part, world units.
-        up: Axis that points up in its cage files. None finds it.
-    """
-
+    # at rest: a file, or "vertices" and "faces"
     cage: Any
+    # a file, a keyframe ("poses.json#wave"), an array, or an object with what a random pose is drawn by (`pose_words`);
+    # None for an edit that removes
     posed: Any = None
+    # keep: leave a copy where it was; remove: draw nothing in its place
     keep: bool = False
     remove: bool = False
+    # width of the band in which the edit fades to rest, world units
     falloff: float = 0.0
+    # the walls that it fades towards: "cut", "still", or numbers of faces
     held: str | tuple[int, ...] = "cut"
+    # size of the crumbs that go with the part, world units
     crumbs: float = 0.0
+    # axis that points up in its cage files; None finds it
     up: str | None = None
 
     def __post_init__(self) -> None:

@@ -16,20 +16,7 @@ from .scene_items import EvaluateItem
 
 
 def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> Made:
-    """Compare a field with pictures of a scene, as `warpcage evaluate` does.
-
-    Args:
-        item: The item.
-        references: What it refers to.
-        fields: Fields that are loaded.
-
-    Returns:
-        The item, made: what writes its report.
-
-    Raises:
-        FileNotFoundError: For a file that is not there.
-        ValueError: For what cannot be used.
-    """
+    """Compare a field with pictures of a scene, as `warpcage evaluate` does; what is made writes the report."""
     key, field = fields.get(item.field, item.scene_scale)
     if not isinstance(field, VoxelField):
         raise ValueError(f"evaluations are for fields of voxels (.npz), {item.field!r} is of splats")

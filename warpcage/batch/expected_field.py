@@ -15,12 +15,7 @@ OnDevice = Callable[[wp.DeviceLike], AnyField]
 
 
 class ExpectedField:
-    """A field whose file a thread reads before anybody asks for it, beside whatever else a worker begins with.
-
-    Args:
-        path: Its file.
-        scene_scale: As `VoxelField.load` has it.
-    """
+    """A field whose file a thread reads before anybody asks for it, beside whatever else a worker begins with."""
 
     def __init__(self, path: str, scene_scale: float):
         self._path, self._scene_scale = path, scene_scale
@@ -36,17 +31,9 @@ class ExpectedField:
         return stamp, found
 
     def take(self, path: str, stamp: tuple[int, int], scene_scale: float) -> OnDevice | None:
-        """What was read, where it is what is asked for: waits until it is.
-
-        Args:
-            path: The file.
-            stamp: Its `file_stamp` as it is now.
-            scene_scale: As above.
-
-        Returns:
-            Makes the field on a device. None for another field, a file that has changed since, and where reading
-            failed: whoever asked reads it then, and learns what is wrong.
-        """
+        """What makes the field on a device, once it is read; stamp: the `file_stamp` of `path` as it is now.
+        None for another field, a file that has changed since, and where reading failed."""
+        # Where reading failed, whoever asked reads it then, and learns what is wrong.
         if (path, scene_scale) != (self._path, self._scene_scale) or self._reading.exception() is not None:
             return None
         read, found = self._reading.result()

@@ -20,19 +20,7 @@ MOST_FIELDS, MEMORY_SHARE = 8, 0.5
 
 class LoadedFields:
     """Fields by their files, of which those stay loaded that were used last.
-
-    Args:
-        references: What items refer to.
-        device: Warp device.
-        memory: Bytes that fields may take together; one stays whatever it takes. None is a quarter of what is free on
-            the device.
-        expected: A field that is being read already. None is none.
-
-    Attributes:
-        device: As given.
-        read_count: Fields that were read from files.
-        dropped: Called with a field that is let go, before it is.
-    """
+    memory: bytes that they may take together, but one stays whatever it takes; None is a quarter of what is free."""
 
     def __init__(
         self,
@@ -42,6 +30,7 @@ class LoadedFields:
         expected: ExpectedField | None = None,
     ):
         self.references, self.device, self.read_count = references, device, 0
+        # called with a field that is let go, before it is
         self.dropped: Callable[[AnyField], Any] = lambda field: None
         self._expected = expected
         limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
@@ -53,19 +42,7 @@ class LoadedFields:
         return self._fields.held_bytes
 
     def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
-        """A field.
-
-        Args:
-            name: Its file.
-            scene_scale: As `VoxelField.load` has it.
-
-        Returns:
-            A key that is another where the file has changed, and the field.
-
-        Raises:
-            FileNotFoundError: If there is no such file.
-            ValueError: If it cannot be read.
-        """
+        """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
         path, stamp = self.references.stamped(name, "field file")
 
         def load() -> AnyField:

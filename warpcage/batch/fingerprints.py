@@ -31,15 +31,10 @@ HASH_BYTES = 16
 
 @dataclasses.dataclass(frozen=True)
 class LargeHash:
-    """The hash of a large file, which a thread makes.
-
-    Attributes:
-        path: The file.
-        stamp: As it was when that began.
-        future: Becomes the hash of its bytes.
-    """
+    """The hash of a large file, which a thread makes."""
 
     path: pathlib.Path
+    # as it was when the hash was begun
     stamp: tuple[int, int]
     future: Future[str]
 
@@ -56,12 +51,7 @@ class LargeHash:
 
 
 class Begun:
-    """A fingerprint of which some hashes may be under way.
-
-    Args:
-        words: What the item says.
-        inputs: The hashes of what it reads.
-    """
+    """A fingerprint of which some hashes may be under way; words: what the item says; inputs: of what it reads."""
 
     def __init__(self, words: str, inputs: list[str | LargeHash]):
         self._words, self._inputs = words, inputs
@@ -79,14 +69,10 @@ class Begun:
 
 class Fingerprints:
     """Hashes of items and their inputs. A file is read once while its size and its time stay the same.
+    out: folder of a run, which is left out where it lies in a scene."""
 
-    What is hashed is the item's own JSON, with all that it takes from its file's defaults, and the contents of all
-    files that it names: of a row of a .npy file that row alone, of a scene the names and contents of its files.
-
-    Args:
-        base: Folder that paths in items are relative to.
-        out: Folder of a run, which is left out where it lies in a scene. None leaves out nothing.
-    """
+    # What is hashed is the item's own JSON, with all that it takes from its file's defaults, and the contents of all
+    # files that it names: of a row of a .npy file that row alone, of a scene the names and contents of its files.
 
     def __init__(self, base: PathLike, out: PathLike | None = None):
         self.base = pathlib.Path(base)
@@ -96,48 +82,26 @@ class Fingerprints:
         self._arrays: Recent[NpyFile] = Recent(32)
 
     def of(self, item: Item) -> str:
-        """The fingerprint of an item.
-
-        Args:
-            item: The item.
-
-        Returns:
-            Hexadecimal digits. A file that is not there or cannot be read counts as such: the item itself will say so.
-        """
+        """The fingerprint of an item, hexadecimal digits."""
+        # A file that is not there or cannot be read counts as such: the item itself will say so.
         return self.begun(item)()
 
     def begun(self, item: Item) -> Begun:
         """The fingerprint of an item as its files are now, while large ones are hashed beside what the caller does.
-
-        Args:
-            item: The item.
-
-        Returns:
-            Waits for the hashes, and returns what `of` does. A large file that was written to meanwhile, or is another
-            one when this is asked for, has a hash that it never has again.
-        """
+        A call of it waits for the hashes, and returns what `of` does."""
+        # A large file that was written to meanwhile, or is another one when this is asked for, has a hash that it never
+        # has again.
         return Begun(canonical(item.to_json()), [self._of_reference(each) for each in references_of(item)])
 
     def expect(self, name: str) -> None:
-        """Begin to hash a large file that items will name.
-
-        Args:
-            name: The file. Nothing is done where it is small or not there.
-        """
+        """Begin to hash a large file that items will name; does nothing where it is small or not there."""
         path = self.base / name
         with contextlib.suppress(OSError):
             if path.is_file() and file_stamp(path)[0] >= LARGE:
                 self._hash(path)
 
     def of_inputs(self, item: Item) -> tuple[str, ...]:
-        """The fingerprints of what an item reads, whatever it says beside.
-
-        Args:
-            item: The item.
-
-        Returns:
-            One for each of `references_of`.
-        """
+        """The fingerprints of what an item reads, whatever it says beside: one for each of `references_of`."""
         return tuple(_settled(self._of_reference(each)) for each in references_of(item))
 
     def _of_reference(self, reference: str) -> str | LargeHash:
@@ -197,14 +161,8 @@ class Fingerprints:
 
 
 def references_of(item: Item) -> list[str]:
-    """What an item reads: files, rows of arrays ("poses.npy#17"), and folders of scenes.
-
-    Args:
-        item: The item.
-
-    Returns:
-        References, relative to the folder of its file.
-    """
+    """What an item reads, relative to the folder of its file: files, rows of arrays ("poses.npy#17"), folders of
+    scenes."""
     if isinstance(item, FrameItem):
         return [item.field, *_files_of_frame(item)]
     if isinstance(item, FitItem):

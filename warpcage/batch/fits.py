@@ -18,15 +18,7 @@ from .scene_items import FitItem
 
 class FitMaker:
     """Fits fields, and keeps the pictures of the last scene: to read them takes as long as a short fit.
-
-    Args:
-        references: What items refer to.
-        fingerprints: Of what they read, by which a changed scene is known.
-        device: Warp device.
-
-    Attributes:
-        read_count: Scenes that were read.
-    """
+    fingerprints: of what items read, by which a changed scene is known."""
 
     def __init__(self, references: References, fingerprints: Fingerprints, device: wp.Device):
         self.references, self.fingerprints, self.device, self.read_count = references, fingerprints, device, 0
@@ -37,20 +29,8 @@ class FitMaker:
         self._scenes.clear()
 
     def make(self, item: FitItem, checkpoint: pathlib.Path | None = None) -> Made:
-        """Fit a field to the pictures of a scene, as `warpcage fit` does.
-
-        Args:
-            item: The item.
-            checkpoint: File (.npz) that holds the progress, from which a fit goes on whose worker died. None keeps
-                none.
-
-        Returns:
-            The item, made: what writes its outputs.
-
-        Raises:
-            FileNotFoundError: For a file that is not there.
-            ValueError: For what cannot be used.
-        """
+        """Fit a field to the pictures of a scene, as `warpcage fit` does; what is made writes its outputs.
+        checkpoint: file (.npz) that holds the progress, from which a fit goes on whose worker died; None keeps none."""
         scene = self._scene(item)
         if checkpoint is not None:
             checkpoint.parent.mkdir(parents=True, exist_ok=True)

@@ -28,72 +28,47 @@ MOST_MISSING = 10
 
 @dataclasses.dataclass(frozen=True)
 class Measured:
-    """What an item of a kind takes.
+    """What an item of a kind takes."""
 
-    Attributes:
-        seconds: An item, where all that it needs is loaded, and its pose there where others share it.
-        load_seconds: What the first of a group takes more.
-        source: The id of the item that was made for it, or "earlier runs".
-        pose_seconds: What the first of a pose takes more, where others share it.
-    """
-
+    # an item, where all that it needs is loaded, and its pose there where others share it
     seconds: float
+    # what the first of a group takes more
     load_seconds: float
+    # the id of the item that was made for it, or "earlier runs"
     source: str
+    # what the first of a pose takes more, where others share it
     pose_seconds: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Forecast:
-    """What a run would do.
-
-    Attributes:
-        total: Items of the job.
-        kept: Items that are there and whose inputs did not change.
-        changed: Items to be made whose inputs or files changed.
-        failed_before: Items to be made that failed in an earlier run.
-        counts: Items to be made, by their kind.
-        group_count: How often something is loaded for them at least.
-        measured: What items take, by their kind.
-        errors: Why an item of a kind could not be made, by its id.
-        missing: What items name and is not there, by their ids, of MOST_MISSING of them.
-        missing_count: Items to be made that name what is not there.
-        workers: By how many.
-        seconds: How long it would take, without what could not be measured.
-    """
+    """What a run would do."""
 
     total: int
+    # items that are there and whose inputs did not change
     kept: int
+    # of the items to be made: whose inputs or files changed; that failed in an earlier run
     changed: int
     failed_before: int
+    # items to be made, by their kind
     counts: dict[str, int]
+    # how often something is loaded for them at least
     group_count: int
+    # by kind
     measured: dict[str, Measured]
+    # why an item of a kind could not be made, by its id
     errors: dict[str, str]
+    # what items name and is not there, by their ids, of MOST_MISSING of them; the count is of all
     missing: dict[str, str]
     missing_count: int
     workers: int
+    # how long it would take, without what could not be measured
     seconds: float
 
 
 def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | None = None) -> Forecast:
-    """Look at a job and at what is there of it, and make up to three items of each kind, to see how long they take.
-
-    Nothing is written to the output folder.
-
-    Args:
-        path: The job file.
-        out: The output folder, which may not be there.
-        workers: By how many it would be made. On the CPU they share the cores.
-        device: Warp device on which is measured. None is CUDA where there is one.
-
-    Returns:
-        What a run would do.
-
-    Raises:
-        FileNotFoundError: If there is no such job file.
-        ValueError: For a job file that cannot be read.
-    """
+    """Look at a job and at what is there of it, and make up to three items of each kind that earlier runs do not know.
+    workers: by how many it would be made, on the CPU they share the cores. Nothing is written to `out`."""
     with JobFile(path) as job, tempfile.TemporaryDirectory() as temporary:
         plan, seconds = _planned(job, OutputFolder(out), pathlib.Path(temporary))
         numbers = collections.Counter(plan.kinds.tolist())

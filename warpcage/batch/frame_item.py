@@ -123,45 +123,37 @@ SHORT_EDIT = tuple(EDIT_WORDS)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameItem(Item):
-    """A picture of a field, as it is or deformed.
+    """A picture of a field, as it is or deformed."""
 
-    Args:
-        id: As for `Item`.
-        outputs: Files by part: rgb, alpha, depth, disparity, masks, reveal, fold, outside; film, the colours as films
-            of 16 bits take them; pose, the vertices of its posed cages; record, what `batch.records.frame_record` says
-            of it.
-        extra: As for `Item`.
-        field: The field file, voxels or splats.
-        camera: The camera: an object, or a reference.
-        edits: The edits in the order in which they act; none shows the field as it is.
-        size: Width, or width and height, at which the camera is taken; its own where it is empty.
-        coordinates: As `Deformer` has it.
-        resolution: Cells of the lattice, "precise", or None: by the size of the picture.
-        density: As `Deformer` has it.
-        map: As `Deformer` has it.
-        background: A colour, "transparent", or None: the field's own.
-        fill: Whether what was uncovered is filled.
-        overlay: Whether the cages are drawn into the picture.
-        supersampling: Rays along each side of a pixel. None is the field's.
-        antialias: Of splats only: whether those that are smaller than a pixel are weakened; see `SplatField.render`.
-        disparity_scale: Low and high disparity of pictures of depth and disparity. None is the range of the frame.
-        scene_scale: As `VoxelField.load` has it.
-    """
+    # Outputs by part: rgb, alpha, depth, disparity, masks, reveal, fold, outside; film, the colours as films of 16 bits
+    # take them; pose, the vertices of its posed cages; record, what `batch.records.frame_record` says of it.
 
+    # a file, voxels or splats
     field: str = ""
+    # an object, or a reference
     camera: Any = None
+    # in the order in which they act; none shows the field as it is
     edits: tuple[EditWords, ...] = ()
+    # width, or width and height, at which the camera is taken; its own where it is empty
     size: tuple[int, ...] = ()
     coordinates: str = "harmonic"
+    # cells of the lattice, "precise", or None: by the size of the picture
     resolution: int | str | None = None
     density: str = "opacity"
     map: str | None = None
+    # a colour, "transparent", or None: the field's own
     background: Any = None
+    # whether what was uncovered is filled
     fill: bool = False
+    # whether the cages are drawn into the picture
     overlay: bool = False
+    # rays along each side of a pixel; None is the field's
     supersampling: int | None = None
+    # of splats only: whether those that are smaller than a pixel are weakened; see `SplatField.render`
     antialias: bool = False
+    # low and high disparity of pictures of depth and disparity; None is the range of the frame
     disparity_scale: tuple[float, float] | None = None
+    # as `VoxelField.load` has it
     scene_scale: float = 1.0
 
     kind: ClassVar[str] = "frame"

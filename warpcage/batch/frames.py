@@ -60,14 +60,9 @@ ARRAYS_OF_PARTS = {
 
 @dataclasses.dataclass
 class Counts:
-    """How often something was made, by which reuse is seen.
+    """How often something was made, by which reuse is seen."""
 
-    Attributes:
-        deformers: Cages at rest that were bound to a field.
-        poses: Maps of poses.
-        frames: Pictures rendered.
-    """
-
+    # cages at rest that were bound to a field, maps of poses, pictures rendered
     deformers: int = 0
     poses: int = 0
     frames: int = 0
@@ -84,16 +79,7 @@ class Bound:
 
 class FrameMaker:
     """Renders frames, and keeps what the next ones need: fields, deformers, and the map of the last pose.
-
-    Args:
-        references: What items refer to.
-        fields: Fields that stay loaded.
-        memory: Bytes that deformers may take together beside their fields; one stays whatever it takes. None is a
-            quarter of what is free on the device.
-
-    Attributes:
-        counts: How often something was made.
-    """
+    memory: bytes of deformers beside their fields, one stays whatever it takes; None is a quarter of what is free."""
 
     def __init__(self, references: References, fields: LoadedFields, memory: int | None = None):
         self.references, self.fields, self.counts = references, fields, Counts()
@@ -118,18 +104,7 @@ class FrameMaker:
                 self._bound.drop(key)
 
     def make(self, item: FrameItem) -> Made:
-        """Render a frame.
-
-        Args:
-            item: The item.
-
-        Returns:
-            The item, made: what writes its outputs.
-
-        Raises:
-            FileNotFoundError: For a file that is not there.
-            ValueError: For what cannot be used, with its name.
-        """
+        """Render a frame; what is made writes its outputs."""
         self.begin_kernels(item)
         field_key, field = self.fields.get(item.field, item.scene_scale)
         camera = self.references.camera(item, field)
@@ -152,11 +127,7 @@ class FrameMaker:
         return Made(writers, sum(_host_bytes(frame, name) for name in needed_arrays(item, frame)))
 
     def begin_kernels(self, item: FrameItem) -> None:
-        """Let a thread load the kernels that a frame needs, once for each kind of coordinates.
-
-        Args:
-            item: The frame.
-        """
+        """Let a thread load the kernels that a frame needs, once for each kind of coordinates."""
         looked_up = item.edits and item.resolution != "precise" and not is_splat_file(item.field)
         if looked_up and item.coordinates not in self._kernels:
             thread = ThreadPoolExecutor(1, "warpcage-kernels")
@@ -234,35 +205,16 @@ def _filled(frame: Frame, field: AnyField, camera: Camera) -> Frame:
 
 
 def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> dict[str, Writer]:
-    """What writes the outputs of a frame. The arrays that they need are on their way to the host when this returns.
-
-    Args:
-        item: The item.
-        frame: The frame.
-        camera: Its camera.
-        drawn: Cages whose edges are drawn into the picture.
-
-    Returns:
-        Writers by the paths of the outputs.
-
-    Raises:
-        ValueError: For a part that the frame does not have.
-    """
+    """What writes the outputs of a frame, by their paths; drawn: cages whose edges are drawn into the picture.
+    The arrays that they need are on their way to the host when this returns."""
     frame.begin_copies(*needed_arrays(item, frame))
     pictures = {part: path for part, path in item.outputs.items() if part not in OF_RECORDS}
     return {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures.items()}
 
 
 def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
-    """The arrays of a frame that its outputs are made of: a copy of all of them takes longer than a frame on a GPU.
-
-    Args:
-        item: The item.
-        frame: The frame.
-
-    Returns:
-        Names of arrays that the frame has.
-    """
+    """Names of the arrays of a frame that its outputs are made of."""
+    # A copy of all of them takes longer than a frame on a GPU.
     needed = {"alpha"} if item.background == TRANSPARENT else set()
     for part, path in item.outputs.items():
         if part not in OF_RECORDS:
@@ -271,13 +223,7 @@ def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
 
 
 def is_bytes(item: FrameItem, part: str, path: str) -> bool:
-    """Whether an output is made of the colours of a frame as bytes, with nothing done to them.
-
-    Args:
-        item: The item.
-        part: The part of the frame.
-        path: Path of the output.
-    """
+    """Whether an output is made of the colours of a frame as bytes, with nothing done to them."""
     plain = part == "rgb" and item.background != TRANSPARENT and not item.overlay
     return plain and pathlib.PurePosixPath(path).suffix.lower() in BYTE_ENDINGS
 

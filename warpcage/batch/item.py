@@ -21,16 +21,13 @@ ID = "{id}"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Item(abc.ABC):
-    """One thing to make.
+    """One thing to make."""
 
-    Args:
-        id: Its name, unique in its job: a relative name.
-        outputs: The files that it writes by what they hold, relative to the folder of the run.
-        extra: Any JSON that is kept with its record.
-    """
-
+    # a relative name, unique in its job
     id: str
+    # the files that it writes by what they hold, relative to the folder of the run
     outputs: dict[str, str]
+    # any JSON that is kept with its record
     extra: Any = None
 
     #: The word of its kind, the words that it takes, and all kinds by their words.
@@ -62,11 +59,8 @@ class Item(abc.ABC):
         return self.group, self.pose
 
     def to_json(self) -> dict[str, Any]:
-        """The item as JSON, with all that it takes from defaults of its file; what differs from the usual alone.
-
-        Returns:
-            An object of which `Item.from_json` makes an equal item.
-        """
+        """The item as JSON, with what it takes from defaults of its file, but without what is usual.
+        `from_json` makes an equal item of it."""
         entry: dict[str, Any] = {"id": self.id, "kind": self.kind, "outputs": dict(self.outputs)}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
@@ -76,19 +70,8 @@ class Item(abc.ABC):
 
     @staticmethod
     def from_json(entry: Mapping[str, Any], defaults: Mapping[str, Any] | Defaults | None = None) -> Item:
-        """An item from JSON.
-
-        Args:
-            entry: The object.
-            defaults: What holds where the object says nothing; words of other kinds of items are left out. None is
-                nothing.
-
-        Returns:
-            A FrameItem, FitItem or EvaluateItem.
-
-        Raises:
-            ValueError: What is wrong in which word, and what would be right.
-        """
+        """An item of the kind that it says from JSON; defaults: what holds where that says nothing.
+        Words of other kinds of items are left out of the defaults."""
         if not isinstance(entry, Mapping):
             raise ValueError(f"an item must be a JSON object, got {shown(entry)}")
         usual = defaults if isinstance(defaults, Defaults) else Defaults(defaults or {})
@@ -113,14 +96,7 @@ class Item(abc.ABC):
 
 
 class Defaults:
-    """What holds where an item says nothing, checked once for all items of a kind.
-
-    Args:
-        words: Words of items.
-
-    Attributes:
-        words: As given.
-    """
+    """What holds where an item says nothing, checked once for all items of a kind."""
 
     def __init__(self, words: Mapping[str, Any]):
         self.words = words
@@ -139,40 +115,19 @@ def _default(field: dataclasses.Field) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON takes it.
-
-    Args:
-        value: A value of an item.
-
-    Returns:
-        The same of objects, lists, texts and numbers.
-    """
+    """A value as JSON takes it."""
     if hasattr(value, "to_json"):
         return value.to_json()
     return [plain(each) for each in value] if isinstance(value, tuple) else value
 
 
 def canonical(value: Any) -> str:
-    """The one text of a JSON value.
-
-    Args:
-        value: Any JSON.
-
-    Returns:
-        JSON with sorted words and no spaces.
-    """
+    """The one text of a JSON value: sorted words and no spaces."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
 
 
 def digest(value: Any) -> str:
-    """A short hash of a JSON value.
-
-    Args:
-        value: Any JSON.
-
-    Returns:
-        16 hexadecimal digits.
-    """
+    """A short hash of a JSON value: 16 hexadecimal digits."""
     return hashlib.blake2b(canonical(value).encode(), digest_size=8).hexdigest()
 
 

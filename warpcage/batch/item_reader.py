@@ -21,16 +21,13 @@ _DECODER = json.JSONDecoder(parse_constant=_no_constant)
 
 @dataclasses.dataclass(frozen=True)
 class ItemReader:
-    """Makes items of the lines of a job file, in any process.
+    """Makes items of the lines of a job file, in any process."""
 
-    Attributes:
-        path: The file, for messages.
-        defaults: What holds where an item says nothing.
-        records: How outputs are kept together.
-    """
-
+    # for messages
     path: str
+    # what holds where an item says nothing
     defaults: dict[str, Any]
+    # how outputs are kept together
     records: dict[str, Any]
 
     @functools.cached_property
@@ -38,18 +35,7 @@ class ItemReader:
         return Defaults(self.defaults)
 
     def item(self, data: bytes, line: int) -> Item:
-        """An item.
-
-        Args:
-            data: Its line.
-            line: The number of that, from 1, for messages.
-
-        Returns:
-            The item, with what it takes from the header.
-
-        Raises:
-            ValueError: File and line of what is wrong, and what would be right.
-        """
+        """The item of a line, with what it takes from the header; line: its number, from 1, for messages."""
         entry = parsed_line(data, f"{self.path}, line {line}")
         try:
             return checked_item(entry, self._usual, self.records)
@@ -59,19 +45,8 @@ class ItemReader:
 
 
 def parsed_line(data: bytes, where: str, *, first: bool = False) -> dict[str, Any]:
-    """The JSON object of a line.
-
-    Args:
-        data: The line.
-        where: File and line, for messages.
-        first: Whether it is the first of its file, which may begin with a mark of its encoding.
-
-    Returns:
-        The object.
-
-    Raises:
-        ValueError: Where it stands and what is wrong, for anything else.
-    """
+    """The JSON object of a line; where: file and line, for messages.
+    first: whether it is the first of its file, which may begin with a mark of its encoding."""
     try:
         text = data.decode("utf-8-sig" if first else "utf-8")
         content = _DECODER.decode(text)
@@ -91,19 +66,7 @@ def parsed_line(data: bytes, where: str, *, first: bool = False) -> dict[str, An
 
 
 def checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[str, Any]) -> Item:
-    """An item of a job.
-
-    Args:
-        entry: The object of its line.
-        defaults: What holds where that says nothing.
-        records: "records" of the header.
-
-    Returns:
-        The item.
-
-    Raises:
-        ValueError: For one that cannot be, or is no record where the job is of records.
-    """
+    """An item of a job of the object of its line; records: "records" of the header."""
     if records:
         from .records import require_frame, require_recordable  # which needs cages: workers do without it at first
 

@@ -34,25 +34,10 @@ RECORD_WORDS = ("kind", "items_per_shard", "image", "depth", "alpha")
 
 
 class JobFile:
-    """The items of a job file. Lines are read and checked when they are asked for; 8 bytes a line are held.
+    """The items of a job file. Lines are read and checked when they are asked for; 8 bytes a line are held."""
 
-    The first line is a header, `{"format": "warpcage jobs", "version": 1, "defaults": {...}}`; every further one is an
-    item. Empty lines are left out. Paths in items are relative to the folder of the file.
-
-    Args:
-        path: The file.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a header that cannot be read, with the file and the line.
-
-    Attributes:
-        path: The file.
-        folder: Its folder, which paths in items are relative to.
-        defaults: What holds where an item says nothing.
-        records: How outputs are kept together, {} where the header says nothing.
-        header: The whole header.
-    """
+    # The first line is a header, `{"format": "warpcage jobs", "version": 1, "defaults": {...}}`; every further one is
+    # an item. Empty lines are left out. Paths in items are relative to the folder of the file.
 
     def __init__(self, path: PathLike):
         self.path = require_file(path, "job file")
@@ -66,6 +51,7 @@ class JobFile:
             self._file.close()
             raise
         self.defaults: dict[str, Any] = self.header.get("defaults") or {}
+        # how outputs are kept together, {} where the header says nothing
         self.records: dict[str, Any] = self.header.get("records") or {}
         if self.records:
             self.defaults = self.defaults | {"outputs": record_outputs(self.records)}
@@ -88,42 +74,18 @@ class JobFile:
         self._file.close()
 
     def line(self, index: int) -> int:
-        """The line, from 1, at which an item stands.
-
-        Args:
-            index: Number of the item, from 0.
-
-        Returns:
-            Its line.
-        """
+        """The line, from 1, at which an item, from 0, stands."""
         return int(self._lines[index + 1]) + 1
 
     def item(self, index: int) -> Item:
-        """An item.
-
-        Args:
-            index: Its number, from 0.
-
-        Returns:
-            The item, with what it takes from the header.
-
-        Raises:
-            ValueError: File and line of what is wrong, and what would be right.
-        """
+        """An item by its number, from 0, with what it takes from the header."""
         if not 0 <= index < len(self):
             raise ValueError(f"{self.path} has items 0 to {len(self) - 1}, got {index}")
         line = int(self._lines[index + 1])
         return self.reader.item(self._data(line), line + 1)
 
     def data(self, index: int) -> bytes:
-        """The line of an item as it stands, for `reader.item`, in this process or another.
-
-        Args:
-            index: Its number, from 0.
-
-        Returns:
-            Its bytes.
-        """
+        """The line of an item, from 0, as it stands, for `reader.item`, in this process or another."""
         return self._data(int(self._lines[index + 1]))
 
     def items(self) -> Iterator[Item]:
@@ -132,13 +94,8 @@ class JobFile:
             yield self.item(index)
 
     def check(self) -> None:
-        """Check all lines, and that no two items have one id or write one file.
-
-        8 bytes are held for each item and each output.
-
-        Raises:
-            ValueError: File and line of what is wrong. File systems that do not tell capitals apart are thought of.
-        """
+        """Check all lines, and that no two items have one id or write one file, also where capitals are not told apart.
+        8 bytes are held for each item and each output."""
         names = array.array("Q")
         for item in self.items():
             names.extend(_marks(item))
@@ -267,15 +224,7 @@ def _check_for_some(word: str, value: Any, makers: list[type[Item]]) -> None:
 
 
 def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
-    """Check how a job keeps its outputs together.
-
-    Args:
-        records: "records" of the header.
-        defaults: "defaults" of the header.
-
-    Raises:
-        ValueError: For words that are not known, and for outputs beside them.
-    """
+    """Check "records" of a header: how a job keeps its outputs together; defaults: "defaults" of the header."""
     from . import words
 
     if not isinstance(records, dict):
@@ -303,21 +252,8 @@ def write_jobs(
     records: Mapping[str, Any] | None = None,
     extra: Any = None,
 ) -> int:
-    """Write a job file, whole or not at all. Every item is checked first.
-
-    Args:
-        path: The file, usually .jsonl.
-        items: Items, or objects as `Item.from_json` takes them; they may come one by one.
-        defaults: What holds where an item says nothing. None is nothing.
-        records: How outputs are kept together. None is each file for itself.
-        extra: Any JSON that is kept in the header.
-
-    Returns:
-        Number of items.
-
-    Raises:
-        ValueError: For an item, defaults or records that cannot be; the file is as it was then.
-    """
+    """Write a job file, whole or not at all, of items that may come one by one, each checked; returns their number.
+    records: how outputs are kept together, None is each file for itself; extra: any JSON that is kept in the header."""
     header: dict[str, Any] = {"format": FORMAT, "version": 1}
     usual = dict(defaults or {})
     _check_defaults(usual)
@@ -351,14 +287,7 @@ def _line(entry: Mapping[str, Any]) -> str:
 
 
 def is_job_file(path: PathLike) -> bool:
-    """Whether a file begins as job files do.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Whether its first line is the header of a job file, of any version.
-    """
+    """Whether the first line of a file is the header of a job file, of any version."""
     try:
         with pathlib.Path(path).open("rb") as file:
             header = json.loads(file.readline(CHUNK))

@@ -25,11 +25,7 @@ class _Looks:
 
 class LateItems(Generic[Key]):
     """Knows which lots of workers are to be asked about when, so that few are asked often. Times are handed in.
-
-    Args:
-        limit: Seconds that an item may take.
-        patience: Seconds within which a worker must answer.
-    """
+    limit: seconds that an item may take; patience: seconds within which a worker must answer."""
 
     def __init__(self, limit: float, patience: float):
         self.limit, self.patience = limit, patience
@@ -51,16 +47,8 @@ class LateItems(Generic[Key]):
         return due
 
     def answered(self, worker: Key, seconds: float | None, now: float) -> bool:
-        """A worker has answered.
-
-        Args:
-            worker: Its name, or that of a lot.
-            seconds: How long its oldest item takes so far; None where it has none under way.
-            now: Seconds.
-
-        Returns:
-            Whether that item is late.
-        """
+        """A worker has answered of itself or of a lot; returns whether its oldest item is late.
+        seconds: how long that takes so far; None where it has none under way."""
         looks = self._workers.get(worker)
         if looks is None:
             return False

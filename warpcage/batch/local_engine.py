@@ -17,12 +17,7 @@ SLOW = 0.5
 
 
 class LocalEngine:
-    """Runs lots in this process, one after the other: items in the thread that waits, while others wait for files.
-
-    Args:
-        runner: Makes the items.
-        order: The order of a lot, with its items.
-    """
+    """Runs lots in this process, one after the other: items in the thread that waits, while others wait for files."""
 
     def __init__(self, runner: LotRunner, order: Callable[[Lot], LotOrder]):
         self._runner, self._order = runner, order
@@ -38,11 +33,8 @@ class LocalEngine:
         return time.monotonic()
 
     def launch(self, worker: str) -> None:
-        """The worker is here. A device that is lost stays so in this process.
-
-        Raises:
-            RuntimeError: When it is started again.
-        """
+        """The worker is here; a RuntimeError when it is started again."""
+        # A device that is lost stays so in this process.
         if self._launches:
             raise RuntimeError("the device works no more in this process: run again, what is made is kept")
         self._launches.append(self.now())

@@ -98,20 +98,8 @@ def drive(
     progress: Callable[[], None] = lambda: None,
     warn: Callable[[str], None] = lambda line: None,
 ) -> str | None:
-    """Make all that a dispatcher has.
-
-    Args:
-        dispatcher: With its workers.
-        engine: Where they live; they are started here.
-        progress: Called after each event.
-        warn: Takes a line about a worker that died.
-
-    Returns:
-        Why the run ended before its end, one line; None where all is settled.
-
-    Raises:
-        RuntimeError: Where no worker is left.
-    """
+    """Make all that a dispatcher has; returns why it ended before its end, one line; None where all is settled.
+    The engine starts the workers; progress: called after each event; warn: takes a line about a worker that died."""
     idle: dict[str, None] = {}
     halt: str | None = None
     for name in dispatcher.names:

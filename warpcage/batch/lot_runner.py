@@ -41,9 +41,7 @@ class Maker(Protocol):
 
     def submit(self, item: Item, out: str | os.PathLike | None = None) -> Future[dict[str, int]]:
         """Make an item; its files may be written while the next one is made. out: where, instead of the run's folder.
-
-        Becomes its files and their sizes in bytes, or what went wrong.
-        """
+        Becomes its files and their sizes in bytes, or what went wrong."""
         ...
 
     def close(self) -> None:
@@ -53,39 +51,30 @@ class Maker(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class LotOrder:
-    """A lot as it is sent to a worker.
-
-    Attributes:
-        number: Of the lot.
-        indices: Numbers of its items in the job file.
-        lines: The lines of that, as they stand, and their numbers: workers read them.
-        attempts: How often each was begun before and failed.
-        shard: The shard that they belong to; None where there are none.
-        packed: The outputs of all items that the shard is to be packed of, by item; None where items are to be made.
-        seconds: After so many no more items are begun, but for the first; None is no limit.
-    """
+    """A lot as it is sent to a worker."""
 
     number: int
+    # numbers of its items in the job file
     indices: list[int]
+    # their lines, as they stand, and the numbers of these: workers read them
     lines: list[tuple[bytes, int]]
+    # how often each was begun before and failed
     attempts: list[int]
+    # that its items belong to; None where there are no shards
     shard: int | None = None
+    # the outputs of all items that the shard is to be packed of, by item; None where items are to be made
     packed: list[dict[str, str]] | None = None
+    # after so many no more items are begun, but for the first; None is no limit
     seconds: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Where a worker works, for the records.
-
-    Attributes:
-        worker: Its name.
-        host: The machine.
-        device: Name of the processor or the GPU.
-    """
+    """Where a worker works, for the records."""
 
     worker: str
     host: str
+    # name of the processor or the GPU
     device: str
 
 
@@ -99,12 +88,10 @@ def one_line(error: BaseException) -> str:
 
 
 def leaves_no_room(error: BaseException) -> bool:
-    """Whether an error says that nothing can be written any more: a full disk, a quota, or one that is read-only.
-
-    Libraries in C++ tell it in words alone.
-    """
+    """Whether an error says that nothing can be written any more: a full disk, a quota, or one that is read-only."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno in NO_ROOM
+    # libraries in C++ tell it in words alone
     return any(os.strerror(number) in str(error) for number in NO_ROOM)
 
 
@@ -140,56 +127,36 @@ class _UnderWay:
 
 
 class LotUnderWay:
-    """A lot of which items are made, or whose files are being written.
-
-    Args:
-        order: The lot.
-
-    Attributes:
-        order: As given.
-        report: What became of its items so far.
-        waiting: Places in the lot that were not begun.
-        line: Items that were made and not settled, in that order.
-        making: The item that is being made.
-    """
+    """A lot of which items are made, or whose files are being written."""
 
     def __init__(self, order: LotOrder):
         self.order, self.report = order, LotReport()
+        # places in the lot that were not begun
         self.waiting: collections.deque[int] = collections.deque(range(len(order.lines)))
+        # items that were made and not settled, in that order
         self.line: collections.deque[_UnderWay] = collections.deque()
         self.making: _UnderWay | None = None
 
 
 class LotRunner:
     """Makes the items of lots, and notes what became of each.
+    `begin` makes, in one thread at a time, and `settle` waits and notes, in any."""
 
-    The files of a lot may still be written while the items of the next one are made: `begin` makes, in one thread at a
-    time, and `settle` waits and notes, in any.
-
-    Args:
-        maker: Makes one item.
-        read: An item of its line and the number of that.
-        fingerprint: Begins the hash of an item's inputs, as they are before it is made; what it returns waits for it.
-        notes: Where it is noted.
-        place: What records say of the worker.
-        retries: How often an item may be tried again.
-        check_device: Raises where the device works no more; called after errors that are not those of the input.
-        out: The folder of the run, where there are shards.
-
-    Attributes:
-        report: What became of the items of the newest lot so far.
-    """
+    # The files of a lot may still be written while the items of the next one are made.
 
     def __init__(
         self,
         maker: Maker,
         read: Callable[[bytes, int], Item],
+        # begins the hash of an item's inputs, as they are before it is made
         fingerprint: Callable[[Item], Inputs],
         notes: Notes,
         place: Place,
         *,
         retries: int = 2,
+        # raises where the device works no more; called after errors that are not those of the input
         check_device: Callable[[], None] = lambda: None,
+        # the folder of the run, where there are shards
         out: pathlib.Path | None = None,
     ):
         self._maker, self._read, self._fingerprint, self._notes, self._place = maker, read, fingerprint, notes, place
@@ -199,30 +166,17 @@ class LotRunner:
         self._lots: dict[int, LotUnderWay] = {}
         self._newest_made = 0  # number of the newest lot whose items are all begun
         self._stopped = False
+        # of the newest lot so far
         self.report, self._settled_at = LotReport(), 0.0
         self._group: str | None = None
         self._held = contextlib.ExitStack()
 
     def run(self, order: LotOrder) -> LotReport:
-        """Make a lot.
-
-        Args:
-            order: The lot.
-
-        Returns:
-            What became of its items.
-        """
+        """Make a lot; returns what became of its items."""
         return self.settle(self.begin(order))
 
     def begin(self, order: LotOrder) -> LotUnderWay:
-        """Make the items of a lot, or pack its shard; files may be written afterwards.
-
-        Args:
-            order: The lot.
-
-        Returns:
-            The lot, for `settle`.
-        """
+        """Make the items of a lot, or pack its shard; files may be written until `settle` has it."""
         lot = LotUnderWay(order)
         with self._making:
             self.report = lot.report
@@ -240,14 +194,7 @@ class LotRunner:
         return lot
 
     def settle(self, lot: LotUnderWay) -> LotReport:
-        """Wait for the files of a lot, and note what became of its items.
-
-        Args:
-            lot: What `begin` returned.
-
-        Returns:
-            What became of its items.
-        """
+        """Wait for the files of a lot that `begin` returned, and note what became of its items."""
         report = lot.report
         try:
             while lot.line:
@@ -262,24 +209,13 @@ class LotRunner:
         return report
 
     def wait_until_begun(self, number: int) -> None:
-        """Wait until all items of a lot are begun, or will not be. Any thread may call it.
-
-        Args:
-            number: Of the lot; it may not be here yet.
-        """
+        """Wait until all items of a lot, which may not be here yet, are begun or will not be. Any thread may call."""
         with self._made:
             self._made.wait_for(lambda: self._newest_made >= number)
 
     def recall(self, number: int, share: float) -> list[int]:
-        """Give items back that were not begun. Any thread may call it while a lot runs.
-
-        Args:
-            number: Of the lot; one that is not under way gives nothing back.
-            share: Of those that were not begun, as many from the end.
-
-        Returns:
-            Their numbers in the job file.
-        """
+        """Give back a share of the items of a lot that were not begun, from its end: their numbers in the job file.
+        Any thread may call it while a lot runs; one that is not under way gives nothing back."""
         with self._lock:
             lot = self._lots.get(number)
             if lot is None:
@@ -288,15 +224,8 @@ class LotRunner:
             return [lot.order.indices[place] for place in reversed(back)]
 
     def oldest(self, number: int) -> tuple[int, float] | None:
-        """The item of a lot that has been under way for longest. Any thread may call it while a lot runs.
-
-        Args:
-            number: Of the lot.
-
-        Returns:
-            Its number in the job file, and the seconds since it was begun; None where none is under way, or for a lot
-            that is not.
-        """
+        """The item of a lot that has been under way for longest, by its number in the job file, and its seconds so far.
+        None where none is under way, or for a lot that is not. Any thread may call it while a lot runs."""
         with self._lock:
             lot = self._lots.get(number)
             begun = [] if lot is None else [made for made in (*lot.line, lot.making) if made and not made.future.done()]
@@ -427,11 +356,7 @@ class LotRunner:
                 report.pack_error = one_line(error)
 
     def keep(self, held: contextlib.AbstractContextManager[Any]) -> None:
-        """Keep something open as long as this may write.
-
-        Args:
-            held: What is closed by `close`.
-        """
+        """Keep something open as long as this may write; `close` closes it."""
         self._held.enter_context(held)
 
     def close(self) -> None:

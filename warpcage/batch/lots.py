@@ -24,22 +24,18 @@ NEWEST = 0.25
 
 @dataclasses.dataclass(frozen=True)
 class Lot:
-    """Items that one worker takes at once.
-
-    Attributes:
-        number: Of this lot in its run.
-        items: Numbers of the items in the job file, in the order in which they are made.
-        attempts: How often each was begun before and failed.
-        group: What the worker has loaded afterwards.
-        shard: The shard that is to be packed, in a lot without items; None else.
-        seconds: After so many no more of its items are begun; None where it is known what they take.
-    """
+    """Items that one worker takes at once."""
 
     number: int
+    # numbers of the items in the job file, in the order in which they are made
     items: Sequence[int]
+    # how often each was begun before and failed
     attempts: Sequence[int]
+    # what the worker has loaded afterwards
     group: int
+    # to be packed, in a lot without items; None else
     shard: int | None = None
+    # after so many no more of its items are begun; None where it is known what they take
     seconds: float | None = None
 
 
@@ -59,21 +55,10 @@ class _Seconds:
 
 
 class Lots:
-    """What is left to be made, in groups of items that share what a worker loads.
+    """What is left to be made, in groups of items that share what a worker loads; items, groups and kinds are (n,).
+    Items of a group follow each other; aim: seconds that a lot should take."""
 
-    Args:
-        items: (n,) numbers of the items to be made, those of a group together.
-        groups: (n,) which group each is of, any whole numbers.
-        kinds: (n,) what kind each is of, whole numbers: where nothing is known of a group, its items are taken to last
-            as long as others of their kind.
-        aim: Seconds that a lot should take.
-        largest: Most items of a lot.
-        whole: Whether a lot is all that is left of a group (a shard), however long it takes.
-
-    Attributes:
-        left: Items that nobody has.
-        aim, whole: As given.
-    """
+    # Where nothing is known of a group, its items are taken to last as long as others of their kind.
 
     def __init__(
         self,
@@ -83,6 +68,7 @@ class Lots:
         *,
         aim: float = AIM,
         largest: int = LARGEST,
+        # whether a lot is all that is left of a group (a shard), however long it takes
         whole: bool = False,
     ):
         self._items = np.asarray(items, np.int64)
@@ -103,6 +89,7 @@ class Lots:
         self._seconds: dict[int, _Seconds] = {}  # an item of a group takes
         self._kind_seconds: dict[int, _Seconds] = {}
         self.aim, self._largest, self.whole = aim, largest, whole
+        # items that nobody has
         self.left = len(self._items)
 
     @property
@@ -129,14 +116,9 @@ class Lots:
         return 0.0 if found is None else found.items
 
     def note(self, group: int, seconds: float, items: int = 1) -> None:
-        """Keep how long an item of a group took.
-
-        Args:
-            group: The group.
-            seconds: Mean over the items of a lot.
-            items: How many those were: one that is made alone takes longer than one among others. 0 is for seconds with
-                what loading takes in them, which hold only until others are known.
-        """
+        """Keep how long an item of a group took; seconds: mean over the items of a lot; items: how many those were."""
+        # One that is made alone takes longer than one among others. 0 is for seconds with what loading takes in them,
+        # which hold only until others are known.
         kind = int(self._kinds[group])
         tables = [(self._kind_seconds, kind), *([(self._seconds, group)] if self.left_in(group) else [])]
         for table, key in tables:
@@ -146,16 +128,9 @@ class Lots:
         return self._seconds.get(group, self._kind_seconds.get(int(self._kinds[group])))
 
     def choose(self, loaded: int | None, sharers: dict[int, int]) -> int | None:
-        """The group of which a worker should take its next lot.
-
-        Args:
-            loaded: The group that it has loaded.
-            sharers: How many workers are at each group.
-
-        Returns:
-            That group as long as there is some of it; else one that nobody has begun, the largest first; else the one
-            with the most left for each worker at it. None where nothing is left.
-        """
+        """The group of which a worker should take its next lot; loaded: that it has; sharers: workers at each group."""
+        # The loaded one as long as there is some of it; else one that nobody has begun, the largest first; else the one
+        # with the most left for each worker at it.
         if loaded is not None and self.left_in(loaded):
             return loaded
         while self._unclaimed < len(self._by_size):
@@ -167,19 +142,12 @@ class Lots:
         return max(self._open, key=lambda group: self.left_in(group) / (1 + sharers.get(group, 0)), default=None)
 
     def take(self, group: int, workers: int, speed: float = 1.0) -> tuple[list[int], int]:
-        """Cut a lot.
-
-        Args:
-            group: Of which group. Where that has too few, the next groups that nobody has begun are taken with it, as
-                far as they are of its kind and taken whole.
-            workers: How many workers there are.
-            speed: Seconds that the worker takes for what takes others one.
-
-        Returns:
-            The items, and the group of the last of them.
-        """
+        """Cut a lot of a group; returns the items, and the group of the last of them.
+        speed: seconds that the worker takes for what takes others one."""
         size = self._size(group, workers, speed)
         taken = self._cut(group, size)
+        # where that has too few, the next groups that nobody has begun are taken with it, as far as they are of its
+        # kind and taken whole
         while not self.whole and len(taken) < size and self._unclaimed < len(self._by_size):
             following = int(self._by_size[self._unclaimed])
             fits = self.left_in(following) <= size - len(taken) and self._kinds[following] == self._kinds[group]

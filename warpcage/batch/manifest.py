@@ -1,9 +1,4 @@
-"""The manifest of a run: what became of each item, one line each; and the notes that workers write meanwhile.
-
-A worker appends two lines for each item to a file of its own: one when it begins, so that what it was making is known
-if it dies, and one when that is settled. These notes are merged into the manifest at the end of a run, at an interrupt,
-and at the next start after a kill.
-"""
+"""The manifest of a run: what became of each item, one line each; and the notes that workers write meanwhile."""
 
 from __future__ import annotations
 
@@ -38,11 +33,11 @@ def id_key(item_id: str) -> int:
 
 
 class Notes:
-    """The file that one worker appends to, from any of its threads.
+    """The file that one worker appends to, from any of its threads; its folder is there."""
 
-    Args:
-        path: The file; its folder is there.
-    """
+    # A worker appends two lines for each item: one when it begins, so that what it was making is known if it dies, and
+    # one when that is settled. They are merged into the manifest at the end of a run, at an interrupt, and at the next
+    # start after a kill.
 
     def __init__(self, path: PathLike):
         self.path = pathlib.Path(path)
@@ -50,14 +45,7 @@ class Notes:
         self._lock = threading.Lock()
 
     def append(self, record: dict[str, Any]) -> None:
-        """Append one line. A line that does not fit on the disk is taken away again.
-
-        Args:
-            record: What it says.
-
-        Raises:
-            OSError: If it cannot be written.
-        """
+        """Append one line. A line that does not fit on the disk is taken away again."""
         line = json.dumps(record, separators=(",", ":"), ensure_ascii=False).encode("utf-8", "surrogatepass") + b"\n"
         with self._lock:
             written = self._file.write(line)
@@ -72,17 +60,9 @@ class Notes:
 
 
 def read_lines(path: PathLike) -> Iterator[tuple[int, dict[str, Any]]]:
-    """The whole lines of a file of records, with the places where they begin.
-
-    What is no JSON object with an id and a state is left out: the last line of a worker that was killed, or what a full
-    disk left.
-
-    Args:
-        path: The file. Where there is none, there are no lines.
-
-    Yields:
-        Place in bytes, and record.
-    """
+    """The whole lines of a file of records, with the places in bytes where they begin; none where there is no file."""
+    # What is no JSON object with an id and a state is left out: the last line of a worker that was killed, or what a
+    # full disk left.
     try:
         file = open(path, "rb")
     except FileNotFoundError:
@@ -108,15 +88,8 @@ def _record(line: bytes) -> dict[str, Any] | None:
 
 
 def notes_of_lot(path: PathLike, lot: int) -> tuple[list[dict[str, Any]], list[str]]:
-    """What a worker that died noted of a lot.
-
-    Args:
-        path: Its file.
-        lot: Number of the lot.
-
-    Returns:
-        The records of items that were settled, and the ids of those that were begun and not settled, the newest last.
-    """
+    """What a worker that died noted of a lot: the records of items that were settled, and the ids of those that were
+    begun and not settled, the newest last."""
     settled: list[dict[str, Any]] = []
     begun: dict[str, None] = {}
     for _, record in read_lines(path):
@@ -129,16 +102,9 @@ def notes_of_lot(path: PathLike, lot: int) -> tuple[list[dict[str, Any]], list[s
 
 
 class Manifest:
-    """The records of all runs with one output folder.
+    """The records of all runs with one output folder; their file may not be there yet."""
 
-    It is read through an index that takes some 20 bytes a record, so that a driver can hold that of a million.
-
-    Args:
-        path: The manifest. It may not be there yet.
-
-    Attributes:
-        keys: (n,) `id_key` of each record's item, sorted.
-    """
+    # It is read through an index that takes some 20 bytes a record, so that a driver can hold that of a million.
 
     def __init__(self, path: PathLike):
         self.path = pathlib.Path(path)
@@ -148,6 +114,7 @@ class Manifest:
             places.append(place)
         unsorted = np.array(keys, np.int64)
         order = np.argsort(unsorted, kind="stable")
+        # (n,) `id_key` of each record's item, sorted
         self.keys, self._places = unsorted[order], np.array(places, np.int64)[order]
         self._file: IO[bytes] | None = None
 
@@ -158,14 +125,7 @@ class Manifest:
         return (record for _, record in read_lines(self.path))
 
     def find(self, item_id: str) -> dict[str, Any] | None:
-        """The record of an item.
-
-        Args:
-            item_id: Its id.
-
-        Returns:
-            The record; None where there is none.
-        """
+        """The record of an item; None where there is none."""
         key = id_key(item_id)
         begin, end = np.searchsorted(self.keys, [key, key + 1])
         for place in self._places[begin:end]:
@@ -224,19 +184,10 @@ class _Merge:
 
 def merge_notes(manifest: PathLike, notes: Iterable[PathLike], into: PathLike | None = None) -> None:
     """Merge the notes of workers into the manifest, which is replaced at once, and take them away.
-
-    What is in the notes counts, whatever the manifest said before: also of an item that was begun and not settled,
-    whose outputs may be new or old. An interrupt or a kill at any moment leaves either the notes or a manifest that has
-    them; merged twice they give the same.
-
-    Args:
-        manifest: The manifest, which may not be there.
-        notes: The files.
-        into: Another file to write, while manifest and notes stay as they are. None replaces the manifest.
-
-    Raises:
-        OSError: If the manifest cannot be written; the notes are still there then.
-    """
+    into: another file to write, while manifest and notes stay as they are."""
+    # What is in the notes counts, whatever the manifest said before: also of an item that was begun and not settled,
+    # whose outputs may be new or old. An interrupt or a kill at any moment leaves either the notes or a manifest that
+    # has them; merged twice they give the same.
     manifest = pathlib.Path(manifest)
     files = sorted(map(pathlib.Path, notes))
     if not files and into is None:

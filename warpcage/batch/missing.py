@@ -17,25 +17,15 @@ MOST_FILES = 100_000
 
 
 class Missing:
-    """Looks for files and rows that items name.
-
-    Args:
-        base: Folder that paths in items are relative to.
-    """
+    """Looks for files and rows that items name; base: folder that their paths are relative to."""
 
     def __init__(self, base: PathLike):
         self.base = base
         self._files: Recent[NpyFile | str | None] = Recent(MOST_FILES)
 
     def of(self, item: Item) -> str | None:
-        """What an item names and is not there.
-
-        Args:
-            item: The item.
-
-        Returns:
-            One line on the first of it. None where all is there; whether it can be used shows when the item is made.
-        """
+        """One line on the first that an item names and is not there; None where all is there."""
+        # Whether it can be used shows when the item is made.
         found = (self._wrong(reference) for reference in references_of(item))
         return next((line for line in found if line), None)
 

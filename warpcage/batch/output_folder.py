@@ -32,13 +32,9 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 
 
 class OutputFolder:
-    """Where a run writes.
+    """Where a run writes; `prepare` makes the folder. part: None is the whole job."""
 
-    Args:
-        path: The folder; `prepare` makes it.
-        part: The part of the job that is made, beside runs of other parts: it leaves its notes for a run of the whole
-            job to merge. None is the whole job.
-    """
+    # A part is made beside runs of other parts: it leaves its notes for a run of the whole job to merge.
 
     def __init__(self, path: PathLike, part: Part | None = None):
         self.path, self.part = pathlib.Path(path).absolute(), part
@@ -52,12 +48,7 @@ class OutputFolder:
         return self.path / MANIFEST
 
     def prepare(self) -> None:
-        """Make the folder.
-
-        Raises:
-            ValueError: Where a file is in its place.
-            OSError: If it cannot be made.
-        """
+        """Make the folder."""
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"{str(self.path)!r} is a file: -o takes a folder")
         inner_first = (self.notes, self.own, self.path, *self.path.parents)
@@ -65,20 +56,12 @@ class OutputFolder:
         self.notes.mkdir(parents=True, exist_ok=True)
 
     def new_notes(self, name: str) -> Notes:
-        """A file of notes of its own.
-
-        Args:
-            name: Which no other file of this run has.
-        """
+        """A file of notes of its own; name: which no other file of this run has."""
         return Notes(self.notes / f"{name}.jsonl")
 
     @contextlib.contextmanager
     def driven(self) -> Iterator[None]:
-        """Be the only driver of the folder, or of a part. The lock frees itself where the driver is killed.
-
-        Raises:
-            ValueError: Where another run is under way, or workers of a driver that was killed do not end.
-        """
+        """Be the only driver of the folder, or of a part. The lock frees itself where the driver is killed."""
         with contextlib.ExitStack() as held:
             driver = held.enter_context(open(self.own / "driver.lock", "a+b"))
             free = _lock(driver, exclusive=self.part is None)
@@ -103,9 +86,7 @@ class OutputFolder:
     @contextlib.contextmanager
     def nothing_left(self) -> Iterator[None]:
         """Where the block fails before anything was made, take the folders away that `prepare` made.
-
-        To be entered in `driven`: nobody else writes here then.
-        """
+        To be entered in `driven`: nobody else writes here then."""
         try:
             yield
         except BaseException:
@@ -125,12 +106,7 @@ class OutputFolder:
 
     def merge(self) -> None:
         """Merge all notes into the manifest, and remove what workers that were killed left half-written.
-
-        No worker may be at work. A part does not: others may be.
-
-        Raises:
-            OSError: If the manifest cannot be written.
-        """
+        No worker may be at work. A part does not merge: others may be."""
         if self.part is not None:
             return
         shutil.rmtree(self.path / PARTS, ignore_errors=True)
@@ -150,11 +126,7 @@ class OutputFolder:
         return Manifest(merged)
 
     def holds(self, outputs: Any) -> bool:
-        """Whether all files of a record are there in the size that it says.
-
-        Args:
-            outputs: Bytes by name.
-        """
+        """Whether all files of a record are there in the size that it says; outputs: bytes by name."""
         if not isinstance(outputs, dict) or not outputs:
             return False
         try:

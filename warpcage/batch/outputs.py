@@ -27,35 +27,20 @@ Writer = Callable[[pathlib.Path], object]
 
 @dataclasses.dataclass(frozen=True)
 class Made:
-    """An item that is made, and not yet written.
+    """An item that is made, and not yet written."""
 
-    Args:
-        writers: What writes its outputs, by their paths.
-        held_bytes: Bytes of main memory that they hold.
-    """
-
+    # by the paths of its outputs
     writers: Mapping[str, Writer]
+    # of main memory, that the writers hold
     held_bytes: int = 0
 
 
 def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathlib.Path) -> dict[str, int]:
-    """Write files, all of them or none.
-
-    They are written in a folder of their own, and put into their places when all are whole.
-
-    Args:
-        writers: What writes each, by its path below `out`.
-        out: The folder.
-        parts: Folder for files that are not whole yet, on the same file system.
-
-    Returns:
-        Bytes of the files, by their paths.
-
-    Raises:
-        OSError: Where they cannot be written.
-    """
+    """Write files below `out`, all of them or none; returns their bytes by path.
+    parts: folder for files that are not whole yet, on the same file system."""
     sizes: dict[str, int] = {}
     placed: list[pathlib.Path] = []
+    # they are written in a folder of their own, and put into their places when all are whole
     with _part_names(writers, parts) as names:
         for path, write in writers.items():
             write(names[path])
@@ -103,12 +88,7 @@ def _part_names(paths: Mapping[str, Writer], parts: pathlib.Path) -> Iterator[di
 
 
 def write_array(path: pathlib.Path, array: np.ndarray) -> None:
-    """Write a .npy file.
-
-    Args:
-        path: The file, which is not yet in its place.
-        array: The numbers.
-    """
+    """Write a .npy file that is not yet in its place."""
     numbers = np.ascontiguousarray(array)
     if not numbers.size:
         path.write_bytes(array_data(numbers))
@@ -121,14 +101,7 @@ def write_array(path: pathlib.Path, array: np.ndarray) -> None:
 
 
 def array_data(array: np.ndarray) -> memoryview:
-    """The bytes of a .npy file.
-
-    Args:
-        array: The numbers.
-
-    Returns:
-        The bytes.
-    """
+    """The bytes of a .npy file."""
     data = io.BytesIO()
     np.save(data, np.ascontiguousarray(array), allow_pickle=False)
     return data.getbuffer()

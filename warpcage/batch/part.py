@@ -10,15 +10,7 @@ from ..core.checks import shown
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """One of the parts of a job.
-
-    Args:
-        number: From 1.
-        count: Of all parts.
-
-    Raises:
-        ValueError: For a part that there is not.
-    """
+    """One of the parts of a job: `number`, from 1, of `count`."""
 
     number: int
     count: int
@@ -41,15 +33,8 @@ class Part:
         return f"part-{self.number}-of-{self.count}"
 
     def range(self, total: int, unit: int = 1) -> range:
-        """Its items.
-
-        Args:
-            total: Items of the job.
-            unit: Items that stay together: those of a shard.
-
-        Returns:
-            Their numbers. All parts together have each item once, and as many units each as can be.
-        """
+        """Numbers of its items, of `total`; unit: items that stay together, those of a shard."""
+        # All parts together have each item once, and as equal numbers of units as can be.
         units = -(-total // unit)
         begin, end = (min(total, unit * (units * part // self.count)) for part in (self.number - 1, self.number))
         return range(begin, end)

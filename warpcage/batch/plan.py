@@ -21,39 +21,27 @@ KIND_NUMBERS = {kind: number for number, kind in enumerate(KINDS)}
 
 @dataclasses.dataclass
 class Plan:
-    """What is made, and what is kept.
-
-    Attributes:
-        total: Items of the job.
-        items: (n,) numbers of those to be made, in the order in which workers should take them.
-        groups: (n,) which of them share what a worker loads; of a job with shards, the shard of each.
-        kinds: (n,) their kinds, as `KIND_NUMBERS` has them.
-        poses: (n,) those that follow each other with one number show one pose of one group.
-        kept: Items that are there.
-        changed: Items to be made whose inputs changed, or whose files are not as they were.
-        failed_before: Items to be made that failed in an earlier run.
-        group_count: Groups of those to be made: fields with the cages at rest on them, scenes.
-    """
+    """What is made, and what is kept."""
 
     total: int
+    # (n,) numbers of those to be made, in the order in which workers should take them
     items: np.ndarray
+    # (n,) which of them share what a worker loads; of a job with shards, the shard of each
     groups: np.ndarray
+    # (n,) as KIND_NUMBERS has them
     kinds: np.ndarray
+    # (n,) those that follow each other with one number show one pose of one group
     poses: np.ndarray
     kept: int
+    # of the items to be made: whose inputs changed or whose files are not as they were; that failed in an earlier run
     changed: int
     failed_before: int
+    # of those to be made: fields with the cages at rest on them, scenes
     group_count: int
 
     def first_items(self, most: int) -> list[int]:
-        """The items with which workers will probably begin: the first of each group, the largest groups before others.
-
-        Args:
-            most: How many at most.
-
-        Returns:
-            Their numbers in the job file.
-        """
+        """Numbers of the items with which workers will probably begin: the first of each group, the largest groups
+        before others."""
         starts = np.flatnonzero(np.diff(self.groups, prepend=self.groups[:1] - 1))
         sizes = np.diff(starts, append=len(self.groups))
         return self.items[starts[np.argsort(-sizes, kind="stable")[:most]]].tolist()
@@ -71,20 +59,7 @@ def make_plan(
     progress: Callable[[int], None] = lambda count: None,
 ) -> Plan:
     """Look at all items of a job, or of the part that the folder is for.
-
-    Args:
-        job: The job file.
-        folder: The output folder.
-        manifest: Its records.
-        fingerprint: The hash of an item's inputs.
-        progress: Called with the number of items that were looked at.
-
-    Returns:
-        The plan.
-
-    Raises:
-        ValueError: For an item that cannot be read, or two that share their id or an output.
-    """
+    fingerprint: the hash of an item's inputs; progress: called with the number of items that were looked at."""
     count, span = len(job), span_of(job, folder)
     shard = shard_size(job)
     keys, groups, poses = (np.zeros(count, np.int64) for _ in range(3))
@@ -147,29 +122,12 @@ def shard_size(job: JobFile) -> int:
 
 
 def span_of(job: JobFile, folder: OutputFolder) -> range:
-    """The items that a run looks at: all, or those of its part, which has whole shards.
-
-    Args:
-        job: The job file.
-        folder: The output folder.
-
-    Returns:
-        Their numbers.
-    """
+    """Numbers of the items that a run looks at: all, or those of its part, which has whole shards."""
     return range(len(job)) if folder.part is None else folder.part.range(len(job), shard_size(job) or 1)
 
 
 def open_shards(plan: Plan, folder: OutputFolder, job: JobFile) -> dict[int, int]:
-    """Items to be made of each shard of a job with shards; 0 where its loose files are only to be packed.
-
-    Args:
-        plan: The plan.
-        folder: The output folder.
-        job: The job file.
-
-    Returns:
-        Counts by shard.
-    """
+    """Items to be made of each shard of a job with shards; 0 where its loose files are only to be packed."""
     shards, counts = np.unique(plan.groups, return_counts=True)
     span, size = span_of(job, folder), shard_size(job)
     staged = (shard for shard in staged_shards(folder.path) if folder.part is None or shard * size in span)

@@ -19,21 +19,8 @@ _drawn: list[RandomPoses] = []
 
 
 def rows_by_processes(poses: RandomPoses, count: int, processes: int) -> Iterator[np.ndarray]:
-    """The vertices of the first poses, in their order. They are those that this process would draw, to the bit.
-
-    Processes are started anew, not copied: a program needs `if __name__ == "__main__":` around what it does.
-
-    Args:
-        poses: Where they come from.
-        count: How many.
-        processes: How many draw.
-
-    Yields:
-        (v, 3) float64, world units.
-
-    Raises:
-        ValueError: Where no way from rest stays within the bounds.
-    """
+    """The vertices (v, 3) float64, world units, of the first poses in their order: those of this process, to the bit.
+    Processes are started anew, not copied: a program needs `if __name__ == "__main__":` around what it does."""
     poses.probe  # noqa: B018  (made once, and sent with the poses)
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, fresh, initializer=_begin, initargs=(poses,)) as pool:

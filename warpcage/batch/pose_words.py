@@ -35,18 +35,8 @@ _WORDS: dict[str, Checker] = {
 
 
 def drawn_pose(value: Any, word: str) -> dict[str, Any]:
-    """The words of a drawn pose, checked.
-
-    Args:
-        value: {"random": {"seed": 0, "number": 12}}; `stretch`, `reach` and `modes` if they are not usual.
-        word: How messages call it.
-
-    Returns:
-        The same with all words, so that a hash of it is one of the pose.
-
-    Raises:
-        ValueError: For words that cannot be.
-    """
+    """The words of a drawn pose, checked, with those that were left out, so that a hash of it is one of the pose.
+    value: {"random": {"seed": 0, "number": 12}}; `stretch`, `reach` and `modes` if they are not usual."""
     if set(value) != {RANDOM} or not isinstance(value[RANDOM], dict):
         raise ValueError(f'{word} must be an array, or {{"random": {{"seed": 0, "number": 12}}}}, got {shown(value)}')
     given = checked_words(value[RANDOM], _WORDS, f"{RANDOM!r} of {word}")
@@ -57,15 +47,7 @@ def drawn_pose(value: Any, word: str) -> dict[str, Any]:
 
 
 def drawn_words(chance: PoseChance, number: int) -> dict[str, Any]:
-    """How a line of a job file names a random pose: without what is usual.
-
-    Args:
-        chance: By what it is drawn.
-        number: Which of those poses it is.
-
-    Returns:
-        Its "posed".
-    """
+    """The "posed" by which a line of a job file names a random pose: without what is usual."""
     usual, found = _bounds(), _bounds(stretch=chance.stretch, reach=chance.reach, modes=chance.modes)
     own = {name: value for name, value in found.items() if value != usual[name]}
     return {RANDOM: {"seed": chance.seed, "number": number, **own}}

@@ -14,11 +14,7 @@ from .runners import RunnerSettings, make_runner
 
 
 class LotActor:
-    """What runs in the process of a worker.
-
-    Args:
-        settings: What it needs to begin.
-    """
+    """What runs in the process of a worker."""
 
     def __init__(self, settings: RunnerSettings):
         self._settings = settings

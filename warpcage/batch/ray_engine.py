@@ -48,11 +48,7 @@ STORE = 100 * 2**20
 
 
 def load_ray() -> types.ModuleType:
-    """Ray, which only several workers and clusters need.
-
-    Raises:
-        ImportError: Where it is not installed.
-    """
+    """Ray, which only several workers and clusters need."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nobody is told
     try:
         import ray
@@ -66,17 +62,7 @@ def load_ray() -> types.ModuleType:
 @contextlib.contextmanager
 def ray_session(cluster: str | None) -> Iterator[types.ModuleType]:
     """Ray, started here or connected to a cluster; one that the program itself has started is used as it is.
-
-    Args:
-        cluster: Address of a cluster, None for this machine.
-
-    Yields:
-        The module.
-
-    Raises:
-        ImportError: Where Ray is not installed.
-        ValueError: Where no cluster answers.
-    """
+    cluster: address of a cluster, None for this machine."""
     ray = load_ray()
     if ray.is_initialized():
         yield ray
@@ -141,35 +127,21 @@ def _silence() -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Share:
-    """What each worker gets of a machine.
-
-    Attributes:
-        workers: How many there are.
-        gpus: GPUs of each, 0 or 1.
-        cpus: Cores that Ray sets aside for each, on clusters.
-        threads: Threads of each for kernels on the CPU.
-        device: Warp device of each.
-    """
+    """What each worker gets of a machine."""
 
     workers: int
+    # of each, 0 or 1
     gpus: int
+    # cores that Ray sets aside for each, on clusters
     cpus: float
+    # of each for kernels on the CPU
     threads: int
     device: str
 
 
 def shares(ray: types.ModuleType, workers: int | None, cluster: bool, device: str | None) -> Share:
     """How workers share what there is: one a GPU, else the cores in equal parts.
-
-    Args:
-        ray: Ray, connected.
-        workers: How many. None is all GPUs, or one a machine where there are none.
-        cluster: Whether machines are those of a cluster, which may have more of them later.
-        device: "cpu", "cuda" or None: GPUs where there are any.
-
-    Raises:
-        ValueError: For more workers than GPUs on this machine, or a device that none has.
-    """
+    workers: None is all GPUs, or one a machine where there are none; cluster: there may be more machines later."""
     if device not in (None, "cpu", "cuda"):
         raise ValueError(f"--device of several workers is cpu or cuda, which Ray numbers by itself, got {device!r}")
     nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
@@ -193,24 +165,13 @@ def shares(ray: types.ModuleType, workers: int | None, cluster: bool, device: st
 
 
 class RayEngine:
-    """Runs lots in actors of Ray.
-
-    Args:
-        ray: Ray, connected.
-        settings: What every worker needs to begin; its name and notes are filled in.
-        share: What each gets.
-        folder: The output folder.
-        order: The order of a lot, with its items.
-        cluster: Whether they may live on other machines.
-        item_timeout: Seconds that an item may take before its worker is ended. None is no limit.
-
-    Attributes:
-        places: `pid` and `host` of each worker that is ready.
-    """
+    """Runs lots in actors of Ray; cluster: whether they may live on other machines.
+    item_timeout: seconds that an item may take before its worker is ended; None is no limit."""
 
     def __init__(
         self,
         ray: types.ModuleType,
+        # of every worker: its name and notes are filled in
         settings: RunnerSettings,
         share: Share,
         folder: OutputFolder,
@@ -285,11 +246,8 @@ class RayEngine:
             actor.stop.remote()
 
     def wait(self, timeout: float) -> list[Event]:
-        """What actors answered.
-
-        Raises:
-            RuntimeError: Where none could start for a long time, or Ray itself has ended on this machine.
-        """
+        """What actors answered; a RuntimeError where none could start for a long time, or Ray itself has ended on this
+        machine."""
         events: list[Event] = []
         with contextlib.suppress(queue.Empty):
             answer = self._events.get(timeout=timeout)
@@ -302,11 +260,7 @@ class RayEngine:
         return events
 
     def close(self, patience: float = 0.0) -> None:
-        """End all actors.
-
-        Args:
-            patience: Seconds that they get to end the items that they have begun.
-        """
+        """End all actors; patience: seconds that they get to end the items that they have begun."""
         if patience and self._orders:
             end = self.now() + patience
             with contextlib.suppress(Exception):
@@ -449,14 +403,7 @@ def _answered(events: queue.SimpleQueue, worker: str, what: str, start: int, ans
 
 
 def death_line(error: BaseException) -> str:
-    """Why a worker died, in one line instead of Ray's paragraphs.
-
-    Args:
-        error: What Ray raised.
-
-    Returns:
-        The line, without the worker's name.
-    """
+    """Why a worker died, in one line instead of Ray's paragraphs, without its name."""
     cause = getattr(error, "cause", None)  # of an error in the actor itself
     if isinstance(cause, BaseException):
         return f"its worker failed: {one_line(cause)}"

@@ -30,14 +30,7 @@ POSE_ENDING, DEPTH_ENDING, ALPHA_ENDING, RECORD_ENDING = ".pose.npy", ".depth.np
 
 
 def record_outputs(records: Mapping[str, Any]) -> dict[str, str]:
-    """The files of each item of a job with records.
-
-    Args:
-        records: "records" of the header, checked.
-
-    Returns:
-        Names by part, with `{id}` where the item's id goes.
-    """
+    """The files of each item of a job with records: names by part, with `{id}` where the item's id goes."""
     outputs = {"rgb": f"{ID}.{records.get('image', 'png')}"}
     if records.get("depth", True):
         outputs["depth"] = ID + DEPTH_ENDING
@@ -54,16 +47,8 @@ def require_frame(entry: Mapping[str, Any], defaults: Mapping[str, Any]) -> None
 
 
 def require_recordable(entry: Mapping[str, Any], item: Item, records: Mapping[str, Any]) -> None:
-    """Refuse a frame that cannot be a record.
-
-    Args:
-        entry: The item's line.
-        item: The item, with what it takes from the header.
-        records: "records" of the header.
-
-    Raises:
-        ValueError: For outputs of its own, or an id that a data set would cut or has itself.
-    """
+    """Refuse a frame that cannot be a record: with outputs of its own, or an id that a data set would cut or has
+    itself."""
     expected = {part: path.replace(ID, item.id) for part, path in record_outputs(records).items()}
     if entry.get("outputs") is not None and item.outputs != expected:
         raise ValueError("'records' of the header say what is written: leave 'outputs' out")
@@ -75,39 +60,24 @@ def require_recordable(entry: Mapping[str, Any], item: Item, records: Mapping[st
 
 
 def pose_array(posed: Sequence[Cage | None]) -> np.ndarray:
-    """The posed cages of a frame.
-
-    Args:
-        posed: The cage of each edit, None for one that removes.
-
-    Returns:
-        (v, 3) float64 vertices, world units, those of one edit after those of the one before.
-    """
+    """Vertices (v, 3) float64, world units, of the posed cages of a frame, one edit after the other; None: one that
+    removes."""
     return np.concatenate([np.zeros((0, 3)), *(cage.vertices for cage in posed if cage is not None)])
 
 
 def frame_record(item: FrameItem, camera: Camera, posed: Sequence[Cage | None]) -> dict[str, Any]:
-    """What is written beside a picture.
-
-    Args:
-        item: The frame.
-        camera: Its camera.
-        posed: The posed cage of each edit, None for one that removes.
-
-    Returns:
-        JSON: `id`; `field`; `camera` as camera files have it (OpenCV axes); `transform_matrix` of the same camera as
-        NeRF-synthetic scenes have it (+y up, -z forward); `coordinates`, `density` and `background`; `edits`, each with
-        the words of the item and its `pose_vertices`, the number of rows that it has in the pose's array; and `extra`.
-    """
+    """What is written beside a picture, JSON; posed: the cage of each edit, None for one that removes."""
     edits = []
     for edit, cage in zip(item.edits, posed, strict=True):
         words = edit.to_json()
         if isinstance(words.get("posed"), list):
             del words["posed"]  # numbers, which the pose's own file has
+        # the number of rows that the edit has in the pose's array
         edits.append(words | {"pose_vertices": 0 if cage is None else len(cage.vertices)})
     record: dict[str, Any] = {
         "id": item.id,
         "field": item.field,
+        # as camera files have it (OpenCV axes), and as NeRF-synthetic scenes have it (+y up, -z forward)
         "camera": camera_json(CameraKey(camera)),
         "transform_matrix": (camera.camera_to_world @ TO_OPENCV).tolist(),
         "background": item.background,

@@ -51,11 +51,7 @@ class RestCage(NamedTuple):
 
 
 class References:
-    """Reads what items refer to. What was read from a file is kept while the file stays as it is.
-
-    Args:
-        base: Folder that paths are relative to.
-    """
+    """Reads what items refer to. What was read from a file is kept while the file stays as it is."""
 
     def __init__(self, base: str | os.PathLike):
         self.base = pathlib.Path(base)
@@ -76,19 +72,8 @@ class References:
         return path, file_stamp(require_file(path, what))
 
     def array(self, value: Any, what: str) -> np.ndarray:
-        """An array.
-
-        Args:
-            value: "file.npy", "file.npy#17" (its row 17), or nested lists.
-            what: How messages call it.
-
-        Returns:
-            The numbers, as they are in the file.
-
-        Raises:
-            FileNotFoundError: If there is no such file.
-            ValueError: For what is no array of numbers.
-        """
+        """The numbers of an array as they are in its file: "file.npy", "file.npy#17" (its row 17), or nested lists.
+        what: how messages call it."""
         if not isinstance(value, str):
             try:
                 found = np.asarray(value)
@@ -110,19 +95,7 @@ class References:
     # -- cages
 
     def rest_cage(self, edit: EditWords, field: AnyField) -> RestCage:
-        """The cage at rest of an edit, usable.
-
-        Args:
-            edit: The edit.
-            field: The field that it stands in, by which the axis of its file is found.
-
-        Returns:
-            The cage, and the axis that points up in files of its ending.
-
-        Raises:
-            FileNotFoundError: If there is no such file.
-            ValueError: For a file that cannot be read, or a cage that cannot be used.
-        """
+        """The cage at rest of an edit, usable; field: by which the axis of its file is found."""
         if isinstance(edit.cage, str):
             path = self.path(edit.cage)
             cage, standing = load_standing(Cage, require_file(path, "cage file"), up=edit.up, reference=field)
@@ -135,20 +108,8 @@ class References:
         return RestCage(cage, cage_hash(cage), ups)
 
     def posed_cage(self, edit: EditWords, rest_cage: RestCage, field: AnyField) -> Cage | None:
-        """The posed cage of an edit, in the order of the cage at rest.
-
-        Args:
-            edit: The edit.
-            rest_cage: Its cage at rest.
-            field: The field, which says what is up in the words of a preset.
-
-        Returns:
-            The cage; None for an edit that removes.
-
-        Raises:
-            FileNotFoundError: If there is no such file.
-            ValueError: For a file that cannot be read, or a pose that does not fit.
-        """
+        """The posed cage of an edit, in the order of the cage at rest; None for an edit that removes.
+        field: says what is up in the words of a preset."""
         if edit.remove:
             return None
         value, rest = edit.posed, rest_cage.cage
@@ -191,19 +152,8 @@ class References:
     # -- cameras
 
     def camera(self, item: FrameItem, field: AnyField) -> Camera:
-        """The camera of a frame, at its size and in the world of its field.
-
-        Args:
-            item: The frame.
-            field: Its field, which may have been straightened: cameras of scenes are turned with it.
-
-        Returns:
-            The camera.
-
-        Raises:
-            FileNotFoundError: If there is no such file.
-            ValueError: For a camera that is not there or cannot be.
-        """
+        """The camera of a frame, at its size and in the world of its field."""
+        # The field may have been straightened: cameras of scenes are turned with it.
         try:
             camera = self._camera(item, field)
             return fitted(camera, item.size, "'size'")
@@ -244,18 +194,8 @@ def _posed_file(path: pathlib.Path, edit: EditWords, rest_cage: RestCage) -> Cag
 
 
 def inline_camera(value: dict[str, Any]) -> Camera:
-    """A camera of an object of numbers.
-
-    Args:
-        value: fx, fy, cx, cy, width, height and camera_to_world, as camera files have them; or eye, target, width and
-            height, and up and fov_degrees if they are not usual.
-
-    Returns:
-        The camera.
-
-    Raises:
-        ValueError: For numbers that are missing or cannot be.
-    """
+    """A camera of an object of numbers: fx, fy, cx, cy, width, height and camera_to_world, as camera files have them;
+    or eye, target, width and height, and up and fov_degrees if they are not usual."""
     if "eye" in value:
         return Camera.look_at(**value)
     try:

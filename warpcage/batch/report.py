@@ -7,26 +7,20 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class RunProgress:
-    """How far a run is.
+    """How far a run is."""
 
-    Attributes:
-        stage: "check" while items are compared with what is there, "make" after that.
-        total: Items of the job.
-        checked: Items that were looked at.
-        kept: Items that were there already.
-        done: Items that were made.
-        failed: Items that failed.
-        workers: Places where work is done.
-        seconds: Since the first worker was asked for.
-    """
-
+    # "check" while items are compared with what is there, "make" after that
     stage: str
     total: int
     checked: int = 0
+    # items that were there already
     kept: int = 0
+    # items that were made
     done: int = 0
     failed: int = 0
+    # places where work is done
     workers: int = 0
+    # since the first worker was asked for
     seconds: float = 0.0
 
 

@@ -182,17 +182,10 @@ def _run(
 
 
 class _Orders:
-    """What workers are sent for lots.
+    """What workers are sent for lots; unchanged: raises where the job file is no more what it was.
+    shard_size: items of a shard; 0 where there are none."""
 
-    Args:
-        job: The job file.
-        unchanged: Raises where that is no more what it was.
-        shard_size: Items of a shard; 0 where there are none.
-
-    Attributes:
-        dispatcher: Knows which items failed.
-    """
-
+    # knows which items failed
     dispatcher: Dispatcher
 
     def __init__(self, job: JobFile, unchanged: Callable[[], None], shard_size: int):
@@ -231,16 +224,7 @@ def _ended(
 
 
 def planned(job: JobFile, folder: OutputFolder, progress: Progress = lambda state: None) -> Plan:
-    """What is to be made.
-
-    Args:
-        job: The job file.
-        folder: The output folder, whose notes are merged.
-        progress: As for `run_jobs`.
-
-    Returns:
-        The plan.
-    """
+    """What is to be made; folder: its notes are merged already; progress: as for `run_jobs`."""
     total = len(span_of(job, folder))
 
     def tell(count: int) -> None:

@@ -23,49 +23,32 @@ from .output_folder import OutputFolder
 
 @dataclasses.dataclass(frozen=True)
 class RunnerSettings:
-    """What a worker needs to begin.
+    """What a worker needs to begin."""
 
-    Attributes:
-        base: Folder of the job file.
-        reader: Reads its lines.
-        out: The output folder.
-        run: Of which run its notes are.
-        device: Warp device; None is the first GPU, or the CPU.
-        worker: Its name.
-        notes: Name of its file of notes.
-        retries: How often an item may be tried again.
-        threads: Threads for kernels on the CPU; 0 is what there is.
-        maker: Makes what makes items, of `base`, `out` and `device`. None is `Worker`.
-        likely: Lines of items, as `reader` takes them, with one of which a worker will probably begin: what the first
-            of them needs is read while the worker starts.
-    """
-
+    # folder of the job file
     base: str
     reader: ItemReader
     out: str
+    # of which run its notes are
     run: str
+    # Warp device; None is the first GPU, or the CPU
     device: str | None = None
     worker: str = "0"
+    # name of its file of notes
     notes: str = ""
     retries: int = 2
+    # for kernels on the CPU; 0 is what there is
     threads: int = 0
+    # makes what makes items, of base, out and device; None is `Worker`
     maker: Callable[[str, str, Any], Maker] | None = None
+    # lines of items, as `reader` takes them, with one of which a worker will probably begin: what the first of them
+    # needs is read while the worker starts
     likely: tuple[tuple[bytes, int], ...] = ()
 
 
 def make_runner(settings: RunnerSettings) -> LotRunner:
-    """A runner of lots, in the process that calls.
-
-    Args:
-        settings: What it needs.
-
-    Returns:
-        The runner.
-
-    Raises:
-        RuntimeError: Where this machine does not see the folders of the run.
-        ValueError: For a device that is not there.
-    """
+    """A runner of lots, in the process that calls; a RuntimeError where this machine does not see the folders of the
+    run."""
     folder = OutputFolder(settings.out)
     for path in (pathlib.Path(settings.base), folder.notes):
         if not path.is_dir():
@@ -97,10 +80,8 @@ def make_runner(settings: RunnerSettings) -> LotRunner:
 
 
 def _worker(settings: RunnerSettings, first: Item | None) -> tuple[Maker, wp.Device]:
-    """What makes items, and its device. It is loaded here, as the driver of a cluster needs nothing of it.
-
-    The first field is read meanwhile, and the device prepared.
-    """
+    """What makes items, and its device; the first field is read meanwhile, and the device prepared."""
+    # loaded here, as the driver of a cluster needs nothing of it
     from .expected_field import ExpectedField
 
     expected = None
@@ -116,11 +97,8 @@ def _worker(settings: RunnerSettings, first: Item | None) -> tuple[Maker, wp.Dev
 
 
 def check_device(device: wp.Device) -> None:
-    """Raise where a GPU answers no more. After some errors of CUDA all that a process asks of it fails.
-
-    Args:
-        device: The device.
-    """
+    """Raise where a GPU answers no more."""
+    # After some errors of CUDA all that a process asks of it fails.
     if device.is_cuda:
         with device_turn(device):  # another thread may render
             wp.zeros(1, dtype=float, device=device).numpy()

@@ -53,31 +53,27 @@ _SCENE_WORDS: dict[str, Checker] = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FitItem(Item):
-    """A fit of a field to the pictures of a scene.
+    """A fit of a field to the pictures of a scene."""
 
-    Args:
-        id: As for `Item`.
-        outputs: {"field": file}, and {"cameras": file} where cameras are refined.
-        extra: As for `Item`.
-        scene: Folder of the scene.
-        options: Those of `warpcage.fit`, such as {"quality": "fast", "seed": 3}.
-        split: As `load_scene` has it, and so the rest.
-        downscale: Factor by which pictures shrink.
-        format: Format of the scene. None finds it.
-        masks: What mask files are.
-        cameras: Camera file of the scene. None takes those of its files.
-        background: Colour behind transparent pixels.
-        straighten: Whether the scene is turned so that its up is +z.
-    """
+    # Outputs: {"field": file}, and {"cameras": file} where cameras are refined.
 
+    # folder
     scene: str = ""
+    # those of `warpcage.fit`, such as {"quality": "fast", "seed": 3}
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    # as `load_scene` has it, and so the rest
     split: str = "train"
+    # factor by which pictures shrink
     downscale: int = 1
+    # None finds it
     format: str | None = None
+    # what mask files are
     masks: bool | str = True
+    # camera file of the scene; None takes those of its files
     cameras: str | None = None
+    # colour behind transparent pixels
     background: Any = "white"
+    # whether the scene is turned so that its up is +z
     straighten: bool = False
 
     kind: ClassVar[str] = "fit"
@@ -108,33 +104,29 @@ class FitItem(Item):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EvaluateItem(Item):
-    """A comparison of a field with pictures of a scene, as `warpcage evaluate` makes it.
+    """A comparison of a field with pictures of a scene, as `warpcage evaluate` makes it."""
 
-    Args:
-        id: As for `Item`.
-        outputs: {"report": file}.
-        extra: As for `Item`.
-        field: The field file, voxels.
-        scene: Folder of the scene.
-        split: As `load_scene` has it, and so the rest.
-        downscale: Factor by which pictures shrink.
-        format: Format of the scene. None finds it.
-        masks: What mask files are.
-        cameras: Camera file of the scene. None takes those of its files.
-        background: Colour behind the field. None is the field's own.
-        tune_cameras: Whether the camera of each view is turned and shifted first so that it matches the field best.
-        scene_scale: As `VoxelField.load` has it.
-    """
+    # Outputs: {"report": file}.
 
+    # a file, voxels
     field: str = ""
+    # folder
     scene: str = ""
+    # as `load_scene` has it, and so the rest
     split: str = "test"
+    # factor by which pictures shrink
     downscale: int = 1
+    # None finds it
     format: str | None = None
+    # what mask files are
     masks: bool | str = True
+    # camera file of the scene; None takes those of its files
     cameras: str | None = None
+    # colour behind the field; None is the field's own
     background: Any = None
+    # whether the camera of each view is turned and shifted first so that it matches the field best
     tune_cameras: bool = False
+    # as `VoxelField.load` has it
     scene_scale: float = 1.0
 
     kind: ClassVar[str] = "evaluate"

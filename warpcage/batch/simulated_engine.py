@@ -14,41 +14,36 @@ from .lots import Lot
 
 @dataclasses.dataclass
 class Conditions:
-    """What a simulated run meets.
+    """What a simulated run meets."""
 
-    Attributes:
-        item_seconds: (n,) what each item takes on a usual worker.
-        groups: (n,) which items share what is loaded.
-        speeds: (workers,) what each worker takes for a second's work.
-        load_seconds: What loading another group takes.
-        write_seconds: After so long the files of an item are there, once it is made.
-        overlapping: Whether workers tell when all items of a lot are begun, before their files are there.
-        start_seconds: What starting a worker's process takes.
-        latency: Seconds on the way of a message.
-        send_cost: Seconds of the driver for a lot, and for each of its items.
-        receive_cost: Seconds of the driver for a report, and for each of its items.
-        deaths_per_hour: Of each worker at work, by chance.
-        poison: Items that kill every worker that makes them.
-        bad: Items whose input is bad.
-        flaky: Share of the tries that fail by chance.
-        stalls: Share of the lots during which a worker becomes slow, and how much.
-        seed: Of chance.
-    """
-
+    # (n,) what each item takes on a usual worker
     item_seconds: np.ndarray
+    # (n,) which items share what is loaded
     groups: np.ndarray
+    # (workers,) what each worker takes for a second's work
     speeds: np.ndarray
+    # what loading another group takes
     load_seconds: float = 0.0
+    # after so long the files of an item are there, once it is made
     write_seconds: float = 0.0
+    # whether workers tell when all items of a lot are begun, before their files are there
     overlapping: bool = False
+    # what starting a worker's process takes
     start_seconds: float = 2.0
+    # seconds on the way of a message
     latency: float = 0.0005
+    # seconds of the driver for a lot, and for each of its items; for a report, and for each of its items
     send_cost: tuple[float, float] = (0.0, 0.0)
     receive_cost: tuple[float, float] = (0.0, 0.0)
+    # of each worker at work, by chance
     deaths_per_hour: float = 0.0
+    # items that kill every worker that makes them
     poison: frozenset[int] = frozenset()
+    # items whose input is bad
     bad: frozenset[int] = frozenset()
+    # share of the tries that fail by chance
     flaky: float = 0.0
+    # share of the lots during which a worker becomes slow, and how much
     stalls: tuple[float, float] = (0.0, 10.0)
     seed: int = 0
 
@@ -69,23 +64,15 @@ class _Work:
 
 
 class SimulatedEngine:
-    """What `RayEngine` does, under a virtual clock. The driver is one more worker, which messages keep busy.
-
-    Args:
-        conditions: What it meets.
-
-    Attributes:
-        made: (n,) how often each item was made.
-        busy: Seconds that the driver worked.
-        worked: Seconds that workers made items, and loaded what those need.
-        deaths: How many workers died.
-        messages: Lots, reports and recalls.
-    """
+    """What `RayEngine` does, under a virtual clock. The driver is one more worker, which messages keep busy."""
 
     def __init__(self, conditions: Conditions):
         self.conditions = conditions
+        # (n,) how often each item was made
         self.made = np.zeros(len(conditions.item_seconds), np.int16)
+        # seconds that the driver worked, and that workers made items and loaded what those need
         self.busy = self.worked = 0.0
+        # workers that died; lots, reports and recalls; lots alone
         self.deaths = self.messages = self.lots = 0
         self._random = np.random.default_rng(conditions.seed)
         self._time = 0.0

@@ -61,18 +61,13 @@ class PoseSource(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class RandomSource:
-    """Random poses of one seed.
-
-    Args:
-        poses: Where they come from.
-        count: How many of them.
-        written: Whether they are drawn at once, and their vertices written. Else whoever makes an item draws its pose.
-        processes: How many processes draw those that are drawn at once, where they are many; see `rows_by_processes`.
-    """
+    """Random poses of one seed."""
 
     poses: RandomPoses[Cage]
     count: int
+    # whether they are drawn at once, and their vertices written; else whoever makes an item draws its pose
     written: bool = False
+    # that draw what is drawn at once, where that is much; see `rows_by_processes`
     processes: int = 1
 
     def __len__(self) -> int:
@@ -96,13 +91,9 @@ class RandomSource:
 
 @dataclasses.dataclass(frozen=True)
 class GivenSource:
-    """Poses that are there.
+    """Poses that are there."""
 
-    Args:
-        vertices: (p, v, 3) world units; or as many cages' vertices.
-        name: What they are called.
-    """
-
+    # (p, v, 3) world units; or as many cages' vertices
     vertices: Sequence[np.ndarray] | np.ndarray
     name: str
 
@@ -123,35 +114,21 @@ class GivenSource:
 
 @dataclasses.dataclass(frozen=True)
 class RandomViews:
-    """Cameras at random places of the upper half of the sphere, other ones for each pose.
+    """Cameras at random places of the upper half of the sphere, other ones for each pose."""
 
-    Args:
-        count: Cameras for each pose.
-        points: (n, 3) what every picture shows whole, world units.
-        seed: Another one gives other places.
-        up: (3,) what is up.
-        fov_degrees: Horizontal field of view.
-        width: Width of the pictures, pixels.
-        height: Height of the pictures, pixels.
-    """
-
+    # for each pose
     count: int
+    # (n, 3) what every picture shows whole, world units
     points: ArrayLike
     seed: int = 0
     up: Sequence[float] = (0.0, 0.0, 1.0)
+    # horizontal
     fov_degrees: float = 40.0
     width: int = 400
     height: int = 400
 
     def of(self, pose: int) -> list[dict[str, Any]]:
-        """The cameras of a pose.
-
-        Args:
-            pose: Its number in the sweep.
-
-        Returns:
-            Cameras as items have them: eye, target, up, fov_degrees, width and height.
-        """
+        """The cameras of a pose by its number in the sweep, as items have them."""
         points = np.asarray(self.points, np.float64)
         target = 0.5 * (points.min(axis=0) + points.max(axis=0))
         radius = float(np.linalg.norm(points - target, axis=1).max())
@@ -177,17 +154,12 @@ class RandomViews:
 
 @dataclasses.dataclass(frozen=True)
 class SweepFiles:
-    """What a sweep wrote.
-
-    Attributes:
-        jobs: The job file.
-        poses: The poses that workers do not draw, (p, v, 3) float64, world units (.npy); None where there are none.
-        cameras: The cameras that all poses share; None where each pose has its own.
-        items: Number of items.
-    """
+    """What a sweep wrote."""
 
     jobs: pathlib.Path
+    # those that workers do not draw, (p, v, 3) float64, world units (.npy); None where there are none
     poses: pathlib.Path | None
+    # those that all poses share; None where each pose has its own
     cameras: pathlib.Path | None
     items: int
 
@@ -260,35 +232,12 @@ def write_sweep(
     defaults: Mapping[str, Any] | None = None,
 ) -> SweepFiles:
     """Write the job file of a sweep, and beside it its poses (`poses_path`) and the cameras that they share.
-
-    Poses that workers draw are named by what they are drawn by, and are not written.
-
-    Items go by pose, then by kind of coordinates, then by camera, so that a map is made once for the cameras of a pose.
-    They are called `pose_000012/camera_003`; with several kinds of coordinates `pose_000012_green/camera_003`. Their
-    `extra` has `pose` and `camera`, their numbers, and what the pose comes from: `seed` and `number`, or `source`.
-
-    Args:
-        path: The job file.
-        field: The field file.
-        cage: The file of the cage at rest.
-        rest: The cage.
-        sources: The poses.
-        cameras: Cameras that all poses share, in the world of the field. Or a function that makes them, or views of
-            their own for each pose, of (2, 3), the lowest and highest corner of all poses and of the cage at rest; of
-            poses that workers draw it knows the first FRAMED, spread over their sources.
-        coordinates: Kinds of coordinates.
-        views: How many of the shared cameras, chosen at random, each pose is seen from. None is all.
-        seed: Of that choice.
-        records: How records are kept; see docs/sweeps.md. None is a folder.
-        defaults: More words that all items share, such as "background" or "resolution".
-
-    Returns:
-        The files.
-
-    Raises:
-        ValueError: For no poses or vertices of another shape, no cameras, other coordinates, more views than cameras,
-            or words that items do not have.
-    """
+    cameras: shared, in the world of the field; or a function that makes them, or `RandomViews`, of corners (2, 3)."""
+    # Poses that workers draw are named by what they are drawn by, and are not written. The corners are the lowest and
+    # highest of all poses and of the cage at rest; of poses that workers draw the first FRAMED, spread over their
+    # sources.
+    # Each pose is seen from some of the shared cameras, `views` chosen at random by `seed`, or from all (None).
+    # `records`: see docs/sweeps.md; None is a folder. `defaults`: words that all items share, such as "background".
     path = pathlib.Path(path)
     kinds = [require_coordinates(kind) for kind in coordinates]
     if not kinds or len(set(kinds)) < len(kinds):
@@ -316,6 +265,8 @@ def write_sweep(
 
 class _Items:
     """The items of a sweep, in the order of their poses."""
+
+    # By pose, then by kind of coordinates, then by camera, so that a map is made once for the cameras of a pose.
 
     def __init__(
         self,

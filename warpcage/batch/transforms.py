@@ -28,21 +28,10 @@ class Manifested(Protocol):
 
 def finish_folder(out: PathLike, job: JobFile, manifest: Manifested) -> list[pathlib.Path]:
     """Write transforms.json for the pictures of a run: one for all, and one in each folder of pictures for those in it.
-
-    Ids as those of `warpcage sweep`, pose_000012/camera_003, put the pictures of one pose into a folder, which is a
-    scene of its own. Each frame has `file_path` and `transform_matrix` (camera to world, +y up, -z forward);
-    `depth_path`, `alpha_path`, `pose_path` and `record_path` as far as they are written; `id`, what its edits are
-    `posed` by, and its item's `extra`. Intrinsics stand at the top, as the first frame has them; a frame with others
-    has its own. Frames are read one after another from what stands beside the pictures.
-
-    Args:
-        out: Folder of the run.
-        job: Its job file.
-        manifest: Which of its items are done; others are left out.
-
-    Returns:
-        The files that were written; none where no item is done.
-    """
+    manifest: which items are done, others are left out. Returns the files; none where no item is done."""
+    # Ids as those of `warpcage sweep`, pose_000012/camera_003, put the pictures of one pose into a folder, which is a
+    # scene of its own. Intrinsics stand at the top, as the first frame has them; a frame with others has its own.
+    # Frames are read one after another from what stands beside the pictures.
     out = pathlib.Path(out)
     folders: dict[str, array.array[int]] = {}
     everything = array.array("q")
@@ -71,6 +60,7 @@ def _frames(
         record = json.loads((out / item.outputs["record"]).read_text(encoding="utf-8"))
         frame = {
             "file_path": f"./{beside(item.outputs['rgb'], folder)}",
+            # camera to world, +y up, -z forward
             "transform_matrix": record["transform_matrix"],
         }
         frame |= {_WORDS[part]: f"./{beside(item.outputs[part], folder)}" for part in _WORDS if part in item.outputs}

@@ -1,8 +1,4 @@
-"""Shards of a WebDataset: tar files of records, whole or not at all.
-
-A job's items belong to shards by their places in the job file, so many to a shard. While a shard is made its records
-are loose files in a folder of its own; when the last of its items is settled they are packed.
-"""
+"""Shards of a WebDataset: tar files of records, whole or not at all."""
 
 from __future__ import annotations
 
@@ -28,40 +24,19 @@ CHUNK = 1 << 20
 
 
 def shard_path(out: PathLike, shard: int) -> pathlib.Path:
-    """The tar file of a shard.
-
-    Args:
-        out: Folder of the run.
-        shard: Number of the shard, from 0.
-
-    Returns:
-        Its path, whether it is there or not.
-    """
+    """The tar file of a shard, by its number from 0, whether it is there or not."""
     return pathlib.Path(out) / f"{_stem(shard)}.tar"
 
 
 def shard_stage(out: PathLike, shard: int) -> pathlib.Path:
-    """The folder in which the records of a shard stand until they are packed.
-
-    Args:
-        out: Folder of the run.
-        shard: Number of the shard, from 0.
-
-    Returns:
-        Its path, whether it is there or not.
-    """
+    """The folder in which the records of a shard, by its number from 0, stand until they are packed."""
+    # A job's items belong to shards by their places in the job file, so many to a shard. While a shard is made its
+    # records are loose files in a folder of its own; when the last of its items is settled they are packed.
     return pathlib.Path(out) / STAGES / _stem(shard)
 
 
 def staged_shards(out: PathLike) -> list[int]:
-    """The shards that have loose files: under way, or interrupted before they were packed.
-
-    Args:
-        out: Folder of the run.
-
-    Returns:
-        Their numbers, ascending.
-    """
+    """Numbers of the shards that have loose files, ascending: under way, or interrupted before they were packed."""
     folder = pathlib.Path(out) / STAGES
     names = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
     return sorted(int(found[1]) for name in names if (found := _STAGE.fullmatch(name)))
@@ -69,15 +44,7 @@ def staged_shards(out: PathLike) -> list[int]:
 
 def shard_holds(out: PathLike, shard: int, outputs: Any) -> bool:
     """Whether all files of an item are in its shard, loose or packed, in the size that its record says.
-
-    Args:
-        out: Folder of the run.
-        shard: Number of the shard.
-        outputs: Bytes by path, as the manifest has them.
-
-    Returns:
-        Whether they are.
-    """
+    outputs: bytes by path, as the manifest has them."""
     if not isinstance(outputs, dict) or not outputs:
         return False
     stage, packed = shard_stage(out, shard), _sizes(shard_path(out, shard))
@@ -94,24 +61,11 @@ def _loose_size(path: pathlib.Path, otherwise: int | None) -> int | None:
 
 def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) -> pathlib.Path | None:
     """Pack a shard: the loose files of its records, and of the shard as it was before what was not made anew.
-
-    The tar file is replaced at once, and then the loose files are deleted: an interrupt or a kill at any moment leaves
-    either the loose files, to be packed again, or a whole shard. Records come in the order given, the files of each
-    beside each other; dates and owners are left out, so that equal records make equal bytes.
-
-    Args:
-        out: Folder of the run.
-        shard: Number of the shard, from 0.
-        records: The items of the shard that are done, in the order of the job, each with its `outputs`: bytes by path.
-            Those that failed are left out: a later call with them packs them too.
-
-    Returns:
-        The tar file. None where there is no record, and then no tar file either.
-
-    Raises:
-        FileNotFoundError: For an output that is neither loose nor in the shard as it was; nothing is changed then.
-        OSError: Where the shard cannot be written; the loose files stay.
-    """
+    records: those done, in the job's order, with `outputs`: bytes by path; where there are none, no tar file: None."""
+    # The tar file is replaced at once, and then the loose files are deleted: an interrupt or a kill at any moment
+    # leaves either the loose files, to be packed again, or a whole shard. Records come in the order given, the files of
+    # each beside each other; dates and owners are left out, so that equal records make equal bytes. Those that failed
+    # are left out: a later call with them packs them too.
     target, stage = shard_path(out, shard), shard_stage(out, shard)
     names = [name for record in records for name in _ordered(record["outputs"])]
     if names:
@@ -129,15 +83,8 @@ def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) 
 
 
 def read_shard(path: PathLike) -> Iterator[dict[str, bytes]]:
-    """The records of a shard, as the `webdataset` package groups them.
-
-    Args:
-        path: A tar file.
-
-    Yields:
-        "__key__", and the bytes of each file by its ending: "png" or "jpg", "depth.npy", "alpha.png", "pose.npy",
-        "json".
-    """
+    """The records of a shard, as the `webdataset` package groups them: "__key__", and the bytes of each file by its
+    ending."""
     record: dict[str, Any] = {}
     with tarfile.open(path) as tar:
         for member in tar:

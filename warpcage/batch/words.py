@@ -27,18 +27,7 @@ MAX_PART, MAX_SAFE_NAME = 200, 1000
 
 
 def safe_name(value: Any, word: str) -> str:
-    """A name below a folder: letters, digits, `_`, `-` and `.` between slashes.
-
-    Args:
-        value: What was given.
-        word: How the message calls it.
-
-    Returns:
-        The name.
-
-    Raises:
-        ValueError: For a name that is hidden, too long, or leads out of the folder.
-    """
+    """A name below a folder: letters, digits, `_`, `-` and `.` between slashes."""
     if isinstance(value, str) and len(value) <= MAX_PART and _NAME.fullmatch(value):
         return value  # as nearly all are
     parts = value.split("/") if isinstance(value, str) else [""]
@@ -136,19 +125,7 @@ def anything(value: Any, word: str) -> Any:
 
 
 def checked_words(entry: Mapping[str, Any], known: Mapping[str, Checker], what: str) -> dict[str, Any]:
-    """The words of an object, each checked; null is a word that was left out.
-
-    Args:
-        entry: The object.
-        known: Checkers by word.
-        what: How messages call the object.
-
-    Returns:
-        What was given, as the checkers return it.
-
-    Raises:
-        ValueError: For a word that is not known, or a value that it cannot have.
-    """
+    """The words of an object, each checked; null is a word that was left out."""
     unknown = next((word for word in entry if word not in known), None)
     if unknown is not None:
         raise ValueError(f"{what} has no {shown(unknown)}, only {listed(known, most=40)}")
@@ -156,13 +133,7 @@ def checked_words(entry: Mapping[str, Any], known: Mapping[str, Checker], what: 
 
 
 def split_reference(reference: str) -> tuple[str, str]:
-    """The file that a word refers to, and what of it.
-
-    Args:
-        reference: "file", or "file#place" of a .npy, .json or glTF file.
-
-    Returns:
-        The file, and the place; "" for all of it.
-    """
+    """The file that a word refers to, and the place in it ("file#place" of a .npy, .json or glTF file); "" for all of
+    it."""
     found = _PLACE.fullmatch(reference)
     return (found[1], found[3]) if found else (reference, "")

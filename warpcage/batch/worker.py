@@ -27,25 +27,7 @@ from .references import References
 
 class Worker:
     """Makes items. One thread at a time may use it.
-
-    Args:
-        base: Folder that paths in items are relative to.
-        out: Folder that outputs are relative to; it is made.
-        device: Warp device. None is CUDA where there is one.
-        memory: Bytes that fields, and deformers beside them, may take; the ones in use stay whatever they take. None is
-            half of what is free on the device.
-        encoders: Threads that encode pictures while the next ones are rendered. None is one for each CPU thread, 16 at
-            most.
-        first: The item that it will probably make first: the kernels of that are loaded by a thread. None is none.
-        expected: The field of that, which is being read. None is none.
-
-    Attributes:
-        out: The folder of outputs.
-        device: The device.
-        fields: Fields that are loaded; `read_count` says how often one was read.
-        frames: What renders frames; its `counts` say how often something was made anew.
-        fits: What fits fields; its `read_count` says how often pictures were read.
-    """
+    memory: bytes of fields, and deformers beside them; those in use stay in any case; None is half of what is free."""
 
     def __init__(
         self,
@@ -54,8 +36,11 @@ class Worker:
         device: wp.DeviceLike = None,
         *,
         memory: int | None = None,
+        # threads that encode pictures while the next ones are rendered; None is one for each CPU thread, 16 at most
         encoders: int | None = None,
+        # the item that it will probably make first: a thread loads the kernels of that
         first: Item | None = None,
+        # the field of that, which is being read
         expected: ExpectedField | None = None,
     ):
         self.out, self.device = pathlib.Path(out), resolve_device(device)
@@ -98,34 +83,13 @@ class Worker:
         gc.collect()
 
     def run(self, item: Item, out: str | os.PathLike | None = None) -> dict[str, int]:
-        """Make an item.
-
-        Args:
-            item: The item.
-            out: Folder of its outputs. None is that of the worker.
-
-        Returns:
-            Bytes of its outputs, by their paths.
-
-        Raises:
-            FileNotFoundError: For a file that is not there.
-            ValueError: For what cannot be used.
-            OSError: Where outputs cannot be written; none of them is there then.
-        """
+        """Make an item; returns the bytes of its outputs, by their paths. out: their folder; None is that of the
+        worker."""
         return self.submit(item, out).result()
 
     def submit(self, item: Item, out: str | os.PathLike | None = None) -> Future[dict[str, int]]:
         """Make an item; its outputs are encoded and written in another thread, while the next item is rendered.
-
-        Where there are two more of them than threads, or ROOM bytes of pictures, this waits until one is written.
-
-        Args:
-            item: The item.
-            out: Folder of its outputs. None is that of the worker.
-
-        Returns:
-            Becomes the bytes of its outputs by their paths once they are in their places, or its error.
-        """
+        Becomes the bytes of its outputs by their paths once they are in their places, or its error."""
         try:
             made = self._made(item)
         except Exception as error:
@@ -133,6 +97,7 @@ class Worker:
             failed.set_exception(error)
             return failed
         folder = self.out if out is None else pathlib.Path(out)
+        # where there are two more of them than threads, or ROOM bytes of pictures, this waits until one is written
         self._gate.enter(made.held_bytes)
         return self._pool.submit(self._write, made, folder)
 
