@@ -141,15 +141,7 @@ class ClosedMesh:
 
 
 def require_mesh(value: object, what: str) -> None:
-    """Refuse an object that is no mesh.
-
-    Args:
-        value: What was given.
-        what: How the message begins: "`what` a Cage, got ...".
-
-    Raises:
-        ValueError: If `value` is no ClosedMesh.
-    """
+    """Refuse an object that is no mesh; the message begins with `what`: "`what` a Cage, got ..."."""
     if not isinstance(value, ClosedMesh):
         raise ValueError(f"{what} a Cage, got {type(value).__name__}")
 

@@ -30,23 +30,10 @@ def inside_mesh(
 def inside_mesh(
     points: PointsLike, mesh: ClosedMesh, *, tolerance: float = SURFACE_TOLERANCE, device: wp.DeviceLike = None
 ) -> np.ndarray | wp.array:
-    """Whether points are inside a mesh or on its surface.
-
-    Inside is a winding number above 1/2, so that a cavity is outside, and a place that a tangled pose covers twice is
-    inside.
-
-    Args:
-        points: (n, 3) float, world units. NumPy or any DLPack array.
-        mesh: A usable mesh.
-        tolerance: Points this close to the surface are inside, as a share of the mesh's size.
-        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
-
-    Returns:
-        (n,) bool: NumPy for NumPy points, else a Warp array on the device.
-
-    Raises:
-        ValueError: For points of another shape, NumPy points that are not finite, or a mesh that is not usable.
-    """
+    """Whether points (n, 3), world units, are inside a usable mesh or on its surface: (n,) bool, on a device for points
+    on one. tolerance: points this close to the surface are inside, as a share of the mesh's size."""
+    # Inside is a winding number above 1/2, so that a cavity is outside, and a place that a tangled pose covers twice is
+    # inside.
     require_usable(mesh)
     if is_device_array(points):
         array, _ = as_points(points, device)

@@ -12,15 +12,8 @@ _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def face_edges(mesh: ClosedMesh, faces: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """From the first corner of each face to its second and to its third.
-
-    Args:
-        mesh: The mesh.
-        faces: (f, 3) indices of its vertices. None takes the mesh's own faces.
-
-    Returns:
-        Two (3, f) float64, world units.
-    """
+    """From the first corner of each face (None: the mesh's own) to its second and to its third: two (3, f) float64,
+    world units."""
     lower, upper = mesh.bounds
     vertices = (mesh.vertices - 0.5 * (lower + upper)).T
     first, second, third = (mesh.faces if faces is None else faces).T
@@ -29,73 +22,35 @@ def face_edges(mesh: ClosedMesh, faces: np.ndarray | None = None) -> tuple[np.nd
 
 
 def column_cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of columns.
-
-    Args:
-        a: (3, n), or (3, ..., n).
-        b: The same.
-
-    Returns:
-        The same.
-    """
+    """Cross products of columns (3, n), or (3, ..., n)."""
     return a.take(_NEXT, axis=0) * b.take(_LAST, axis=0) - a.take(_LAST, axis=0) * b.take(_NEXT, axis=0)
 
 
 def column_dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Dot products of columns.
-
-    Args:
-        a: (3, n), or (3, ..., n).
-        b: The same.
-
-    Returns:
-        (n,), or (..., n).
-    """
+    """Dot products of columns (3, n), or (3, ..., n): (n,), or (..., n)."""
     return np.einsum("i...,i...->...", a, b)
 
 
 def face_area(mesh: ClosedMesh) -> float:
-    """The area of all faces.
-
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        The area, world units squared.
-    """
+    """The area of all faces, world units squared."""
     cross = column_cross(*face_edges(mesh))
     return 0.5 * float(np.sqrt(column_dot(cross, cross)).sum())
 
 
 @dataclass(frozen=True)
 class StretchTarget:
-    """What `stretched_normals` needs of the faces that others are stretched to.
+    """What `stretched_normals` needs of the faces that others are stretched to."""
 
-    With s and t the two edges from the first corner of each face:
-
-    Attributes:
-        normals: (3, f) unit normals, zero for a face without area.
-        ss: (f,) s . s, world units squared.
-        st: (f,) s . t, world units squared.
-        tt: (f,) t . t, world units squared.
-    """
-
+    # (3, f) unit normals, zero for a face without area
     normals: np.ndarray
+    # (f,) s . s, s . t and t . t, world units squared; s and t: the two edges from the first corner of each face
     ss: np.ndarray
     st: np.ndarray
     tt: np.ndarray
 
     @classmethod
     def of(cls, mesh: ClosedMesh, faces: np.ndarray | None = None) -> StretchTarget:
-        """The target that the faces of a mesh are.
-
-        Args:
-            mesh: The mesh.
-            faces: (f, 3) indices of its vertices. None takes the mesh's own faces.
-
-        Returns:
-            The target.
-        """
+        """The target that the faces of a mesh are, or other faces (f, 3) on its vertices."""
         s, t = face_edges(mesh, faces)
         normals = column_cross(s, t)
         length = np.sqrt(column_dot(normals, normals))
@@ -104,19 +59,11 @@ class StretchTarget:
 
 
 def stretched_normals(source: ClosedMesh, target: StretchTarget) -> np.ndarray:
-    """Unit normals of the target times the stretch of each face from the source to it.
-
-    The stretch (Lipman et al. 2008, 3-D), with u, v two edges of a face of area A in the source and s, t the same in
-    the target: sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
-
-    Args:
-        source: The mesh that is stretched; it has the target's faces.
-        target: What it is stretched to.
-
-    Returns:
-        (3, f) float64.
-    """
+    """Unit normals of the target times the stretch of each face from the source to it: (3, f) float64; both have the
+    same faces."""
     u, v = face_edges(source)
     cross = column_cross(u, v)
+    # Lipman et al. 2008, 3-D, with u, v two edges of a face of area A in the source and s, t the same in the target:
+    # sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A)
     energy = target.ss * column_dot(v, v) - 2.0 * target.st * column_dot(u, v) + target.tt * column_dot(u, u)
     return target.normals * np.sqrt(np.maximum(0.5 * energy, 0.0) / column_dot(cross, cross))

@@ -15,34 +15,22 @@ from ..kernels.mesh.fans import prepare_fans
 @dataclass(frozen=True)
 class FaceFans:
     """Triangles turned and ordered so that most begin with an edge of the one before.
+    Around a vertex a, (a, c, d) follows (a, b, c), and so on."""
 
-    Around a vertex a, (a, c, d) follows (a, b, c), and so on.
-
-    Attributes:
-        faces: (f, 3) int32 indices of vertices.
-        order: (f,) int: which face of the mesh each of them is.
-    """
-
+    # (f, 3) int32 indices of vertices
     faces: np.ndarray
+    # (f,) int: which face of the mesh each of them is
     order: np.ndarray
 
 
 def face_fans(faces: np.ndarray) -> FaceFans:
-    """The triangles of a usable mesh in few fans.
-
-    There are about f / 4, as the vertices with most faces left come first.
-
-    Args:
-        faces: (f, 3) indices of vertices.
-
-    Returns:
-        The fans.
-    """
+    """The triangles (f, 3) of a usable mesh in few fans, about f / 4."""
     faces = np.asarray(faces)
     # of the faces left around a: c and the face's number by b
     following: list[dict[int, tuple[int, int]]] = [{} for _ in range(int(faces.max()) + 1)]
     for f, (a, b, c) in enumerate(faces.tolist()):
         following[a][b], following[b][c], following[c][a] = (c, f), (a, f), (b, f)
+    # the vertices with most faces left come first
     heap = [(-len(around), hub) for hub, around in enumerate(following) if around]
     heapq.heapify(heap)
     turned, order = [], []
@@ -67,17 +55,8 @@ def face_fans(faces: np.ndarray) -> FaceFans:
 
 
 def prepared_fans(vertices: wp.array, faces: wp.array, size: float, out: wp.array | None = None) -> wp.array:
-    """What closed forms read of faces; see the kernel `prepare_fans`.
-
-    Args:
-        vertices: (v,) vec3, any unit.
-        faces: (f,) vec3i on the same device, in the order of `face_fans`.
-        size: Size of the mesh, in the vertices' unit.
-        out: (2 f,) vec4 to be filled. None makes a new array.
-
-    Returns:
-        (2 f,) vec4 on that device.
-    """
+    """What closed forms read of faces (f,) vec3i in the order of `face_fans`, see the kernel `prepare_fans`: (2 f,)
+    vec4. size: of the mesh, in the vertices' unit; out: filled, None makes a new array."""
     fans = wp.empty(2 * faces.size, dtype=wp.vec4, device=faces.device) if out is None else out  # pyright: ignore[reportArgumentType]
     launch(prepare_fans, faces.size, [vertices, faces, size], [fans], device=faces.device)
     return fans

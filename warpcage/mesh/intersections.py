@@ -23,18 +23,10 @@ PAIRS = 1 << 12
 
 
 def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
-    """Pairs of faces that cross or overlap.
-
-    Faces may share vertices and edges; neighbours intersect when they fold onto each other. Every pair whose bounding
-    boxes overlap is tested: edges against triangles (Moeller and Trumbore 1997) and, in one plane, by separating axes.
-
-    Args:
-        vertices: (v, 3) floats, any unit.
-        faces: (f, 3) indices of vertices.
-
-    Returns:
-        (k, 2) indices of faces, the lower one first.
-    """
+    """Pairs (k, 2) of faces that cross or overlap, the lower one first, in ascending order."""
+    # Faces may share vertices and edges; neighbours intersect when they fold onto each other. Every pair whose bounding
+    # boxes overlap is tested: edges against triangles (Moeller and Trumbore 1997) and, in one plane, by separating
+    # axes.
     faces = np.asarray(faces, dtype=np.int64)
     places = np.asarray(vertices, dtype=np.float64)
     places = places - places[faces.reshape(-1)].mean(axis=0)
@@ -95,12 +87,11 @@ def _crossing(
 
 
 def _overlapping_boxes(corners: np.ndarray) -> Iterator[np.ndarray]:
-    """Pairs (p, 2), i < j, of triangles (f, 3, 3) of a mesh of size 1 whose bounding boxes overlap, some at a time.
-
-    Boxes are sorted by size into levels with grids of their own, each with cells that no box of the level exceeds, and
-    are kept in the cell of their lower corner. A box of the same level or a smaller one meets those in the cells that
-    it touches and in the ones before them: at most 3 x 3 x 3, of which three follow each other in the order of cells.
-    """
+    """Pairs (p, 2), i < j, of triangles (f, 3, 3) of a mesh of size 1 whose bounding boxes overlap, some at a time."""
+    # Boxes are sorted by size into levels with grids of their own, each with cells that no box of the level exceeds,
+    # and are kept in the cell of their lower corner. A box of the same level or a smaller one meets those in the cells
+    # that it touches and in the ones before them: at most 3 x 3 x 3, of which three follow each other in the order of
+    # cells.
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     columns = [(np.ascontiguousarray(low[:, axis]), np.ascontiguousarray(high[:, axis])) for axis in range(3)]
@@ -135,9 +126,7 @@ def _meeting(
     levels: np.ndarray,
 ) -> Iterator[np.ndarray]:
     """Pairs (p, 2), i < j, of boxes: each that asks, and what it overlaps of the held ones from `begin` to `end`.
-
-    columns: lowest and highest places of all boxes along each axis.
-    """
+    columns: lowest and highest places of all boxes along each axis."""
     total = np.cumsum(end - begin)
     start = 0
     while start < len(asking):

@@ -1,10 +1,4 @@
-"""Recover the vertex order of a posed cage whose file was written with vertices or faces in another order.
-
-A map between two connected, consistently wound triangle meshes that keeps faces is fixed by where it sends one
-half-edge. So one walk over the cage's faces is replayed from every half-edge of the pose that could be the first, all
-at once; what arrives without a contradiction is a match. Symmetric cages have several: the vertices that moved least
-decide, and a tie is an error.
-"""
+"""Recover the vertex order of a posed cage whose file was written with vertices or faces in another order."""
 
 from __future__ import annotations
 
@@ -17,15 +11,7 @@ from .topology import connected_parts
 
 
 def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:
-    """Refuse two meshes whose faces are not the same in the same order.
-
-    Args:
-        rest: One mesh, in messages "the rest cage".
-        deformed: The other, in messages "the deformed cage".
-
-    Raises:
-        ValueError: How they differ, and whether `Cage.match` helps.
-    """
+    """Refuse two meshes whose faces are not the same in the same order, and say whether `Cage.match` helps."""
     if rest.faces is deformed.faces:
         return
     same_count = len(rest.vertices) == len(deformed.vertices)
@@ -57,22 +43,11 @@ _CLEARLY_BETTER = 0.98
 
 
 def matched_vertices(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
-    """The vertices of a pose in the order of its rest mesh.
-
-    Besides the same faces it accepts faces in another order or begun at another corner, quads cut along other
-    diagonals, vertices in any order, and vertices repeated at one place, as programs write that store one normal for
-    each corner.
-
-    Args:
-        rest: The mesh whose order is wanted.
-        pose: The same mesh with its vertices elsewhere.
-
-    Returns:
-        (v, 3) float64, world units. Unused vertices of `rest` stay where they are.
-
-    Raises:
-        ValueError: A line that begins with "the pose " and says how the two differ.
-    """
+    """The vertices (v, 3) float64 of a pose in the order of its rest mesh; unused ones of `rest` stay where they are.
+    A ValueError begins with "the pose ", and says how the two differ."""
+    # Besides the same faces it accepts faces in another order or begun at another corner, quads cut along other
+    # diagonals, vertices in any order, and vertices repeated at one place, as programs write that store one normal for
+    # each corner.
     if len(rest.vertices) == len(pose.vertices) and same_patches(rest.faces, pose.faces):
         return pose.vertices.copy()
     vertices, faces = pose.vertices, pose.faces.astype(np.int64)
@@ -93,15 +68,7 @@ def matched_vertices(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
 
 
 def same_patches(one: np.ndarray, two: np.ndarray) -> bool:
-    """Whether faces of the same vertices cover the same polygons: equal but for order and for diagonals.
-
-    Args:
-        one: (f, 3) indices of vertices.
-        two: (f, 3) indices of the same vertices.
-
-    Returns:
-        Whether they do.
-    """
+    """Whether faces of the same vertices cover the same polygons: equal but for order and for diagonals."""
     if one.shape != two.shape:
         return False
     left, right = _cut(one, two), _cut(two, one)
@@ -232,6 +199,10 @@ def _mixed(value: np.ndarray) -> np.ndarray:
 
 def _correspondence(rest: _Mesh, pose: _Mesh) -> np.ndarray | None:
     """(v,) vertex of the pose for each used vertex of the rest mesh, or None."""
+    # A map between two connected, consistently wound triangle meshes that keeps faces is fixed by where it sends one
+    # half-edge. So one walk over the cage's faces is replayed from every half-edge of the pose that could be the first,
+    # all at once; what arrives without a contradiction is a match. Symmetric cages have several: the vertices that
+    # moved least decide, and a tie is an error.
     order = np.full(len(rest.vertices), -1, dtype=np.int64)
     found = []
     for part in range(rest.part_count):
@@ -261,14 +232,12 @@ def _correspondence(rest: _Mesh, pose: _Mesh) -> np.ndarray | None:
 
 
 def _walk(mesh: _Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An order of the part's faces in which each is entered over an edge of an earlier one.
-
-    Returns the half-edge (n,) over which each is entered, and where it came from (n, 2): place in this list and corner.
-    The walk begins at the half-edge whose ends are the least like others.
-    """
+    """An order of the part's faces in which each is entered over an edge of an earlier one: the half-edge (n,) over
+    which each is entered, and where it came from (n, 2): place in this list and corner."""
     corner = mesh.colour[mesh.faces[faces]].reshape(-1)
     kind = _mixed(corner * np.uint64(3) + np.roll(mesh.colour[mesh.faces[faces]], -1, axis=1).reshape(-1))
     _, which, count = np.unique(kind, return_inverse=True, return_counts=True)
+    # the half-edge whose ends are the least like others
     first = int(np.argmin(count[which]))
     entered, origin = [int(faces[first // 3]) * 3 + first % 3], [(0, 0)]
     place = {entered[0] // 3}

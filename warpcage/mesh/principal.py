@@ -14,28 +14,20 @@ _LEAST_RATIO = 1.05
 
 
 def principal_axes(mesh: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Principal axes of a mesh's surface, whatever the size of its faces.
-
-    They are the eigenvectors of the covariance of its area: of a face of area A with corners a, b, c and middle m,
-    about the middle of all, it is A / 12 (9 m m' + a a' + b b' + c c').
-
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        (3, 3) unit vectors, one a row, from the longest to the shortest, right-handed, and each of the first two
-        towards the positive side of the world axis that it is nearest to; and (3,) variances along them, world units
-        squared.
-    """
+    """Principal axes of a mesh's surface, whatever the size of its faces: (3, 3) unit vectors, one a row, right-handed,
+    and (3,) variances along them, world units squared, the longest first."""
     corners = np.stack(mesh.corners, axis=1)
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     total = max(float(areas.sum()), 1e-300)
     corners = corners - (areas[:, None] * corners.mean(axis=1)).sum(axis=0) / total
     middles = corners.mean(axis=1)
+    # the covariance of the area: of a face of area A with corners a, b, c and middle m, about the middle of all, it is
+    # A / 12 (9 m m' + a a' + b b' + c c')
     second = 9.0 * np.einsum("f,fi,fj->ij", areas, middles, middles)
     second += np.einsum("f,fki,fkj->ij", areas, corners, corners)
     variances, vectors = np.linalg.eigh(second / (12.0 * total))
     axes = vectors.T[::-1].copy()
+    # towards the positive side of the world axis that each is nearest to
     for axis in axes[:2]:
         axis *= np.sign(axis[np.argmax(np.abs(axis))])
     axes[2] = np.cross(axes[0], axes[1])
@@ -43,18 +35,8 @@ def principal_axes(mesh: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def own_axis(mesh: ClosedMesh, name: str) -> str | np.ndarray:
-    """A mesh's own axis by its name.
-
-    Args:
-        mesh: The mesh.
-        name: "long", "middle" or "short", "-long" against it; other names are left as they are.
-
-    Returns:
-        (3,) unit vector, or the name.
-
-    Raises:
-        ValueError: Where the mesh reaches as far in other directions, so that it has no such axis.
-    """
+    """A mesh's own axis (3,) by its name: "long", "middle" or "short", "-long" against it; other names are left as they
+    are."""
     plain = name[1:] if name[:1] in ("-", "+") else name
     if plain not in OWN_AXES:
         return name

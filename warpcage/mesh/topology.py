@@ -12,26 +12,9 @@ from .fans import FaceFans, face_fans
 
 
 class MeshTopology:
-    """Edges and connected parts of triangles. They depend on the faces alone, so all poses of a mesh share them.
+    """Edges and connected parts of triangles (f, 3): they depend on faces alone, so all poses share them."""
 
-    Where something is wrong the attributes hold what is wrong itself, so that an error can name the first one.
-
-    Args:
-        vertex_count: Number of vertices.
-        faces: (f, 3) indices of vertices.
-
-    Attributes:
-        edges: (e, 2) int32: every edge once, lower index first. The loop of a face that repeats a vertex is no edge.
-        open_edges: (k, 2) edges of one face only.
-        crowded_edges: (k, 2) edges of three or more faces.
-        clashing_edges: (k, 2) edges that both their faces walk in the same direction, so that one face looks inward.
-        pinched_vertices: (k,) vertices whose faces form more than one fan.
-        repeated_faces: (k,) faces that name a vertex twice.
-        unused_vertices: (k,) vertices of no face, ascending.
-        used_vertices: (k,) the other vertices, ascending.
-        parts: (f,) the part of each face, 0 to part_count - 1. Parts are connected over edges.
-        part_count: Number of parts.
-    """
+    # Where something is wrong the attributes hold what is wrong itself, so that an error can name the first one.
 
     def __init__(self, vertex_count: int, faces: ArrayLike):
         self._faces = faces = np.asarray(faces, dtype=np.int64)
@@ -41,14 +24,19 @@ class MeshTopology:
         owner = np.repeat(np.arange(face_count), 3)
         proper = starts != ends
 
+        # (k,) faces that name a vertex twice
         self.repeated_faces = np.unique(owner[~proper])
+        # (k,) vertices of some face, and of none, ascending
         self.used_vertices = np.unique(starts)
         self.unused_vertices = np.setdiff1d(np.arange(vertex_count), self.used_vertices)
 
         low, high = np.minimum(starts, ends)[proper], np.maximum(starts, ends)[proper]
         keys, edge, uses = np.unique(low * vertex_count + high, return_inverse=True, return_counts=True)
+        # (e, 2): every edge once, lower index first; the loop of a face that repeats a vertex is no edge
         self.edges = np.stack([keys // vertex_count, keys % vertex_count], axis=1).astype(np.int32)
         forward = np.bincount(edge, weights=(starts < ends)[proper], minlength=len(keys))
+        # (k, 2) of one face only, of three or more, and of two that walk it in the same direction, so that one looks
+        # inward
         self.open_edges = self.edges[uses == 1]
         self.crowded_edges = self.edges[uses > 2]
         self.clashing_edges = self.edges[(uses == 2) & (forward != 1)]
@@ -57,7 +45,9 @@ class MeshTopology:
         order = np.argsort(edge, kind="stable")
         same = np.flatnonzero(edge[order][1:] == edge[order][:-1])
         one, two = np.flatnonzero(proper)[order[same]], np.flatnonzero(proper)[order[same + 1]]
+        # (f,) the part of each face, 0 to part_count - 1, connected over edges
         self.parts, self.part_count = connected_parts(face_count, owner[one], owner[two])
+        # (k,) vertices whose faces form more than one fan
         self.pinched_vertices = self._pinched_vertices(vertex_count, starts, one, two)
 
     @staticmethod
@@ -132,16 +122,8 @@ class MeshTopology:
 
 
 def connected_parts(count: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, int]:
-    """Label the connected parts of a graph.
-
-    Args:
-        count: Number of nodes.
-        first: (k,) one end of each edge.
-        second: (k,) its other end.
-
-    Returns:
-        (count,) int labels, in the order of each part's first node, and the number of parts.
-    """
+    """Label the connected parts of a graph of `count` nodes and edges with ends first and second, (k,) each.
+    Returns (count,) int labels, in the order of each part's first node, and the number of parts."""
     label = np.arange(count)
     while True:
         low = np.minimum(label[first], label[second])

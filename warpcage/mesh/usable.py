@@ -27,14 +27,7 @@ _known_problems: weakref.WeakKeyDictionary[ClosedMesh, str] = weakref.WeakKeyDic
 
 
 def degenerate_faces(mesh: ClosedMesh) -> np.ndarray:
-    """The faces without area: lower than 1e-7 of the mesh's size, or naming a vertex twice.
-
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        (k,) indices of faces, ascending.
-    """
+    """The faces (k,) without area, ascending: lower than 1e-7 of the mesh's size, or naming a vertex twice."""
     a, b, c = mesh.corners
     double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.sqrt(np.maximum.reduce([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))]))
@@ -42,14 +35,7 @@ def degenerate_faces(mesh: ClosedMesh) -> np.ndarray:
 
 
 def coincident_vertices(mesh: ClosedMesh) -> np.ndarray:
-    """Used vertices at the same place in float32.
-
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        (k, 2) indices: the first vertex at a place, then another one there.
-    """
+    """Used vertices at the same place in float32: (k, 2), the first vertex at a place, then another one there."""
     used = mesh.topology.used_vertices
     local = (mesh.vertices[used] - mesh.bounds.mean(axis=0)).astype(np.float32)
     _, first, place = np.unique(local + 0.0, axis=0, return_index=True, return_inverse=True)
@@ -59,18 +45,8 @@ def coincident_vertices(mesh: ClosedMesh) -> np.ndarray:
 
 
 def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Winding numbers of a closed mesh about points, in float64 on the host. For a few points only.
-
-    The sum of signed solid angles over 4 pi (van Oosterom and Strackee 1983, "The solid angle of a plane triangle").
-
-    Args:
-        points: (n, 3) float64, world units.
-        vertices: (v, 3) float64, world units.
-        faces: (f, 3) indices of vertices.
-
-    Returns:
-        (n,) float64: 1 inside, 0 outside.
-    """
+    """Winding numbers (n,) of a closed mesh about points (n, 3), in float64 on the host: 1 inside, 0 outside.
+    For a few points only."""
     total = np.zeros(len(points))
     step = max(1, NUMBERS_AT_ONCE // max(1, len(faces)))
     for first in range(0, len(points), step):
@@ -78,6 +54,7 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
         length = np.sqrt(column_dot(side, side))
         a, b, c = (side.take(faces[:, k], axis=1) for k in range(3))
         la, lb, lc = (length.take(faces[:, k], axis=0) for k in range(3))
+        # signed solid angles over 4 pi (van Oosterom and Strackee 1983, "The solid angle of a plane triangle")
         triple = column_dot(a, column_cross(b, c))
         below = la * lb * lc + column_dot(a, b) * lc + column_dot(b, c) * la + column_dot(c, a) * lb
         total[first : first + step] = 2.0 * np.arctan2(triple, below).sum(axis=0) / (4.0 * np.pi)
@@ -85,14 +62,7 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
 
 
 def inward_parts(mesh: ClosedMesh) -> np.ndarray:
-    """Connected parts that look inward without being a cavity inside another part.
-
-    Args:
-        mesh: A closed mesh.
-
-    Returns:
-        (k,) indices of parts, ascending.
-    """
+    """Connected parts (k,) of a closed mesh, ascending, that look inward without being a cavity inside another part."""
     volumes = mesh.part_volumes()
     parts = mesh.topology.parts
     wrong = []
@@ -106,15 +76,8 @@ def inward_parts(mesh: ClosedMesh) -> np.ndarray:
 
 def looks_usable(mesh: ClosedMesh) -> bool:
     """Whether a quick look finds nothing wrong: no vertices that may share a place, no low faces, no inward parts.
-
-    Almost every pose of a usable cage passes. False says that a closer look is needed.
-
-    Args:
-        mesh: A mesh whose topology has no problem.
-
-    Returns:
-        Whether the mesh is usable for certain.
-    """
+    For a mesh whose topology has no problem; False says that a closer look is needed."""
+    # Almost every pose of a usable cage passes.
     topology = mesh.topology
     local = mesh.vertices - mesh.bounds.mean(axis=0)
     keys = (local.astype(np.float32) + np.float32(0.0)).view(np.uint32).astype(np.uint64) @ _PLACE_FACTORS
@@ -133,28 +96,15 @@ def looks_usable(mesh: ClosedMesh) -> bool:
 
 
 def first_problem(mesh: ClosedMesh) -> str:
-    """What makes a mesh unusable.
-
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        One line that follows the name of the mesh, "is open: ..."; empty for a usable mesh.
-    """
+    """What makes a mesh unusable: one line that follows its name, "is open: ..."; empty for a usable mesh."""
     if mesh.topology.problem:
         return mesh.topology.problem
     return size_problem(mesh) or ("" if looks_usable(mesh) else first_geometric_problem(mesh))
 
 
 def size_problem(mesh: ClosedMesh) -> str:
-    """What is wrong with the size of a mesh.
-
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        As `first_problem`; empty for a mesh without any size, which has other problems.
-    """
+    """What is wrong with the size of a mesh, as `first_problem`; empty for one without any size, which has other
+    problems."""
     with np.errstate(over="ignore"):  # corners farther apart than the largest number
         size = mesh.size
     if size == 0.0 or SMALLEST_SIZE <= size <= LARGEST_SIZE:
@@ -166,14 +116,7 @@ def size_problem(mesh: ClosedMesh) -> str:
 
 
 def first_geometric_problem(mesh: ClosedMesh) -> str:
-    """What makes a mesh unusable whose topology has no problem.
-
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        As `first_problem`.
-    """
+    """What makes a mesh unusable whose topology has no problem, as `first_problem`."""
     topology = mesh.topology
     coincident = coincident_vertices(mesh)
     if len(coincident):
@@ -196,15 +139,7 @@ def first_geometric_problem(mesh: ClosedMesh) -> str:
 
 
 def require_usable(mesh: ClosedMesh, name: str = "cage") -> None:
-    """Refuse a mesh on which coordinates cannot be computed; see `Cage.require_usable`.
-
-    Args:
-        mesh: The mesh. The answer is remembered for as long as it lives.
-        name: How the message begins.
-
-    Raises:
-        ValueError: One line that names the first problem and where it is.
-    """
+    """Refuse a mesh on which coordinates cannot be computed, see `Cage.require_usable`; name: begins the message."""
     if not hasattr(mesh, "topology"):
         raise ValueError(f"{name} must be a Cage, got {type(mesh).__name__}")
     problem = _known_problem(mesh)
@@ -213,14 +148,7 @@ def require_usable(mesh: ClosedMesh, name: str = "cage") -> None:
 
 
 def is_usable(mesh: ClosedMesh) -> bool:
-    """Whether `require_usable` takes a mesh.
-
-    Args:
-        mesh: The mesh.
-
-    Returns:
-        Whether it does.
-    """
+    """Whether `require_usable` takes a mesh."""
     return not _known_problem(mesh)
 
 

@@ -1,8 +1,4 @@
-"""Read and write OBJ, PLY, OFF and glTF so that every vertex keeps its place in the file.
-
-The parsers are our own because mesh libraries merge, split and drop vertices, and a posed cage must match its rest cage
-one to one.
-"""
+"""Read and write OBJ, PLY, OFF and glTF so that every vertex keeps its place in the file."""
 
 from __future__ import annotations
 
@@ -18,6 +14,7 @@ from .gltf import read_gltf, write_glb, write_gltf
 from .ply import read_ply, write_ply
 from .text import Polygons, read_obj, read_off, write_obj, write_off
 
+# our own parsers: mesh libraries merge, split and drop vertices, and a posed cage must match its rest cage one to one
 _READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".glb": read_gltf, ".gltf": read_gltf}
 _WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": write_glb, ".gltf": write_gltf}
 
@@ -29,20 +26,8 @@ UPS = ("z", "y")
 
 
 def read_mesh(path: PathLike, up: str | None = None) -> tuple[pathlib.Path, np.ndarray, np.ndarray]:
-    """Read a mesh file. Polygons are cut into triangles without folds.
-
-    Args:
-        path: The file; its ending says which format it has.
-        up: The axis that points up in the file, "z" or "y". A mesh with y up is turned to z up: (x, -z, y). None is "y"
-            for glTF, as its specification says, and "z" for the others: their numbers stay as they are.
-
-    Returns:
-        The path, vertices (v, 3) float64 in the file's order, and triangles (f, 3) int64.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: File name and line of what cannot be read.
-    """
+    """The path, vertices (v, 3) float64 in the file's order, and triangles (f, 3) int64; polygons are cut into them.
+    up: the axis that points up in the file, "z" or "y", which is turned to z: (x, -z, y); None is that of `file_up`."""
     path = require_file(path, "cage file")
     turned = _turned(path, up)
     vertices, polygons = _READERS[_format(path)](path)
@@ -53,16 +38,7 @@ def read_mesh(path: PathLike, up: str | None = None) -> tuple[pathlib.Path, np.n
 
 
 def turned_up(vertices: np.ndarray, was: str, up: str) -> np.ndarray:
-    """Points of a world in which one axis points up, in one in which another does.
-
-    Args:
-        vertices: (n, 3) float64.
-        was: The axis that points up, "y" or "z".
-        up: The axis that shall point up.
-
-    Returns:
-        (n, 3) float64: (x, -z, y) from y to z, (x, z, -y) from z to y.
-    """
+    """Points (n, 3) of a world in which the axis `was` points up, "y" or "z", in one in which `up` does."""
     if was == up:
         return vertices
     x, y, z = vertices.T
@@ -91,19 +67,8 @@ def _cut(path: pathlib.Path, vertices: np.ndarray, polygons: Polygons) -> np.nda
 
 
 def write_mesh(path: PathLike, vertices: ArrayLike, faces: ArrayLike, up: str | None = None) -> None:
-    """Write a mesh file, whole or not at all.
-
-    OBJ, PLY and OFF keep every bit. glTF holds float32 relative to the middle of the vertices.
-
-    Args:
-        path: The file; its ending says which format it gets.
-        vertices: (v, 3) floats, z up.
-        faces: (f, 3) indices of vertices.
-        up: The axis that points up in the file, as in `read_mesh`.
-
-    Raises:
-        ValueError: For another ending or another axis.
-    """
+    """Write a mesh file, whole or not at all; vertices (v, 3), z up; up: as in `read_mesh`."""
+    # OBJ, PLY and OFF keep every bit. glTF holds float32 relative to the middle of the vertices.
     path = checked_path(path, "the mesh file")
     writer = _WRITERS[_format(path)]
     vertices = np.asarray(vertices, dtype=np.float64)

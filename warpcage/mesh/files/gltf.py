@@ -1,8 +1,4 @@
-"""glTF 2.0 (.glb, .gltf): the triangles of all meshes of the scene, at the places of their nodes.
-
-Exporters split a vertex wherever its normal, texture coordinate or material changes. Vertices of such a mesh at exactly
-the same place are joined again, in the order of the first ones. A mesh of positions alone is taken as it is.
-"""
+"""glTF 2.0 (.glb, .gltf): the triangles of all meshes of the scene, at the places of their nodes."""
 
 from __future__ import annotations
 
@@ -26,22 +22,11 @@ VERTEX_BYTES, TRIANGLE_BYTES = 200, 150
 
 
 def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
-    """Read a glTF file.
-
-    Nodes may share a mesh, so that a few bytes stand for a triangle each time: what they come to is counted first.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Vertices (v, 3) float64, y up as in the file, and triangles (t, 3) int64, indices of vertices.
-
-    Raises:
-        ValueError: What is wrong in which file.
-    """
+    """Vertices (v, 3) float64, y up as in the file, and triangles (t, 3) int64 of a glTF file."""
     with one_line(path):
         document, chunk = opened(path)
         nodes = mesh_nodes(document)
+        # nodes may share a mesh, so that a few bytes stand for a triangle each time: what they come to is counted first
         _require_room(document, nodes)
         buffers = read_buffers(path, document, chunk)
         meshes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
@@ -61,14 +46,7 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def require_gltf_room(path: pathlib.Path) -> None:
-    """Count what the nodes of a glTF file come to, before another library reads it.
-
-    Args:
-        path: The file.
-
-    Raises:
-        ValueError: For more triangles than a mesh may have, or than there is memory for, and for what is no glTF.
-    """
+    """Refuse a glTF file whose nodes come to too many triangles, before another library reads it."""
     with one_line(path):
         document, _ = opened(path)
         _require_room(document, mesh_nodes(document))
@@ -96,6 +74,7 @@ def _counts(document: dict, mesh: dict) -> tuple[int, int]:
 def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray, np.ndarray]:
     """Positions (v, 3) float64 and triangles (f, 3) of all primitives, split vertices joined."""
     positions, faces, _, split = mesh_parts(document, buffers, mesh)
+    # a mesh of positions alone is taken as it is
     if not split:
         return positions, faces
     first, number = joined_vertices(positions)
@@ -103,20 +82,8 @@ def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray,
 
 
 def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray, np.ndarray, list[dict], bool]:
-    """All triangles of a mesh. Primitives may share their vertices.
-
-    Args:
-        document: The document.
-        buffers: Its buffers.
-        mesh: The mesh.
-
-    Returns:
-        Positions (v, 3) float64, triangles (f, 3) int64, a primitive for each range of positions, in their order, and
-        whether vertices may be split.
-
-    Raises:
-        ValueError: For compressed meshes and indices that point nowhere.
-    """
+    """Positions (v, 3) float64 and triangles (f, 3) int64 of a mesh, a primitive for each range of positions, in their
+    order, and whether vertices may be split."""
     positions, faces, starts, owners, split = [], [], {}, [], len(mesh["primitives"]) > 1
     for primitive in mesh["primitives"]:
         if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
@@ -125,6 +92,7 @@ def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.nda
             raise ValueError("it is compressed (Draco): export it without compression")
         accessor = primitive["attributes"]["POSITION"]
         split |= len(primitive["attributes"]) > 1
+        # primitives may share their vertices
         if accessor not in starts:
             starts[accessor] = sum(map(len, positions))
             positions.append(values_of(document, buffers, accessor).astype(np.float64).reshape(-1, 3))
@@ -144,14 +112,9 @@ def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.nda
 
 
 def joined_vertices(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices at exactly the same place made one, in the order of the first at each place.
-
-    Args:
-        positions: (v, 3) float64.
-
-    Returns:
-        (u,) the vertices that stay, and (v,) the new number of each vertex.
-    """
+    """Vertices (v, 3) at exactly the same place made one, in the order of the first at each place.
+    Returns (u,) the vertices that stay, and (v,) the new number of each vertex."""
+    # Exporters split a vertex wherever its normal, texture coordinate or material changes.
     _, first, place = np.unique(positions + 0.0, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     number = np.empty(len(order), dtype=np.int64)
@@ -165,17 +128,8 @@ def joined_vertices(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def write_glb(
     vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, *, name: str = "cage"
 ) -> bytes:
-    """A .glb file of one mesh. Its node holds the middle, so that float32 keeps the digits.
-
-    Args:
-        vertices: (v, 3) float64, y up.
-        faces: (f, 3) int32 indices of vertices.
-        colors: (v, 3) in [0, 1], sRGB; they are shown as they are, without light. None writes positions alone.
-        name: Of the mesh's node.
-
-    Returns:
-        The contents of the file.
-    """
+    """A .glb file of one mesh, vertices (v, 3) with y up; colors: (v, 3) in [0, 1], sRGB, shown without light."""
+    # the node holds the middle, so that float32 keeps the digits
     document, body = _document(vertices, faces)
     document["nodes"][0]["name"] = name
     if colors is not None:
@@ -193,15 +147,7 @@ def write_glb(
 
 
 def write_gltf(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """The same as a .gltf file: text with the buffer in it.
-
-    Args:
-        vertices: (v, 3) float64, y up.
-        faces: (f, 3) int32 indices of vertices.
-
-    Returns:
-        The contents of the file.
-    """
+    """The same as a .gltf file, without colours: text with the buffer in it."""
     document, body = _document(vertices, faces)
     document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
     return (json.dumps(document, indent=1) + "\n").encode()

@@ -97,18 +97,8 @@ def _buffer_file(path: pathlib.Path, uri: str) -> bytes:
 
 
 def node_matrices(document: dict, moved: Mapping[int, dict] | None = None) -> dict[int, np.ndarray]:
-    """World matrices of the nodes of the scene, depth first.
-
-    Args:
-        document: The document.
-        moved: Places (translation, rotation, scale) that take the place of a node's own, by its number.
-
-    Returns:
-        (4, 4) float64 by the number of the node.
-
-    Raises:
-        ValueError: For a node that has two parents, or is its own.
-    """
+    """World matrices (4, 4) float64 of the nodes of the scene by their numbers, depth first.
+    moved: places (translation, rotation, scale) that take the place of a node's own, by its number."""
     nodes = document.get("nodes", [])
     scenes = document.get("scenes")
     roots = scenes[document.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
@@ -149,21 +139,8 @@ def local_matrix(node: dict) -> np.ndarray:
 
 
 def values_of(document: dict, buffers: list[bytes], index: int, *, empty: int | None = None) -> np.ndarray:
-    """The numbers of an accessor.
-
-    Args:
-        document: The document.
-        buffers: Its buffers.
-        index: Number of the accessor.
-        empty: Values that it must have where the file holds none of them: all are zero, but for sparse ones. None
-            refuses such an accessor.
-
-    Returns:
-        (count, width) in the type of the file.
-
-    Raises:
-        ValueError: For an accessor that holds nothing, or reads beyond its buffer.
-    """
+    """The numbers (count, width) of an accessor, in the type of the file.
+    empty: how many it must have where the file holds none, zeros but for sparse ones; None refuses such an accessor."""
     accessor = document["accessors"][index]
     kind, width, count = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]], accessor["count"]
     if "bufferView" in accessor:

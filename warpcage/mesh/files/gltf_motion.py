@@ -28,39 +28,22 @@ _PATHS = ("translation", "rotation", "scale", "weights")
 
 @dataclasses.dataclass(frozen=True)
 class GltfMotion:
-    """The places that the vertices of a file go through.
+    """The places that the vertices of a file go through: frames of an animation, or shapes."""
 
-    Attributes:
-        names: A name for each: of a shape, or "frame 1" and so on.
-        vertices: (v, 3) float64 each, y up, in the order of `read_gltf`.
-        times: Seconds from the first frame. None: they are shapes, which have no times.
-        fps: Frames per second. None where there are no times.
-        shown: (v, 3) the shapes that the file has on, together. None where it has none on, and for animations.
-    """
-
+    # of each: that of the shape, or "frame 1" and so on
     names: tuple[str, ...]
+    # (v, 3) float64 each, y up, in the order of `read_gltf`
     vertices: list[np.ndarray]
+    # seconds from the first frame; None, and no rate, for shapes
     times: tuple[float, ...] | None = None
     fps: float | None = None
+    # (v, 3) the shapes that the file has on, together; None where it has none on, and for animations
     shown: np.ndarray | None = None
 
 
 def read_gltf_motion(path: pathlib.Path, name: str = "") -> GltfMotion | None:
-    """Read how the vertices of a glTF file move.
-
-    An animation is sampled at the frames that its keys lie on, so that what a program wrote for each frame comes back
-    frame for frame. Without an animation each shape is a pose.
-
-    Args:
-        path: The file.
-        name: The animation or the shape. "" takes the only animation, or all shapes.
-
-    Returns:
-        The motion. None where nothing moves in the file.
-
-    Raises:
-        ValueError: What is wrong in which file; a name that is not there, or several animations and no name.
-    """
+    """How the vertices of a glTF file move; None where nothing does. Without an animation each shape is a pose.
+    name: the animation or the shape; "" takes the only animation, or all shapes."""
     with one_line(path):
         document, chunk = opened(path)
         moving = _Moving(document, read_buffers(path, document, chunk))
@@ -76,6 +59,7 @@ def read_gltf_motion(path: pathlib.Path, name: str = "") -> GltfMotion | None:
                 f"{next(iter(animations))}"
             )
         if animations and (not name or name in animations):
+            # at the frames that its keys lie on, so that what a program wrote for each frame comes back frame for frame
             return _sampled(moving, animations[name or next(iter(animations))])
         if name:
             return GltfMotion((name,), [moving.vertices(shapes={name: 1.0})])
@@ -318,13 +302,8 @@ class _Moving:
         weights: Mapping[int, np.ndarray] | None = None,
         shapes: Mapping[str, float] | None = None,
     ) -> np.ndarray:
-        """(v, 3) places of all vertices, y up.
-
-        Args:
-            places: Translation, rotation and scale of nodes, by their number; the others stay.
-            weights: Weights of the shapes of nodes, by their number.
-            shapes: Weight by name instead; the others are off.
-        """
+        """Places (v, 3) of all vertices, y up; places: translation, rotation, scale of nodes by number, the others
+        stay. weights: of the shapes of nodes, by number; shapes: weight by name instead, the others are off."""
         matrices = node_matrices(self.document, places)
         found = [body.at(self._weights(body, weights, shapes), matrices) for body in self.bodies]
         joined = np.concatenate(found) if found else np.zeros((0, 3))

@@ -29,17 +29,7 @@ PROPERTY_BYTES, LIST_ROOM = 300, 40
 
 
 def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list[int]]]]:
-    """Read a PLY file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Vertices (v, 3) float64, and (line or name, indices of vertices) of each polygon.
-
-    Raises:
-        ValueError: What is wrong, in which file and line.
-    """
+    """Vertices (v, 3) float64, and (line or name, indices of vertices) of each polygon of a PLY file."""
     data = read_limited(path, "PLY file")
     order, elements, body, body_line = ply_header(path, data)
     if order == "ascii":
@@ -73,18 +63,7 @@ def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list
 
 
 def ply_header(path: pathlib.Path, data: bytes) -> tuple[str, list[Element], int, int]:
-    """The header of a PLY file.
-
-    Args:
-        path: The file, for messages.
-        data: Its bytes.
-
-    Returns:
-        'ascii', '<' or '>'; elements (name, count, properties); where the body begins, and on which line.
-
-    Raises:
-        ValueError: What is wrong, in which line.
-    """
+    """'ascii', '<' or '>'; elements (name, count, properties); where the body begins, and on which line."""
     order, elements, position = None, [], 0
     for line in range(1, data.count(b"\n") + 2):
         end = data.find(b"\n", position)
@@ -178,15 +157,7 @@ def _ply_binary_rows(
 
 
 def write_ply(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """A binary PLY file with vertices in float64.
-
-    Args:
-        vertices: (v, 3) float64.
-        faces: (f, 3) int32 indices of vertices.
-
-    Returns:
-        The contents of the file.
-    """
+    """A binary PLY file with vertices (v, 3) in float64."""
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment cage\n"
         f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"

@@ -19,17 +19,7 @@ Polygons = list[tuple[int, list[int]]]
 
 
 def read_obj(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
-    """Read an OBJ file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Vertices (v, 3) float64, and (line, indices of vertices) of each polygon.
-
-    Raises:
-        ValueError: What is wrong, in which file and line.
-    """
+    """Vertices (v, 3) float64, and (line, indices of vertices) of each polygon of an OBJ file."""
     vertices, polygons = [], []
     for line, words in text_lines(path):
         if words[0] == "v":
@@ -48,15 +38,7 @@ def _zero(path: pathlib.Path, line: int) -> NoReturn:
 
 
 def write_obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """An OBJ file that keeps every bit of the vertices.
-
-    Args:
-        vertices: (v, 3) float64.
-        faces: (f, 3) indices of vertices.
-
-    Returns:
-        The contents of the file.
-    """
+    """An OBJ file that keeps every bit of the vertices."""
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces.tolist()]
     return ("\n".join(["# cage", *lines]) + "\n").encode()
@@ -66,17 +48,7 @@ def write_obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
 
 
 def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
-    """Read an OFF file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Vertices (v, 3) float64, and (line, indices of vertices) of each polygon.
-
-    Raises:
-        ValueError: What is wrong, in which file and line.
-    """
+    """Vertices (v, 3) float64, and (line, indices of vertices) of each polygon of an OFF file."""
     lines = text_lines(path)
     line, words = next(lines, (1, []))
     if not words or not words[0].upper().endswith("OFF") or words[0].upper() not in ("OFF", "COFF", "NOFF", "CNOFF"):
@@ -106,15 +78,7 @@ def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
 
 
 def write_off(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """An OFF file that keeps every bit of the vertices.
-
-    Args:
-        vertices: (v, 3) float64.
-        faces: (f, 3) indices of vertices.
-
-    Returns:
-        The contents of the file.
-    """
+    """An OFF file that keeps every bit of the vertices."""
     lines = ["OFF", f"{len(vertices)} {len(faces)} 0"]
     lines += [f"{x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     lines += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
@@ -122,16 +86,8 @@ def write_off(vertices: np.ndarray, faces: np.ndarray) -> bytes:
 
 
 def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1) -> Iterator[tuple[int, list[str]]]:
-    """The words of each line that holds any. Comments and a byte order mark are left out; a backslash joins lines.
-
-    Args:
-        path: The file.
-        data: Its contents from line `first` on. None reads the file.
-        first: Number of the first line of `data`.
-
-    Yields:
-        Number of the line, counted from 1, and its words.
-    """
+    """Number, from 1, and words of each line that holds any, without comments and byte order mark; a backslash joins
+    lines. data: the contents from line `first` on; None reads the file."""
     if data is None:
         data = read_limited(path, "cage file", TEXT_ROOM)
     text = data.decode("utf-8-sig", errors="replace")
@@ -148,19 +104,7 @@ def text_lines(path: pathlib.Path, data: bytes | None = None, first: int = 1) ->
 
 
 def floats(words: list[str], path: pathlib.Path, line: int) -> list[float]:
-    """Words as finite numbers.
-
-    Args:
-        words: The words.
-        path: The file, for the message.
-        line: The line, for the message.
-
-    Returns:
-        One number for each word.
-
-    Raises:
-        ValueError: For a word that is none.
-    """
+    """Words as finite numbers."""
     try:
         values = [float(word) for word in words]
     except ValueError:
@@ -171,19 +115,7 @@ def floats(words: list[str], path: pathlib.Path, line: int) -> list[float]:
 
 
 def whole(words: list[str], path: pathlib.Path, line: int) -> list[int]:
-    """Words as whole numbers.
-
-    Args:
-        words: The words.
-        path: The file, for the message.
-        line: The line, for the message.
-
-    Returns:
-        One number for each word.
-
-    Raises:
-        ValueError: For a word that is none.
-    """
+    """Words as whole numbers."""
     try:
         return [int(word) for word in words]
     except ValueError:
@@ -191,19 +123,7 @@ def whole(words: list[str], path: pathlib.Path, line: int) -> list[int]:
 
 
 def point(words: list[str], path: pathlib.Path, line: int) -> list[float]:
-    """The first three words as numbers.
-
-    Args:
-        words: The words; colours and the like may follow.
-        path: The file, for the message.
-        line: The line, for the message.
-
-    Returns:
-        Three finite numbers.
-
-    Raises:
-        ValueError: For fewer words, or one that is no number.
-    """
+    """The first three words as finite numbers; colours and the like may follow."""
     if len(words) < 3:
         raise ValueError(f"{path}:{line}: a vertex needs 3 numbers, got {len(words)}")
     return floats(words[:3], path, line)
