@@ -20,30 +20,12 @@ Axis = str | tuple[float, float, float]
 
 
 def is_axis(text: str) -> bool:
-    """Whether a text is a word for a direction.
-
-    Args:
-        text: The text.
-
-    Returns:
-        Whether `axis_of` takes it, or it says "up".
-    """
+    """Whether a text is a word for a direction."""
     return bool(_NAMED.fullmatch(text)) or _vector(text) is not None
 
 
 def with_up(text: str, up: Sequence[float] | None) -> str:
-    """A word of --posed, or for a direction, with "up" as numbers.
-
-    Args:
-        text: Words between colons, such as "twist:40:up".
-        up: (3,) what is up, None where nobody said.
-
-    Returns:
-        The text.
-
-    Raises:
-        ValueError: If it says "up" and nobody said what that is.
-    """
+    """A word of --posed ("twist:40:up"), or for a direction, with "up" as numbers; `up` (3,), None if nobody said."""
     words = text.split(":")
     if not {"up", "-up", "+up"} & set(words):
         return text
@@ -58,28 +40,13 @@ def with_up(text: str, up: Sequence[float] | None) -> str:
 
 
 def axis_of(text: str) -> Axis:
-    """A direction as the methods of Cage take it.
-
-    Args:
-        text: A word for a direction.
-
-    Returns:
-        Its name, or a vector.
-    """
+    """A direction as the methods of Cage take it: its name, or a vector."""
     found = _vector(text)
     return text if found is None else found
 
 
 def default_towards(cage: Cage, axis: Axis) -> str:
-    """Where a bend along an axis goes unless something else is said.
-
-    Args:
-        cage: The cage.
-        axis: The axis.
-
-    Returns:
-        "x", or "z" where the axis lies along x.
-    """
+    """Where a bend along an axis goes unless something else is said: "x", or "z" where the axis lies along x."""
     from ..mesh.principal import own_axis
     from .directions import direction
 

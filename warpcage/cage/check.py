@@ -24,21 +24,7 @@ def check_cage(
     pose: ClosedMesh | None = None,
 ) -> CageReport:
     """Examine a cage; see `Cage.check`.
-
-    Enclosure is only defined for a usable cage; it is 0 for others, and their poses are not looked at.
-
-    Args:
-        cage: The cage.
-        field: A field whose visible voxels should be inside. None looks at no field.
-        mesh: A mesh whose vertices should be inside. None looks at no mesh.
-        pose: A pose of the cage, in any order that `Cage.match` takes. None looks at no pose.
-
-    Returns:
-        The report.
-
-    Raises:
-        ValueError: For a field or a mesh with nothing in it, or a pose that does not match.
-    """
+    Enclosure is defined for usable cages only: it is 0 for others, and their poses are not looked at."""
     if pose is not None:
         require_mesh(pose, "the pose must be")
     topology = cage.topology
@@ -90,9 +76,7 @@ def _enclosed(
 
 def _nearest_faces(cage: ClosedMesh, outside: list[np.ndarray], most: int = 500) -> tuple:
     """(face, count) by the centre nearest to each point outside, the most frequent first.
-
-    Of more than `most` points it takes every second, third, ...
-    """
+    Of more than `most` points it takes every second, third, ..."""
     points = np.concatenate(outside) if outside else np.zeros((0, 3))
     if not len(points):
         return ()
@@ -137,14 +121,7 @@ def _hull_volume(points: np.ndarray) -> float:
 
 
 def tuples(array: np.ndarray) -> tuple:
-    """Rows of an array as plain numbers, or tuples of them.
-
-    Args:
-        array: (n,) or (n, k).
-
-    Returns:
-        n numbers or tuples.
-    """
+    """Rows of an array (n,) or (n, k) as n plain numbers or tuples."""
     return tuple(tuple(row) if isinstance(row, list) else row for row in np.asarray(array).tolist())
 
 
@@ -156,21 +133,7 @@ _DIFFERENCE = 2e-3
 
 
 def check_pose(rest: ClosedMesh, pose: ClosedMesh) -> PoseReport:
-    """Examine a pose of a usable cage.
-
-    The map posed -> rest is sampled on a grid inside the posed cage, its Jacobian J by forward differences. A sample is
-    inverted where det J <= 0; elsewhere the pose stretches by 1 / s for each singular value s of J.
-
-    Args:
-        rest: The cage.
-        pose: The same mesh, in any order that `Cage.match` takes.
-
-    Returns:
-        The report.
-
-    Raises:
-        ValueError: If the pose does not match.
-    """
+    """Examine a pose of a usable cage: the same mesh, in any order that `Cage.match` takes."""
     pose = rest.with_vertices(matched_vertices(rest, pose))
     problem = first_problem(pose)
     folds = tuples(intersecting_faces(pose.vertices, pose.faces))
@@ -188,17 +151,8 @@ def check_pose(rest: ClosedMesh, pose: ClosedMesh) -> PoseReport:
 def sample_pose(
     rest: ClosedMesh, pose: ClosedMesh, samples: int = _SAMPLES
 ) -> tuple[int, float, float, tuple[float, float]]:
-    """What the map posed -> rest does at samples inside the posed cage; see `check_pose`.
-
-    Args:
-        rest: The cage, usable.
-        pose: The same faces in another pose, usable.
-        samples: About how many samples are taken.
-
-    Returns:
-        Number of samples, share of them where the map folds over, share of them that it sends out of the rest cage, and
-        least and largest stretch. Shares are 0 and stretches 1 where no sample fits into the cage.
-    """
+    """Number of samples in the posed cage, shares of them that the map posed -> rest folds and sends out of the rest
+    cage, and least and largest stretch. Shares are 0 and stretches 1 where no sample fits; both cages are usable."""
     (points, _), step = grid_points(pose, samples), _DIFFERENCE * pose.size
     points = points[inside_mesh(points, pose)]
     offsets: np.ndarray = np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
@@ -209,6 +163,8 @@ def sample_pose(
     mapped = deform_points(stencil.reshape(-1, 3), pose, rest, coordinates="mean_value")
     assert isinstance(mapped, np.ndarray)  # as the points are
     mapped = mapped.reshape(-1, 4, 3)
+    # Forward differences. A sample is inverted where det J <= 0; elsewhere the pose stretches by 1 / s for each
+    # singular value s of J.
     jacobian = (mapped[:, 1:] - mapped[:, :1]) / step
     inverted = np.linalg.det(jacobian) <= 0.0
     singular = np.linalg.svd(jacobian[~inverted], compute_uv=False)
@@ -218,17 +174,10 @@ def sample_pose(
 
 
 def grid_points(cage: ClosedMesh, samples: int) -> tuple[np.ndarray, float]:
-    """Points of a grid over a cage's bounding box, off its planes of symmetry.
-
-    Args:
-        cage: The cage.
-        samples: About how many of them are in the cage.
-
-    Returns:
-        (n, 3) points and their distance from each other, world units.
-    """
+    """Points (n, 3) of a grid over a cage's bounding box, `samples` or so inside, and their distance, world units."""
     lower, upper = cage.bounds
     spacing = (cage.volume / samples) ** (1.0 / 3.0)
+    # begun aside, off the cage's planes of symmetry
     axes = [
         np.arange(low + 0.37 * min(spacing, high - low), high, spacing) for low, high in zip(lower, upper, strict=True)
     ]

@@ -9,18 +9,7 @@ from ..core.checks import axis_index, checked_vector
 
 
 def direction(axis: str | ArrayLike, name: str = "axis") -> np.ndarray:
-    """An axis as a unit vector.
-
-    Args:
-        axis: "x", "y" or "z", "-x" against it, or a direction (3,) of any length.
-        name: How messages call it.
-
-    Returns:
-        (3,) float64.
-
-    Raises:
-        ValueError: For another name, numbers that are not finite, or (0, 0, 0).
-    """
+    """The unit vector (3,) of an axis: "x", "-x", or a direction (3,) of any length; messages call it by `name`."""
     if isinstance(axis, str):
         sign, index = signed_axis(axis)
         return sign * np.eye(3)[index]
@@ -40,18 +29,7 @@ def signed_axis(name: str) -> tuple[float, int]:
 
 
 def frame_along(axis: str | ArrayLike, towards: str | ArrayLike | None = None) -> np.ndarray:
-    """Axes that lie along a direction.
-
-    Args:
-        axis: The direction that becomes z.
-        towards: What is across of it becomes x. None takes any direction across.
-
-    Returns:
-        (3, 3) unit vectors x, y and z, one a row.
-
-    Raises:
-        ValueError: For what is no direction, or one along the axis.
-    """
+    """Unit vectors x, y and z, one a row (3, 3): z along `axis`, x to what is across it of `towards` (None: any)."""
     w = direction(axis, "axis")
     aim = np.eye(3)[int(np.argmin(np.abs(w)))] if towards is None else direction(towards, "towards")
     u = aim - (aim @ w) * w

@@ -21,24 +21,10 @@ MAX_FILES = 20_000
 
 
 def gltf_poses(path: PathLike, rest: Cage, *, name: str = "", up: str | None = None) -> PoseFile | None:
-    """The motion in a glTF file as keyframes of a cage.
-
-    An animation becomes a keyframe for each of its frames, with its time; ways between them are straight. A file with
-    shapes (Blender's shape keys) alone becomes a keyframe for each shape, without times.
-
-    Args:
-        path: The file (.glb, .gltf).
-        rest: The cage that is posed. The mesh of the file may have its vertices in any order that `Cage.match` takes.
-        name: The animation, or the shape. "" takes the only animation, or all shapes.
-        up: The axis that points up in the file. None is "y", as the specification says.
-
-    Returns:
-        The keyframes. None where nothing moves in the file.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a file that cannot be read or is of another cage, and for names that it does not have.
-    """
+    """The motion in a glTF file as keyframes of a cage, whose vertices may come in any order; None where nothing moves.
+    `name` "" takes the only animation, or all shapes; `up` None is "y", as the specification says."""
+    # An animation becomes a keyframe for each of its frames, with its time; ways between them are straight. A file with
+    # shapes (Blender's shape keys) alone becomes a keyframe for each shape, without times.
     path = require_file(path, "cage file")
     motion = read_gltf_motion(path, name)
     if motion is None:
@@ -57,19 +43,7 @@ def gltf_poses(path: PathLike, rest: Cage, *, name: str = "", up: str | None = N
 
 def gltf_shown(path: PathLike, rest: Cage, *, up: str | None = None) -> Cage | None:
     """The pose that the shapes of a glTF file show together, as a program that opens it does.
-
-    Args:
-        path: The file.
-        rest: The cage that is posed.
-        up: As for `gltf_poses`.
-
-    Returns:
-        The pose. None where the file has no shape on, or an animation.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: As for `gltf_poses`.
-    """
+    None where the file has no shape on, or an animation."""
     path = require_file(path, "cage file")
     motion = read_gltf_motion(path)
     if motion is None or motion.shown is None:
@@ -82,27 +56,15 @@ def gltf_shown(path: PathLike, rest: Cage, *, up: str | None = None) -> Cage | N
 def sequence_poses(
     paths: Sequence[PathLike], rest: Cage, *, fps: float = 24.0, up: str | None = None, expected: str | None = None
 ) -> PoseFile:
-    """One cage file a frame as keyframes, each at the time of the number in its name; ways between them are straight.
-
-    Args:
-        paths: The files, as `numbered_files` gives them. A number that is missing leaves its time to the way between.
-        rest: The cage that is posed. Vertices may come in another order, the same in all files.
-        fps: Frames per second.
-        up: The axis that points up in the files. None finds it from the first one and the cage at rest.
-        expected: The axis where nothing speaks for another. None is that of the format.
-
-    Returns:
-        The keyframes, named by the files.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For files without a number, of another cage, or of other faces than the first one.
-    """
+    """One cage file a frame as keyframes, each at the time of the number in its name, counted from the first.
+    `up` None finds the axis from the first file and the cage at rest, or else takes `expected` (None: the format's)."""
+    # A number that is missing leaves its time to the way between, which is straight.
     rate = checked_positive(fps, "fps")
     numbers = [number for path in paths if (number := _number(pathlib.Path(path))) is not None]
     if not numbers or len(set(numbers)) < len(paths):
         raise ValueError("a sequence of cage files needs a number at the end of each name, another one for each")
     first, standing = load_standing(Cage, paths[0], up=up, reference=rest, expected=expected)
+    # vertices may come in another order than the cage's, the same in all files
     order = _order(rest, first, str(paths[0]))
     file = PoseFile(rest)
     for path, number in zip(paths, numbers, strict=True):
@@ -117,17 +79,8 @@ def sequence_poses(
 
 
 def numbered_files(text: PathLike) -> list[pathlib.Path] | None:
-    """The cage files of a sequence, by their numbers.
-
-    Args:
-        text: A folder of them, or a name with # for the digits of its number, such as walk_####.obj.
-
-    Returns:
-        The files. None where the text is neither.
-
-    Raises:
-        ValueError: If there are none, or too many.
-    """
+    """The cage files of a folder, or of a name with # for the digits of its number (walk_####.obj), by their numbers.
+    None where the text is neither."""
     path = pathlib.Path(text)
     if path.is_dir():
         found = [file for file in path.iterdir() if file.suffix.lower() in ENDINGS and _number(file) is not None]

@@ -20,20 +20,12 @@ USUAL_REACH = (0.3, 1.0)
 
 @dataclasses.dataclass(frozen=True)
 class PoseChance:
-    """What `RandomPoses` takes besides the cage.
-
-    Args:
-        seed: Another one gives other poses; a whole number from 0.
-        stretch: Least and largest length in a pose over the length at rest, over all places and directions.
-        reach: (2,) shares between which a pose's share of its farthest amplitude lies, evenly.
-        modes: Which modes may act, of "bend", "twist", "stretch", "taper", "wave" and "bump".
-
-    Raises:
-        ValueError: For bounds that do not hold 1 between them, or other options that cannot be.
-    """
+    """What `RandomPoses` takes besides the cage."""
 
     seed: int = 0
+    # least and largest length in a pose over the length at rest, over all places and directions
     stretch: Sequence[float] = USUAL_STRETCH
+    # (2,) shares between which a pose's share of its farthest amplitude lies, evenly
     reach: Sequence[float] = USUAL_REACH
     modes: Sequence[str] = POSE_MODES
 

@@ -287,14 +287,7 @@ class PoseFile:
 
 
 def cage_hash(cage: Cage) -> str:
-    """A hash over the counts, the faces (little-endian int32) and the vertices (little-endian float64).
-
-    Args:
-        cage: The cage.
-
-    Returns:
-        sha256 in hexadecimal digits.
-    """
+    """sha256 digits of the counts, the faces (little-endian int32) and the vertices (little-endian float64)."""
     digest = hashlib.sha256(f"{len(cage.vertices)} {len(cage.faces)}\n".encode())
     digest.update(np.ascontiguousarray(cage.faces, dtype="<i4").tobytes())
     digest.update(np.ascontiguousarray(cage.vertices + 0.0, dtype="<f8").tobytes())

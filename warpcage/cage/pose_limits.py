@@ -29,13 +29,9 @@ ENOUGH = 0.3
 
 @dataclass(frozen=True)
 class Stretch:
-    """Least and largest length after a pose over the length before, over all directions.
+    """Least and largest length after a pose over the length before, over all directions."""
 
-    Attributes:
-        least: The least; 0 or less where space is turned inside out, or where matter is sent out of the posed cage.
-        largest: The largest.
-    """
-
+    # 0 or less where space is turned inside out, or where matter is sent out of the posed cage
     least: float
     largest: float
 
@@ -48,17 +44,12 @@ class Stretch:
 
 
 class PoseProbe:
-    """Measures poses of one cage.
+    """Measures poses of one usable cage, at about `samples` places inside."""
 
-    Inside, a pose moves matter by mean value coordinates, in one of two ways: the coordinates of the cage at rest carry
-    points along ("forward", as meshes and splats go), and those of the posed cage say where a place has its matter from
-    ("backward", as fields are rendered; paper, section 3). The first are linear in the posed vertices: their gradients
-    are worked out once, which makes `forward` quick. `backward` takes some hundredths of a second.
-
-    Args:
-        rest: The cage, usable.
-        samples: About how many places inside are looked at.
-    """
+    # Inside, a pose moves matter by mean value coordinates, in one of two ways: the coordinates of the cage at rest
+    # carry points along ("forward", as meshes and splats go), and those of the posed cage say where a place has its
+    # matter from ("backward", as fields are rendered; paper, section 3). The first are linear in the posed vertices:
+    # their gradients are worked out once, which makes `forward` quick. `backward` takes some hundredths of a second.
 
     def __init__(self, rest: ClosedMesh, samples: int = SAMPLES):
         self.rest = rest
@@ -69,14 +60,7 @@ class PoseProbe:
         self._crossing = {tuple(pair) for pair in intersecting_faces(rest.vertices, rest.faces).tolist()}
 
     def faces(self, posed: ClosedMesh) -> Stretch:
-        """How much faces stretch: the singular values of the maps of their planes.
-
-        Args:
-            posed: A pose of the cage.
-
-        Returns:
-            The stretch.
-        """
+        """How much faces stretch: the singular values of the maps of their planes."""
         # in the frame of a face at rest, u along its first edge, the map takes [u, v] = [[a, b], [0, c]] to [s, t]
         u, v = face_edges(self.rest)
         s, t = face_edges(posed)
@@ -89,28 +73,14 @@ class PoseProbe:
         return Stretch(float(np.sqrt(np.maximum(mean - half, 0.0)).min()), float(np.sqrt(mean + half).max()))
 
     def forward(self, posed: ClosedMesh) -> Stretch:
-        """How much the inside stretches as points are carried along.
-
-        Args:
-            posed: A pose of the cage.
-
-        Returns:
-            The stretch; the least is 0 or less where det J <= 0 for a sample's Jacobian J.
-        """
+        """How much the inside stretches as points are carried along; the least is 0 or less where det J <= 0."""
         jacobian = (self._gradients @ posed.vertices).reshape(-1, 3, 3)
         least, largest = _singular_values(jacobian)
         return Stretch(least, largest)
 
     def backward(self, posed: ClosedMesh) -> Stretch:
         """How much the inside stretches in pictures of the pose.
-
-        Args:
-            posed: A pose of the cage.
-
-        Returns:
-            The stretch: 1 over the singular values of the map posed -> rest, at the places where the samples are
-            carried to. The least is 0 where det J <= 0, and where such a place is not inside the posed cage.
-        """
+        The least is 0 where det J <= 0, and where a sample is carried out of the posed cage."""
         if not len(self.places):
             return Stretch(1.0, 1.0)
         places = self._weights @ (posed.vertices - posed.vertices[0]) + posed.vertices[0]
@@ -118,17 +88,11 @@ class PoseProbe:
             return Stretch(0.0, 1.0)
         _, gradients = mean_value_gradients(places, posed, self._step)
         least, largest = _singular_values(np.matmul(gradients, self.rest.vertices))
+        # 1 over the singular values of the map posed -> rest, at the places where the samples are carried to
         return Stretch(1.0 / largest, 1.0 / least) if least > 0.0 else Stretch(0.0, 1.0)
 
     def crosses(self, posed: ClosedMesh) -> bool:
-        """Whether faces cross that do not at rest, or the pose cannot be used.
-
-        Args:
-            posed: A pose of the cage.
-
-        Returns:
-            Whether they do.
-        """
+        """Whether faces cross that do not at rest, or the pose cannot be used."""
         if first_problem(posed):
             return True
         found = intersecting_faces(posed.vertices, posed.faces).tolist()

@@ -1,12 +1,10 @@
-"""Smooth random ways away from rest: bends, twists, stretches, tapers, waves and bumps, to the bit the same everywhere.
-
-A way is a path of poses x(t) from rest, t = 0, to its end, t = 1. Its modes are maps of space, so that a cage's
-vertices move as its inside should.
-
-Libraries differ in the last bits of sines, of sums and of products of matrices, from processor to processor. Here only
-sums, products, quotients and square roots of single numbers are taken, which IEEE 754 rounds alike everywhere, in a
-fixed order; sines are polynomials of them. Random numbers are the raw bits of PCG64.
-"""
+"""Smooth random ways away from rest: bends, twists, stretches, tapers, waves, bumps, to the bit the same everywhere."""
+# A way is a path of poses x(t) from rest, t = 0, to its end, t = 1. Its modes are maps of space, so that a cage's
+# vertices move as its inside should.
+#
+# Libraries differ in the last bits of sines, of sums and of products of matrices, from processor to processor. Here
+# only sums, products, quotients and square roots of single numbers are taken, which IEEE 754 rounds alike everywhere,
+# in a fixed order; sines are polynomials of them. Random numbers are the raw bits of PCG64.
 
 from __future__ import annotations
 
@@ -38,36 +36,17 @@ Columns = tuple
 
 class RandomNumbers:
     """Numbers in [0, 1) from the raw bits of PCG64, whose stream NumPy never changes (NEP 19).
-
-    Args:
-        seed: A whole number from 0.
-        key: More whole numbers from 0, that make streams of their own.
-    """
+    The whole numbers of `key`, from 0 as `seed` is, make streams of their own."""
 
     def __init__(self, seed: int, key: Sequence[int]):
         self._bits = np.random.PCG64(np.random.SeedSequence(seed, spawn_key=tuple(key)))
 
     def number(self, low: float = 0.0, high: float = 1.0) -> float:
-        """The next number.
-
-        Args:
-            low: Lower end.
-            high: Upper end.
-
-        Returns:
-            A number between both.
-        """
+        """The next number, from `low` up to `high`."""
         return low + (high - low) * ((int(self._bits.random_raw()) >> 11) * 2.0**-53)
 
     def whole(self, count: int) -> int:
-        """The next whole number.
-
-        Args:
-            count: How many numbers there are.
-
-        Returns:
-            One from 0 to count - 1.
-        """
+        """The next whole number, from 0 to count - 1."""
         return min(int(self.number() * count), count - 1)
 
     def direction(self) -> Columns:
@@ -81,23 +60,15 @@ class RandomNumbers:
 
 
 class PoseWay:
-    """A random way of a cage's vertices away from rest.
-
-    At least one mode acts, each with a probability of one half. Amounts are drawn evenly between nothing and the ends
-    of their modes, in both senses, and then made larger together, so that one of them gets to its end. First come bumps
-    and waves, then what changes widths and lengths, then what turns.
-
-    Args:
-        vertices: (v, 3) float64, world units.
-        random: Where its numbers come from.
-        modes: The kinds that may act, of `POSE_MODES`.
-    """
+    """A random way of a cage's vertices (v, 3), world units, away from rest; `modes` may act, of `POSE_MODES`."""
 
     def __init__(self, vertices: np.ndarray, random: RandomNumbers, modes: Sequence[str] = POSE_MODES):
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         self._centre, self._size = 0.5 * (low + high), float((high - low).max())
         places = (vertices - self._centre) / self._size
         self._places: Columns = tuple(np.ascontiguousarray(places[:, k]) for k in range(3))
+        # at least one mode acts, each with a probability of one half; amounts are drawn evenly between nothing and the
+        # ends of their modes, in both senses
         acting = [random.number() < 0.5 for _ in POSE_MODES]
         chosen = random.whole(len(modes))
         kinds = {kind for kind, acts in zip(POSE_MODES, acting, strict=True) if acts and kind in modes}
@@ -120,6 +91,7 @@ class PoseWay:
             for _ in range(_BUMPS)
         ]
         self._bumps = self._bumps[: 1 + random.whole(_BUMPS)]
+        # made larger together, so that one of the amounts gets to its end
         self._scale = 1.0 / max(abs(mode[-1]) for kind in self.kinds for mode in self._of(kind))
 
     def _of(self, kind: str) -> list[tuple]:
@@ -128,15 +100,9 @@ class PoseWay:
         return found[kind] if kind in found else [getattr(self, f"_{kind}")]
 
     def at(self, t: float) -> np.ndarray:
-        """The vertices at a place of the way; their mean stays where it is.
-
-        Args:
-            t: From 0, at rest, to 1.
-
-        Returns:
-            (v, 3) float64, world units.
-        """
+        """The vertices (v, 3), world units, at a place of the way from 0, at rest, to 1; their mean stays."""
         x = rest = self._places
+        # first bumps and waves, then what changes widths and lengths, then what turns
         for kind, act in (("bump", self._bumped), ("wave", self._waved), ("stretch", self._stretched),
                           ("taper", self._tapered), ("twist", self._twisted), ("bend", self._bent)):  # fmt: skip
             if kind in self.kinds:

@@ -1,16 +1,17 @@
-"""Poses: functions that move vertices to where an artist would drag them.
-
-The poses along an axis act between two limits, shares of the bounding box as in Blender's Simple Deform modifier. What
-lies below the lower limit stays. What lies above the upper one follows rigidly (bend, twist), moves along (stretch) or
-takes the last factor (taper). Notation: w the coordinate along the axis, [w0, w1] the limits in world units, s = w - w0
-clamped to [0, w1 - w0], t = s / (w1 - w0), c the centre.
-
-An axis is "x", "y", "z", or a direction (3,) of any length; along a direction the bounding box is the one that lies
-along it, and its middle stays that of the world's.
-
-`bounds` stands in for the bounding box of the vertices, to pose a part or a point cloud along with something larger:
-its two corners, or points whose box it is.
-"""
+"""Poses: functions that move vertices to where an artist would drag them."""
+# Vertices are (n, 3), world units, and so is what a pose returns, float64. The centre is (3,), world units, a point on
+# the line of an axis; None is the middle of the bounding box.
+#
+# The poses along an axis act between two limits, shares of the bounding box as in Blender's Simple Deform modifier.
+# What lies below the lower limit stays. What lies above the upper one follows rigidly (bend, twist), moves along
+# (stretch) or takes the last factor (taper). Notation: w the coordinate along the axis, [w0, w1] the limits in world
+# units, s = w - w0 clamped to [0, w1 - w0], t = s / (w1 - w0), c the centre.
+#
+# An axis is "x", "y", "z", or a direction (3,) of any length; along a direction the bounding box is the one that lies
+# along it, and its middle stays that of the world's.
+#
+# `bounds` stands in for the bounding box of the vertices, to pose a part or a point cloud along with something larger:
+# its two corners (2, 3), or points (n, 3) whose box it is.
 
 from __future__ import annotations
 
@@ -36,30 +37,7 @@ def bend(
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
     """Bend the straight line through the centre along an axis into a circular arc towards another axis.
-
-    With the curvature k = angle / (w1 - w0), phi = k s, r = w - w0 - s the part beyond the limits, and d = u - c_u the
-    offset in the direction `towards`:
-
-        w' = w0  + sin(phi) / k       + r cos(phi) - d sin(phi)
-        u' = c_u + (1 - cos(phi)) / k + r sin(phi) + d cos(phi)
-
-    Lengths on the line itself (d = 0) are kept. What is more than 1 / k from the line on the inner side folds over.
-
-    Args:
-        vertices: (n, 3) world units.
-        degrees: Angle of the arc.
-        axis: "x", "y", "z", or a direction (3,) of any length.
-        towards: Another axis, "-x" against it, or a direction (3,), of which what is across the axis counts.
-        limits: (2,) where the arc begins and ends, as shares of the bounding box along the axis.
-        centre: (3,) a point on the line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
-
-    Returns:
-        (n, 3) float64, world units.
-
-    Raises:
-        ValueError: For values that are not finite, and for other axes or limits.
-    """
+    `towards` may be "-x", against an axis, or a direction (3,), of which what is across the axis counts."""
     if not (isinstance(axis, str) and isinstance(towards, str)):
         return _along(bend, vertices, degrees, axis, towards, limits=limits, centre=centre, bounds=bounds)
     angle, along = np.deg2rad(checked_number(degrees, "degrees")), axis_index(axis)
@@ -69,6 +47,11 @@ def bend(
     rest, box, middle = _prepared(vertices, bounds, centre)
     start, length = _limits(limits, box, along)
 
+    # With the curvature k = angle / (w1 - w0), phi = k s, r = w - w0 - s the part beyond the limits, and d = u - c_u
+    # the offset in the direction `towards`:
+    #     w' = w0  + sin(phi) / k       + r cos(phi) - d sin(phi)
+    #     u' = c_u + (1 - cos(phi)) / k + r sin(phi) + d cos(phi)
+    # Lengths on the line itself (d = 0) are kept. What is more than 1 / k from the line on the inner side folds over.
     w = rest[:, along] - start
     s = np.clip(w, 0.0, length)
     beyond = w - s
@@ -93,21 +76,7 @@ def twist(
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
     """Turn each slice across an axis about the line through the centre by t * degrees.
-
-    Args:
-        vertices: (n, 3) world units.
-        degrees: Angle at the upper limit, anticlockwise seen against the axis.
-        axis: "x", "y", "z", or a direction (3,) of any length.
-        limits: (2,) where the angle begins and ends to grow, as shares of the bounding box along the axis.
-        centre: (3,) a point on the line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
-
-    Returns:
-        (n, 3) float64, world units.
-
-    Raises:
-        ValueError: For values that are not finite, and for other axes or limits.
-    """
+    The angle is anticlockwise seen against the axis."""
     if not isinstance(axis, str):
         return _along(twist, vertices, degrees, axis, limits=limits, centre=centre, bounds=bounds)
     angle, along = np.deg2rad(checked_number(degrees, "degrees")), axis_index(axis)
@@ -130,22 +99,7 @@ def taper(
     centre: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Scale each slice across an axis about the line through the centre by 1 + (factor - 1) t.
-
-    Args:
-        vertices: (n, 3) world units.
-        factor: Factor at the upper limit, positive.
-        axis: "x", "y", "z", or a direction (3,) of any length.
-        limits: (2,) where the factor begins and ends to change, as shares of the bounding box along the axis.
-        centre: (3,) a point on the line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
-
-    Returns:
-        (n, 3) float64, world units.
-
-    Raises:
-        ValueError: For a factor that is not positive and finite, and for other axes or limits.
-    """
+    """Scale each slice across an axis about the line through the centre by 1 + (factor - 1) t."""
     if not isinstance(axis, str):
         return _along(taper, vertices, factor, axis, limits=limits, centre=centre, bounds=bounds)
     factor, along = checked_positive(factor, "factor"), axis_index(axis)
@@ -169,23 +123,7 @@ def stretch(
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
     """Make what lies between the limits longer: w' = w + (factor - 1) s.
-
-    Args:
-        vertices: (n, 3) world units.
-        factor: Length afterwards over length before, positive.
-        axis: "x", "y", "z", or a direction (3,) of any length.
-        limits: (2,) what is stretched, as shares of the bounding box along the axis.
-        keep_volume: Whether to scale across the axis by 1 / sqrt(factor), about the line through the centre. This needs
-            the limits (0, 1).
-        centre: (3,) a point on that line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
-
-    Returns:
-        (n, 3) float64, world units.
-
-    Raises:
-        ValueError: For a factor that is not positive and finite, and for other axes or limits.
-    """
+    `keep_volume` scales across the axis by 1 / sqrt(factor), about the line, and needs the limits (0, 1)."""
     if not isinstance(axis, str):
         kept = {"keep_volume": keep_volume, "limits": limits}
         return _along(stretch, vertices, factor, axis, centre=centre, bounds=bounds, **kept)
@@ -205,20 +143,7 @@ def stretch(
 def scale(
     vertices: PointsLike, factor: ArrayLike, *, centre: ArrayLike | None = None, bounds: ArrayLike | None = None
 ) -> np.ndarray:
-    """Scale about the centre: x' = c + factor (x - c).
-
-    Args:
-        vertices: (n, 3) world units.
-        factor: One positive number, or (3,) one for each axis.
-        centre: (3,) world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
-
-    Returns:
-        (n, 3) float64, world units.
-
-    Raises:
-        ValueError: For factors that are not positive and finite.
-    """
+    """Scale about the centre by one positive factor, or by one for each axis (3,): x' = c + factor (x - c)."""
     factors = np.asarray(factor, dtype=np.float64)
     if factors.shape not in ((), (3,)) or not np.isfinite(factors).all() or (factors <= 0.0).any():
         raise ValueError(f"scale needs one positive factor or three, got {factor}")
@@ -227,18 +152,7 @@ def scale(
 
 
 def translate(vertices: PointsLike, offset: ArrayLike) -> np.ndarray:
-    """Move all vertices: x' = x + offset.
-
-    Args:
-        vertices: (n, 3) world units.
-        offset: (3,) world units.
-
-    Returns:
-        (n, 3) float64, world units.
-
-    Raises:
-        ValueError: For an offset of anything but 3 finite numbers.
-    """
+    """Move all vertices by an offset (3,), world units: x' = x + offset."""
     return as_host_points(vertices, name="vertices") + checked_vector(offset, "offset")
 
 
@@ -250,27 +164,12 @@ def rotate(
     centre: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Turn about the line through the centre along an axis, by Rodrigues' formula.
-
-    x' = c + cos(a) y + sin(a) k x y + (1 - cos(a)) (k . y) k, with the angle a, y = x - c, and k the axis.
-
-    Args:
-        vertices: (n, 3) world units.
-        degrees: Angle, anticlockwise seen against the axis.
-        axis: "x", "y", "z", or a direction (3,) of any length.
-        centre: (3,) a point on the line, world units. None is the middle of the bounding box.
-        bounds: (2, 3) the bounding box, or (n, 3) the points that it is of, world units. None is that of the vertices.
-
-    Returns:
-        (n, 3) float64, world units.
-
-    Raises:
-        ValueError: For values that are not finite, and for another axis.
-    """
+    """Turn by `degrees` about the line through the centre along an axis, anticlockwise seen against it."""
     angle = np.deg2rad(checked_number(degrees, "degrees"))
     k = np.eye(3)[axis_index(axis)] if isinstance(axis, str) else direction(axis, "axis")
     rest, _, middle = _prepared(vertices, bounds, centre)
     y = rest - middle
+    # Rodrigues' formula
     return middle + np.cos(angle) * y + np.sin(angle) * np.cross(k, y) + (1.0 - np.cos(angle)) * np.outer(y @ k, k)
 
 
@@ -282,25 +181,8 @@ def move(
     centre: ArrayLike | None = None,
     radius: float | None = None,
 ) -> np.ndarray:
-    """Move some vertices, and their surroundings less and less: x' = x + w(d / radius) offset.
-
-    d is the distance to the nearest vertex of the group, or to the centre; w(t) = (1 - t)^2 (1 + 2 t), smooth at both
-    ends.
-
-    Args:
-        vertices: (n, 3) world units.
-        offset: (3,) world units.
-        group: (k,) numbers of vertices. None moves what is near the centre.
-        centre: (3,) world units. None where there is a group.
-        radius: Distance where the effect ends, world units. None moves the group alone.
-
-    Returns:
-        (n, 3) float64, world units.
-
-    Raises:
-        ValueError: Without a group and a centre or with both, for a centre without a radius, for a radius that is not
-            positive, or numbers of no vertices.
-    """
+    """Move a group (k,) of vertices, or what is near a centre, by an offset (3,), and the surroundings less and less.
+    `radius` is where the effect ends, world units; None moves the group alone."""
     rest, step = as_host_points(vertices, name="vertices"), checked_vector(offset, "offset")
     if (group is None) == (centre is None):
         raise ValueError("move needs either a group of vertices or a centre")
@@ -318,6 +200,8 @@ def move(
             distance, reach = np.where(np.isin(np.arange(len(rest)), moved), 0.0, 1.0), 1.0
         else:
             distance = np.array([np.linalg.norm(rest[moved] - x, axis=1).min() for x in rest])
+    # x' = x + w(d / radius) offset, with d the distance to the nearest vertex of the group, or to the centre, and
+    # w(t) = (1 - t)^2 (1 + 2 t), smooth at both ends
     t = np.clip(distance / reach, 0.0, 1.0)
     return rest + ((1.0 - t) ** 2 * (1.0 + 2.0 * t))[:, None] * step
 

@@ -21,20 +21,7 @@ PRESET_HELP = (
 
 
 class Preset:
-    """A pose by its name.
-
-    Args:
-        text: The preset, such as "bend:40:x:z".
-
-    Attributes:
-        kind: Its first word.
-        amount: Its numbers.
-        family: Its kind and axes: presets of one family differ in the amount alone.
-        neutral: The number that changes nothing.
-
-    Raises:
-        ValueError: For words that are not a preset.
-    """
+    """A pose by its name, such as "bend:40:x:z"."""
 
     def __init__(self, text: str):
         kind, *words = text.split(":")
@@ -51,19 +38,13 @@ class Preset:
         if not good:
             raise ValueError(f"pose {text!r} is not a preset: {PRESET_HELP}")
         self.kind, self.amount = kind, tuple(amount)
+        # presets of one family differ in the amount alone
         self.family = (kind, *axes)
+        # the number that changes nothing
         self.neutral = neutral
 
     def at(self, rest: Cage, amount: Sequence[float]) -> Cage:
-        """A cage posed by this preset with another amount.
-
-        Args:
-            rest: The cage at rest.
-            amount: The numbers.
-
-        Returns:
-            The pose.
-        """
+        """A cage posed by this preset with another amount."""
         kind, *axes = self.family
         named = dict(zip(("axis", "towards"), map(axis_of, axes), strict=False))
         if kind == "rest":
@@ -74,13 +55,5 @@ class Preset:
 
 
 def is_preset(text: str, folder: PathLike = "") -> bool:
-    """Whether a word for a pose names a preset rather than a file.
-
-    Args:
-        text: The word.
-        folder: Folder that files are relative to.
-
-    Returns:
-        Whether it begins as a preset and no file has this name.
-    """
+    """Whether a word for a pose begins as a preset and no file of the folder has this name."""
     return text.split(":")[0] in PRESETS and not pathlib.Path(folder, text).exists()

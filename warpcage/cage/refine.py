@@ -10,18 +10,7 @@ from ..mesh.closed_mesh import ClosedMesh
 
 
 def subdivided(cage: ClosedMesh, times: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Every face cut in four at the middles of its edges. The surface stays where it is.
-
-    Args:
-        cage: The cage.
-        times: How often, 1 to 4.
-
-    Returns:
-        Vertices (v, 3), world units: those of the cage with their numbers, then new ones; and faces (f, 3).
-
-    Raises:
-        ValueError: For another number of times.
-    """
+    """Every face cut in four at the middles of its edges, 1 to 4 times; vertices (v, 3) begin with the cage's."""
     vertices, faces = cage.vertices, cage.faces.astype(np.int64)
     for _ in range(checked_whole(times, "times", 1, 4)):
         vertices, faces = cut_in_four(vertices, faces)
@@ -29,15 +18,7 @@ def subdivided(cage: ClosedMesh, times: int = 1) -> tuple[np.ndarray, np.ndarray
 
 
 def cut_in_four(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every face cut in four at the middles of its edges, once.
-
-    Args:
-        vertices: (v, 3) any unit.
-        faces: (f, 3) indices of vertices.
-
-    Returns:
-        Vertices (v + e, 3), the given ones first, and faces (4 f, 3).
-    """
+    """Every face cut in four at the middles of its edges: vertices (v + e, 3), the given ones first, faces (4 f, 3)."""
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     edges, middle = np.unique(pairs, axis=0, return_inverse=True)
     ab, bc, ca = middle.reshape(3, -1) + len(vertices)
@@ -47,23 +28,9 @@ def cut_in_four(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
 
 
 def symmetrised(cage: ClosedMesh, axis: str = "x", *, centre: float | None = None, keep: str = "both") -> np.ndarray:
-    """Vertices moved so that the cage is its own mirror image across a plane.
-
-    The cage must be nearly symmetric already: each vertex is paired with the one nearest to its mirror image. Faces
-    stay, so squares may be cut along other diagonals on both sides.
-
-    Args:
-        cage: The cage.
-        axis: "x", "y" or "z", the normal of the plane.
-        centre: Where the plane crosses the axis, world units. None is the middle of the bounding box.
-        keep: "both" takes the mean of both halves, "+" or "-" copies the half on that side to the other.
-
-    Returns:
-        (v, 3) world units.
-
-    Raises:
-        ValueError: Where the vertices do not pair, or for other names.
-    """
+    """Vertices (v, 3) of a nearly symmetric cage, its own mirror image across a plane at `centre`, world units.
+    `keep`: "both" takes the mean of both halves, "+" or "-" copies the half on that side to the other."""
+    # Faces stay, so squares may be cut along other diagonals on both sides.
     along = axis_index(axis)
     if keep not in ("both", "+", "-"):
         raise ValueError(f"keep must be 'both', '+' or '-', got {keep!r}")
@@ -71,6 +38,7 @@ def symmetrised(cage: ClosedMesh, axis: str = "x", *, centre: float | None = Non
     own = cage.vertices
     mirrored = own.copy()
     mirrored[:, along] = 2.0 * middle - mirrored[:, along]
+    # each vertex is paired with the one nearest to its mirror image
     partner = np.array([np.argmin(((own - image) ** 2).sum(axis=1)) for image in mirrored])
     alone = np.flatnonzero(partner[partner] != np.arange(len(own)))
     if len(alone):

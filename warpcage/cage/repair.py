@@ -1,7 +1,5 @@
-"""Mend a cage where it is safe to do so: repeated vertices and faces, small holes, faces that look the wrong way.
-
-No vertex is moved, added or renumbered, so that the mended cage still matches poses made from the broken file.
-"""
+"""Mend a cage where it is safe to do so: repeated vertices and faces, small holes, faces that look the wrong way."""
+# No vertex is moved, added or renumbered, so that the mended cage still matches poses made from the broken file.
 
 from __future__ import annotations
 
@@ -15,23 +13,11 @@ from ..mesh.usable import coincident_vertices, inward_parts
 
 
 def repaired_faces(cage: ClosedMesh, largest_hole: int = 12) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Mended faces, and what was done.
-
-    In this order: faces name the same vertex at a place (the others stay, unused); faces go that name a vertex twice or
-    repeat another face; neighbours are wound alike; small holes are closed with the smallest area and without new
-    vertices; parts are turned outward. Some things cannot be mended and are left for `check` to report: edges of three
-    faces, crossing faces, wide holes, surfaces with one side only.
-
-    Args:
-        cage: The cage.
-        largest_hole: Holes of up to this many edges are closed; at least 3.
-
-    Returns:
-        Faces (f, 3) and a line for each thing that was done; the cage's own faces and no lines where nothing was.
-
-    Raises:
-        ValueError: For a smaller `largest_hole`, or where no face is left.
-    """
+    """Mended faces (f, 3) and a line for each thing that was done; the cage's own faces and no lines where none was."""
+    # In this order: faces name the same vertex at a place (the others stay, unused); faces go that name a vertex twice
+    # or repeat another face; neighbours are wound alike; small holes are closed with the smallest area and without new
+    # vertices; parts are turned outward. Some things cannot be mended and are left for `check` to report: edges of
+    # three faces, crossing faces, wide holes, surfaces with one side only.
     largest_hole = checked_whole(largest_hole, "largest_hole", 3)
     faces, notes = cage.faces.astype(np.int64), []
     for step in (_merged, _without_repeats, _wound_alike):
@@ -142,9 +128,7 @@ def _closed(vertices: np.ndarray, faces: np.ndarray, largest_hole: int, notes: l
 
 def _least_area(vertices: np.ndarray, loop: list[int], taken: set[tuple[int, int]]) -> np.ndarray | None:
     """Triangles (n - 2, 3) of the least total area over a polygon of n vertices (Barequet and Sharir 1995).
-
-    Their inner edges must not be among the edges `taken`; None where that is not possible.
-    """
+    Their inner edges must not be among the edges `taken`; None where that is not possible."""
     n, points = len(loop), vertices[loop]
     cost = np.zeros((n, n))
     middle = np.zeros((n, n), dtype=int)

@@ -12,26 +12,21 @@ COST_RESOLUTION = 128
 
 @dataclasses.dataclass(frozen=True)
 class PoseReport:
-    """What a pose does to the inside of its cage, from samples of the map posed -> rest by mean value coordinates.
-
-    Attributes:
-        sample_count: Number of samples.
-        volume_ratio: Volume of the posed cage over that of the rest cage.
-        inverted_share: Share of the samples where the map turns space inside out.
-        outside_share: Share of the samples that are mapped out of the rest cage, where nothing is drawn.
-        least_stretch: Least length in the pose over length at rest, over all directions and samples not inverted.
-        largest_stretch: The largest.
-        intersecting_faces: Pairs of faces of the posed cage that cross. The pose folds there.
-        problem: Why the posed cage cannot be used; empty where it can.
-    """
+    """What a pose does to the inside of its cage, from samples of the map posed -> rest by mean value coordinates."""
 
     sample_count: int
+    # of the posed cage over that of the rest cage
     volume_ratio: float
+    # of the samples, where the map turns space inside out
     inverted_share: float
+    # of the samples that are mapped out of the rest cage, where nothing is drawn
     outside_share: float
+    # length in the pose over length at rest, over all directions and samples not inverted
     least_stretch: float
     largest_stretch: float
+    # pairs of faces of the posed cage that cross: the pose folds there
     intersecting_faces: tuple
+    # why the posed cage cannot be used; empty where it can
     problem: str
 
     @property
@@ -40,11 +35,7 @@ class PoseReport:
         return not self.problem
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """The rows of the table.
-
-        Returns:
-            What was measured, its value, and advice or nothing, for each row.
-        """
+        """The rows of the table: what was measured, its value, and advice or nothing."""
         inverted = "bring the vertices there apart: colours would show through" if self.inverted_share else ""
         outside = "move the cage less there: nothing is shown" if self.outside_share > 0.01 else ""
         strong = self.least_stretch < 0.25 or self.largest_stretch > 4.0
@@ -217,16 +208,7 @@ def _plain(value: Any) -> Any:
 
 
 def offender_row(what: str, offenders: tuple, advice: str) -> tuple[str, str, str]:
-    """A row of the table that shows the first few offenders.
-
-    Args:
-        what: What they are.
-        offenders: All of them.
-        advice: What to do about them.
-
-    Returns:
-        What, how many, and the advice with the first three.
-    """
+    """A row of the table: what the offenders are, how many, and the advice with the first three."""
     if not offenders:
         return what, "none", ""
     shown = ", ".join(str(each) for each in offenders[:3]) + (", ..." if len(offenders) > 3 else "")

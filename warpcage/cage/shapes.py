@@ -22,19 +22,7 @@ _ICOSAHEDRON = [
 def box(
     lower: ArrayLike, upper: ArrayLike | None = None, segments: int | Sequence[int] = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The surface of a grid between two corners; see `Cage.box`.
-
-    Args:
-        lower: (3,) lower corner, world units; or (2, 3) both corners.
-        upper: (3,) upper corner, world units. None where `lower` holds both.
-        segments: Pieces along each axis, one number or three, at least 1.
-
-    Returns:
-        Vertices (v, 3) and faces (f, 3).
-
-    Raises:
-        ValueError: For corners that are not finite, a side that is not positive, or segments below 1.
-    """
+    """The surface of a grid between two corners, both in `lower` (2, 3) where `upper` is None; see `Cage.box`."""
     corners = np.asarray(lower if upper is None else [lower, upper], dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all():
         raise ValueError(f"a box needs two finite corners of 3 numbers, got {corners.tolist()}")
@@ -68,22 +56,7 @@ def box(
 def cylinder(
     centre: ArrayLike, radius: float, height: float, axis: str = "z", sides: int = 12, rings: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rings of vertices around an axis, and two caps with a vertex in the middle; see `Cage.cylinder`.
-
-    Args:
-        centre: (3,) the point on the axis at half the height, world units.
-        radius: Radius of the circle through the vertices, world units.
-        height: Length along the axis, world units.
-        axis: "x", "y" or "z".
-        sides: Flat sides, at least 3.
-        rings: Pieces along the height, at least 1.
-
-    Returns:
-        Vertices (v, 3) and faces (f, 3).
-
-    Raises:
-        ValueError: For a radius or height that is not positive, fewer sides or rings, or another axis.
-    """
+    """Rings of vertices around an axis, and two caps with a vertex in the middle; see `Cage.cylinder`."""
     middle = checked_vector(centre, "centre")
     radius, height = checked_positive(radius, "cylinder radius"), checked_positive(height, "cylinder height")
     sides, rings = checked_whole(sides, "cylinder sides", 3), checked_whole(rings, "cylinder rings", 1)
@@ -114,19 +87,7 @@ def cylinder(
 
 
 def icosphere(centre: ArrayLike, radius: float, subdivisions: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """A divided icosahedron; see `Cage.icosphere`.
-
-    Args:
-        centre: (3,) centre of the sphere, world units.
-        radius: Radius of the sphere, world units.
-        subdivisions: How often each face is cut in four, 0 to 6.
-
-    Returns:
-        Vertices (v, 3) and faces (f, 3).
-
-    Raises:
-        ValueError: For a radius that is not positive, or another number of subdivisions.
-    """
+    """A divided icosahedron; see `Cage.icosphere`."""
     middle, radius = checked_vector(centre, "centre"), checked_positive(radius, "icosphere radius")
     subdivisions = checked_whole(subdivisions, "icosphere subdivisions", 0, 6)
     golden = (1.0 + np.sqrt(5.0)) / 2.0

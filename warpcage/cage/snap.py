@@ -18,23 +18,9 @@ AS_GOOD = 0.02
 
 def snap_to_gaps(cage: Cage, field: VoxelField, reach: float) -> Cage:
     """A cage whose flat walls moved, each along its normal, to the nearest gap in the matter of a field.
-
-    A part that a cage cuts out at a gap takes all of itself along, and leaves no frayed edge. Walls that cut nothing
-    stay, and so do those for which no place is better. Neighbouring walls stay joined: a vertex goes where the walls
-    around it meet.
-
-    Args:
-        cage: The cage at rest, usable. Walls that are not flat move face by face, so take one of flat walls.
-        field: The field.
-        reach: How far a wall may move, world units.
-
-    Returns:
-        The cage, with the same faces.
-
-    Raises:
-        ValueError: For a reach that is not positive, a cage that cannot be used, or one that turns over as its walls
-            move: take a smaller reach then.
-    """
+    `reach`: how far a wall may move, world units."""
+    # A part that a cage cuts out at a gap takes all of itself along, and leaves no frayed edge. Walls that cut nothing
+    # stay, and so do those for which no place is better. Walls that are not flat move face by face.
     reach = checked_positive(reach, "reach")
     cage.require_usable("the cage to snap")
     walls = wall_groups(cage, np.arange(len(cage.faces)), WALL_ANGLE)
@@ -47,6 +33,7 @@ def snap_to_gaps(cage: Cage, field: VoxelField, reach: float) -> Cage:
     moved = cage.vertices.copy()
     for vertex, numbers in enumerate(around):
         if numbers and shifts[numbers].any():
+            # neighbouring walls stay joined: a vertex goes where the walls around it meet
             moved[vertex] += np.linalg.lstsq(normals[numbers], shifts[numbers], rcond=1e-3)[0]
     snapped = cage.with_vertices(moved)
     snapped.require_usable(f"the cage snapped within {reach:g}")

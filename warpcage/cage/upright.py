@@ -1,10 +1,8 @@
-"""Which axis points up in a cage file: found from the object that the cage stands around, or from its rest cage.
-
-Formats do not say it (OBJ, PLY, OFF), or programs write another one than they say. Two ways of standing are compared,
-z up and y up. A cage that holds a whole object in one of them and misses much of it in the other was written with the
-first; a cage that holds a part in both tells nothing. A posed cage was written with the axis in which it comes near its
-rest cage, unless a turn by 90 degrees of everything explains the same.
-"""
+"""Which axis points up in a cage file: found from the object that the cage stands around, or from its rest cage."""
+# Formats do not say it (OBJ, PLY, OFF), or programs write another one than they say. Two ways of standing are compared,
+# z up and y up. A cage that holds a whole object in one of them and misses much of it in the other was written with the
+# first; a cage that holds a part in both tells nothing. A posed cage was written with the axis in which it comes near
+# its rest cage, unless a turn by 90 degrees of everything explains the same.
 
 from __future__ import annotations
 
@@ -61,22 +59,19 @@ _SIMILAR = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class Standing:
-    """How a cage file stands.
+    """How a cage file stands."""
 
-    Attributes:
-        up: The axis that points up in the file, "y" or "z".
-        turned: Whether it is another one than was expected.
-        note: Why, or what speaks against it; empty where there is nothing to say.
-        doubtful: Whether the note says that something may be wrong.
-        likelier: Whether a cage of a part would hold far more with another axis.
-        lost: Whether the cage holds nothing of its object, however it stands.
-    """
-
+    # the axis that points up in the file, "y" or "z"
     up: str
+    # whether it is another one than was expected
     turned: bool = False
+    # why, or what speaks against it; empty where there is nothing to say
     note: str = ""
+    # whether the note says that something may be wrong
     doubtful: bool = False
+    # whether a cage of a part would hold far more with another axis
     likelier: bool = False
+    # whether the cage holds nothing of its object, however it stands
     lost: bool = False
 
 
@@ -89,25 +84,8 @@ def load_standing(
     expected: str | None = None,
     anywhere: bool = False,
 ) -> tuple[Mesh, Standing]:
-    """Read a cage file, and say how the cage stands.
-
-    Args:
-        make: Makes a cage of vertices (v, 3) and faces (f, 3).
-        path: The file.
-        up: The axis that points up in the file, "z" or "y". None finds it from the reference.
-        reference: What the cage belongs to: the cage at rest that it is a pose of, or the field, selection or mesh
-            that it stands around. None takes the axis that is expected.
-        expected: The axis that is taken where nothing speaks for another. None is that of the format.
-        anywhere: Whether to take a cage that holds nothing of its object too.
-
-    Returns:
-        The cage, and how it stands.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: File name and line of what cannot be read, or a cage that holds nothing of its object where no
-            axis was given.
-    """
+    """Read a cage file, and say how it stands by its `reference`: the cage at rest, or the object that it is around.
+    `up` None finds the axis so, else `expected`, else the format's; `anywhere` takes a cage that holds nothing."""
     chosen = up or expected or file_up(path)
     path, vertices, faces = read_mesh(path, chosen)
     try:
@@ -126,17 +104,8 @@ def load_standing(
 
 
 def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = False) -> Standing:
-    """How a cage at rest stands, by what it holds of its object.
-
-    Args:
-        cage: The cage, turned from the axis `up` to z.
-        up: The axis that is expected.
-        thing: The field, a selection of it, or a mesh (anything with vertices).
-        given: Whether the user named the axis: it is kept, whatever the cage holds.
-
-    Returns:
-        How it stands. For a cage that cannot be used, or an object that shows nothing, as expected.
-    """
+    """How a cage at rest, turned from the axis `up` to z, stands by what it holds of a field, a selection or a mesh.
+    An axis that the user gave is kept; a cage that cannot be used, or an object that shows nothing, is as expected."""
     if first_problem(cage):
         return Standing(up)
     points = _object_points(thing, count=max(_LEAST_POINTS, min(_MOST_POINTS, _WORK // len(cage.faces))))
@@ -166,31 +135,14 @@ def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = 
 
 
 def other_standing(cage: ClosedMesh, thing: object) -> str:
-    """What speaks for another axis up of a cage that was read already, by what it holds of its object.
-
-    Args:
-        cage: The cage.
-        thing: The field, a selection of it, or a mesh.
-
-    Returns:
-        A note, empty where nothing does.
-    """
+    """What speaks for another axis up of a cage that was read already, by what it holds of its object, or ""."""
     found = [standing_of_rest(cage, up, thing, given=True) for up in UPS]
     return next((each.note for each in found if each.doubtful), "")
 
 
 def standing_of_pose(cage: ClosedMesh, up: str, rest: ClosedMesh, *, given: bool = False) -> Standing:
-    """How a posed cage stands, by its rest cage.
-
-    Args:
-        cage: The posed cage, turned from the axis `up` to z, in any order that `Cage.match` takes.
-        up: The axis that is expected.
-        rest: The cage at rest.
-        given: Whether the user named the axis: it is kept, whatever the pose looks like.
-
-    Returns:
-        How it stands. For cages that do not match, as expected.
-    """
+    """How a posed cage, turned from the axis `up` to z, stands by its rest cage; as expected where they do not match.
+    An axis that the user gave is kept, whatever the pose looks like."""
     other = _other(up)
     here, there = (_pose_of(rest, each) for each in (cage, restood(cage, up, other)))
     if here is None or there is None:
@@ -211,16 +163,15 @@ def standing_of_pose(cage: ClosedMesh, up: str, rest: ClosedMesh, *, given: bool
 
 @dataclasses.dataclass(frozen=True)
 class _Pose:
-    """A pose beside its rest cage.
+    """A pose beside its rest cage."""
 
-    distance: root of the mean squared distance of vertices, of the cage's size. turn: degrees by which all is turned
-    (Kabsch 1976). similar: whether the pose is a similarity. still, still_count: share and number of the vertices that
-    stay, of those that another axis would move.
-    """
-
+    # root of the mean squared distance of vertices, of the cage's size
     distance: float
+    # degrees by which all is turned (Kabsch 1976)
     turn: float
+    # whether the pose is a similarity
     similar: bool
+    # share and number of the vertices that stay, of those that another axis would move
     still: float
     still_count: int
 
@@ -261,16 +212,7 @@ def _other(up: str) -> str:
 
 
 def restood(cage: Mesh, was: str, up: str) -> Mesh:
-    """A cage that was read with one axis up, as it is read with another.
-
-    Args:
-        cage: The cage.
-        was: The axis that it was read with, "y" or "z".
-        up: The axis that it shall be read with.
-
-    Returns:
-        The cage, z up.
-    """
+    """A cage, z up, that was read with the axis `was` up ("y" or "z"), as it is read with `up`."""
     return cage if was == up else cage.with_vertices(turned_up(cage.vertices, up, was))
 
 

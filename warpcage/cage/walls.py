@@ -17,16 +17,7 @@ MOST_SAMPLES_A_SIDE = 256
 
 
 def wall_groups(cage: Cage, faces: np.ndarray, angle: float) -> list[np.ndarray]:
-    """Faces of a cage as walls: sets of neighbours that meet at less than an angle.
-
-    Args:
-        cage: The cage.
-        faces: (k,) numbers of faces.
-        angle: Degrees.
-
-    Returns:
-        Numbers of the faces of each wall.
-    """
+    """Faces (k,) of a cage as walls: sets of neighbours that meet at less than an angle, degrees."""
     faces = np.asarray(faces, dtype=np.int64)
     if not len(faces):
         return []
@@ -45,30 +36,14 @@ def wall_groups(cage: Cage, faces: np.ndarray, angle: float) -> list[np.ndarray]
 
 
 def cut_faces(cage: Cage, field: VoxelField) -> np.ndarray:
-    """The faces of a cage that cut the matter of a field.
-
-    Args:
-        cage: The cage at rest.
-        field: The field; matter is what is half opaque across two voxels.
-
-    Returns:
-        (k,) numbers of faces, ascending.
-    """
+    """The faces (k,) of a cage, ascending, that cut the matter of a field: what is half opaque across two voxels."""
     points, owner = face_samples(cage, float(field.voxel_size.min()))
     counts = np.bincount(owner[in_matter(field, points)], minlength=len(cage.faces))
     return np.flatnonzero(counts >= LEAST_SAMPLES)
 
 
 def in_matter(field: VoxelField, points: np.ndarray) -> np.ndarray:
-    """Which points lie in matter.
-
-    Args:
-        field: The field; matter is what is half opaque across two voxels.
-        points: (n, 3) world positions.
-
-    Returns:
-        (n,) bool.
-    """
+    """Which points (n, 3), world positions, lie in matter: what is half opaque across two voxels."""
     found = ((points > field.bounds[0]) & (points < field.bounds[1])).all(axis=1)
     inner = points[found]
     _, density = field.sample(inner, np.broadcast_to([0.0, 0.0, 1.0], inner.shape))
@@ -77,15 +52,7 @@ def in_matter(field: VoxelField, points: np.ndarray) -> np.ndarray:
 
 
 def face_samples(cage: Cage, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points spread evenly over the faces of a cage.
-
-    Args:
-        cage: The cage.
-        spacing: About how far they are apart, world units.
-
-    Returns:
-        (n, 3) points, world units, and (n,) the face of each.
-    """
+    """Points (n, 3) spread evenly over a cage's faces, about `spacing` apart, world units, and their faces (n,)."""
     points, owner = [], []
     for number, (a, b, c) in enumerate(cage.vertices[cage.faces]):
         longest = max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b))

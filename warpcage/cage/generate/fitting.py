@@ -1,7 +1,4 @@
-"""Move the vertices of a cage so that its faces, not only its vertices, keep their distance from the object.
-
-Three steps: spread the vertices evenly, draw the faces close, clear what is still too near, by exact distances.
-"""
+"""Move a cage's vertices so that its faces keep off the object: spread evenly, drawn close, cleared exactly."""
 
 from __future__ import annotations
 
@@ -74,13 +71,11 @@ def spread(shell, vertices, faces, need, mirror, rounds: int) -> np.ndarray:
 
 
 def drawn_close(shell, vertices, faces, need, mirror=None, rounds: int = _DRAWN_ROUNDS) -> np.ndarray:
-    """Vertices of the least volume: the faces sink under an even pressure until the object's distance carries them.
-
-    Descends on volume + sum over faces of area * mean (shortfall^2) / (2 softness), the mean over the samples that are
-    short, with steps by Adam (Kingma and Ba 2015) of each vertex's own scale; they shrink, and are never so long that a
-    face could pass what it must keep off. With each step faces are pushed back to where they belong and smoothed along
-    the surface.
-    """
+    """Vertices of the least volume: the faces sink under an even pressure until the object's distance carries them."""
+    # Descends on volume + sum over faces of area * mean (shortfall^2) / (2 softness), the mean over the samples that
+    # are short, with steps by Adam (Kingma and Ba 2015) of each vertex's own scale; they shrink, and are never so long
+    # that a face could pass what it must keep off. With each step faces are pushed back to where they belong and
+    # smoothed along the surface.
     mirror, edges = mirror or _same, ClosedMesh(vertices, faces).edges
     level, softness = need + _LEVEL * shell.spacing, _SOFTNESS * shell.spacing
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
@@ -107,9 +102,7 @@ def drawn_close(shell, vertices, faces, need, mirror=None, rounds: int = _DRAWN_
 
 def _slope(vertices, faces, f, weights, load, away) -> np.ndarray:
     """Slope (v, 3) of the volume and of what carries it, over the mean area around a vertex.
-
-    f, weights, load, away: (n,) face, (n, 3) barycentric weights, (n,) strength and (n, 3) direction of each contact.
-    """
+    A contact has a face f (n,), barycentric weights (n, 3), a strength load (n,) and a direction away (n, 3)."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normals = 0.5 * np.cross(b - a, c - a)
     area = np.linalg.norm(normals, axis=1)
@@ -126,16 +119,14 @@ def cleared(
     shell, vertices, faces, need, mirror=None, rounds: int = _CLEAR_ROUNDS, checks: int = _CLEAR_CHECKS
 ) -> np.ndarray:
     """Vertices pushed outward until every face keeps its distance from the object's points; where that does not come
-    about, `shortfall` tells.
-
-    Pushed by distances on the grid, to a level that rises at each face by what exact distances then find short. Only
-    the samples within a voxel of it are followed between two checks.
-    """
+    about, `shortfall` tells."""
+    # Pushed by distances on the grid, to a level that rises at each face by what exact distances then find short.
     mirror = mirror or _same
     edges, lift, unit = ClosedMesh(vertices, faces).edges, np.zeros(len(faces)), shell.spacing
     for _ in range(checks):
         count, level = sampling(vertices, edges, unit, need)
         weights = sample_weights(count)
+        # only the samples within a voxel of the level are followed between two checks
         f, s = np.nonzero(shell.closed_distance_on_faces(vertices, faces, weights) < level + lift[:, None] + unit)
         worst = [np.inf]
         for _ in range(rounds):
@@ -201,13 +192,11 @@ def pushed(shell, vertices, faces, level, need, pieces) -> np.ndarray:
 
 
 def ways_out(shell, samples, distance, need, vertices, corners) -> np.ndarray:
-    """Unit directions (n, 3) in which samples leave the object: where its distance grows, or their face looks.
-
-    distance (n,): the object's at the samples; corners (n, 3): vertices of each sample's face. A face that the object
-    passes through has either side of a thin wall nearest to it, and the slope there would push it to the wrong one: the
-    nearer the object, the more its own normal counts.
-    """
+    """Unit directions (n, 3) in which samples leave the object: where its distance (n,) at them grows, or their face
+    looks. `corners` (n, 3): vertices of each sample's face."""
     away = shell.outward(samples)
+    # A face that the object passes through has either side of a thin wall nearest to it, and the slope there would push
+    # it to the wrong one: the nearer the object, the more the face's own normal counts.
     blind = np.flatnonzero(distance < _BLIND * need)
     if len(blind):
         a, b, c = (vertices[corners[blind, k]] for k in range(3))
@@ -221,9 +210,7 @@ def ways_out(shell, samples, distance, need, vertices, corners) -> np.ndarray:
 
 def _shared_push(vertices, corners, weights, short, away) -> np.ndarray:
     """Vertices moved so that samples go by short (n,) > 0 in the directions away (n, 3).
-
-    corners (n, 3): vertices of each sample's face; weights (n, 3): its barycentric weights.
-    """
+    A sample has barycentric weights (n, 3) on a face of vertices corners (n, 3)."""
     move = short[:, None] * away
     # the corners that carry a sample share its move so that the sample itself makes all of it (least squares)
     share = weights / (weights**2).sum(axis=1, keepdims=True)

@@ -19,24 +19,11 @@ _LOOKED_AT = 2.0
 
 
 def ended_at(floor: Plane, cage: ClosedMesh, points: np.ndarray, spacing: float) -> np.ndarray:
-    """Vertices of a cage that ends at a plane.
-
-    Those below the plane move up to it: at the rim to where the cage passed through the plane, so that its section
-    there stays, and straight up within. Where faces near the plane then leave some of the object out, the rim is
-    widened along the plane.
-
-    Args:
-        floor: The plane; the object lies above it.
-        cage: A usable cage around the object.
-        points: (n, 3) the object's points, which stay inside, world units.
-        spacing: Side of a voxel of the cage's making, world units.
-
-    Returns:
-        (v, 3) the vertices, world units.
-
-    Raises:
-        ValueError: If the cage lies below the plane, or no such cage is found.
-    """
+    """Vertices (v, 3), world units, of a usable cage that ends at a plane; the object's points (n, 3), above it, stay
+    inside. `spacing`: side of a voxel of the cage's making, world units."""
+    # What lies below the plane moves up to it: at the rim to where the cage passed through the plane, so that its
+    # section there stays, and straight up within. Where faces near the plane then leave some of the object out, the rim
+    # is widened along the plane.
     vertices, heights = cage.vertices, floor.heights(cage.vertices)
     below = heights < 0.0
     if not below.any():

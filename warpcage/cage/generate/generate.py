@@ -1,8 +1,6 @@
-"""Cages around meshes and fields: by the paper's voxels, by a tight shell, or the tighter of both.
-
-Whatever the method, the enclosure is kept on a distance field: the faces of the cage, not the points of the object, are
-held at a distance, which costs nothing per point of the object.
-"""
+"""Cages around meshes and fields: by the paper's voxels, by a tight shell, or the tighter of both."""
+# Whatever the method, the enclosure is kept on a distance field: the faces of the cage, not the points of the object,
+# are held at a distance, which costs nothing per point of the object.
 
 from __future__ import annotations
 
@@ -32,22 +30,8 @@ def cage_around_mesh(
     symmetry: str | None = None,
     progress: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) and faces (f, 3) of a cage of `vertex_count` vertices (within 10 %) around a mesh.
-
-    mesh: trimesh.Trimesh, or anything with .vertices (n, 3) and .faces (f, 3), open or closed, of one or several parts.
-    vertex_count: 8 to 2000; 30 to 200 suit deformation. margin: least distance between cage and mesh, world units;
-    None takes 1 % of the mesh's size.
-
-    method: "shell", an offset surface, decimated outward, drawn close; "voxel", the outer surface of voxels along the
-    object's principal axes (Xian, Lin and Gao 2009), of more even faces; "auto" the one of the smaller volume.
-    symmetry: normal "x", "y" or "z" of a plane through the middle of the object that the cage is mirror-symmetric
-    about (voxel; the object itself need not be). progress: lines on stderr for each method.
-
-    The cage is closed, manifold, free of self-intersections and looks outward; the same input gives the same cage.
-    Gaps narrower than about an edge of the cage are bridged; parts farther apart get closed parts of their own.
-    Raises ValueError for a mesh that is empty, not finite or has bad indices, for a bad count or margin, or when no
-    cage could be made.
-    """
+    """Vertices (v, 3) and faces (f, 3) of a cage of about `vertex_count` vertices around a mesh; see `Cage.from_mesh`.
+    `margin`: least distance between cage and mesh, world units; None takes 1 % of the mesh's size."""
     vertex_count = checked_count(vertex_count)
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise ValueError(f"a mesh must have vertices and faces, as a trimesh.Trimesh, got {type(mesh).__name__}")
@@ -87,18 +71,11 @@ def cage_around_field(
     progress: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of `vertex_count` vertices (within 10 %) around what a field shows.
-
-    field: VoxelField, or anything with .node_densities(), .bounds, .voxel_size and, if known, .node_weights():
-    a `warpcage.NodeSelection` to cage one object of a larger scene. Where it has a `floor`, a plane above which its
-    nodes lie, the cage ends there, and leaves what the object stands on outside.
-    margin: least distance between the cage and the visible voxels (boxes of a voxel's size around their nodes), in
-    voxels; None takes 1, so that the cage holds all that trilinear interpolation spreads around them. threshold: see
-    `visible_nodes`. The rest is as in `cage_around_mesh`.
-    Raises ValueError for a field with nothing to see, densities that are not finite, a bad count or margin.
-    """
+    `margin`: least distance to the visible voxels (boxes of a voxel's size around nodes), in voxels; None takes 1."""
     vertex_count = checked_count(vertex_count)
     require_field(field)
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
+    # by default a voxel, so that the cage holds all that trilinear interpolation spreads around visible nodes
     margin = checked_margin(1.0 if margin is None else margin) * voxel_size.max()
     points = visible_nodes(field, threshold)
     if not len(points):
@@ -107,6 +84,7 @@ def cage_around_field(
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
     spacing = max(_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
+    # a plane above which the nodes lie: the cage ends there, and leaves what the object stands on outside
     floor = getattr(field, "floor", None)
     return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, progress, floor)
 

@@ -1,8 +1,6 @@
-"""Decimation that only moves outward, in the manner of progressive hulls (Sander et al. 2000, "Silhouette clipping").
-
-Each collapse of an edge puts the new vertex on the outer side of the planes of all faces that it takes away or bends,
-so that every surface on the way holds the one before.
-"""
+"""Decimation that only moves outward, as progressive hulls do (Sander et al. 2000, "Silhouette clipping")."""
+# Each collapse of an edge puts the new vertex on the outer side of the planes of all faces that it takes away or bends,
+# so that every surface on the way holds the one before.
 
 from __future__ import annotations
 
@@ -30,11 +28,10 @@ _LEAST_TURN, _LEAST_EVEN = 0.2, 0.15
 
 
 def nested(vertices, faces, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) and faces (f, 3) of a closed manifold surface with fewer vertices around the one given.
-
-    Cheapest first: room added, long edges and uneven faces cost. Ends at `vertex_count`, or above it where no collapse
-    is left that keeps the surface manifold, outside the one before, and its faces from folding.
-    """
+    """Vertices (v, 3) and faces (f, 3) of a closed manifold surface around the one given, with fewer vertices.
+    They are `vertex_count`, or more where no collapse is left."""
+    # Cheapest first: room added, long edges and uneven faces cost. A collapse keeps the surface manifold, outside the
+    # one before, and its faces from folding.
     vertices, faces = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
@@ -87,11 +84,8 @@ def _collapses(vertices, faces, side):
 
 
 class _Collapses:
-    """Collapses of edges (e, 2) to places that are tried one after the other.
-
-    around, normals, offsets, double_area (e, r, ...): faces around the edges, -1 for none, and their planes; mean
-    (e, 3): the way that places are lifted.
-    """
+    """Collapses of edges (e, 2) to places, lifted along mean (e, 3), that are tried one after the other.
+    around (e, r): faces around the edges, -1 for none; normals, offsets and double_area (e, r, ...): their planes."""
 
     def __init__(self, vertices, faces, edges, around, normals, offsets, double_area, mean, side):
         self._side, self._count = side, len(edges)

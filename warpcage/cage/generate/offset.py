@@ -86,10 +86,8 @@ def split_box(points, room, vertex_count) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sound(shell, vertices, faces, need, vertex_count, mirror=None, last=False) -> tuple[ClosedMesh | None, str]:
-    """The cage of these faces that is drawn as close as holds and what is wrong with it; or None and why there is none.
-
-    mirror: function of the vertices that makes them symmetric, or None. last: take vertices as they are if need be.
-    """
+    """The cage of these faces, drawn as close as holds, and what is wrong with it; or None and why there is none.
+    `mirror`: function of the vertices that makes them symmetric, or None; `last`: take them as they are if need be."""
     if abs(len(vertices) - vertex_count) > 0.1 * vertex_count:
         return None, f"decimation left {len(vertices)} vertices"
     start, reasons = vertices, []

@@ -20,23 +20,15 @@ _BEYOND = 1.0 + 1e-9
 
 
 class ObjectShell:
-    """Distances around a solid given by points, in a grid that reaches `reach` beyond them.
-
-    points: (p, 3) float64, world units, dense enough that the object has no hole wider than `spacing` between them.
-    spacing: side of a voxel. reach: closing radius; gaps narrower than twice that count as filled, cavities as well.
-    need: distance that a cage will keep; near it distances are exact.
-
-    distance (nx, ny, nz): from voxel centres to the nearest point.
-    skin (n, 3): one of the points in each voxel that is less than two voxels from free space.
-    closed (nx, ny, nz): signed distance, negative inside, to the object closed by a ball of radius `reach` (dilation,
-    then erosion; Serra 1982); never more than `distance`. Surface and directions come from it smoothed over one voxel.
-    """
+    """Distances around a solid given by points (p, 3), world units, in a grid that reaches `reach` beyond them.
+    Points leave no hole wider than `spacing`, a voxel's side; near `need`, a cage's distance, distances are exact."""
 
     def __init__(self, points: np.ndarray, spacing: float, reach: float, need: float):
         import scipy.ndimage
         import skimage.filters
         import skimage.measure
 
+        # reach: closing radius; gaps narrower than twice that count as filled, cavities as well
         self.spacing, self.reach = float(spacing), float(reach)
         radius = int(np.ceil(reach / spacing)) + 3
         # centre of voxel 0; the object's bounds, and points a voxel apart from there on, lie in the middle of voxels,
@@ -51,6 +43,7 @@ class ObjectShell:
         near = np.flatnonzero(~deep[tuple(cell.T)])
         places = np.asarray(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape))
         one = first_of_each(places, self.solid.size)
+        # (n, 3) one of the points in each voxel that is less than two voxels from free space
         self.skin = points[near[one]]
         # from far off a search among all points is slow and more than is needed: voxels stand for those they hold
         self._coarse = np.sqrt(0.75) * spacing if need > 6.0 * spacing else 0.0
@@ -59,6 +52,7 @@ class ObjectShell:
             if self._coarse
             else NearestInVoxels(points[near], places, self.solid.shape, self.lower, spacing)
         )
+        # (nx, ny, nz) from voxel centres to the nearest point
         self.distance = self._distances(radius, need, deep)
         beyond = self.distance > reach
         parts = np.asarray(skimage.measure.label(beyond, connectivity=1))
@@ -66,7 +60,10 @@ class ObjectShell:
         # by the triangle inequality reach - inward never exceeds the distance to the object; the voxel nearest to the
         # true rim of what is outside may lie half a diagonal behind it, which would keep cages so much farther off
         inward = distance_to(outside, radius) * spacing - np.sqrt(0.75) * spacing
+        # (nx, ny, nz) signed distance, negative inside, to the object closed by a ball of radius `reach` (dilation,
+        # then erosion; Serra 1982); never more than `distance`
         self.closed = np.where(outside, self.distance, np.minimum(self.distance, reach - inward)).astype(np.float64)
+        # surface and directions come from it smoothed over one voxel
         self._smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)
         self._closed = on_cpu(self.closed, wp.float64)
         self._slope = [on_cpu(np.asarray(slope), wp.float64) for slope in np.gradient(self._smooth, spacing)]
@@ -85,9 +82,7 @@ class ObjectShell:
 
     def surface(self, level: float, step: int = 1) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (v, 3), world units, and outward faces (f, 3) of the closed object's offset by `level`.
-
-        step: voxels a side of the cubes that are marched.
-        """
+        `step`: voxels a side of the cubes that are marched."""
         import skimage.measure
 
         nodes, faces, _, _ = skimage.measure.marching_cubes(self._smooth, level=level, step_size=step)
@@ -114,12 +109,8 @@ class ObjectShell:
         return found
 
     def exact_distance(self, x: np.ndarray, about: np.ndarray, most: float = math.inf) -> np.ndarray:
-        """Distance from x (n, 3) to the nearest point of the object's skin; where `need` is more than six voxels, up to
-        1.8 voxels less.
-
-        about (n,): how far at most it is likely to be, which only decides how long the search takes. most: where it is
-        more, any number above `most` may be given instead, which takes less time.
-        """
+        """(n,) distance from x (n, 3) to the object's skin, up to 1.8 voxels less where `need` is more than six voxels.
+        `about` (n,): how far it likely is at most; beyond `most` any larger number may come. Both only save time."""
         about, beyond = np.maximum(about, 0.5 * self.spacing), (most + self._coarse) * _BEYOND
         return np.maximum(self._search.distance(x, about, beyond) - self._coarse, 0.0)
 
@@ -133,16 +124,14 @@ class ObjectShell:
 
     @functools.cached_property
     def inside_parts(self) -> np.ndarray:
-        """(k, 3) centre of one voxel of each connected part of the object: the one nearest to the part's middle.
-
-        At a corner of a part it would be half outside, and the first to be left out by what can still be moved.
-        """
+        """(k, 3) centre of one voxel of each connected part of the object: the one nearest to the part's middle."""
         import skimage.measure
 
         parts = np.asarray(skimage.measure.label(self.solid, connectivity=3))
         cells = np.argwhere(self.solid)
         part = parts[tuple(cells.T)] - 1
         count = np.bincount(part)
+        # a corner of a part would be half outside, and the first to be left out by what can still be moved
         middle = np.stack([np.bincount(part, weights=cells[:, k]) for k in range(3)], axis=1) / count[:, None]
         # in whole numbers of 1e-6: cells as near as each other are told apart by their order, not by last digits
         off = np.round(((cells - middle[part]) ** 2).sum(axis=1), 6)
@@ -201,14 +190,12 @@ def first_of_each(numbers: np.ndarray, count: int) -> np.ndarray:
 
 
 def distance_to(mask: np.ndarray, radius: int) -> np.ndarray:
-    """Euclidean distance in voxels from each voxel centre to the nearest one of `mask`, at most `radius`; float32.
-
-    Exact and separable: squared distances along one axis after the other (Saito and Toriwaki 1994), cut at `radius`.
-    """
+    """Euclidean distance in voxels from each voxel centre to the nearest one of `mask`, at most `radius`; float32."""
     # the smaller the numbers, the more of them pass at once; a sum of two is the largest
     kind = np.uint16 if 2 * radius * radius < 2**16 else np.uint32
     squared = np.where(mask, kind(0), kind(radius * radius))
     farther = np.empty_like(squared)
+    # exact and separable: squared distances along one axis after the other (Saito and Toriwaki 1994)
     for axis in range(3):
         rows = np.moveaxis(squared, axis, 0)
         nearest, room = rows.copy(order="K"), np.moveaxis(farther, axis, 0)

@@ -37,14 +37,8 @@ def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> tup
 def simplified(
     cage: ClosedMesh, vertex_count: int, *, field=None, mesh=None, margin: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """About `vertex_count` vertices (within a tenth) that enclose what the cage encloses: decimated so that the surface
-    only moves outward (`nested`), then off the object where faces come too near to it.
-
-    field, mesh: what must stay enclosed, visible voxels or vertices and points on faces; without either it is the cage
-    itself, so that the simpler one lies around it. margin: least distance to it, world units.
-    Raises ValueError for a cage that is not usable, a count not below the cage's, an object that is not enclosed
-    before, or where no such cage is found.
-    """
+    """Vertices (v, 3), about `vertex_count` (within a tenth), and faces (f, 3) that enclose a field's visible voxels
+    and a mesh, or else the cage itself, from `margin` world units off."""
     require_usable(cage, "the cage")
     vertex_count = checked_count(vertex_count)
     if vertex_count >= len(cage.vertices):

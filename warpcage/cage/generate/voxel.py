@@ -1,9 +1,7 @@
-"""The paper's cage: the outer surface of coarse voxels along the object's principal axes, smoothed and pushed off it.
-
-Xian, Lin and Gao 2009, "Automatic generation of coarse bounding cages from dense meshes". The size of the voxels is
-searched for the vertex count; configurations that are not manifold (voxels that touch along an edge or at a corner) are
-filled; smoothing is the improved Laplacian of Vollmer, Mencl and Mueller 1999, which does not shrink.
-"""
+"""The paper's cage: the surface of coarse voxels along the object's principal axes, smoothed and pushed off it."""
+# Xian, Lin and Gao 2009, "Automatic generation of coarse bounding cages from dense meshes". The size of the voxels is
+# searched for the vertex count; configurations that are not manifold (voxels that touch along an edge or at a corner)
+# are filled.
 
 from __future__ import annotations
 
@@ -30,17 +28,14 @@ _ASIDE = 1e-6
 
 
 def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> ClosedMesh:
-    """A cage of about `vertex_count` vertices around points (p, 3), its faces `margin` off them.
-
-    spacing: side of the voxels that distances are measured on; slack: how far the object may lie off its points;
-    symmetry: normal "x", "y" or "z" of a mirror plane through the middle of the points; the frame is then the world's.
-    Raises ValueError, saying why, where none could be made.
-    """
+    """A cage of about `vertex_count` vertices around points (p, 3), its faces `margin` off what lies within `slack`.
+    `spacing`: side of the voxels for distances; `symmetry`: normal of a mirror plane through the points' middle."""
     axis, middle = None if symmetry is None else "xyz".index(symmetry), 0.0
     if axis is not None:
         middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
         points = np.concatenate([points, points])
         points[len(points) // 2 :, axis] = 2.0 * middle - points[len(points) // 2 :, axis]
+    # with a mirror plane the frame is the world's
     frame = np.eye(3) if axis is not None else principal_frame(points)
     need = slack + margin
     side, reasons = None, []
@@ -70,12 +65,10 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
 
 
 def principal_frame(points: np.ndarray) -> np.ndarray:
-    """(3, 3) right-handed, columns the axes of the points' covariance, each as near as may be to a world axis.
-
-    Equal spreads leave their axes open, as those of a ball or a square plate do: they are turned towards the world's.
-    """
+    """(3, 3) right-handed, columns the axes of the points' covariance, each as near as may be to a world axis."""
     centred = points - points.mean(axis=0)
     spreads, axes = np.linalg.eigh(np.matmul(centred.T, centred))
+    # equal spreads leave their axes open, as those of a ball or a square plate do: they are turned towards the world's
     group = np.cumsum(np.diff(spreads, prepend=spreads[0]) > _EQUAL_SPREAD * spreads[-1])
     choices = []
     for order in itertools.permutations(range(3)):
@@ -123,9 +116,7 @@ def _searched(solid, vertex_count, axis, least):
 
 def _marked(solid, side, low, high, axis, shift=(0, 0, 0)):
     """Voxels (with an empty rim) that hold points, holes and contacts filled, and the corner of node (0, 0, 0).
-
-    shift: one more voxel along an axis, so that the grid lies half a voxel aside.
-    """
+    A `shift` of 1 adds a voxel along an axis, so that the grid lies half a voxel aside."""
     count = np.maximum(np.ceil((high - low) / side - 1e-9).astype(int), 1) + shift
     if axis is not None:
         count[axis] += count[axis] % 2  # the mirror plane lies between voxels
@@ -185,11 +176,7 @@ _TANGLED = np.array([_is_tangled(code) for code in range(256)])
 
 
 def outer_surface(marks: np.ndarray, axis: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (v, 3) in voxels and outward triangles (f, 3) of the surface of voxels with an empty rim.
-
-    Squares are cut through the corner that is first by its coordinates, the one along `axis` counted from the middle,
-    so that the two halves are cut alike.
-    """
+    """Corners (v, 3) in voxels and outward triangles (f, 3) of the surface of voxels with an empty rim."""
     squares = []
     for d in range(3):
         ahead = np.diff(marks.astype(np.int8), axis=d)
@@ -199,6 +186,8 @@ def outer_surface(marks: np.ndarray, axis: int | None = None) -> tuple[np.ndarra
             ring = [base, base + u, base + u + v, base + v]
             squares.append(np.stack(ring if sign < 0 else ring[::-1], axis=1))
     squares = np.concatenate(squares)
+    # squares are cut through the corner that is first by its coordinates, the one along `axis` counted from the middle,
+    # so that the two halves are cut alike
     key = squares.astype(np.float64)
     if axis is not None:
         key[..., axis] = np.abs(key[..., axis] - 0.5 * marks.shape[axis])
@@ -221,6 +210,7 @@ def _partners(nodes, shape, axis) -> np.ndarray:
 
 def _smoothed_improved(vertices, edges, rounds: int = 4, back: float = 0.6) -> np.ndarray:
     """Means of neighbours, less the mean of how far that moved them (HC algorithm, alpha 0)."""
+    # The improved Laplacian of Vollmer, Mencl and Mueller 1999, which does not shrink.
     count = np.bincount(edges.reshape(-1), minlength=len(vertices))[:, None]
 
     def mean(values):
