@@ -87,20 +87,9 @@ def deform_points(
 
 
 def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
-    """Unit normals of a deformed cage's faces times how much each face is stretched.
-
-    Green face weights computed on `source` multiply them (warpcage/mesh/faces.py has the formula).
-
-    Args:
-        source: The Cage that weights are computed on.
-        target: The same faces in another pose.
-
-    Returns:
-        (f, 3) float64, without unit. Zero for a target face without area, which has no normal.
-
-    Raises:
-        ValueError: For cages whose faces differ.
-    """
+    """Unit normals of a deformed cage's faces times how much each face is stretched, (f, 3) float64.
+    Zero for a target face without area, which has no normal."""
+    # Green face weights computed on `source` multiply them (warpcage/mesh/faces.py has the formula).
     require_same_faces(source, target)
     return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target)).T
 

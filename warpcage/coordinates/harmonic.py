@@ -44,27 +44,9 @@ def harmonic_weights(
     *,
     tolerance: float = 1e-5,
 ) -> np.ndarray | wp.array:
-    """Harmonic coordinates of points inside a cage, interpolated from a lattice.
-
-    Points within 1e-5 of the cage's size of it count as inside. At gaps of the cage narrower than about two cells each
-    side has values of its own; below one cell they are rough, and a warning says so.
-
-    Source: Joshi et al., "Harmonic coordinates for character articulation" (2007).
-
-    Args:
-        points: (n, 3), world units. NumPy or an array on a device.
-        cage: Usable Cage of v vertices.
-        resolution: Cells along the longest side, 8 to 1024.
-        device: Warp device. None is the device of an array on a device, else CUDA where there is one.
-        tolerance: Of the solver, as a share of the values: 2e-6 to 0.1.
-
-    Returns:
-        (n, v) float32. NumPy for NumPy, a Warp array for an array on a device.
-
-    Raises:
-        ValueError: For points outside (how many and the first), of another shape or not finite, an unusable cage, a
-            resolution or tolerance out of range, or too little memory.
-    """
+    """Harmonic coordinates (n, v) float32 of points (n, 3), world units, inside a cage, interpolated from a lattice.
+    `resolution`: cells along its longest side; `tolerance`: of the solver, as a share of the values."""
+    # Source: Joshi et al., "Harmonic coordinates for character articulation" (2007).
     given_on_device = is_device_array(points)
     if given_on_device and device is None:
         device = as_points(points)[0].device
@@ -72,6 +54,7 @@ def harmonic_weights(
     resolution = require_resolution(resolution)
     require_usable(cage)
     host = as_host_points(points)
+    # points within 1e-5 of the cage's size of it count as inside
     outside = np.flatnonzero(~np.asarray(inside_mesh(host, cage, device=device)))
     if len(outside):
         first = int(outside[0])
@@ -97,6 +80,8 @@ def harmonic_weights(
         places = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)
         solver = HarmonicSolver(lattice, tolerance=tolerance)
         solver.prepare()
+        # at gaps of the cage narrower than about two cells each side has values of its own; below one cell they are
+        # rough, and a warning says so
         gaps = WeightGaps(solver)
         for column, selected in solver.solve_vertices():
             inputs = [column, gaps.cage_map(selected), places]
@@ -107,10 +92,7 @@ def harmonic_weights(
 
 class WeightGaps:
     """Maps of a harmonic solver's values as they are, in node units, with the sides of the cage's narrow gaps.
-
-    Args:
-        solver: On a lattice over a cage of size one, with the pose laid out.
-    """
+    The solver is on a lattice over a cage of size one, with the pose laid out."""
 
     def __init__(self, solver: HarmonicSolver):
         self._solver, self._lattice = solver, solver.lattice
@@ -120,13 +102,7 @@ class WeightGaps:
 
     def cage_map(self, vertex_values: wp.array) -> WarpStruct:
         """The map that the solver's values hold, continued to the rings.
-
-        Args:
-            vertex_values: (v,) vec3 at the cage's vertices; the same array each time.
-
-        Returns:
-            The map.
-        """
+        `vertex_values` (v,) vec3 are those at the cage's vertices, the same array each time."""
         solver, lattice = self._solver, self._lattice
         data = CageMap()
         data.lower, data.spacing, data.inverse_spacing = wp.vec3(0.0, 0.0, 0.0), 1.0, 1.0

@@ -1,5 +1,5 @@
-"""Mean value weights in float64 on the host, for a few points: what kernels compute in float32 has too few digits for
-small differences, and differs a little from device to device."""
+"""Mean value weights in float64 on the host, for a few points."""
+# What kernels compute in float32 has too few digits for small differences, and differs a little from device to device.
 
 from __future__ import annotations
 
@@ -18,20 +18,7 @@ FLAT = 1e-10
 
 
 def host_mean_value_weights(points: np.ndarray, mesh: ClosedMesh) -> np.ndarray:
-    """Mean value coordinates of points off the surface, in float64.
-
-    With u_i the unit vectors to the corners of a face, theta_ij the angles between them and n_ij the unit normals of
-    the planes that they span, the mean vector of the face's spherical triangle is m = sum_ij theta_ij n_ij / 2, and its
-    corner i gets the weight m . (u_j x u_k) / (det(u_i, u_j, u_k) |v_i - x|) (Ju, Schaefer and Warren 2005; Floater,
-    Kos and Reimers 2005). A face in one plane with the point, off the point, gets none.
-
-    Args:
-        points: (n, 3) world units, none on the surface.
-        mesh: A usable mesh.
-
-    Returns:
-        (n, v) float64, each row with the sum 1.
-    """
+    """Mean value coordinates (n, v) float64, of sum 1 in each row, of points (n, 3) off a usable mesh's surface."""
     from scipy import sparse
 
     points = np.asarray(points, dtype=np.float64)
@@ -51,16 +38,8 @@ def host_mean_value_weights(points: np.ndarray, mesh: ClosedMesh) -> np.ndarray:
 
 
 def mean_value_gradients(points: np.ndarray, mesh: ClosedMesh, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mean value coordinates and their gradients, by forward differences.
-
-    Args:
-        points: (n, 3) world units, farther than `step` from the surface.
-        mesh: A usable mesh.
-        step: Length of the differences, world units.
-
-    Returns:
-        (n, v) weights, and (n, 3, v) gradients, one row for each axis, per world unit.
-    """
+    """Mean value coordinates (n, v) and their gradients (n, 3, v), per world unit, by forward differences.
+    Points (n, 3) are farther than `step`, the length of the differences, from the surface; world units."""
     stencil = points[:, None] + np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
     weights = host_mean_value_weights(stencil.reshape(-1, 3), mesh).reshape(len(points), 4, -1)
     return weights[:, 0], (weights[:, 1:] - weights[:, :1]) / step
@@ -86,7 +65,11 @@ def _corner_weights(
     of_face: np.ndarray,
     sign: np.ndarray,
 ) -> np.ndarray:
-    """(3 f, n) weights of the corners of all faces, first corners first; see `host_mean_value_weights`."""
+    """(3 f, n) weights of the corners of all faces, first corners first."""
+    # With u_i the unit vectors to the corners of a face, theta_ij the angles between them and n_ij the unit normals of
+    # the planes that they span, the mean vector of the face's spherical triangle is m = sum_ij theta_ij n_ij / 2, and
+    # its corner i gets the weight m . (u_j x u_k) / (det(u_i, u_j, u_k) |v_i - x|) (Ju, Schaefer and Warren 2005;
+    # Floater, Kos and Reimers 2005). A face in one plane with the point, off the point, gets none.
     # x, y and z are arrays of their own, so that none is stacked
     ray = [vertices[:, k, None] - points[None, :, k] for k in range(3)]  # of (v, n)
     length = np.sqrt(_dot(ray, ray))

@@ -1,9 +1,7 @@
-"""Cage coordinates of points, and the deformation of points and meshes by a cage.
-
-Mean value coordinates (Floater, Kos and Reimers 2005; Ju, Schaefer and Warren 2005), green coordinates (Lipman, Levin
-and Cohen-Or 2008) and harmonic coordinates (Joshi et al. 2007). Radiance fields go through `Deformer`, whose map runs
-from the deformed cage to the rest cage; `deform_points` runs the other way.
-"""
+"""Cage coordinates of points: mean value, green and harmonic ones."""
+# Mean value coordinates: Floater, Kos and Reimers 2005; Ju, Schaefer and Warren 2005. Green coordinates: Lipman, Levin
+# and Cohen-Or 2008. Harmonic coordinates: Joshi et al. 2007. Radiance fields go through `Deformer`, whose map runs from
+# the deformed cage to the rest cage; `deform_points` runs the other way.
 
 from __future__ import annotations
 
