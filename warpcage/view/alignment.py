@@ -12,13 +12,7 @@ from .camera import Camera
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Similarity:
-    """x -> scale * rotation x + shift.
-
-    Args:
-        scale: Factor on lengths.
-        rotation: (3, 3) float64.
-        shift: (3,) float64, units of the target.
-    """
+    """x -> scale * rotation x + shift, with rotation (3, 3) and shift (3,), float64, in units of the target."""
 
     scale: float
     rotation: np.ndarray
@@ -38,20 +32,11 @@ class Similarity:
 
 
 def aligning_similarity(poses: np.ndarray, targets: np.ndarray, *, scaled: bool = True) -> Similarity:
-    """The similarity that takes cameras best to others of the same pictures, by places and by axes.
-
-    It minimises sum |s R c + t - c'|^2 over the places, with R that of sum |s0 R c - c'|^2 + r^2 |R Q - Q'|^2: places
-    relative to their means, axes Q weighed by the spread r of the places, so that cameras on a line or in one place are
-    aligned by their axes (Umeyama 1991 for places; Horn 1987).
-
-    Args:
-        poses: (n, 4, 4) float64 camera_to_world, n >= 1.
-        targets: (n, 4, 4) float64, of the same pictures.
-        scaled: Whether lengths may change; where not, or where all places are one, the scale is 1.
-
-    Returns:
-        The similarity.
-    """
+    """The similarity that takes cameras (n, 4, 4) best to others of the same pictures, by places and by axes; n >= 1.
+    The scale is 1 where lengths may not change (`scaled`), and where all places are one."""
+    # It minimises sum |s R c + t - c'|^2 over the places, with R that of sum |s0 R c - c'|^2 + r^2 |R Q - Q'|^2: places
+    # relative to their means, axes Q weighed by the spread r of the places, so that cameras on a line or in one place
+    # are aligned by their axes (Umeyama 1991 for places; Horn 1987).
     centres, goals = poses[:, :3, 3], targets[:, :3, 3]
     spread, goal_spread = centres - centres.mean(axis=0), goals - goals.mean(axis=0)
     size, goal_size = (float(np.sqrt((part**2).sum() / len(part))) for part in (spread, goal_spread))
@@ -74,21 +59,12 @@ PICTURE_STEPS, WIDEST = 4, 4.0
 
 
 def picture_similarity(poses: np.ndarray, targets: np.ndarray, points: np.ndarray) -> Similarity:
-    """The similarity after which cameras see points as others of the same pictures do.
-
-    A small turn of a camera and a shift across it show an object at a distance the same way, so that poses which were
-    found from pictures are inexact along both together. This alignment looks at what counts, the places in the
-    pictures: Gauss-Newton on sum |u(S pose, x) - u(target, x)|^2 with u = (x / z, y / z) in front of a camera, from
-    `aligning_similarity` on.
-
-    Args:
-        poses: (n, 4, 4) float64 camera_to_world.
-        targets: (n, 4, 4), of the same pictures.
-        points: (m, 3) where the targets' world holds what is seen.
-
-    Returns:
-        The similarity.
-    """
+    """The similarity after which cameras (n, 4, 4) see points as others of the same pictures do.
+    `points` (m, 3) are where the targets' world holds what is seen."""
+    # A small turn of a camera and a shift across it show an object at a distance the same way, so that poses which were
+    # found from pictures are inexact along both together. This alignment looks at what counts, the places in the
+    # pictures: Gauss-Newton on sum |u(S pose, x) - u(target, x)|^2 with u = (x / z, y / z) in front of a camera, from
+    # `aligning_similarity` on.
     goal, _ = _seen(targets, points)
     valid = (np.abs(goal) < WIDEST).all(axis=2) & np.isfinite(goal).all(axis=2)
     found = aligning_similarity(poses, targets)
@@ -115,16 +91,8 @@ def picture_similarity(poses: np.ndarray, targets: np.ndarray, points: np.ndarra
 
 
 def picture_shifts(poses: np.ndarray, targets: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How far from where other cameras see points cameras see them.
-
-    Args:
-        poses: (n, 4, 4) camera_to_world.
-        targets: (n, 4, 4), of the same pictures.
-        points: (m, 3) of their world.
-
-    Returns:
-        (n,) root mean squares of the distances in the pictures, in focal lengths; 0 where a camera sees no point.
-    """
+    """How far from where others see points (m, 3) cameras (n, 4, 4) see them, in focal lengths.
+    Root mean squares (n,) over the points; 0 where a camera sees none."""
     squares = ((_seen(poses, points)[0] - _seen(targets, points)[0]) ** 2).sum(axis=2)
     there = np.isfinite(squares)
     return np.sqrt(np.where(there, squares, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1))
@@ -146,15 +114,8 @@ def _rotation(turn: np.ndarray) -> np.ndarray:
 
 
 def pose_errors(poses: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far cameras are from others, after the best similarity.
-
-    Args:
-        poses: (n, 4, 4) camera_to_world.
-        targets: (n, 4, 4), of the same pictures.
-
-    Returns:
-        Angles (n,) in degrees, and distances (n,) in units of the targets.
-    """
+    """How far cameras (n, 4, 4) are from others of the same pictures, after the best similarity.
+    Returns angles (n,) in degrees, and distances (n,) in units of the targets."""
     moved = aligning_similarity(poses, targets).moved_poses(poses)
     turns = np.einsum("nij,nik->njk", targets[:, :3, :3], moved[:, :3, :3])
     skew = np.stack(

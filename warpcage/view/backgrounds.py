@@ -10,17 +10,7 @@ from ..core.names import BACKGROUNDS
 
 
 def parse_background(background: str | ArrayLike) -> np.ndarray:
-    """The colour of a background.
-
-    Args:
-        background: Name of a colour (see BACKGROUNDS) or three numbers in [0, 1].
-
-    Returns:
-        (3,) float32 red, green and blue in [0, 1].
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """The colour (3,) float32 in [0, 1] of a background: the name of one (see BACKGROUNDS), or three numbers."""
     if isinstance(background, str):
         if background == "random":
             raise ValueError(

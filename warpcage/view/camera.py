@@ -222,18 +222,7 @@ class Camera:
 
 
 def checked_pixels(value: Any, name: str) -> int:
-    """How wide or high a picture is.
-
-    Args:
-        value: A whole number; a float that is one will do.
-        name: How the message calls it.
-
-    Returns:
-        Pixels, at least 1.
-
-    Raises:
-        ValueError: For anything else.
-    """
+    """How wide or high a picture is, at least 1; a float that is a whole number will do."""
     whole = isinstance(value, float | np.floating) and math.isfinite(value) and value == int(value)
     return checked_whole(int(value) if whole else value, name, 1)
 
@@ -306,25 +295,8 @@ def framing_orbit(
     height: int = 400,
     fill: float = 0.92,
 ) -> list[Camera]:
-    """Cameras on a circle around points, as near as keeps every point in every picture.
-
-    Args:
-        points: (n, 3) float, world units.
-        count: Number of cameras.
-        elevation_degrees: Angle above the plane that `up` is normal to.
-        start_degrees: Angle of the first camera, from +x towards +y where `up` is +z.
-        up: (3,) the axis of the circle, of any length. The default is +z.
-        fov_degrees: Horizontal field of view.
-        width: Width of the images, pixels.
-        height: Height of the images, pixels.
-        fill: Share of the picture's width or height that the points may take.
-
-    Returns:
-        `count` cameras, evenly around the circle.
-
-    Raises:
-        ValueError: For no points or no cameras, or angles and shares out of range.
-    """
+    """Cameras on a circle, as in `turntable`, around points (n, 3), as near as keeps every point in every picture.
+    `fill`: share of the picture's width or height that the points may take."""
     host = as_host_points(points)
     if not len(host):
         raise ValueError("a view needs at least one point to look at")
@@ -352,18 +324,7 @@ def framing_orbit(
 
 
 def rigid_motion(matrix: ArrayLike, name: str = "a rigid motion") -> np.ndarray:
-    """A rigid motion, checked.
-
-    Args:
-        matrix: (4, 4) numbers.
-        name: How messages call it.
-
-    Returns:
-        (4, 4) float64.
-
-    Raises:
-        ValueError: For another shape, numbers that are not finite, or a matrix that is not rigid.
-    """
+    """A rigid motion (4, 4), checked; messages call it by `name`."""
     motion = real_array(matrix, name)
     if motion.shape != (4, 4) or not np.isfinite(motion).all():
         raise ValueError(f"{name} must be a finite (4, 4) matrix, got shape {motion.shape}")
@@ -376,22 +337,14 @@ def rigid_motion(matrix: ArrayLike, name: str = "a rigid motion") -> np.ndarray:
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray:
-    """Up in the world as cameras were held.
-
-    It is normal to the sideward axes of all cameras, as for level ones. Where that says too little or something else,
-    it is the mean of their upward axes, and z where they have none.
-
-    Args:
-        cameras: At least one camera.
-
-    Returns:
-        (3,) unit vector.
-    """
+    """Up in the world as cameras were held, a unit vector (3,)."""
     mean = -np.mean([camera.rotation[:, 1] for camera in cameras], axis=0)
     length = np.linalg.norm(mean)
     if length < 1e-3:
         return np.array([0.0, 0.0, 1.0])
     mean /= length
+    # Up is normal to the sideward axes of all cameras, as for level ones. Where that says too little or something else,
+    # it is the mean of their upward axes.
     sideward = np.stack([camera.rotation[:, 0] for camera in cameras])
     variances, axes = np.linalg.eigh(sideward.T @ sideward / len(sideward))  # ascending
     across = axes[:, 0] * np.sign(axes[:, 0] @ mean)
@@ -402,20 +355,11 @@ def common_up(cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def camera_struct(camera: Camera, origin: ArrayLike) -> Any:
-    """A camera for kernels.
-
-    The difference from the origin is taken in float64, so that float32 kernels see small numbers however far from zero
-    the scene lies.
-
-    Args:
-        camera: The camera.
-        origin: (3,) world point that the kernel's positions are relative to.
-
-    Returns:
-        A PinholeCamera of kernels/view/rays.py.
-    """
+    """A camera as a PinholeCamera of kernels/view/rays.py.
+    `origin` (3,): world point that the kernel's positions are relative to."""
     struct = PinholeCamera()
-    # plain floats: NumPy's own take Warp several times as long
+    # the difference is taken in float64, so that float32 kernels see small numbers however far from zero the scene is;
+    # in plain floats: NumPy's own take Warp several times as long
     struct.centre = wp.vec3(*(camera.centre - np.asarray(origin, np.float64)).tolist())
     struct.rotation = wp.mat33(*np.asarray(camera.rotation, np.float64).ravel().tolist())
     struct.focal = wp.vec2(camera.fx, camera.fy)
@@ -426,26 +370,10 @@ def camera_struct(camera: Camera, origin: ArrayLike) -> Any:
 
 
 def camera_array(cameras: Sequence[Camera], origin: ArrayLike, device: wp.DeviceLike) -> wp.array:
-    """Cameras for kernels that take several.
-
-    Args:
-        cameras: The cameras.
-        origin: (3,) world point that the kernel's positions are relative to.
-        device: Warp device.
-
-    Returns:
-        (n,) array of PinholeCamera.
-    """
+    """Cameras (n,) for kernels that take several; see `camera_struct`."""
     return wp.array([camera_struct(camera, origin) for camera in cameras], dtype=PinholeCamera, device=device)
 
 
 def tile_threads(camera: Camera) -> int:
-    """Threads that walk a camera's picture in whole tiles.
-
-    Args:
-        camera: The camera.
-
-    Returns:
-        Number of threads of a kernel that finds its pixel by `tile_pixel` of kernels/view/rays.py.
-    """
+    """Threads that walk a camera's picture in whole tiles, for a kernel that finds its pixel by `tile_pixel`."""
     return -(-camera.width // TILE_WIDTH) * -(-camera.height // TILE_HEIGHT) * TILE_SIZE

@@ -56,17 +56,7 @@ class CameraKey:
 
 def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[CameraKey]:
     """Keys that all have a time, in the order of their times.
-
-    Args:
-        keys: The keys.
-        length: Seconds over which keys are spread where none has a time. None takes a second from each to the next.
-
-    Returns:
-        The keys.
-
-    Raises:
-        ValueError: For no keys, for times of some keys alone, and for two keys at one time.
-    """
+    Where none has one, they are spread over `length` seconds; None takes a second from each to the next."""
     require_type(keys, Sequence, "keys of a camera path must be")
     for key in keys:
         require_type(key, CameraKey, "a key of a camera path must be")
@@ -130,18 +120,7 @@ def camera_at(keys: Sequence[CameraKey], time: float, *, closed: bool = False) -
 
 
 def path_cameras(keys: Sequence[CameraKey], count: int) -> list[Camera]:
-    """Cameras evenly over a path, the first and the last key included.
-
-    Args:
-        keys: The keys, with times or without.
-        count: Number of cameras.
-
-    Returns:
-        The cameras.
-
-    Raises:
-        ValueError: As for `camera_at`, and for no cameras.
-    """
+    """Cameras evenly over a path, the first and the last key included; keys may have times or not."""
     if count < 1:
         raise ValueError(f"a film needs at least one camera, got {count}")
     ordered = timed_keys(keys)
@@ -187,17 +166,15 @@ def _held(azimuth: float, elevation: float, roll: float) -> np.ndarray:
 
 
 def _target_distances(keys: Sequence[CameraKey]) -> np.ndarray | None:
-    """(n,) distance of each camera's target ahead of it, None where the cameras look at nothing in common.
-
-    The target lies on the optical axis, nearest to the point that the key names, or to the one that is nearest to the
-    axes of all cameras (least squares).
-    """
+    """(n,) distance of each camera's target ahead of it, None where the cameras look at nothing in common."""
     centres = np.stack([key.camera.centre for key in keys])
     axes = np.stack([key.camera.rotation[:, 2] for key in keys])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     system = across.sum(axis=0)
     middle = centres.mean(axis=0)  # where the axes say nothing of a direction, the point is as far along as this
     pull = (across @ (centres - middle)[:, :, None])[..., 0].sum(axis=0)
+    # the target lies on the optical axis, nearest to the point that the key names, or to the one that is nearest to the
+    # axes of all cameras (least squares)
     common = middle + np.linalg.pinv(system, rcond=_LEAST_CONDITION, hermitian=True) @ pull
     offsets = np.array([common if key.target is None else key.target for key in keys]) - centres
     distances = (offsets * axes).sum(axis=1)

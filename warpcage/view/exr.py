@@ -31,15 +31,8 @@ def require_openexr() -> Any:
 
 
 def depth_along_view(frame: Frame, camera: Camera) -> np.ndarray:
-    """Depth of a frame along the axis of its camera, as compositing programs compare it.
-
-    Args:
-        frame: The frame.
-        camera: Its camera.
-
-    Returns:
-        (h, w) float32, world units; NOTHING where nothing is seen.
-    """
+    """Depth (h, w) float32, world units, of a frame along the axis of its camera, as compositing programs compare it.
+    NOTHING where nothing is seen."""
     x = (np.arange(frame.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(frame.height) + 0.5 - camera.cy) / camera.fy
     length = np.sqrt(1.0 + x[None, :] ** 2 + y[:, None] ** 2)  # of a ray that goes one unit along the axis
@@ -47,18 +40,8 @@ def depth_along_view(frame: Frame, camera: Camera) -> np.ndarray:
 
 
 def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None = None) -> None:
-    """Write an OpenEXR file, whole or not at all: half floats of linear light, and depth in full floats.
-
-    Colours are multiplied by opacity in the file, as its format has it ("associated alpha").
-
-    Args:
-        path: The file; it must end in .exr.
-        image: (h, w, 3), or (h, w, 4) with straight colours, as screens take them (sRGB): 0 is black and 1 white.
-        depth: (h, w) world units, channel Z. None writes none.
-
-    Raises:
-        ValueError: For another shape or ending, values that are not finite, or where OpenEXR is not installed.
-    """
+    """Write an OpenEXR file, whole or not at all: half floats of linear light; depth (h, w), world units, in floats.
+    The image is (h, w, 3), or (h, w, 4) with straight colours, as screens take them (sRGB): 0 black, 1 white."""
     path = path_with_ending(path, ".exr")
     exr = require_openexr()
     pixels = np.asarray(image, np.float32)
@@ -69,6 +52,7 @@ def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None
     light = linear_light(pixels[..., :3])
     channels: dict[str, np.ndarray] = {"RGB": light.astype(np.float16)}
     if pixels.shape[-1] == 4:
+        # colours are multiplied by opacity in the file, as its format has it ("associated alpha")
         alpha = np.clip(pixels[..., 3:], 0.0, 1.0)
         channels = {"RGBA": np.concatenate([light * alpha, alpha], axis=-1).astype(np.float16)}
     if depth is not None:
@@ -81,18 +65,8 @@ def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None
 
 
 def read_exr(path: str | os.PathLike) -> dict[str, np.ndarray]:
-    """Read an OpenEXR file of one part.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Channels by name, as they are in the file: "RGB" (h, w, 3) or "RGBA" (h, w, 4), "Z" (h, w).
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, or where OpenEXR is not installed.
-    """
+    """The channels of an OpenEXR file of one part, as they are in it, by name.
+    They are "RGB" (h, w, 3) or "RGBA" (h, w, 4), and "Z" (h, w)."""
     path = require_file(path, "image")
     exr = require_openexr()
     try:

@@ -46,18 +46,7 @@ GIF_LOOK, GIF_COPIES = 1 << 27, 3
 
 
 def checked_rate(fps: float | Fraction, ending: str) -> Fraction:
-    """A film's frames per second as a fraction.
-
-    Args:
-        fps: Frames per second; 29.97003 becomes 30000/1001.
-        ending: One of FILM_ENDINGS.
-
-    Returns:
-        The nearest fraction whose denominator is at most 1001.
-
-    Raises:
-        ValueError: For a rate that such a film cannot have, and for what is not a number.
-    """
+    """A film's frames per second as the nearest fraction of a denominator up to 1001: 29.97003 becomes 30000/1001."""
     low, high = GIF_RATES if ending == ".gif" else VIDEO_RATES
     exact = fps if isinstance(fps, Fraction) else Fraction(checked_positive(fps, "fps"))
     rate = exact.limit_denominator(MAX_DENOMINATOR)
@@ -67,16 +56,7 @@ def checked_rate(fps: float | Fraction, ending: str) -> Fraction:
 
 
 def film_size(width: int, height: int, ending: str) -> tuple[int, int]:
-    """The size of a film whose pictures have some size: .mp4 has even sides.
-
-    Args:
-        width: Width of the pictures, pixels.
-        height: Their height.
-        ending: One of FILM_ENDINGS.
-
-    Returns:
-        Width and height of the film.
-    """
+    """Width and height of a film whose pictures have some size: .mp4 has even sides."""
     return (width // 2 * 2, height // 2 * 2) if ending == ".mp4" else (width, height)
 
 
@@ -93,18 +73,8 @@ def require_clear_film(path: str | os.PathLike) -> None:
 def write_film(
     path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0, *, loop: bool = True
 ) -> None:
-    """Write a film, whole or not at all, in the format that its ending names.
-
-    Args:
-        path: The file; it must end in one of FILM_ENDINGS.
-        frames: Images (h, w, 3) of one size; for .mov and .webm also (h, w, 4). They are taken one by one, in this
-            thread, and encoded by others while the next are made. Those that can be written to are copied first.
-        fps: Frames per second.
-        loop: Whether a GIF starts again at its end.
-
-    Raises:
-        ValueError: For another ending, and as each format's own function.
-    """
+    """Write a film, whole or not at all, by its ending; frames are (h, w, 3), for .mov and .webm also (h, w, 4).
+    They are taken one by one, in this thread, and encoded by others while the next are made; `loop` is of a GIF."""
     ending = os.path.splitext(path)[1].lower()
     if ending == ".mp4":
         write_video(path, frames, fps)
@@ -118,19 +88,9 @@ def write_film(
 
 def write_clear_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
     """Write a video that keeps opacity, whole or not at all: ProRes 4444 (.mov) or VP9 (.webm).
-
-    Colours are straight, that is, not multiplied by opacity, as players of both take them; BT.709, limited range.
-    ProRes holds 12 bits and 16 of opacity for editing programs, VP9 is small and plays in browsers.
-
-    Args:
-        path: The file; it must end in .mov or .webm.
-        frames: Images of one size: (h, w, 4) with straight colours and opacity, or (h, w, 3); values in [0, 1] or
-            uint8. They are taken one by one, so a generator that renders will do.
-        fps: Frames per second, 0.01 to 1000; any fraction.
-
-    Raises:
-        ValueError: For no frames, sizes that differ, a rate out of range, or another ending.
-    """
+    Frames (h, w, 4) with straight colours, or (h, w, 3), in [0, 1] or uint8, are taken one by one."""
+    # Colours are straight, that is, not multiplied by opacity, as players of both take them; BT.709, limited range.
+    # ProRes is for editing programs, VP9 is small and plays in browsers.
     ending = os.path.splitext(path)[1].lower()
     if ending not in CLEAR_ENDINGS:
         raise ValueError(f"{str(path)!r} must end in {' or '.join(CLEAR_ENDINGS)}")
@@ -161,10 +121,8 @@ def _encode_clear(path: pathlib.Path, ending: str, rate: Fraction, images: Itera
 
 
 def _alone() -> dict[str, Any]:
-    """The option of a conversion in one thread.
-
-    Threads of the conversion, which PyAV 17 brought, race: now and then a part of a plane is not written (FFmpeg 8).
-    """
+    """The option of a conversion in one thread."""
+    # Threads of the conversion, which PyAV 17 brought, race: now and then a part of a plane is not written (FFmpeg 8).
     import av
 
     return {"threads": 1} if int(av.__version__.split(".")[0]) >= 17 else {}
@@ -190,18 +148,8 @@ def _own(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
 
 
 def deep_pixels(pixels: np.ndarray) -> np.ndarray:
-    """A frame as films with 16 bits take it.
-
-    Args:
-        pixels: (h, w), (h, w, 3) or (h, w, 4) with straight colours, values in [0, 1] or uint8; or uint16, which is
-            what comes of this.
-
-    Returns:
-        (h, w, 3) or (h, w, 4) uint16, colours spread beyond edges.
-
-    Raises:
-        ValueError: For another shape, or values that are not finite.
-    """
+    """A frame as films with 16 bits take it: (h, w, 3) or (h, w, 4) uint16, colours spread beyond edges.
+    It is (h, w), (h, w, 3) or (h, w, 4) with straight colours, in [0, 1] or uint8; or uint16, which stays as it is."""
     if pixels.dtype == np.uint16:
         return pixels
     if pixels.ndim == 3 and pixels.shape[-1] == 4:
@@ -215,33 +163,15 @@ def deep_pixels(pixels: np.ndarray) -> np.ndarray:
 
 
 def write_film_frame(path: str | os.PathLike, picture: ArrayLike) -> None:
-    """Write a frame of a film with 16 bits, without loss and with all that its encoder needs.
-
-    Args:
-        path: The file, which must end in .npz. It is written in place.
-        picture: As for `deep_pixels`.
-
-    Raises:
-        ValueError: As for `deep_pixels`.
-    """
+    """Write a frame of a film with 16 bits (.npz), without loss and with all that its encoder needs, in place."""
     data = io.BytesIO()
     np.savez_compressed(data, pixels=deep_pixels(np.asarray(picture)))
     pathlib.Path(path).write_bytes(data.getbuffer())
 
 
 def read_film_frame(path: str | os.PathLike) -> np.ndarray:
-    """Read a picture that becomes a frame of a film.
-
-    Args:
-        path: A file of `write_film_frame` (.npz), or a picture.
-
-    Returns:
-        (h, w, 3) or (h, w, 4) uint16; of pictures as `read_image` has it, grey as (h, w). Read-only.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read.
-    """
+    """Read a picture that becomes a frame of a film; one of `write_film_frame` (.npz) is (h, w, 3) or (h, w, 4) uint16.
+    Others are as `read_image` has them, grey as (h, w). Read-only."""
     if os.path.splitext(path)[1].lower() == ".npz":
         contents = read_npz(path, "frame")
         pixels = require_numbers(contents, "pixels", (None, None, None), path)
@@ -260,17 +190,8 @@ def _byte_pixels(pixels: np.ndarray) -> np.ndarray:
 
 
 def write_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
-    """Write an H.264 video that browsers play (yuv420p), whole or not at all.
-
-    Args:
-        path: The file; it must end in .mp4.
-        frames: Images (h, w, 3) of one size, values in [0, 1] or uint8. They are taken one by one, so a generator that
-            renders will do. Odd sizes lose their last row or column.
-        fps: Frames per second, 0.01 to 1000; any fraction, such as 12.5 or Fraction(30000, 1001).
-
-    Raises:
-        ValueError: For no frames, sizes that differ, a rate out of range, or another ending.
-    """
+    """Write an H.264 video that browsers play (yuv420p), whole or not at all; odd sizes lose their last row or column.
+    Frames are (h, w, 3) of one size, in [0, 1] or uint8, and are taken one by one."""
     path = path_with_ending(path, ".mp4")
     rate = checked_rate(fps, ".mp4")
     with atomic_path(path) as temporary:
@@ -301,22 +222,8 @@ def write_gif(
     colours: int = 128,
     loop: bool = True,
 ) -> None:
-    """Write an animated GIF with one palette, kept small, whole or not at all.
-
-    All frames are held in memory until the last one is there: the palette is of all of them.
-
-    Args:
-        path: The file; it must end in .gif.
-        frames: Images (h, w, 3) of one size, values in [0, 1] or uint8.
-        fps: Frames per second, 0.01 to 50. A GIF counts hundredths of a second: at other rates frames differ in
-            length by one of them, and the film as a whole keeps its time.
-        colours: Size of the palette, 2 to 256.
-        loop: Whether the film starts again at its end.
-
-    Raises:
-        ValueError: For no frames, sizes that differ, a rate or palette out of range, another ending, or more frames
-            than there is memory for.
-    """
+    """Write an animated GIF with one palette, kept small, whole or not at all, of frames (h, w, 3), in [0, 1] or uint8.
+    All are held in memory until the last one is there: the palette is of all of them."""
     from PIL import Image
 
     path = path_with_ending(path, ".gif")

@@ -8,19 +8,7 @@ from .camera import Camera
 
 
 def fitted(camera: Camera, size: Sequence[int], name: str = "size") -> Camera:
-    """The same view at another size.
-
-    Args:
-        camera: The camera.
-        size: A width, which keeps the picture's shape; or width and height. None of them keeps the camera.
-        name: How the message calls it.
-
-    Returns:
-        The camera.
-
-    Raises:
-        ValueError: Where width and height would squeeze the picture.
-    """
+    """The same view at another size: a width, which keeps the shape, or width and height; none keeps the camera."""
     if not size:
         return camera
     width = int(size[0])

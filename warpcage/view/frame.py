@@ -234,17 +234,7 @@ def _host_frame(width: int, height: int, arrays: dict, layered: bool) -> Frame:
 
 
 def checked_supersampling(side: Any) -> int:
-    """The number of rays along each side of a pixel.
-
-    Args:
-        side: What the caller asked for.
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: If it is not a whole number from 1 to MAX_SUPERSAMPLING.
-    """
+    """The number of rays along each side of a pixel, 1 to MAX_SUPERSAMPLING."""
     if not isinstance(side, numbers.Integral) or isinstance(side, bool) or not 1 <= int(side) <= MAX_SUPERSAMPLING:
         raise ValueError(
             f"supersampling must be 1 to {MAX_SUPERSAMPLING} rays along each side of a pixel, got {side!r}"
@@ -253,15 +243,7 @@ def checked_supersampling(side: Any) -> int:
 
 
 def finer_camera(camera: Camera, side: int) -> Camera:
-    """The same view with more pixels.
-
-    Args:
-        camera: The camera.
-        side: Pixels of the new view along each side of an old one.
-
-    Returns:
-        The camera; the same one for 1.
-    """
+    """The same view with `side` times as many pixels along each side; the same camera for 1."""
     if side == 1:
         return camera
     names = ("fx", "fy", "cx", "cy", "width", "height")
@@ -269,15 +251,7 @@ def finer_camera(camera: Camera, side: int) -> Camera:
 
 
 def average_frame(frame: Frame, side: int) -> Frame:
-    """A frame whose pixels are joined in squares.
-
-    Args:
-        frame: A frame of Warp arrays, its width and height multiples of `side`.
-        side: Pixels along each side of a square.
-
-    Returns:
-        The smaller frame; the same one for 1.
-    """
+    """A frame of Warp arrays whose pixels are joined in squares of `side`, which divides its width and height."""
     if side == 1:
         return frame
     width, height = frame.width // side, frame.height // side

@@ -34,18 +34,8 @@ def picture(
     cages: Sequence[ClosedMesh] = (),
     scale: tuple[float, float] | None = None,
 ) -> np.ndarray:
-    """A picture of one part of a frame.
-
-    Args:
-        frame: The frame.
-        kind: "rgb", "alpha", "depth", "disparity" or "masks".
-        camera: The camera of the frame, needed with cages.
-        cages: Their edges are drawn over the picture.
-        scale: Low and high disparity of depth and disparity pictures. None is the range of this frame.
-
-    Returns:
-        (h, w, 3) or (h, w) float in [0, 1].
-    """
+    """One part of a frame, "rgb", "alpha", "depth", "disparity" or "masks", as (h, w, 3) or (h, w) float in [0, 1].
+    Edges of cages over it need the camera; `scale`: low and high disparity, None for the range of this frame."""
     if kind == "alpha":
         shown = frame.alpha
     elif kind == "disparity":

@@ -27,22 +27,8 @@ _PLACES = ("translation", "rotation", "scale")
 
 
 def read_gltf_cameras(path: pathlib.Path, size: tuple[int, int] | None = None) -> list[CameraKey]:
-    """Read the perspective cameras of a glTF file.
-
-    A camera that an animation moves, itself or through what it hangs on, becomes keys at the frames of the animation,
-    straight from each to the next, so that what a program wrote for each frame comes back frame for frame.
-
-    Args:
-        path: The file.
-        size: Width and height of the pictures, pixels; the vertical field of view is that of the file. None is 400
-            pixels in width, and the height that the file's aspect ratio says.
-
-    Returns:
-        The keys, named as the nodes, z up. Those of one camera follow one another.
-
-    Raises:
-        ValueError: What is wrong in which file, and for a file without perspective cameras.
-    """
+    """Keys of the perspective cameras of a glTF file, named as the nodes, z up; those of one camera follow one another.
+    `size`: width and height, pixels; None is 400 in width, and the height that the file's aspect ratio says."""
     with one_line(path):
         document, chunk = opened(path)
         nodes = document.get("nodes", [])
@@ -59,6 +45,9 @@ def read_gltf_cameras(path: pathlib.Path, size: tuple[int, int] | None = None) -
             if not moving:
                 keys.append(CameraKey(_camera(lens, at_rest[node]), None, name))
                 continue
+            # A camera that an animation moves, itself or through what it hangs on, becomes keys at the frames of the
+            # animation, straight from each to the next, so that what a program wrote for each frame comes back frame
+            # for frame.
             times, _ = frames_of(np.unique(np.concatenate([each.times for each in moving])))
             for time in times:
                 places: dict[int, dict[str, Any]] = {}
@@ -116,6 +105,6 @@ def _above(document: dict, node: int) -> set[int]:
 
 
 def _name(document: dict, node: int) -> str:
-    """The name of a camera's node, or of what it hangs on: programs hang cameras on nodes of their own without one."""
+    """The name of a camera's node, or of the camera: programs hang cameras on nodes of their own without a name."""
     own = document["nodes"][node]
     return str(own.get("name") or document["cameras"][own["camera"]].get("name") or f"camera {node}")

@@ -28,24 +28,13 @@ def value_at(
     still_ends: bool = True,
     closed: bool = False,
 ) -> np.ndarray:
-    """What keys come to at a time. Before the first and after the last one all is still.
-
-    "smooth" is a cubic whose velocity does not jump at keys. Nothing swings beyond its keys, and what two keys have in
-    common stays still between them: velocities are limited as Fritsch and Carlson (1980) limit them, here along
-    vectors, so that a turned scene moves in the same way. "hold" stays at its key until the next; "ease-in" sets out
-    gently, "ease-out" arrives so.
-
-    Args:
-        times: Times of the keys, ascending.
-        values: Their values, arrays of one shape: (d,) d numbers of their own, or (..., d) vectors.
-        time: The time.
-        easings: How the way from each key goes, of EASINGS. None is "smooth" for all.
-        still_ends: Whether smooth ways set out from the first key and arrive at the last one at rest.
-        closed: Whether the last key is the first one again: a loop, which goes through it without stopping.
-
-    Returns:
-        The value, read-only. At a key, and where it stays still, it is the key's own array.
-    """
+    """What keys, ascending in time, come to at a time. Before the first and after the last one all is still.
+    `values`: (d,) d numbers of their own or (..., d) vectors. Do not write what comes back: it may be a key's own."""
+    # "smooth" is a cubic whose velocity does not jump at keys. Nothing swings beyond its keys, and what two keys have
+    # in common stays still between them: velocities are limited (`limited_velocity`) along vectors, so that a turned
+    # scene moves in the same way. "hold" stays at its key until the next; "ease-in" sets out gently, "ease-out" arrives
+    # so. `still_ends`: smooth ways set out from the first key and arrive at the last one at rest. `closed`: the last
+    # key is the first one again, a loop, which goes through it without stopping.
     index = bisect.bisect_right(times, time) - 1
     if index < 0 or index == len(times) - 1:
         return values[max(index, 0)]
@@ -98,19 +87,9 @@ class _Velocities:
 
 def limited_velocity(before: np.ndarray, after: np.ndarray, length_before: float, length_after: float) -> np.ndarray:
     """The velocity at a key between two ways: that from the key before to the key after, as far as nothing overshoots.
-
-    What would turn against either way is taken out of it, and it is at most three times the slower of both (Fritsch and
-    Carlson 1980). Along one line that keeps what rises rising and makes turning points flat.
-
-    Args:
-        before: Velocity of the straight way to the key, (d,) numbers of their own or (..., d) vectors.
-        after: Velocity of the straight way from it.
-        length_before: Time of the way to it.
-        length_after: Time of the way from it.
-
-    Returns:
-        The velocity, of the same shape. Zero where either way stands still.
-    """
+    `before`, `after`: velocities of the straight ways, (d,) numbers of their own or (..., d) vectors."""
+    # What would turn against either way is taken out of it, and it is at most three times the slower of both (Fritsch
+    # and Carlson 1980). Along one line that keeps what rises rising and makes turning points flat.
     one, two = (value[..., None] if value.ndim == 1 else value for value in (before, after))
     velocity = (length_before * one + length_after * two) / max(length_before + length_after, 1e-300)
     slower = np.sqrt(np.minimum(_dot(one, one), _dot(two, two)))
@@ -127,16 +106,7 @@ def _dot(one: np.ndarray, two: np.ndarray) -> np.ndarray:
 
 
 def looped_time(loop: str, length: Time, elapsed: Time) -> Time:
-    """Where a film is that has been played for a while, in floats or in fractions.
-
-    Args:
-        loop: One of LOOPS.
-        length: Length of the film, seconds.
-        elapsed: Seconds since it began to play at its start.
-
-    Returns:
-        Seconds from the film's start, 0 to its length.
-    """
+    """Where a film is that has been played for `elapsed`: seconds, floats or fractions, 0 to its `length`."""
     zero = length - length
     if length <= 0:
         return zero
@@ -149,22 +119,9 @@ def looped_time(loop: str, length: Time, elapsed: Time) -> Time:
 
 
 def frame_times(length: float, fps: float | Fraction, loop: str = "once") -> list[float]:
-    """The times of a film's frames.
-
-    A film that is played once ends with the frame at its length, where a frame falls on it. A film that loops or goes
-    back and forth has every moment of its round once: the frame after its last one is the first.
-
-    Args:
-        length: Length of the film, seconds.
-        fps: Frames per second.
-        loop: One of LOOPS.
-
-    Returns:
-        Seconds from the film's start, one number per frame, at least one.
-
-    Raises:
-        ValueError: For more than MAX_FRAMES.
-    """
+    """The times of a film's frames, seconds from its start, at least one."""
+    # A film that is played once ends with the frame at its length, where a frame falls on it. A film that loops or goes
+    # back and forth has every moment of its round once: the frame after its last one is the first.
     rate = frame_rate(fps)
     exact_length = whole_frames(length, rate)
     period = 2 * exact_length if loop == "ping-pong" else exact_length
@@ -176,14 +133,7 @@ def frame_times(length: float, fps: float | Fraction, loop: str = "once") -> lis
 
 
 def frame_rate(fps: float | Fraction) -> Fraction:
-    """Frames per second as a fraction, such as 30000/1001 for 29.97003.
-
-    Args:
-        fps: Frames per second.
-
-    Returns:
-        The nearest fraction whose denominator is at most 1001.
-    """
+    """Frames per second as the nearest fraction whose denominator is at most 1001, such as 30000/1001 for 29.97003."""
     exact = fps if isinstance(fps, Fraction) else Fraction(repr(float(fps)))
     return exact.limit_denominator(MAX_DENOMINATOR)
 

@@ -24,37 +24,12 @@ Mesh = TypeVar("Mesh", bound=ClosedMesh)
 
 
 def pose_weights(count: int, motion: str = "swing") -> np.ndarray:
-    """Weights of one pose in the frames of a film, gentle at both ends.
-
-    Args:
-        count: Number of frames.
-        motion: "swing" goes from rest to the pose and back, so that the film loops without a repeated frame; "once"
-            from rest to the pose; "hold" is the pose throughout.
-
-    Returns:
-        (count,) float64 in [0, 1].
-
-    Raises:
-        ValueError: For no frames or another motion.
-    """
+    """Weights (count,) float64 in [0, 1] of one pose in the frames of a film, gentle at both ends."""
     return frame_places(count, 2, motion)
 
 
 def frame_places(count: int, keyframe_count: int, motion: str = "swing", interpolation: str = "smooth") -> np.ndarray:
-    """Places of a film's frames among keyframes.
-
-    Args:
-        count: Number of frames.
-        keyframe_count: Number of keyframes.
-        motion: "swing" goes there and back, "once" there, "hold" is at the last keyframe throughout.
-        interpolation: "linear" goes at one speed, "smooth" sets out and arrives gently.
-
-    Returns:
-        (count,) float64, 0 for the first keyframe and keyframe_count - 1 for the last.
-
-    Raises:
-        ValueError: For no frames or keyframes, or another name.
-    """
+    """Places (count,) of a film's frames among keyframes, 0 for the first and keyframe_count - 1 for the last."""
     if count < 1 or keyframe_count < 1:
         raise ValueError(f"a film needs at least one frame and one keyframe, got {count} and {keyframe_count}")
     if motion not in MOTIONS:
@@ -62,6 +37,7 @@ def frame_places(count: int, keyframe_count: int, motion: str = "swing", interpo
     _check_interpolation(interpolation)
     if motion == "hold":
         return np.full(count, keyframe_count - 1.0)
+    # a film that swings loops without a repeated frame
     phase = np.arange(count) / count if motion == "swing" else 0.5 * np.arange(count) / max(1, count - 1)
     # phase 0 is the first keyframe, 1/2 the last
     weights = 0.5 - 0.5 * np.cos(2 * np.pi * phase) if interpolation == "smooth" else 1.0 - np.abs(1.0 - 2.0 * phase)
@@ -69,20 +45,10 @@ def frame_places(count: int, keyframe_count: int, motion: str = "swing", interpo
 
 
 def value_along(values: Sequence[np.ndarray], place: float, interpolation: str = "smooth") -> np.ndarray:
-    """The value at a place among keyframes.
-
-    Args:
-        values: Their values, arrays of one shape: (d,) d numbers of their own, or (..., d) vectors.
-        place: 0 for the first keyframe to len(values) - 1 for the last.
-        interpolation: "linear" joins keyframes by straight lines, "smooth" by cubics whose speed does not jump at
-            keyframes and that never go beyond them (see `warpcage.view.keys.value_at`; straight at both ends).
-
-    Returns:
-        The value.
-
-    Raises:
-        ValueError: For a place beyond the keyframes, or another name.
-    """
+    """The value at a place among keyframes, from 0 for the first to len(values) - 1 for the last.
+    `values` are arrays of one shape: (d,) d numbers of their own, or (..., d) vectors."""
+    # "linear" joins keyframes by straight lines, "smooth" by cubics whose speed does not jump at keyframes and that
+    # never go beyond them (see `value_at`; straight at both ends).
     _check_interpolation(interpolation)
     if not 0 <= place <= len(values) - 1:
         raise ValueError(f"a place among {len(values)} keyframes must be 0 to {len(values) - 1}, got {place}")
@@ -90,72 +56,31 @@ def value_along(values: Sequence[np.ndarray], place: float, interpolation: str =
 
 
 def pose_between(rest: Mesh, posed: Mesh, weight: float) -> Mesh:
-    """The cage on the straight way from one to another.
-
-    Args:
-        rest: The cage at weight 0.
-        posed: The cage at weight 1, of the same faces.
-        weight: Share of the way.
-
-    Returns:
-        `rest` with the vertices moved.
-    """
+    """`rest` with its vertices moved by a share, `weight`, of the straight way to `posed`, of the same faces."""
     return rest.with_vertices((1.0 - weight) * rest.vertices + weight * posed.vertices)
 
 
 def pose_along(keyframes: Sequence[Mesh], place: float, interpolation: str = "smooth") -> Mesh:
-    """The cage at a place among keyframes.
-
-    Args:
-        keyframes: Cages of the same faces.
-        place: 0 for the first keyframe to len(keyframes) - 1 for the last.
-        interpolation: As for `value_along`.
-
-    Returns:
-        The first cage with the vertices moved.
-
-    Raises:
-        ValueError: For a place beyond the keyframes, or another interpolation.
-    """
+    """The cage at a place among keyframes of the same faces; see `value_along`."""
     return keyframes[0].with_vertices(value_along([cage.vertices for cage in keyframes], place, interpolation))
 
 
 def cameras_along(cameras: Sequence[Camera], count: int, interpolation: str = "smooth") -> list[Camera]:
-    """Cameras on the way through a list of cameras.
-
-    Centres go as keyframes do, rotations by the shortest turn from one to the next.
-
-    Args:
-        cameras: The keyframes, all of one picture size.
-        count: Number of cameras, the first and the last keyframe included.
-        interpolation: As for `value_along`.
-
-    Returns:
-        `count` cameras.
-
-    Raises:
-        ValueError: For no cameras, pictures of several sizes, or another interpolation.
-    """
+    """`count` cameras on the way through a list of cameras of one picture size, the first and the last included."""
     if not cameras:
         raise ValueError("a camera path needs at least one camera")
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) > 1:
         raise ValueError(f"cameras of a path must have one picture size, got {sorted(sizes)}")
+    # centres go as keyframes do, rotations by the shortest turn from one to the next
     return [_camera_at(cameras, place, interpolation) for place in np.linspace(0, len(cameras) - 1, count)]
 
 
 def axis_rotation(axis: ArrayLike, angle: float) -> np.ndarray:
-    """The rotation about an axis (Rodrigues' formula).
-
-    Args:
-        axis: (3,) unit vector.
-        angle: Radians, counterclockwise seen from the tip of the axis.
-
-    Returns:
-        (3, 3) float64.
-    """
+    """The rotation (3, 3) about a unit vector (3,) by an angle, radians, counterclockwise seen from its tip."""
     x, y, z = np.asarray(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    # Rodrigues' formula
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 

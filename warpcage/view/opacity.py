@@ -20,16 +20,8 @@ CLEAR = 0.5 / 255.0
 
 
 def rgba_picture(frame: Frame, camera: Camera | None = None, cages: Sequence[ClosedMesh] = ()) -> np.ndarray:
-    """Straight colours and opacity of a frame: its colours are not multiplied by its opacity.
-
-    Args:
-        frame: The frame, rendered on black: its colours are multiplied by its opacity.
-        camera: Its camera, needed with cages.
-        cages: Their edges are drawn into the picture.
-
-    Returns:
-        (h, w, 4) float32 in [0, 1]; black where nothing is seen.
-    """
+    """Straight colours and opacity (h, w, 4) float32 in [0, 1] of a frame rendered on black; black for nothing seen.
+    Edges of cages, drawn into it, need the camera."""
     colours = np.maximum(frame.rgb, 0.0)
     clear = np.repeat(1.0 - np.clip(frame.alpha, 0.0, 1.0)[..., None], 3, axis=-1)
     for cage in cages:
@@ -42,18 +34,10 @@ def rgba_picture(frame: Frame, camera: Camera | None = None, cages: Sequence[Clo
 
 
 def with_spread_colours(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
-    """A picture whose colours go on where it is clear, each from the nearest place that is not.
-
-    Codecs keep colours and opacity apart, colours often at half the size: the black behind a clear pixel would show as
-    a dark rim around the object.
-
-    Args:
-        rgba: (h, w, 4) straight colours and opacity, in [0, 1].
-        reach: How far they go on, pixels.
-
-    Returns:
-        (h, w, 4) float32, the same where it is not clear.
-    """
+    """A picture (h, w, 4), in [0, 1], whose colours go on where it is clear, each from the nearest place that is not.
+    They are straight, and go on for `reach` pixels."""
+    # Codecs keep colours and opacity apart, colours often at half the size: the black behind a clear pixel would show
+    # as a dark rim around the object.
     from scipy.ndimage import distance_transform_edt
 
     spread = np.array(rgba, np.float32)
@@ -68,13 +52,6 @@ def with_spread_colours(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
 
 
 def linear_light(colours: ArrayLike) -> np.ndarray:
-    """Light of colours as screens take them (sRGB, IEC 61966-2-1).
-
-    Args:
-        colours: Of any shape; 0 is black and 1 white, more is brighter.
-
-    Returns:
-        float32 of the same shape, proportional to light.
-    """
+    """Light, float32, of colours as screens take them (sRGB, IEC 61966-2-1): 0 is black, 1 white, more is brighter."""
     coded = np.maximum(np.asarray(colours, np.float32), 0.0)
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)

@@ -29,27 +29,8 @@ def draw_cage(
     back_opacity: float = 0.25,
     depth: ArrayLike | None = None,
 ) -> np.ndarray:
-    """A picture with the edges of a cage over it: opaque in front of the cage's faces, faint behind them.
-
-    Edges may cross the image plane or leave the picture.
-
-    Args:
-        image: (h, w, 3) of the camera's size, float in [0, 1] or uint8.
-        camera: The camera of the picture.
-        cage: The cage.
-        color: (3,) colour of the edges in [0, 1].
-        width: Width of the edges, pixels.
-        opacity: Opacity of the edges in front, in [0, 1].
-        back_opacity: Opacity of the edges behind, in [0, 1].
-        depth: (h, w) distance along the ray as in Frame.depth; edges behind it are left out, as matter hides them. None
-            leaves none out.
-
-    Returns:
-        A new (h, w, 3) array of the image's type.
-
-    Raises:
-        ValueError: For sizes that do not fit the camera, or numbers out of range.
-    """
+    """A picture (h, w, 3) with the edges of a cage over it: opaque in front of the cage's faces, faint behind them.
+    `width` in pixels; edges behind `depth` (h, w), distance along the ray as in Frame.depth, are left out."""
     pixels = np.asarray(image)
     if pixels.shape != (camera.height, camera.width, 3):
         raise ValueError(f"the picture must be ({camera.height}, {camera.width}, 3) as its camera, got {pixels.shape}")
@@ -164,9 +145,7 @@ def _pixel_of(screen, camera):
 
 def _is_behind_faces(points, ends, vertices, faces):
     """Whether each point (m, 3) on the edge `ends` (m, 2) has a face, not one of its own, between it and the camera.
-
-    Everything in camera axes, the camera at zero (Moeller and Trumbore 1997).
-    """
+    Everything in camera axes, the camera at zero (Moeller and Trumbore 1997)."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     ab, ac = b - a, c - a
     normal = np.cross(ab, ac)

@@ -58,37 +58,14 @@ FAR_ROOM = 0.15
 
 
 def read_image(path: str | os.PathLike) -> np.ndarray:
-    """Read a picture file (PNG, JPEG, WebP, BMP).
-
-    Rows are as the file stores them: a camera's orientation tag is not applied.
-
-    Args:
-        path: The file.
-
-    Returns:
-        (h, w, c) float32 in [0, 1]; c is 1 for grey, 2 for grey with alpha, 3 or 4 for colour.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is not a picture, is cut off, or declares too large a size.
-    """
+    """Read a picture file (PNG, JPEG, WebP, BMP): (h, w, c) float32 in [0, 1]; c is 1 or 2 for grey, 3 or 4 for colour.
+    Rows are as the file stores them: a camera's orientation tag is not applied."""
     return read_rows(path)(0, None)
 
 
 def read_rows(path: str | os.PathLike) -> Rows:
-    """Decode a picture file, whose rows become floats when they are asked for: those take four times the memory.
-
-    Args:
-        path: The file.
-
-    Returns:
-        A function of the first row and the one after the last (None is the end) that gives those rows as `read_image`
-        does.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: As for `read_image`.
-    """
+    """Decode a picture file: a function of the first row and the one after the last (None: the end) that gives them.
+    Rows become floats, as in `read_image`, when they are asked for: those take four times the memory."""
     path = require_file(path, "image")
     with _opened(path) as picture:
         pixels = _decoded(picture, path)
@@ -109,18 +86,7 @@ def read_rows(path: str | os.PathLike) -> Rows:
 
 
 def image_size(path: str | os.PathLike) -> tuple[int, int]:
-    """The size that a picture file declares; its pixels are not read.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Width and height, pixels.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is not a picture, or declares too large a size.
-    """
+    """Width and height, pixels, that a picture file declares; its pixels are not read."""
     with _opened(require_file(path, "image")) as picture:
         return picture.size
 
@@ -178,15 +144,7 @@ def _one_line(error: Exception) -> str:
 
 
 def write_png(path: str | os.PathLike, image: ArrayLike) -> None:
-    """Write a PNG file, whole or not at all.
-
-    Args:
-        path: The file; it must end in .png.
-        image: (h, w), (h, w, 3) or (h, w, 4), values in [0, 1] or uint8.
-
-    Raises:
-        ValueError: For another shape or ending.
-    """
+    """Write a PNG file, whole or not at all: (h, w), (h, w, 3) or (h, w, 4), in [0, 1] or uint8."""
     path = path_with_ending(path, ".png")
     pixels = to_uint8(image)
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
@@ -198,16 +156,7 @@ def write_png(path: str | os.PathLike, image: ArrayLike) -> None:
 
 
 def write_jpeg(path: str | os.PathLike, image: ArrayLike, *, quality: int = 95) -> None:
-    """Write a JPEG file, whole or not at all. Colours keep the resolution of the picture (4:4:4).
-
-    Args:
-        path: The file; it must end in .jpg or .jpeg.
-        image: (h, w) or (h, w, 3), values in [0, 1] or uint8.
-        quality: 1 to 100.
-
-    Raises:
-        ValueError: For another shape or ending.
-    """
+    """Write a JPEG file, whole or not at all: (h, w) or (h, w, 3), in [0, 1] or uint8."""
     path = pathlib.Path(path)
     if path.suffix.lower() not in (".jpg", ".jpeg"):
         raise ValueError(f"{str(path)!r} must end in .jpg or .jpeg")
@@ -215,22 +164,12 @@ def write_jpeg(path: str | os.PathLike, image: ArrayLike, *, quality: int = 95) 
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] == 3)) or 0 in pixels.shape:
         raise ValueError(f"a JPEG holds (h, w) or (h, w, 3), got shape {pixels.shape}")
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        # colours keep the resolution of the picture (4:4:4)
         iio.imwrite(file, pixels, extension=".jpg", quality=quality, subsampling=0)
 
 
 def path_with_ending(path: str | os.PathLike, ending: str) -> pathlib.Path:
-    """The path of a file to write, once its ending is checked.
-
-    Args:
-        path: The file.
-        ending: What it must end in, in capitals or not.
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: For another ending.
-    """
+    """The path of a file to write, once its ending, in capitals or not, is checked."""
     path = pathlib.Path(path)
     if path.suffix.lower() != ending:
         raise ValueError(f"{str(path)!r} must end in {ending}")
@@ -238,17 +177,7 @@ def path_with_ending(path: str | os.PathLike, ending: str) -> pathlib.Path:
 
 
 def to_uint8(image: ArrayLike) -> np.ndarray:
-    """An image in bytes, rounded and clipped.
-
-    Args:
-        image: Values in [0, 1], or uint8, of any shape.
-
-    Returns:
-        uint8 of the same shape; the same array for uint8.
-
-    Raises:
-        ValueError: For values that are not finite.
-    """
+    """An image of any shape, in [0, 1], in bytes, rounded and clipped; the same array for uint8."""
     pixels = np.asarray(image)
     if pixels.dtype == np.uint8:
         return pixels
@@ -259,17 +188,7 @@ def to_uint8(image: ArrayLike) -> np.ndarray:
 
 
 def as_rgb(image: ArrayLike) -> np.ndarray:
-    """A grey or coloured image in colour.
-
-    Args:
-        image: (h, w) or (h, w, 3), values in [0, 1] or uint8.
-
-    Returns:
-        (h, w, 3) float32 in [0, 1].
-
-    Raises:
-        ValueError: For another shape.
-    """
+    """A grey (h, w) or coloured (h, w, 3) image, in [0, 1] or uint8, as (h, w, 3) float32 in [0, 1]."""
     given = np.asarray(image)
     pixels = given.astype(np.float32) / np.float32(255.0) if given.dtype == np.uint8 else given.astype(np.float32)
     if pixels.ndim == 2:
@@ -280,54 +199,26 @@ def as_rgb(image: ArrayLike) -> np.ndarray:
 
 
 def shrunk_size(size: tuple[int, int], factor: int) -> tuple[int, int]:
-    """The size that `shrink` leaves of an image.
-
-    Args:
-        size: Two sides, pixels.
-        factor: As for `shrink`.
-
-    Returns:
-        The two sides in the same order.
-    """
+    """The size, pixels, that `shrink` leaves of an image; two sides in the same order."""
     return max(1, round(size[0] / factor)), max(1, round(size[1] / factor))
 
 
 def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
-    """A smaller image by area averages.
-
-    Args:
-        premultiplied: (h, w, c) float, colour times opacity.
-        factor: Pixels along each side of the squares that are averaged. Where that leaves a remainder they are a little
-            larger or smaller.
-
-    Returns:
-        The image; the same one for 1.
-    """
+    """A smaller image by averages over squares of `factor` pixels; (h, w, c) float, colour times opacity."""
     if factor == 1:
         return premultiplied
     height, width = premultiplied.shape[:2]
     if height % factor == 0 and width % factor == 0:
         blocks = premultiplied.reshape(height // factor, factor, width // factor, factor, -1)
         return blocks.mean(axis=(1, 3))
+    # with a remainder the squares are a little larger or smaller
     from skimage.transform import resize_local_mean
 
     return resize_local_mean(premultiplied, shrunk_size((height, width), factor), channel_axis=-1, preserve_range=True)
 
 
 def side_by_side(images: Iterable[ArrayLike], *, gap: int = 4, background: ArrayLike = 1.0) -> np.ndarray:
-    """Images in a row.
-
-    Args:
-        images: (h, w) grey or (h, w, 3), all of one size, values in [0, 1] or uint8.
-        gap: Pixels between them.
-        background: Grey value or (3,) colour of the gaps.
-
-    Returns:
-        (h, w, 3) float32.
-
-    Raises:
-        ValueError: For no images, or images of several sizes.
-    """
+    """Images (h, w) or (h, w, 3) of one size in a row, (h, w, 3) float32, with `gap` pixels of background between."""
     row = list(images)
     return contact_sheet(row, columns=max(1, len(row)), gap=gap, background=background)
 
@@ -335,20 +226,8 @@ def side_by_side(images: Iterable[ArrayLike], *, gap: int = 4, background: Array
 def contact_sheet(
     images: Iterable[ArrayLike], *, columns: int | None = None, gap: int = 4, background: ArrayLike = 1.0
 ) -> np.ndarray:
-    """Images row by row on a sheet.
-
-    Args:
-        images: (h, w) grey or (h, w, 3), all of one size, values in [0, 1] or uint8.
-        columns: Images per row. None makes as many rows as columns, or one less.
-        gap: Pixels between them.
-        background: Grey value or (3,) colour of gaps and empty places.
-
-    Returns:
-        (h, w, 3) float32.
-
-    Raises:
-        ValueError: For no images, or images of several sizes.
-    """
+    """Images (h, w) or (h, w, 3) of one size row by row on a sheet, (h, w, 3) float32.
+    `columns` of None makes as many rows as columns, or one less."""
     pictures = [as_rgb(image) for image in images]
     if not pictures:
         raise ValueError("a sheet needs at least one image")
@@ -369,15 +248,7 @@ def contact_sheet(
 
 
 def disparity_range(disparity: ArrayLike, *, percentiles: tuple[float, float] = (2.0, 98.0)) -> tuple[float, float]:
-    """A scale for `colour_disparity` that a few outliers do not spoil.
-
-    Args:
-        disparity: Disparities of any shape, 0 where nothing is seen.
-        percentiles: Of what is seen, the ends of the scale.
-
-    Returns:
-        Low and high end; 0 and 1 where nothing is seen.
-    """
+    """Low and high end of a scale for `colour_disparity` that a few outliers do not spoil; 0 and 1 for nothing seen."""
     values = np.asarray(disparity, np.float32)
     seen = values[np.isfinite(values) & (values > 0)]
     if seen.size == 0:
@@ -390,21 +261,8 @@ def disparity_range(disparity: ArrayLike, *, percentiles: tuple[float, float] = 
 def colour_disparity(
     disparity: ArrayLike, *, alpha: ArrayLike | None = None, scale: tuple[float, float] | None = None
 ) -> np.ndarray:
-    """Disparity in colour: near is light, far is dark, nothing seen is black.
-
-    Args:
-        disparity: (h, w) float, 0 where nothing is seen.
-        alpha: (h, w) opacity in [0, 1], which fades what is hardly there: a frame has a depth for the faintest haze.
-            None fades nothing.
-        scale: Disparities of the darkest and the lightest colour, which values beyond take too. None is
-            `disparity_range` of this image; give one scale to a whole video.
-
-    Returns:
-        (h, w, 3) float32 in [0, 1].
-
-    Raises:
-        ValueError: For another shape or a scale without extent.
-    """
+    """Disparity (h, w) in colour (h, w, 3): near is light, far is dark, nothing seen (0) is black.
+    `scale`: of the darkest and the lightest colour, None for `disparity_range`; give one to a whole video."""
     values = np.asarray(disparity, np.float32)
     if values.ndim != 2:
         raise ValueError(f"disparity must be (h, w), got {values.shape}")
@@ -417,5 +275,6 @@ def colour_disparity(
     level = np.clip((np.where(seen, values, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
     place = level * (len(_WARM) - 1)
     colour = np.stack([np.interp(place, np.arange(len(_WARM)), channel) for channel in _WARM.T], axis=-1)
+    # opacity fades what is hardly there: a frame has a depth for the faintest haze
     share = seen if alpha is None else seen * np.asarray(alpha, np.float32)
     return (share[..., None] * colour).astype(np.float32)

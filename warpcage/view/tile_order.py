@@ -16,13 +16,7 @@ MOST_KEPT = 4
 
 
 class BalancedTiles:
-    """The tiles of views that follow each other, sorted by how long each took in the one before.
-
-    On a CPU, tiles are followed as they lie in the picture.
-
-    Args:
-        device: Warp device.
-    """
+    """The tiles of views that follow each other, sorted by how long each took in the one before."""
 
     def __init__(self, device: wp.Device):
         self._device = device
@@ -30,15 +24,8 @@ class BalancedTiles:
         self._begun: tuple[tuple[int, int, int], _SortedTiles] | None = None
 
     def begin(self, launches: int, tiles: int) -> list[Any]:
-        """The order of each launch of a view. Call `end` behind the last of them.
-
-        Args:
-            launches: Kernels that each follow the whole picture.
-            tiles: Of the picture.
-
-        Returns:
-            A TileOrder of kernels/view/tile_order.py for each launch.
-        """
+        """A TileOrder for each launch of a view of so many tiles; call `end` behind the last of them."""
+        # on a CPU, tiles are followed as they lie in the picture
         if self._device.is_cpu:
             return launches * [TileOrder()]
         # frames of one stream follow each other, those of several need not
