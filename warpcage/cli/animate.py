@@ -221,25 +221,12 @@ def _chosen_cameras(
 
 
 def turned_cameras(camera: Camera, pivot: np.ndarray, up: ArrayLike, degrees: float, count: int) -> list[Camera]:
-    """A camera carried around an axis.
-
-    Args:
-        camera: The first camera.
-        pivot: (3,) a point of the axis, world units.
-        up: (3,) direction of the axis.
-        degrees: How far it is carried in all. After a full turn the next camera would be the first one again.
-        count: Number of cameras.
-
-    Returns:
-        The cameras in order.
-
-    Raises:
-        ValueError: For an axis without a direction.
-    """
+    """Cameras carried around an axis, `degrees` in all: through pivot (3,), world units, in the direction up (3,)."""
     axis = np.asarray(up, np.float64)
     if np.linalg.norm(axis) == 0:
         raise ValueError("--up must not be 0 0 0")
     axis /= np.linalg.norm(axis)
+    # After a full turn the next camera would be the first one again.
     steps = count if degrees % 360 == 0 else max(1, count - 1)
     cameras = []
     for angle in np.radians(degrees) * np.arange(count) / steps:

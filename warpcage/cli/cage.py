@@ -128,18 +128,7 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
 
 
 def read_mesh(name: str) -> trimesh.Trimesh:
-    """Read a mesh file.
-
-    Args:
-        name: Path of the file.
-
-    Returns:
-        The mesh with its vertices in the order of the file, z up: glTF, which has y up, is turned.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a file that cannot be read or holds no triangles.
-    """
+    """Read a mesh file: vertices in the order of the file, z up (glTF, which has y up, is turned)."""
     import trimesh
 
     path = require_file(name, "mesh file")

@@ -27,12 +27,7 @@ from .standing import posed_up, read_rest
 
 @dataclasses.dataclass(frozen=True)
 class PosedEdit:
-    """One edit, and the poses that its cage goes through.
-
-    Args:
-        edit: As a Deformer takes it.
-        keyframes: The cage at rest and its poses. None for an edit that removes.
-    """
+    """One edit, and the poses that its cage goes through (None for an edit that removes)."""
 
     edit: CageEdit
     keyframes: Keyframes | None
@@ -50,20 +45,12 @@ class PosedEdit:
 
 
 class Deformation:
-    """Edits in the order in which they act, each with its poses.
-
-    Args:
-        parts: The edits, at least one.
-
-    Attributes:
-        parts: As given.
-        edits: The CageEdits, as a Deformer takes them.
-        pose_count: The cage at rest and the poses of the edit that has most of them.
-    """
+    """Edits in the order in which they act, at least one, each with its poses."""
 
     def __init__(self, parts: Sequence[PosedEdit]):
         self.parts = list(parts)
         self.edits = [part.edit for part in self.parts]
+        # The cage at rest and the poses of the edit that has most of them.
         self.pose_count = max((len(part.keyframes.cages) for part in self.parts if part.keyframes), default=1)
 
     @property
@@ -116,23 +103,8 @@ class Deformation:
 def read_deformation(
     args: argparse.Namespace, field: VoxelField | SplatField, interpolation: str | None = None
 ) -> Deformation | None:
-    """The deformation that a command's options name.
-
-    A posed cage whose vertices or faces come in another order is matched, which a line on stderr says, or refused where
-    it does not fit.
-
-    Args:
-        args: What was given; see `deformation_options.add_deformation`.
-        field: The field that is deformed, by which the axes of cage files are found.
-        interpolation: "smooth" or "linear", between several poses of an edit. None takes one pose an edit.
-
-    Returns:
-        The deformation. None where nothing is deformed.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For options that do not go together, and for edits that cannot be used.
-    """
+    """The deformation that a command's options name, None where nothing is deformed; the field tells the axes of cage
+    files. interpolation: "smooth" or "linear", between several poses of an edit; None takes one pose an edit."""
     ways = [f"--{name}" for name in ("cage", "edit", "edits") if getattr(args, name) is not None]
     if len(ways) > 1:
         raise ValueError(f"{ways[0]} and {ways[1]} do not go together: name each cage of several by --edit")
@@ -159,21 +131,7 @@ def numbered_edits(
     interpolation: str | None,
     field: VoxelField | SplatField | None = None,
 ) -> Deformation:
-    """The deformation of several edits; messages say which of them is wrong.
-
-    Args:
-        words: The edits in their order.
-        args: What was given; of it the axis of --cage-up.
-        interpolation: As for `read_deformation`.
-        field: As for `read_deformation`. None takes the axes of the formats.
-
-    Returns:
-        The deformation.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For an edit that cannot be used, or too many.
-    """
+    """The deformation of several edits; messages say which is wrong. Without a field axes are those of the formats."""
     if len(words) > MAX_EDITS:
         raise ValueError(f"a scene takes at most {MAX_EDITS} edits, got {len(words)}")
     parts = []
@@ -231,19 +189,7 @@ def _read_edit(
 
 
 def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformation, list[str]]:
-    """The visible edits of a session of the editor, in the poses that it was left in.
-
-    Args:
-        path: The session's file.
-        interpolation: As for `read_deformation`.
-
-    Returns:
-        The deformation, and a line on each edit.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a file that is damaged, or an edit that cannot be used, with its name.
-    """
+    """The visible edits of a session of the editor, in the poses that it was left in, and a line on each edit."""
     visible = [edit for edit in read_session(path).edits if edit.visible]
     if not visible:
         raise ValueError(f"{path}: the session has no visible edit")

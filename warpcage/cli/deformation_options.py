@@ -1,7 +1,5 @@
-"""Arguments of a deformation, which several commands share: its cages, poses and edits, and how it is computed.
-
-`--help` needs this file: it imports nothing that takes long to load.
-"""
+"""Arguments of a deformation, which several commands share: its cages, poses and edits, and how it is computed."""
+# `--help` needs this file: it imports nothing that takes long to load.
 
 from __future__ import annotations
 
@@ -16,14 +14,8 @@ def add_deformation(
     several: bool = False,
     usual_resolution: str = "by the picture's size, a cell for 5 pixels, 64 to 128",
 ) -> None:
-    """The cages of a deformation and how it is computed.
-
-    Args:
-        parser: What takes the arguments.
-        keyframes: Whether several poses make a film.
-        several: Whether several poses make a picture each.
-        usual_resolution: What the help says of the lattice where it is not given.
-    """
+    """Add the cages of a deformation and how it is computed; several poses make a film (keyframes) or pictures.
+    usual_resolution: what the help says of the lattice where it is not given."""
     group = parser.add_argument_group(
         "deformation (--cage and --posed, or --edit, or --edits; without them the field is shown as it is)"
     )

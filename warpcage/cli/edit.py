@@ -69,9 +69,7 @@ def run(args: argparse.Namespace) -> None:
 @contextlib.contextmanager
 def set_aside(path: pathlib.Path) -> Iterator[None]:
     """Give a session's file the first free name of NAME.1.session.json, NAME.2.session.json, ...
-
-    Where the block ends with an error, it gets its own name back.
-    """
+    Where the block ends with an error, it gets its own name back."""
     other = free_session_path(path)
     os.rename(path, other)
     try:

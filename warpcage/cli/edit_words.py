@@ -34,30 +34,16 @@ _CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, CAGE_ENDINGS))}))(?::(.*))
 
 @dataclasses.dataclass(frozen=True)
 class EditWords:
-    """One edit as it is written.
+    """One edit as it is written."""
 
-    Args:
-        cage: File of the cage at rest.
-        posed: A word of --posed: a cage file, a keyframe of a pose file, or a preset. None for an edit that removes.
-        keep: Leave a copy where it was.
-        remove: Draw nothing in its place.
-        falloff: Width of the band in which the edit fades to rest, world units; see `CageEdit`.
-        held: The walls that it fades towards: "cut", "still", or numbers of faces between commas.
-        crumbs: Size of the crumbs that go with the part, world units; see `CageEdit`.
-        up: Axis that points up in its cage files, "y" or "z". None is that of the format or of --cage-up.
-
-    Raises:
-        ValueError: For words that do not go together.
-    """
-
-    cage: str
-    posed: str | None = None
-    keep: bool = False
-    remove: bool = False
-    falloff: float | None = None
-    held: str = "cut"
-    crumbs: float | None = None
-    up: str | None = None
+    cage: str  # file of the cage at rest
+    posed: str | None = None  # a cage file, a keyframe of a pose file, or a preset; None for an edit that removes
+    keep: bool = False  # leave a copy where it was
+    remove: bool = False  # draw nothing in its place
+    falloff: float | None = None  # width of the band in which the edit fades to rest, world units
+    held: str = "cut"  # the walls that it fades towards: "cut", "still", or numbers of faces between commas
+    crumbs: float | None = None  # size of the crumbs that go with the part, world units
+    up: str | None = None  # axis that points up in its cage files; None is that of the format or of --cage-up
 
     def __post_init__(self) -> None:
         if self.keep and self.remove:
@@ -99,17 +85,7 @@ class EditWords:
 
 
 def parse_edit(text: str) -> EditWords:
-    """An edit of --edit.
-
-    Args:
-        text: CAGE:POSED, with ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS" or ":crumbs=SIZE" at its end.
-
-    Returns:
-        Its words.
-
-    Raises:
-        ValueError: For a text that is no edit, with what would be right.
-    """
+    """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS" or ":crumbs=SIZE"."""
     found = _CAGE.fullmatch(text)
     if found is None:
         raise ValueError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
@@ -132,18 +108,7 @@ def parse_edit(text: str) -> EditWords:
 
 
 def read_edits_file(path: PathLike) -> list[EditWords]:
-    """The edits of an edits file; its paths are relative to its folder.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The edits in their order, their paths as this process opens them.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: What is wrong with it, in one line with its name.
-    """
+    """The edits of an edits file in their order; paths, relative to its folder there, as this process opens them."""
     path = require_file(path, "edits file")
     try:
         content = read_edits_json(path)
@@ -167,15 +132,7 @@ def read_edits_json(path: pathlib.Path) -> dict[str, Any]:
 
 
 def write_edits_file(path: PathLike, edits: list[EditWords]) -> None:
-    """Write an edits file, whole or not at all; paths are kept relative to its folder where there is a way.
-
-    Args:
-        path: The file, usually .json.
-        edits: The edits in their order.
-
-    Raises:
-        OSError: If the file cannot be written. What was there stays.
-    """
+    """Write an edits file, whole or not at all; paths are kept relative to its folder where there is a way."""
     folder = pathlib.Path(path).absolute().parent
     content = {"format": FORMAT, "version": VERSION, "edits": [_json(edit, folder) for edit in edits]}
     with atomic_path(path) as temporary:

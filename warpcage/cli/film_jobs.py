@@ -28,16 +28,11 @@ JOB_ENDINGS = (".jsonl", ".json")
 
 @dataclasses.dataclass(frozen=True)
 class FilmFrame:
-    """A frame of a film.
-
-    Args:
-        index: Its number.
-        camera: Its camera.
-        poses: For each edit the vertices of its posed cage, (v, 3) world units; None for one that removes.
-    """
+    """A frame of a film."""
 
     index: int
     camera: Camera
+    # of each edit the vertices of its posed cage, (v, 3) world units; None for one that removes
     poses: Sequence[np.ndarray | None] = ()
 
     @property
@@ -48,33 +43,16 @@ class FilmFrame:
 
 @dataclasses.dataclass(frozen=True)
 class FilmJob:
-    """What all frames of a film share.
-
-    Args:
-        field: The field's file.
-        words: Words of items that hold for all frames: how they are rendered, and "outputs".
-        edits: The edits of the scene, as a Deformer takes them.
-        extra: Any JSON that is kept in the header of the job file.
-    """
+    """What all frames of a film share."""
 
     field: PathLike
-    words: dict[str, Any]
+    words: dict[str, Any]  # of items, for all frames: how they are rendered, and "outputs"
     edits: Sequence[CageEdit] = ()
-    extra: Any = None
+    extra: Any = None  # any JSON, kept in the header of the job file
 
     def write(self, path: PathLike, frames: Iterable[FilmFrame]) -> int:
-        """Write the job file, and beside it an array file for each cage at rest, its faces and its poses.
-
-        Args:
-            path: The job file. A field in its folder, or below it, is named from there, another by its whole path.
-            frames: The frames, taken one by one. Equal poses are written once.
-
-        Returns:
-            Number of frames.
-
-        Raises:
-            ValueError: For frames that an item cannot describe; nothing is written then.
-        """
+        """Write the job file, and beside it arrays of each cage at rest, its faces and poses; returns how many frames.
+        They are taken one by one, equal poses are written once; a field in the job's folder is named from there."""
         path = pathlib.Path(path)
         with contextlib.ExitStack() as files:  # arrays take their places after the job file, or not at all
             cages = [
@@ -102,19 +80,8 @@ class FilmJob:
 
 
 def film_words(args: argparse.Namespace, *, scale: tuple[float, float] | None, deformed: bool) -> dict[str, Any]:
-    """The words of items for the options of `warpcage animate`, but "outputs".
-
-    Args:
-        args: What was given; its lattice is chosen.
-        scale: Low and high disparity of pictures of depth and disparity.
-        deformed: Whether there are edits.
-
-    Returns:
-        The words by name, those that say nothing left out.
-
-    Raises:
-        ValueError: For options that items do not have.
-    """
+    """The words of items for the options of `warpcage animate`, but "outputs"; the lattice of `args` is chosen already.
+    scale: low and high disparity of pictures of depth and disparity."""
     if args.overlay and args.show != "rgb":
         raise ValueError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
     words: dict[str, Any] = {

@@ -40,25 +40,10 @@ def _file_and_name(text: str, endings: str) -> tuple[str, str] | None:
 def read_film(
     rest: Cage, texts: list[str], up: str | None, expected: Mapping[str, str] | None, fps: Fraction | None
 ) -> PoseFile | None:
-    """The keys of words of --posed that say themselves when each pose is reached.
-
-    They are a pose file whose keyframes have times, an animated glTF file, a folder or a pattern of numbered cage
-    files, and cage files that are named alike but for their numbers.
-
-    Args:
-        rest: The cage at rest.
-        texts: The words.
-        up: Axis that points up in cage files, "y" or "z". None finds it.
-        expected: Axis by ending of cage files where nothing speaks for another.
-        fps: Rate of numbered files. None is USUAL_RATE.
-
-    Returns:
-        The keys. None for other words.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For files that cannot be read or do not fit, and keyframes of which some have no time.
-    """
+    """The keys of words of --posed that say themselves when each pose is reached; None for other words.
+    up: "y" or "z", None finds it; expected: axis by ending of cage files where nothing speaks for another."""
+    # They are a pose file whose keyframes have times, an animated glTF file, a folder or a pattern of numbered cage
+    # files, and cage files that are named alike but for their numbers.
     rate = float(USUAL_RATE if fps is None else fps)
     if len(texts) == 1:
         (text,) = texts
@@ -112,12 +97,7 @@ def _timed(file: PoseFile, path: str) -> PoseFile | None:
 
 
 def note_jumps(file: PoseFile, path: str) -> None:
-    """Say in a line where two keyframes of a film have one time.
-
-    Args:
-        file: The keys.
-        path: What to call it.
-    """
+    """Say in a line where two keyframes of a film have one time."""
     names = file.timed
     jumps = [(a, b) for a, b in zip(names, names[1:], strict=False) if file.times[a] == file.times[b]]
     if jumps:
@@ -130,19 +110,8 @@ def note_jumps(file: PoseFile, path: str) -> None:
 
 
 def set_frames(args: argparse.Namespace, film: PoseFile | None, given: set[str]) -> list[float] | None:
-    """Set number, rate and loop of the frames by the keys of a film.
-
-    Args:
-        args: What was given; frames, fps and loop are set.
-        film: The keys. None leaves the frames as they were asked for.
-        given: Names of the options that were given.
-
-    Returns:
-        The times of the frames, seconds; None without keys at times.
-
-    Raises:
-        ValueError: For options that do not go together.
-    """
+    """Set number, rate and loop of the frames in `args` by the keys of a film; given: names of the options given.
+    Returns the times of the frames, seconds; None, the frames being as they were asked for, without a film."""
     if film is None:
         if args.loop is not None:
             raise ValueError("--loop is for keys at times (a pose file with times, an animation): see --motion")

@@ -31,28 +31,18 @@ LOOK_SECONDS = 0.2
 
 
 class FilmWorkers:
-    """Workers that make the frames of a film.
-
-    Args:
-        job: What the frames share.
-        frames: The frames.
-        settings: All that decides how they look, as JSON has it; its "format" is the ending of the frames.
-        workers: How many.
-        device: As `run_jobs` takes it.
-        quiet: Whether there is no progress bar.
-        overwrite: Whether frames of another film in the folder are replaced.
-    """
+    """Workers that make the frames of a film."""
 
     def __init__(
         self,
         job: FilmJob,
         frames: Sequence[FilmFrame],
-        settings: dict[str, Any],
+        settings: dict[str, Any],  # all that decides how they look, as JSON has it; "format" is their ending
         *,
         workers: int,
         device: str | None,
         quiet: bool,
-        overwrite: bool = False,
+        overwrite: bool = False,  # replace frames of another film in the folder
     ):
         self.job, self.frames, self.settings = job, frames, settings
         self.workers, self.device, self.quiet, self.overwrite = workers, device, quiet, overwrite
@@ -63,19 +53,8 @@ class FilmWorkers:
         return [frame.camera for frame in self.frames]
 
     def make_frames(self, folder: pathlib.Path, told: Callable[[], None] = lambda: None) -> int:
-        """Make the frames of a folder that are not there yet.
-
-        Args:
-            folder: The folder.
-            told: Called now and then, in this thread; what it raises ends the run.
-
-        Returns:
-            How many were there.
-
-        Raises:
-            RuntimeError: Where a frame cannot be made. Those that were made are there.
-            As `run_jobs` and `make_folder`.
-        """
+        """Make the frames of a folder that are not there yet; returns how many were there.
+        told: called now and then, in this thread; what it raises ends the run."""
         _collect(folder / WORKPLACE, folder)  # of a run that was killed
 
         def make(missing: list[int]) -> None:
@@ -91,14 +70,7 @@ class FilmWorkers:
 
     def make_film(self, output: pathlib.Path, rate: Fraction, *, loop: bool) -> None:
         """Make the frames in a folder beside a film, and the film of them, in order, as they come.
-
-        The folder is removed at the end. After an error or an interrupt it stays, and the next run goes on with it.
-
-        Args:
-            output: The film.
-            rate: Frames per second.
-            loop: Whether a GIF starts again at its end.
-        """
+        The folder is removed at the end; after an error or an interrupt it stays, and the next run goes on with it."""
         folder = frames_folder(output)
         self.settings, self.overwrite = self.settings | {"version": __version__}, True  # that folder is ours
         encoder = _Encoder(output, rate, loop, [self._places(folder, frame) for frame in self.frames])
@@ -136,16 +108,7 @@ class FilmWorkers:
 
 
 def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[dict[str, str], str]:
-    """The words "outputs" of frames that become a film or a folder, and their ending.
-
-    Args:
-        output: The film or the folder.
-        show: What pictures show.
-        kind: --format of a folder.
-
-    Raises:
-        ValueError: For what only `animate` without workers can show.
-    """
+    """The words "outputs" of frames that become a film or a folder, and their ending; kind: --format of a folder."""
     if output.suffix.lower() in CLEAR_ENDINGS:
         if show != "rgb":
             raise ValueError(f"--workers makes {output.suffix} films of colours alone: leave out --show, or --workers")

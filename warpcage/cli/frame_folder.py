@@ -31,30 +31,14 @@ def write_folder(
     frames: Iterable[int],
     cameras: list[Camera],
     render: Callable[[int, pathlib.Path], tuple[Callable[[], None], int]],
-    settings: dict,
+    settings: dict,  # all that decides how frames look, as JSON has it; "format" is their ending
     *,
-    overwrite: bool = False,
+    overwrite: bool = False,  # replace frames of another film, as soon as the first of this one is rendered
 ) -> int:
-    """Write the frames of a film that are not there yet. A frame's file appears whole or not at all.
-
-    A run that makes no frame leaves nothing: the note is written once the first picture is rendered, and goes again
-    where that cannot be written. A note without frames binds nobody.
-
-    Args:
-        folder: The folder; it is made if it is not there.
-        frames: Numbers of the frames.
-        cameras: Their cameras.
-        render: Renders a frame for a file. Returns what writes its picture, which other threads do while the next
-            frames are rendered, and the bytes that it holds.
-        settings: All that decides how frames look, as JSON has it. Its "format" is the ending of the frames.
-        overwrite: Whether frames of another film are replaced, as soon as the first of this one is rendered.
-
-    Returns:
-        How many frames were there already.
-
-    Raises:
-        ValueError: Where frames of another film are there, with what can be done.
-    """
+    """Write the frames of a film that are not there yet, each whole or not at all; returns how many were there.
+    render(index, file) returns what writes the picture, in another thread, and the bytes that it holds."""
+    # A run that makes no frame leaves nothing: the note is written once the first picture is rendered, and goes again
+    # where that cannot be written. A note without frames binds nobody.
     foreign = _allowed(_other_film(folder, settings), folder, overwrite)
     kept, begun = 0, False
     with _nothing_left_without_frames(folder), Beside() as beside:
@@ -82,21 +66,8 @@ def make_folder(
     *,
     overwrite: bool = False,
 ) -> int:
-    """As `write_folder`, but for frames that are made by others.
-
-    Args:
-        folder: The folder; it is made if it is not there.
-        cameras: The cameras of the frames.
-        make: Makes those of some numbers. Called once, where any is missing.
-        settings: As for `write_folder`.
-        overwrite: Whether frames of another film are replaced, before the first of this one is made.
-
-    Returns:
-        How many frames were there already.
-
-    Raises:
-        ValueError: Where frames of another film are there, with what can be done.
-    """
+    """As `write_folder`, but for frames that make(numbers) makes, called once, where any is missing.
+    Frames of another film are replaced before the first of this one is made."""
     foreign = _allowed(_other_film(folder, settings), folder, overwrite)
     with _nothing_left_without_frames(folder):
         paths = [frame_path(folder, index, settings["format"]) for index in range(len(cameras))]

@@ -40,11 +40,8 @@ def chosen_device(args: argparse.Namespace) -> wp.Device:
 
 
 def read_field(args: argparse.Namespace) -> AnyField:
-    """The field file of a command, voxels or splats, on the chosen device. Where --up is not given it becomes the
-    field's own.
-
-    Cameras of scenes are moved by its straightening.
-    """
+    """The field file of a command, voxels or splats, on the chosen device; sets `args.straightening`, and `args.up`
+    where --up is not given."""
     require_file(args.field, "field file")  # before Warp starts, which takes a while
     if is_splat_file(args.field):
         require_field_scale(args)
@@ -55,6 +52,7 @@ def read_field(args: argparse.Namespace) -> AnyField:
     field = load_field(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
     if getattr(args, "up", field) is None:  # a command with a view
         args.up = tuple(field.up)
+    # Cameras of scenes are moved by it.
     args.straightening = field.straightening
     return field
 
@@ -107,17 +105,10 @@ def require_deformation(args: argparse.Namespace, what: str) -> None:
 
 
 def visible_points(field: AnyField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
-    """Points around what a picture shows.
-
-    Args:
-        field: The field that is shown.
-        deformation: Its edits. None shows the field as it is.
-        frame: What is in the picture, "posed" for the cages at rest and posed. Otherwise the field at rest, so that
-            pictures before and after an edit, and of all its poses, can be compared.
-
-    Returns:
-        (n, 3) the vertices of the cages, or the corners of the field's box, world units.
-    """
+    """(n, 3) points around what a picture shows, world units: vertices of the cages at rest and posed (frame "posed"),
+    else the corners of the field's box."""
+    # The field at rest is the usual one, so that pictures before and after an edit, and of all its poses, can be
+    # compared.
     if deformation is not None and frame == "posed":
         return deformation.vertices
     low, high = field.shown_bounds if isinstance(field, SplatField) else field.bounds
@@ -149,10 +140,7 @@ def posed_renderer(field: AnyField, deformation: Deformation | None, args: argpa
 
 
 def is_transparent(args: argparse.Namespace) -> bool:
-    """Whether pictures have opacity instead of a background.
-
-    Raises ValueError where both are asked for, and for words that are no background, before any long work.
-    """
+    """Whether pictures have opacity instead of a background; refuses both, and unknown ones, before any long work."""
     known = (*BACKGROUNDS, options.TRANSPARENT)
     if isinstance(args.background, str) and args.background not in known:
         raise ValueError(

@@ -25,23 +25,10 @@ from .standing import ending, say_standing
 def read_poses(
     rest: Cage, text: str, up: str | None = None, usable: bool = True, expected: Mapping[str, str] | None = None
 ) -> list[Cage]:
-    """The posed cages that a word of --posed names.
-
-    Args:
-        rest: The cage at rest.
-        text: A cage file, a preset, a pose file or a glTF file that moves, one keyframe of either, a folder or a
-            pattern (walk_####.obj) of numbered cage files.
-        up: Axis that points up in a cage file, "y" or "z". None finds it from the rest cage.
-        usable: Whether to refuse cages that cannot be used.
-        expected: Axis by ending of a cage file where nothing speaks for another. None is that of the format.
-
-    Returns:
-        One cage, or all of a file, a folder or a pattern in their order.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a word or a file that cannot be read, and for a cage that does not fit or cannot be used.
-    """
+    """The posed cages that a word of --posed names: one, or all of a file, a folder or a pattern in their order.
+    up: "y" or "z", None finds it from the rest cage; expected: axis by ending where nothing speaks for another."""
+    # A word is a cage file, a preset, a pose file or a glTF file that moves, one keyframe of either, a folder or a
+    # pattern (walk_####.obj) of numbered cage files.
     if is_preset(text):
         preset = Preset(text)
         poses = [preset.at(rest, preset.amount)]
@@ -102,21 +89,7 @@ def _moving_poses(rest: Cage, text: str, up: str | None, expected: Mapping[str, 
 
 
 def matched(rest: Cage, posed: Cage, name: str) -> Cage:
-    """A posed cage with vertices and faces in the order of the cage at rest.
-
-    A line on stderr says so where the order was another.
-
-    Args:
-        rest: The cage at rest.
-        posed: The posed cage in any order.
-        name: How messages call the posed cage.
-
-    Returns:
-        The posed cage in the order of the cage at rest.
-
-    Raises:
-        ValueError: If the two are not the same cage.
-    """
+    """A posed cage in the order of the cage at rest, vertices and faces; a line on stderr says where it was another."""
     try:
         found = rest.match(posed)
     except ValueError as error:
@@ -127,16 +100,7 @@ def matched(rest: Cage, posed: Cage, name: str) -> Cage:
 
 
 def expected_ups(rest: Cage, texts: Sequence[str], expected: Mapping[str, str] | None = None) -> dict[str, str]:
-    """The axis that points up in files of poses, by their ending: what is sure of one holds for those that say nothing.
-
-    Args:
-        rest: The cage at rest.
-        texts: Words of --posed.
-        expected: What is known beforehand.
-
-    Returns:
-        Axis by ending.
-    """
+    """The axis that points up in files of poses, by ending: what is sure of one holds for those that say nothing."""
     found = dict(expected or {})
     files = [text for text in texts if pathlib.Path(text).is_file() and not pose_file(text)]
     for text in files if len(files) > 1 else ():
@@ -147,47 +111,24 @@ def expected_ups(rest: Cage, texts: Sequence[str], expected: Mapping[str, str] |
 
 
 class Keyframes:
-    """A cage at rest, the poses that follow it, and all poses between them.
-
-    Where all poses are one preset with different amounts, the amount is interpolated, so that a bend stays an arc.
-    Otherwise each vertex is interpolated by itself.
-
-    Args:
-        rest: The cage at rest.
-        texts: Words of --posed, in order.
-        interpolation: "smooth" or "linear".
-        up: Axis that points up in cage files, "y" or "z". None finds it from the rest cage, file by file.
-        expected: Axis by ending of cage files where nothing speaks for another. None is that of the format.
-        timed: Whether words that say themselves when each pose is reached make a film of their own; see `read_film`.
-        fps: Rate of numbered cage files in such a film. None is the usual one.
-
-    Attributes:
-        rest: The cage at rest.
-        cages: The cage at rest and the poses.
-        film: Keys at times, of which the poses are; None where the poses follow one another evenly.
-        interpolation: "smooth" or "linear".
-        preset: The preset whose amount is interpolated, or None.
-        amounts: Its amounts, one per cage.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For words and cages that `read_poses` refuses.
-    """
+    """A cage at rest, the poses that follow it, and all poses between them."""
 
     def __init__(
         self,
         rest: Cage,
-        texts: list[str],
-        interpolation: str,
-        up: str | None = None,
-        expected: Mapping[str, str] | None = None,
+        texts: list[str],  # words of --posed, in order
+        interpolation: str,  # "smooth" or "linear"
+        up: str | None = None,  # "y" or "z"; None finds it from the rest cage, file by file
+        expected: Mapping[str, str] | None = None,  # axis by ending of cage files where nothing speaks for another
         *,
+        # words that say themselves when each pose is reached make a film of their own: see `read_film`
         timed: bool = False,
-        fps: Fraction | None = None,
+        fps: Fraction | None = None,  # rate of numbered cage files in such a film; None is the usual one
     ):
         self.rest, self.interpolation = rest, interpolation
-        self.preset: Preset | None = None
-        self.amounts: list[tuple[float, ...]] = []
+        self.preset: Preset | None = None  # whose amount is interpolated
+        self.amounts: list[tuple[float, ...]] = []  # one per cage
+        # keys at times, of which the poses are; None where the poses follow one another evenly
         self.film = read_film(rest, texts, up, expected, fps) if timed else None
         if self.film is not None:
             self.cages = [rest, *(self.film[name] for name in self.film.timed)]
@@ -205,6 +146,7 @@ class Keyframes:
 
     def at(self, place: float) -> Cage:
         """The cage at a place: 0 at rest, 1 the first pose, and so on, or between them."""
+        # Each vertex by itself; of one preset with different amounts the amount, so that a bend stays an arc.
         if self.preset is None:
             return pose_along(self.cages, place, self.interpolation)
         amount = value_along([np.array(amount) for amount in self.amounts], place, self.interpolation)

@@ -1,7 +1,5 @@
-"""Arguments that several commands share, and the values that they take.
-
-`--help` needs this file: it imports nothing that takes long to load.
-"""
+"""Arguments that several commands share, and the values that they take."""
+# `--help` needs this file: it imports nothing that takes long to load.
 
 from __future__ import annotations
 
@@ -364,19 +362,7 @@ def colour(text: str) -> str | tuple[float, ...]:
 
 
 def check_output(text: str, endings: tuple[str, ...], what: str) -> pathlib.Path:
-    """Check the path of an output before any long work.
-
-    Args:
-        text: The path.
-        endings: File endings that it may have, such as ".png".
-        what: How messages call the file.
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: For another ending, a folder, and a path below a file.
-    """
+    """Check the path of an output before any long work; endings: such as ".png"; what: how messages call the file."""
     path = pathlib.Path(text)
     if path.suffix.lower() not in endings:
         raise ValueError(f"{what} {str(path)!r} must end in {' or '.join(endings)}")

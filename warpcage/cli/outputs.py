@@ -58,10 +58,8 @@ def require_format(path: str | os.PathLike) -> None:
 def picture_task(
     path: str | os.PathLike, image: np.ndarray, frame: Frame, camera: Camera
 ) -> tuple[Callable[[], None], int]:
-    """What writes a picture of a frame, .png, or .exr with its depth, and the bytes that it holds.
-
-    Any thread may call it: it needs neither the frame any more, nor what that has on a device.
-    """
+    """What writes a picture of a frame, .png, or .exr with its depth, in any thread, and the bytes that it holds."""
+    # It needs neither the frame any more, nor what that has on a device.
     depth = depth_along_view(frame, camera) if os.fspath(path).lower().endswith(".exr") else None
     return functools.partial(write_picture, path, image, depth), image.nbytes + (0 if depth is None else depth.nbytes)
 

@@ -37,9 +37,7 @@ def run(args: argparse.Namespace) -> None:
 
 def read_cage(args: argparse.Namespace) -> tuple[Cage, dict[str, str]]:
     """The cage of the command, and the axis that points up in files of its ending.
-
-    Where --object is given, --up becomes the field's unless it is given too, and the axis of the file is found by it.
-    """
+    With --object the axis is found by that field, and `args.up` becomes the field's unless --up is given too."""
     field = None if args.object is None else load_field(require_file(args.object, "field file"))
     if field is not None and args.up is None:
         args.up = tuple(field.up)

@@ -17,21 +17,8 @@ from .film_jobs import FilmFrame, FilmJob
 def session_job(
     document: Document, field: VoxelField, film: Film, path: str | os.PathLike, scene_scale: float = 1.0
 ) -> tuple[FilmJob, Iterator[FilmFrame]]:
-    """The job of a session's film, and its frames.
-
-    Args:
-        document: The session's document.
-        field: Its field.
-        film: Size and kind of the pictures.
-        path: The field's file.
-        scene_scale: As the field was loaded.
-
-    Returns:
-        The job, whose frames are those of `editor.exports.film_pictures`, and the frames.
-
-    Raises:
-        ValueError: For cages drawn into the pictures, which items draw in another way.
-    """
+    """The job of a session's film, and its frames, which are those of `editor.exports.film_pictures`.
+    path: the field's file; scene_scale: as the field was loaded."""
     if film.overlay:
         raise ValueError("--jobs of a session draws no cages: leave --overlay out")
     settings, rate = document.settings, frame_rate(document.timeline)

@@ -19,29 +19,16 @@ from .film_jobs import FilmFrame
 
 
 class Shot:
-    """Renders frames by index, so that a folder can be continued anywhere.
-
-    Args:
-        field: The field.
-        deformer: Renders the deformed field. None where it is shown as it is, or where others render.
-        deformation: Edits and their poses. None where the field is shown as it is.
-        cameras: A camera for each frame.
-        args: What was given.
-        times: Seconds of each frame, where there are keys at times.
-
-    Attributes:
-        cameras: As given.
-        scale: Low and high disparity of pictures of depth and disparity; None for others.
-    """
+    """Renders frames by index, so that a folder can be continued anywhere."""
 
     def __init__(
         self,
         field: inputs.AnyField,
-        deformer: Deformer | None,
-        deformation: Deformation | None,
-        cameras: list[Camera],
+        deformer: Deformer | None,  # None where the field is shown as it is, or where others render
+        deformation: Deformation | None,  # None where the field is shown as it is
+        cameras: list[Camera],  # one a frame
         args: argparse.Namespace,
-        times: list[float] | None = None,
+        times: list[float] | None = None,  # seconds of each frame, where there are keys at times
     ):
         self.times = times
         self.field, self.deformer, self.deformation = field, deformer, deformation
@@ -51,7 +38,7 @@ class Shot:
         self.places = [float(place) for place in places]
         self.held: float | None = None  # the place that the deformer is posed at
         self.shares: dict[str, list[float]] = {}
-        self.scale = self._scale() if args.show in ("depth", "disparity") else None
+        self.scale = self._scale() if args.show in ("depth", "disparity") else None  # low and high disparity
 
     def cages(self, index: int) -> list[Cage | None]:
         """The posed cages of a frame, one an edit; None for what is removed."""

@@ -10,18 +10,11 @@ from types import FrameType
 
 
 class Ended(KeyboardInterrupt):
-    """A signal asks the program to end. Whatever cleans up after an interrupt does so here too.
-
-    Args:
-        number: The signal.
-
-    Attributes:
-        status: The exit status that shells give to a program that the signal killed.
-    """
+    """A signal asks the program to end; whatever cleans up after an interrupt does so here too."""
 
     def __init__(self, number: int):
         super().__init__()
-        self.status = 128 + number
+        self.status = 128 + number  # what shells give to a program that the signal killed
 
 
 @contextlib.contextmanager

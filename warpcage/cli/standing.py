@@ -11,26 +11,11 @@ from ..cage.upright import Standing, load_standing
 
 
 def read_rest(path: str, up: str | None, thing: object = None, *, part: bool = False) -> tuple[Cage, dict[str, str]]:
-    """A cage at rest around an object, usable.
-
-    Where its axis is not given it is found by what the cage holds of the object, which a line on stderr says.
-
-    Args:
-        path: The cage's file.
-        up: Axis that points up in it, "y" or "z". None finds it.
-        thing: The field or mesh that it stands around. None takes the axis of the format.
-        part: Whether it may hold a part alone, as one of several cages: that is said only where another axis would
-            hold far more.
-
-    Returns:
-        The cage, and the axis to expect in files of its ending.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a file that cannot be read, a cage that cannot be used, or one that holds nothing of the object.
-    """
+    """A cage at rest around a field or mesh, usable, and the axis to expect in files of its ending.
+    up: "y" or "z"; None finds it by what the cage holds of `thing`, without which it is that of the format."""
     rest, standing = load_standing(Cage, path, up=up, reference=thing)
     rest.require_usable(f"cage {path!r}")
+    # A cage that may hold a part alone, as one of several, is told of only where another axis would hold far more.
     if standing.turned or standing.doubtful or standing.likelier or not part:
         say_standing(path, standing, "--cage-up")
     return rest, {ending(path): standing.up}
@@ -42,13 +27,7 @@ def posed_up(args: argparse.Namespace) -> str | None:
 
 
 def say_standing(name: str, standing: Standing, option: str) -> None:
-    """Print a line on stderr on how a cage file stands, if there is anything to say.
-
-    Args:
-        name: The file.
-        standing: What was found.
-        option: The option that names its axis.
-    """
+    """Print a line on stderr on how a cage file stands, if there is anything to say."""
     if standing.turned:
         before = "z" if standing.up == "y" else "y"
         print(f"warpcage: cage {name!r} {standing.note} ({option} {before} keeps it as it was)", file=sys.stderr)

@@ -14,14 +14,7 @@ _GONE = (errno.EPIPE, errno.EBADF)
 
 
 class SteadyStream:
-    """A text stream whose messages are always written.
-
-    Characters that its encoding lacks become escapes such as `\\xfc`. What nobody reads any more is dropped. Other
-    errors, such as a full disk, are raised once.
-
-    Args:
-        stream: The stream that takes the text. All attributes but those below are its own.
-    """
+    """A text stream whose messages are always written; all other attributes are those of the stream it writes to."""
 
     def __init__(self, stream: TextIO):
         self._stream = stream
@@ -35,6 +28,7 @@ class SteadyStream:
         try:
             text.encode(encoding, self._stream.errors or "strict")
         except UnicodeEncodeError:
+            # Characters that the encoding lacks become escapes.
             text = text.encode(encoding, "backslashreplace").decode(encoding)
         self._attempt(self._stream.write, text)
         return len(text)
@@ -50,17 +44,16 @@ class SteadyStream:
             # what is still buffered goes nowhere, or the interpreter would fail at it again at its end
             with contextlib.suppress(OSError), open(os.devnull, "wb") as nowhere:
                 os.dup2(nowhere.fileno(), self._stream.fileno())
+            # What nobody reads any more is dropped. Other errors, such as a full disk, are raised once.
             if error.errno not in _GONE:
                 raise
 
 
 @contextlib.contextmanager
 def steady_streams() -> Iterator[None]:
-    """Make sys.stdout and sys.stderr steady for a while.
-
-    Descriptors 0 to 2 that are closed are opened on nothing. Otherwise the next file that is opened would get one of
-    them, and what libraries print would end in it.
-    """
+    """Make sys.stdout and sys.stderr steady for a while."""
+    # Those that are closed are opened on nothing. Otherwise the next file that is opened would get one of them, and
+    # what libraries print would end in it.
     for descriptor in range(3):
         try:
             os.fstat(descriptor)

@@ -45,11 +45,7 @@ OF_SESSIONS = ("frames", "fps", "motion", "interpolation", "show", "coordinates"
 
 
 class Default:
-    """The default of an option that a session decides: nobody gave it.
-
-    Args:
-        value: What it is without a session.
-    """
+    """The default of an option that a session decides, as nobody gave it; value: what it is without a session."""
 
     def __init__(self, value: Any):
         self.value = value
