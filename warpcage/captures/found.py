@@ -13,69 +13,35 @@ from ..scene.formats.distortion import COEFFICIENTS, distort
 
 @dataclasses.dataclass(frozen=True)
 class Lens:
-    """A camera of a reconstruction.
+    """A camera of a reconstruction."""
 
-    Attributes:
-        size: Width and height of its pictures, pixels.
-        intrinsics: (fx, fy, cx, cy), pixels; the centre of the first one is (0.5, 0.5).
-        distortion: Coefficients in the order of COEFFICIENTS.
-    """
-
-    size: tuple[int, int]
-    intrinsics: tuple[float, float, float, float]
-    distortion: tuple[float, ...]
+    size: tuple[int, int]  # width and height of its pictures, pixels
+    intrinsics: tuple[float, float, float, float]  # (fx, fy, cx, cy), pixels; the centre of the first one is (0.5, 0.5)
+    distortion: tuple[float, ...]  # in the order of COEFFICIENTS
 
     def enlarged(self, factor: float, size: tuple[int, int]) -> Lens:
-        """The same lens for larger pictures, which begin at the same corner.
-
-        Args:
-            factor: Pixels of those in a pixel of these, along both sides.
-            size: Width and height of those, pixels.
-
-        Returns:
-            The lens.
-        """
+        """The same lens for pictures `factor` times as large, of `size` pixels, which begin at the same corner."""
         fx, fy, cx, cy = self.intrinsics
         return Lens(size, (fx * factor, fy * factor, cx * factor, cy * factor), self.distortion)
 
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """Cameras and points of a reconstruction, k pictures of n.
+    """Cameras and points of a reconstruction, of k pictures of n."""
 
-    Attributes:
-        pictures: (k,) int64 which of the pictures have a camera, ascending.
-        poses: (k, 4, 4) float64 camera to world, OpenCV axes.
-        lenses: k lenses; pictures of one camera share theirs.
-        points: (m, 3) float64, world units.
-        colours: (m, 3) uint8.
-        views: (m,) int64 pictures that each point was found in.
-        counts: (k,) int64 points that each picture shows.
-        errors: (k,) float64 mean distance between where a picture shows its points and where they project to, pixels.
-        error: The same over all pictures.
-    """
-
-    pictures: np.ndarray
-    poses: np.ndarray
-    lenses: list[Lens]
-    points: np.ndarray
-    colours: np.ndarray
-    views: np.ndarray
-    counts: np.ndarray
+    pictures: np.ndarray  # (k,) int64, which of the pictures have a camera, ascending
+    poses: np.ndarray  # (k, 4, 4) float64, camera to world, OpenCV axes
+    lenses: list[Lens]  # k; pictures of one camera share theirs
+    points: np.ndarray  # (m, 3) float64, world units
+    colours: np.ndarray  # (m, 3) uint8
+    views: np.ndarray  # (m,) int64, pictures that each point was found in
+    counts: np.ndarray  # (k,) int64, points that each picture shows
+    # (k,) float64, mean distance between where a picture shows its points and where they project to, pixels
     errors: np.ndarray
-    error: float
+    error: float  # the same over all pictures
 
     def moved(self, rotation: np.ndarray, centre: np.ndarray, scale: float) -> Found:
-        """The same in other coordinates, x -> scale * rotation @ (x - centre).
-
-        Args:
-            rotation: (3, 3).
-            centre: (3,) becomes the origin.
-            scale: Factor on lengths.
-
-        Returns:
-            The moved one.
-        """
+        """The same in other coordinates, x -> scale * rotation @ (x - centre): rotation (3, 3), centre (3,)."""
         poses = self.poses.copy()
         poses[:, :3, :3] = rotation @ self.poses[:, :3, :3]
         poses[:, :3, 3] = scale * (self.poses[:, :3, 3] - centre) @ rotation.T
@@ -83,15 +49,7 @@ class Found:
 
 
 def found_of(model: Any, names: Sequence[str]) -> Found:
-    """The arrays of a pycolmap Reconstruction.
-
-    Args:
-        model: The reconstruction.
-        names: Names of all pictures.
-
-    Returns:
-        Its cameras in the order of the names, and its points.
-    """
+    """The cameras of a pycolmap Reconstruction in the order of `names`, those of all pictures, and its points."""
     images = {image.name: image for image in model.images.values() if image.has_pose}
     pictures = np.array([k for k, name in enumerate(names) if name in images], np.int64)
     chosen = [images[names[k]] for k in pictures]

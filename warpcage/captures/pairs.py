@@ -24,15 +24,8 @@ SMALL_FOLDER = 32
 
 
 def largest_features(scales: np.ndarray, descriptors: np.ndarray) -> np.ndarray:
-    """The descriptors of the largest features of a picture, as unit vectors.
-
-    Args:
-        scales: (n,) sizes of the features.
-        descriptors: (n, 128) uint8.
-
-    Returns:
-        (k, 128) float32, k at most LARGEST.
-    """
+    """Descriptors (n, 128) uint8 of the largest features of a picture, by their sizes (n,), as unit vectors.
+    Returns (k, 128) float32, k at most LARGEST."""
     chosen = np.argsort(-scales, kind="stable")[:LARGEST]
     vectors = descriptors[chosen].astype(np.float32)
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-6)
@@ -40,14 +33,7 @@ def largest_features(scales: np.ndarray, descriptors: np.ndarray) -> np.ndarray:
 
 def likeness(first: np.ndarray, second: np.ndarray) -> int:
     """How many features of two pictures agree, each the other's nearest and clearly nearer than the next.
-
-    Args:
-        first: (k, 128) unit vectors.
-        second: (m, 128) unit vectors.
-
-    Returns:
-        Their number.
-    """
+    They are unit vectors (k, 128) and (m, 128)."""
     if min(len(first), len(second)) < 2:
         return 0
     cosines = first @ second.T
@@ -60,14 +46,7 @@ def likeness(first: np.ndarray, second: np.ndarray) -> int:
 
 
 def neighbour_pairs(count: int) -> list[tuple[int, int]]:
-    """Pairs of a video: each frame with those that follow, and with some farther on.
-
-    Args:
-        count: Number of frames.
-
-    Returns:
-        Pairs of indices, the smaller one first.
-    """
+    """Pairs of indices of frames, the smaller first: each with those that follow, and with some farther on."""
     steps = [*range(1, NEIGHBOURS + 1)]
     while steps[-1] * 2 < count:
         steps.append(steps[-1] * 2)
@@ -75,18 +54,10 @@ def neighbour_pairs(count: int) -> list[tuple[int, int]]:
 
 
 def chosen_pairs(features: list[np.ndarray], *, video: bool) -> list[tuple[int, int]]:
-    """The pairs of pictures that are worth comparing in full.
-
-    All of a small folder. Otherwise the pairs that look most alike, MOST_ALIKE for each picture, and neighbours in a
-    video: so views are tied together where the camera comes back to a place.
-
-    Args:
-        features: (k, 128) unit vectors of each picture, from `largest_features`.
-        video: Whether the pictures follow one another.
-
-    Returns:
-        Pairs of indices, the smaller one first, in order.
-    """
+    """The pairs of indices of pictures, the smaller first, in order, that are worth comparing in full.
+    features: of each picture (k, 128) unit vectors from `largest_features`; video: pictures follow one another."""
+    # All of a small folder. Otherwise the pairs that look most alike, and neighbours in a video: so views are tied
+    # together where the camera comes back to a place.
     count = len(features)
     every = [(a, b) for a in range(count) for b in range(a + 1, count)]
     if count <= SMALL_FOLDER and not video:

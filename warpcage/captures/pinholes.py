@@ -12,14 +12,7 @@ from .found import Lens
 
 
 def common_size(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """The size that most pictures have, the larger one of several; a picture on its side counts as upright.
-
-    Args:
-        sizes: Width and height of the pictures.
-
-    Returns:
-        Width and height that all of them get.
-    """
+    """The width and height that most pictures have, the larger of several; a picture on its side counts as upright."""
     kinds = [tuple(sorted(size)) for size in sizes]
     kind = max(set(kinds), key=lambda each: (kinds.count(each), each))
     ways = [size for size in sizes if tuple(sorted(size)) == kind]
@@ -27,31 +20,17 @@ def common_size(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
 
 
 class Pinhole:
-    """Takes the pictures of one lens to those of a pinhole camera of a common size.
+    """Takes the pictures of one lens to those of a pinhole camera of a common size, pixels."""
 
-    The distortion is undone by bilinear resampling; a picture that lies on its side beside the others is turned by a
-    quarter; what is larger or of another shape is cut to the shape around its middle and resized.
-
-    Args:
-        lens: The lens, for pictures as they are.
-        size: Width and height of the result, pixels.
-        clockwise: Which way a picture on its side is turned.
-
-    Attributes:
-        intrinsics: (fx, fy, cx, cy) of the pinhole camera, pixels of the result.
-        turned: Whether pictures are turned by a quarter.
-        reshaped: Whether they are turned, cut or resized.
-
-    Raises:
-        ValueError: Where the distortion folds the picture.
-    """
+    # The distortion is undone by bilinear resampling; a picture that lies on its side beside the others is turned by a
+    # quarter; what is larger or of another shape is cut to the shape around its middle and resized.
 
     def __init__(self, lens: Lens, size: tuple[int, int], *, clockwise: bool = False):
         self.lens, self.size, self.clockwise = lens, size, clockwise
         self._inner = undistorted_intrinsics(self.lens.intrinsics, self.lens.size, self.lens.distortion, "the lens")
         width, height = self.lens.size
-        self.reshaped = (width, height) != size
-        self.turned = width != height and (width > height) != (self.size[0] > self.size[1])
+        self.reshaped = (width, height) != size  # turned, cut or resized
+        self.turned = width != height and (width > height) != (self.size[0] > self.size[1])  # by a quarter
         fx, fy, cx, cy = self._inner
         if self.turned:
             cx, cy = (height - cy, cx) if clockwise else (cy, width - cx)
@@ -59,18 +38,11 @@ class Pinhole:
         scale = max(self.size[0] / width, self.size[1] / height)
         left, top = (width - self.size[0] / scale) / 2, (height - self.size[1] / scale) / 2
         self._part = (left, top, width - left, height - top)
-        self.intrinsics = (fx * scale, fy * scale, (cx - left) * scale, (cy - top) * scale)
+        self.intrinsics = (fx * scale, fy * scale, (cx - left) * scale, (cy - top) * scale)  # pixels of the result
         self._table: tuple[np.ndarray, ...] | None = None
 
     def camera(self, pose: np.ndarray) -> Camera:
-        """The camera of a picture.
-
-        Args:
-            pose: (4, 4) camera to world of the lens, OpenCV axes.
-
-        Returns:
-            The pinhole camera, turned with its picture.
-        """
+        """The pinhole camera of a picture, turned with it; pose: (4, 4) camera to world of the lens, OpenCV axes."""
         if self.turned:
             turn = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
             pose = pose @ (turn.T if self.clockwise else turn)
@@ -86,14 +58,7 @@ class Pinhole:
         self._table = None
 
     def picture(self, picture: np.ndarray) -> np.ndarray:
-        """A picture of the lens as the pinhole camera sees it.
-
-        Args:
-            picture: (h, w, 3 or 4) uint8, of the lens's size.
-
-        Returns:
-            (height, width, 3 or 4) uint8.
-        """
+        """A picture (h, w, 3 or 4) uint8, of the lens's size, as the pinhole camera sees it: uint8 of its `size`."""
         from PIL import Image
 
         if any(self.lens.distortion):

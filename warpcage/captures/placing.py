@@ -11,18 +11,9 @@ from .found import Found
 
 
 def placed(found: Found) -> Found:
-    """The cameras and points of a capture in coordinates of its object.
-
-    Up for the cameras becomes +z (`common_up`), the first camera stands at -y, the middle of the object's box becomes
-    the origin and its longest side two units. The box is the one that `load_scene` finds: around the bulk of the points
-    that the cameras look at, or what they look at where points are few.
-
-    Args:
-        found: As COLMAP left them, in a frame and unit of its own.
-
-    Returns:
-        The same in coordinates of the object.
-    """
+    """The cameras and points of a capture, from COLMAP's own frame and unit, in coordinates of its object."""
+    # Up for the cameras becomes +z (`common_up`), the first camera stands at -y, the middle of the object's box becomes
+    # the origin and its longest side two units.
     upright = rotation_to(common_up(_cameras(found)), np.array([0.0, 0.0, 1.0]))
     turned = found.moved(np.eye(3) if upright is None else upright[:3, :3], np.zeros(3), 1.0)
     centre = object_box(turned).mean(axis=0)
@@ -35,14 +26,8 @@ def placed(found: Found) -> Found:
 
 
 def object_box(found: Found) -> np.ndarray:
-    """The box of the object, as `load_scene` finds it from a scene's points.
-
-    Args:
-        found: Cameras and points.
-
-    Returns:
-        (2, 3) lower and upper corner.
-    """
+    """The box of the object (2, 3), lower and upper corner, as `load_scene` finds it from a scene's points."""
+    # It is around the bulk of the points that the cameras look at, or what they look at where points are few.
     cameras = _cameras(found)
     seen = view_box(cameras)
     box = bulk_box(found.points, seen, common_up(cameras))

@@ -166,21 +166,8 @@ def make_report(
     to_pixels: float,
     facts: dict[str, object],
 ) -> CaptureReport:
-    """The report of a capture.
-
-    Args:
-        folder: Folder of the scene.
-        source: Name of the video or folder.
-        names: Names of all pictures.
-        sharpness: Sharpness of each.
-        found: Cameras and points in coordinates of the object, +z up.
-        size: Width and height of the pictures as they are written.
-        to_pixels: Pixels of those in a pixel that errors are measured in.
-        facts: What else there is to say, by name.
-
-    Returns:
-        The report.
-    """
+    """The report of a capture; names and sharpness are of all pictures, `found` in coordinates of the object, +z up.
+    size: of the pictures as they are written; to_pixels: pixels of those in a pixel that errors are measured in."""
     registered = [False] * len(names)
     errors: list[float | None] = [None] * len(names)
     for picture, error in zip(found.pictures, found.errors, strict=True):
@@ -208,15 +195,8 @@ def make_report(
 
 
 def coverage(eyes: np.ndarray) -> tuple[float, tuple[float, float], float, float]:
-    """How well cameras surround the origin.
-
-    Args:
-        eyes: (k, 3) their places, +z up.
-
-    Returns:
-        The largest gap around it in degrees (360 for one camera), lowest and highest elevation in degrees, and the
-        shares of the sphere and of its upper half within COVERED_DEGREES of a camera.
-    """
+    """How well cameras at eyes (k, 3), +z up, surround the origin: largest gap (360 for one), lowest and highest
+    elevation, degrees, and shares of the sphere and of its upper half within COVERED_DEGREES of a camera."""
     directions = eyes / np.maximum(np.linalg.norm(eyes, axis=1, keepdims=True), 1e-12)
     turns = np.sort(np.degrees(np.arctan2(directions[:, 1], directions[:, 0])))
     gap = float(np.diff(turns, append=turns[0] + 360.0).max())
@@ -230,15 +210,8 @@ def coverage(eyes: np.ndarray) -> tuple[float, tuple[float, float], float, float
 
 
 def make_contact_sheet(thumbnails: Sequence[np.ndarray], registered: Sequence[bool]) -> np.ndarray:
-    """All pictures on one sheet, those with a camera in a green frame, the others in a red one.
-
-    Args:
-        thumbnails: Pictures (h, w, 3) uint8, no side longer than THUMBNAIL; at most MOST_THUMBNAILS of them.
-        registered: Whether each has a camera.
-
-    Returns:
-        (h, w, 3) float32.
-    """
+    """All pictures on one sheet, (h, w, 3) float32, those with a camera in a green frame, the others in a red one.
+    thumbnails: (h, w, 3) uint8, no side longer than THUMBNAIL, at most MOST_THUMBNAILS of them."""
     height = max(picture.shape[0] for picture in thumbnails) + 6
     width = max(picture.shape[1] for picture in thumbnails) + 6
     framed = []

@@ -24,23 +24,12 @@ def write_scene(
     sources: Sequence[Source],
     sharpness: Sequence[float] | np.ndarray,
     found: Found,
-    feature_size: int,
+    feature_size: int,  # longer side that pictures were shrunk to where they are longer, pixels
     *,
     progress: bool = False,
 ) -> tuple[tuple[int, int], int]:
-    """Write the pictures that have a camera, their cameras and the points. See nerfstudio's data conventions.
-
-    Args:
-        folder: A folder that is there and empty.
-        sources: All pictures.
-        sharpness: Sharpness of each.
-        found: Cameras and points.
-        feature_size: Longer side that pictures were shrunk to where they are longer, pixels.
-        progress: Whether a bar is shown.
-
-    Returns:
-        Width and height of the pictures as they are written, and how many had another shape before.
-    """
+    """Write the pictures that have a camera, their cameras and the points to an empty folder, in nerfstudio's
+    conventions. Returns width and height of the pictures as they are written, and how many had another shape before."""
     chosen = [sources[picture] for picture in found.pictures]
     size = common_size([source.size for source in chosen])
     pinholes = _pinholes(chosen, found, size, feature_size)
@@ -80,12 +69,7 @@ def write_scene(
 
 
 def write_points(path: pathlib.Path, found: Found) -> None:
-    """Write the points of a reconstruction with their colours, as a binary PLY file.
-
-    Args:
-        path: The file.
-        found: The reconstruction.
-    """
+    """Write the points of a reconstruction with their colours, as a binary PLY file."""
     kinds = [(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
     rows = np.zeros(len(found.points), np.dtype(kinds))
     for axis, name in enumerate("xyz"):

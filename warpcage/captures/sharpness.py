@@ -15,17 +15,10 @@ LEAST_DETAIL = 0.3
 
 
 def sharpness(grey: np.ndarray) -> float:
-    """How much fine detail a picture has for the coarse detail that it has.
-
-    The root mean square of what a binomial blur takes away, over that of what a second, twice as wide one does. Blur
-    takes fine detail first, so that the ratio falls with it, while the content, which both see, hardly matters.
-
-    Args:
-        grey: (h, w) brightness, 0 to 255, some COMPARED_SIZE pixels long.
-
-    Returns:
-        Some 0.2 for blurred to 1 for sharp pictures; 0 where there is nothing to see.
-    """
+    """How much fine detail a picture (h, w), 0 to 255, some COMPARED_SIZE pixels long, has for the coarse detail that
+    it has: some 0.2 for blurred to 1 for sharp pictures; 0 where there is nothing to see."""
+    # The root mean square of what a binomial blur takes away, over that of what a second, twice as wide one does. Blur
+    # takes fine detail first, so that the ratio falls with it, while the content, which both see, hardly matters.
     if min(grey.shape) < 16:
         return 0.0
     picture = np.asarray(grey, np.float32)
@@ -37,16 +30,9 @@ def sharpness(grey: np.ndarray) -> float:
 
 
 def motion(before: np.ndarray, after: np.ndarray) -> float:
-    """How far the view moves from one picture to the next, from brightness alone (normal flow; Horn and Schunck 1981).
-
-    Args:
-        before: (h, w) brightness, MOTION_SIZE pixels long.
-        after: The same of the next picture.
-
-    Returns:
-        Mean shift along the gradients of brightness, as a share of the longer side. It grows slower than the true one
-        beyond two of the pixels, and is 0 where there is nothing to see.
-    """
+    """How far the view moves between two pictures (h, w), MOTION_SIZE pixels long: mean shift along the gradients of
+    brightness, as a share of the longer side; 0 where there is nothing to see."""
+    # Normal flow (Horn and Schunck 1981). It grows slower than the true shift beyond two of the pixels.
     first, second = (_blurred(np.asarray(picture, np.float32)) for picture in (before, after))
     down, across = np.gradient(0.5 * (first + second))
     slope = np.hypot(down, across)
@@ -57,15 +43,7 @@ def motion(before: np.ndarray, after: np.ndarray) -> float:
 
 
 def shrunk_grey(grey: np.ndarray, size: int) -> np.ndarray:
-    """A picture whose longer side is at most `size`, by averages of whole squares.
-
-    Args:
-        grey: (h, w) uint8.
-        size: Pixels.
-
-    Returns:
-        (h, w) float32; the picture itself where it is no larger.
-    """
+    """A picture (h, w) uint8 as float32, its longer side at most `size`, by averages of whole squares."""
     factor = -(-max(grey.shape) // size)
     height, width = (side // factor * factor for side in grey.shape)
     if factor <= 1 or not height or not width:

@@ -18,17 +18,8 @@ from .sources import Source, load_upright, shrink_factor
 def shrink_all(
     sources: Sequence[Source], folder: pathlib.Path, size: int, progress: bool
 ) -> tuple[list[str], np.ndarray]:
-    """Write pictures at the size at which features are looked for; those that are there already are left.
-
-    Args:
-        sources: The pictures.
-        folder: Where they go.
-        size: Longer side that they have at most, pixels.
-        progress: Whether a bar is shown.
-
-    Returns:
-        Their file names, and (n,) how sharp each is.
-    """
+    """Write pictures, but those that are there, with longer sides of at most `size` pixels, at which features are
+    looked for. Returns their file names, and (n,) how sharp each is."""
     folder.mkdir(exist_ok=True)
     names = [
         f"{source.name.replace(' ', '_')}.png" for source in sources

@@ -1,9 +1,7 @@
-"""Cameras of pictures by COLMAP (Schoenberger and Frahm 2016), through pycolmap: features, matches, mapping.
-
-Everything is seeded, and pictures enter in the order of their names, so that the same pictures give the same cameras on
-the same machine, up to MOST_ON_ONE_THREAD of them. COLMAP works in a thread of its own, so that an interrupt ends it at
-once; what it has found so far stays in its database, and the next run continues there.
-"""
+"""Cameras of pictures by COLMAP (Schoenberger and Frahm 2016), through pycolmap: features, matches, mapping."""
+# Everything is seeded, and pictures enter in the order of their names, so that the same pictures give the same cameras
+# on the same machine, up to MOST_ON_ONE_THREAD of them. COLMAP works in a thread of its own, so that an interrupt ends
+# it at once; what it has found so far stays in its database, and the next run continues there.
 
 from __future__ import annotations
 
@@ -46,14 +44,7 @@ USUAL_FOCAL = 0.9
 
 
 def load_pycolmap() -> Any:
-    """The library, whose own messages are errors alone.
-
-    Returns:
-        The module.
-
-    Raises:
-        ValueError: Where it is not installed; one line that says how.
-    """
+    """The module pycolmap, whose own messages are errors alone; ValueError where it is not installed."""
     try:
         import pycolmap
     except ImportError as error:
@@ -63,27 +54,16 @@ def load_pycolmap() -> Any:
 
 
 class Solver:
-    """Finds the cameras of pictures.
-
-    Args:
-        database: COLMAP's file; an earlier one is continued.
-        folder: The folder of the pictures, all upright and no larger than features are looked for.
-        names: Their file names, in order.
-        groups: Number of the camera of each picture.
-        focals: Focal length in pixels that each camera is known to have, or None, by its number.
-        sizes: Width and height of each camera's pictures.
-        seed: Seed of everything that is drawn by lot.
-        progress: Whether bars are shown.
-    """
+    """Finds the cameras of pictures."""
 
     def __init__(
         self,
-        database: pathlib.Path,
-        folder: pathlib.Path,
-        names: Sequence[str],
-        groups: Sequence[int],
-        focals: Sequence[float | None],
-        sizes: Sequence[tuple[int, int]],
+        database: pathlib.Path,  # COLMAP's file; an earlier one is continued
+        folder: pathlib.Path,  # of the pictures, all upright and no larger than features are looked for
+        names: Sequence[str],  # file names, in order
+        groups: Sequence[int],  # number of the camera of each picture
+        focals: Sequence[float | None],  # pixels, of each camera; None where not known
+        sizes: Sequence[tuple[int, int]],  # width and height of each camera's pictures
         *,
         seed: int = 0,
         progress: bool = False,
@@ -95,11 +75,7 @@ class Solver:
         self.colmap.set_random_seed(seed)
 
     def find_features(self) -> np.ndarray:
-        """Find the features of all pictures that have none yet.
-
-        Returns:
-            (n,) their number for each picture.
-        """
+        """Find the features of all pictures that have none yet; returns (n,) their number for each picture."""
         colmap = self.colmap
         if not self.database.exists():
             self._import_pictures()
@@ -123,14 +99,8 @@ class Solver:
         return np.maximum(self._feature_counts(), 0)
 
     def match(self, *, video: bool) -> tuple[int, int]:
-        """Match the pairs of pictures that are worth it and have not been matched.
-
-        Args:
-            video: Whether the pictures follow one another.
-
-        Returns:
-            Number of the pairs, and of those that show the same.
-        """
+        """Match the pairs of pictures that are worth it and have not been matched; video: pictures follow one another.
+        Returns the number of the pairs, and of those that show the same."""
         colmap = self.colmap
         pairs = self._named_pairs(video)
         options, verification = colmap.FeatureMatchingOptions(), colmap.TwoViewGeometryOptions()
@@ -156,14 +126,8 @@ class Solver:
         return len(pairs), int((np.asarray(inliers) >= verification.min_num_inliers).sum())
 
     def map(self, folder: pathlib.Path) -> list[Any]:
-        """Find cameras and points from the matches.
-
-        Args:
-            folder: An empty folder for COLMAP's own files.
-
-        Returns:
-            pycolmap Reconstructions, the largest first; several where the pictures fall apart into groups.
-        """
+        """Find cameras and points from the matches; folder: an empty one for COLMAP's own files.
+        Returns pycolmap Reconstructions, the largest first; several where the pictures fall apart into groups."""
         options = self._mapping_options()
         with bar(len(self.names), "cameras", self.progress) as shown:
             found = self._run(
@@ -182,17 +146,10 @@ class Solver:
         return models
 
     def refine(self, model: Any) -> Any:
-        """Adjust all cameras and points once more, with a loss that outliers hardly move (Cauchy).
-
-        The principal point of a lens stays in the middle, unless it explains clearly more when it is free: it is hardly
-        told from a turn of the camera, so that rolling shutters and blur would move it about.
-
-        Args:
-            model: A Reconstruction of `map`.
-
-        Returns:
-            The refined one.
-        """
+        """A Reconstruction of `map` whose cameras and points are adjusted once more, with a loss that outliers hardly
+        move (Cauchy)."""
+        # The principal point of a lens stays in the middle, unless it explains clearly more when it is free: it is
+        # hardly told from a turn of the camera, so that rolling shutters and blur would move it about.
         freed = self._adjusted(model, free=True) if self._tells_middle(model) else None
         gain = 0.0 if freed is None else 1.0 - mean_square(freed) / mean_square(model)
         return self._adjusted(model, free=gain > LEAST_GAIN and _is_central(freed), robust=True)
@@ -319,14 +276,7 @@ class Solver:
 
 
 def mean_square(model: Any) -> float:
-    """Mean squared distance between where pictures show points and where these project to.
-
-    Args:
-        model: A Reconstruction.
-
-    Returns:
-        The mean over all observations, squared pixels.
-    """
+    """Mean squared distance, pixels squared, from points in the pictures of a Reconstruction to their projections."""
     total, count = 0.0, 0
     for image in model.images.values():
         if not image.has_pose:

@@ -29,41 +29,18 @@ FILM_DIAGONAL = 43.267
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """A picture whose camera is looked for.
+    """A picture whose camera is looked for."""
 
-    Attributes:
-        name: Its name in the scene, without ending; no two are the same.
-        file: Where it is.
-        size: Width and height as it is looked at, pixels.
-        focal: Focal length that its camera wrote, pixels of that size. None where it says nothing.
-        camera: What pictures of one camera and zoom have in common.
-        lossless: Whether its pixels were kept exactly.
-    """
-
-    name: str
+    name: str  # its name in the scene, without ending; no two are the same
     file: pathlib.Path
-    size: tuple[int, int]
-    focal: float | None
-    camera: tuple
-    lossless: bool
+    size: tuple[int, int]  # width and height as it is looked at, pixels
+    focal: float | None  # focal length that its camera wrote, pixels of that size; None where it says nothing
+    camera: tuple  # what pictures of one camera and zoom have in common
+    lossless: bool  # its pixels were kept exactly
 
 
 def read_sources(folder: pathlib.Path) -> list[Source]:
-    """The pictures of a folder in the order of their names.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        What their headers say.
-
-    Raises:
-        FileNotFoundError: Where it holds no pictures.
-        ValueError: Where none can be read.
-
-    Warns:
-        UserWarning: Where some cannot be read; they are left out.
-    """
+    """What headers say of a folder's pictures, in the order of names; unreadable ones are left out, with a warning."""
     entries = sorted(entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
     files = [entry for entry in entries if entry.suffix.lower() in ENDINGS]
     if not files:
@@ -93,17 +70,7 @@ def read_sources(folder: pathlib.Path) -> list[Source]:
 
 
 def load_upright(file: pathlib.Path) -> np.ndarray:
-    """A picture as it is looked at: turned as its EXIF orientation says.
-
-    Args:
-        file: The picture.
-
-    Returns:
-        (h, w, 3) uint8, or (h, w, 4) with opacity.
-
-    Raises:
-        ValueError: Where it cannot be read.
-    """
+    """A picture as it is looked at, turned as its EXIF orientation says: (h, w, 3) uint8, or (h, w, 4) with opacity."""
     from PIL import Image, ImageOps
 
     try:
@@ -118,15 +85,7 @@ def load_upright(file: pathlib.Path) -> np.ndarray:
 
 
 def shrink_factor(size: tuple[int, int], most: int) -> float:
-    """The factor by which a picture becomes at most so many pixels long.
-
-    Args:
-        size: Width and height, pixels.
-        most: Longer side that it has at most, pixels.
-
-    Returns:
-        The factor, at most 1.
-    """
+    """The factor, at most 1, by which a picture becomes at most `most` pixels long."""
     return min(1.0, most / max(size))
 
 

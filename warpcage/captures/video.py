@@ -21,36 +21,17 @@ LEAST_STEP = 0.004
 
 @dataclasses.dataclass(frozen=True)
 class FrameScores:
-    """What is known of the frames of a video, in their order.
+    """What is known of the frames of a video, in their order."""
 
-    Attributes:
-        times: (n,) int64 presentation times, which name the frames.
-        sharpness: (n,) see `sharpness`.
-        way: (n,) how far the view has moved until each frame, in longer sides of the picture.
-        size: Width and height as it is looked at, pixels.
-        broken: Number of frames and packets that could not be decoded.
-    """
-
-    times: np.ndarray
-    sharpness: np.ndarray
-    way: np.ndarray
-    size: tuple[int, int]
-    broken: int
+    times: np.ndarray  # (n,) int64 presentation times, which name the frames
+    sharpness: np.ndarray  # (n,) see `sharpness`
+    way: np.ndarray  # (n,) how far the view has moved until each frame, in longer sides of the picture
+    size: tuple[int, int]  # width and height as it is looked at, pixels
+    broken: int  # frames and packets that could not be decoded
 
 
 def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
-    """Decode a video once and measure each frame.
-
-    Args:
-        path: The file.
-        progress: Whether a bar is shown.
-
-    Returns:
-        The measures.
-
-    Raises:
-        ValueError: For a file that is no video, or has no frame that can be decoded.
-    """
+    """Decode a video once and measure each frame."""
     times, scores, steps, size, broken, before = [], [], [], None, [0], None
     with _opened(path) as container:
         total = container.streams.video[0].frames or None
@@ -76,18 +57,9 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
 
 
 def pick_frames(scores: FrameScores, count: int) -> np.ndarray:
-    """The frames that are worth their while.
-
-    The way of the view is cut into `count` equal parts, fewer where it is short, and of each the sharpest frame is
-    taken, so that frames stand as far apart where the camera is slow as where it is fast.
-
-    Args:
-        scores: Measures of all frames.
-        count: Most frames to take.
-
-    Returns:
-        (k,) int64 indices into them, ascending.
-    """
+    """Indices (k,) int64, ascending, of at most `count` frames that are worth their while."""
+    # The way of the view is cut into `count` equal parts, fewer where it is short, and of each the sharpest frame is
+    # taken, so that frames stand as far apart where the camera is slow as where it is fast.
     length = float(scores.way[-1])
     parts = int(min(count, len(scores.times), max(1, length / LEAST_STEP)))
     part = np.minimum((scores.way / max(length, 1e-12) * parts).astype(np.int64), parts - 1)
@@ -97,17 +69,8 @@ def pick_frames(scores: FrameScores, count: int) -> np.ndarray:
 
 
 def write_frames(path: pathlib.Path, times: np.ndarray, files: list[pathlib.Path], *, progress: bool = False) -> None:
-    """Write frames of a video as pictures, upright. Those that are there already are left.
-
-    Args:
-        path: The video.
-        times: (k,) ascending presentation times of the frames.
-        files: k files to write (.png or .jpg).
-        progress: Whether a bar is shown.
-
-    Raises:
-        ValueError: Where a frame is not found again.
-    """
+    """Write the frames of a video at ascending presentation times (k,) to k files (.png, .jpg), upright, but those that
+    are there."""
     from PIL import Image
 
     from ..core.files import atomic_path

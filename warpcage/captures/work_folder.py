@@ -16,15 +16,10 @@ LAYOUT = 1
 
 
 class WorkFolder:
-    """A hidden folder beside the output. Use it as a context.
+    """A hidden folder beside the output, a context; another job (what is captured and how, for JSON) starts anew."""
 
-    It goes when the capture is done, and when its input cannot be used. What ends the capture in another way, a kill or
-    an interrupt or a full disk, leaves it there, and the same capture continues in it.
-
-    Args:
-        output: What the capture writes.
-        job: What is captured and how, for JSON. Another job begins anew.
-    """
+    # It goes when the capture is done, and when its input cannot be used. What ends the capture in another way, a kill
+    # or an interrupt or a full disk, leaves it there, and the same capture continues in it.
 
     def __init__(self, output: pathlib.Path, job: dict):
         self.path = output.with_name(f".{output.name}.capture")
@@ -56,14 +51,7 @@ class WorkFolder:
 
 
 def require_new_folder(path: pathlib.Path) -> None:
-    """Refuse an output that is there already, or that cannot be made.
-
-    Args:
-        path: The folder that is to be written.
-
-    Raises:
-        ValueError: For a file, a folder that is not empty, and a path below a file.
-    """
+    """Refuse an output that is there already, or that cannot be made."""
     if path.is_dir():
         if any(path.iterdir()):
             raise ValueError(f"output folder {str(path)!r} is there and not empty: give a new one, or remove it")
@@ -77,12 +65,7 @@ def require_new_folder(path: pathlib.Path) -> None:
 
 
 def publish(new: pathlib.Path, output: pathlib.Path) -> None:
-    """Put a finished folder in its place.
-
-    Args:
-        new: The folder.
-        output: Where it goes; nothing is there, or an empty folder.
-    """
+    """Put a finished folder in its place, where nothing is, or an empty folder."""
     if output.is_dir():
         output.rmdir()  # empty, or this fails
     os.replace(new, output)
