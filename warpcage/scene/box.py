@@ -29,17 +29,9 @@ BOX_ROOM, MOST_OF_DISTANCE = 1.2, 0.95
 
 
 def view_box(cameras: Sequence[Camera]) -> np.ndarray:
-    """A cube around what cameras look at.
-
-    Its centre is the point nearest to all optical axes (least squares; ahead of the cameras where those are parallel),
-    its half side the largest radius that most cameras see whole, at most their distance to the centre.
-
-    Args:
-        cameras: At least one camera.
-
-    Returns:
-        (2, 3) float64 lower and upper corner, world units.
-    """
+    """A cube around what cameras look at: (2, 3) float64 lower and upper corner, world units."""
+    # Its centre is the point nearest to all optical axes (least squares; ahead of the cameras where those are
+    # parallel), its half side the largest radius that most cameras see whole, at most their distance to the centre.
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.rotation[:, 2] for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
@@ -58,19 +50,8 @@ def view_box(cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np.ndarray:
-    """The box of a scene's object.
-
-    Args:
-        cameras: The scene's cameras.
-        bounds: (2, 3) the box that its files give, world units. None takes what the cameras look at.
-
-    Returns:
-        (2, 3) float64 lower and upper corner, world units.
-
-    Raises:
-        ValueError: If there are no bounds and the cameras look at nothing in common: most of them away from the centre
-            of that box, or all from one place into several directions.
-    """
+    """The box (2, 3) float64 of a scene's object, world units: the bounds of its files, or what the cameras look at.
+    ValueError where they look at nothing in common."""
     if bounds is not None:
         return bounds
     box = view_box(cameras)
@@ -90,30 +71,22 @@ def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np
 
 
 def bulk_box(points: np.ndarray, seen_box: np.ndarray, up: np.ndarray) -> np.ndarray | None:
-    """A box around the bulk of the points of a reconstruction that lie where the cameras look, or of all of them.
-
-    Most of them lie on the floor. Above the bulk the box also holds points that have others near them: an arm or an
-    ear has few, beside each other, and mistakes of the reconstruction are alone.
-
-    Args:
-        points: (n, 3) world units.
-        seen_box: (2, 3) what the cameras look at: see `view_box`.
-        up: (3,) unit vector.
-
-    Returns:
-        (2, 3) float64 lower and upper corner, world units; None where there are too few points, or no extent.
-    """
+    """A box (2, 3) float64 around the bulk of reconstructed points (n, 3) in seen_box (2, 3), or of all; up: (3,) unit
+    vector. None where there are too few points, or no extent."""
     low, high = seen_box
     seen = points[((points > low) & (points < high)).all(axis=1)]
     is_seen = len(seen) >= max(MIN_POINTS, len(points) // 4)
     bulk = seen if is_seen else points
     if len(bulk) < MIN_POINTS:
         return None
+    # Most points lie on the floor.
     low, high = np.percentile(bulk, [1.0, 99.0], axis=0)  # a few are always far off
     margin = 0.1 * float((high - low).max())
     if not (np.isfinite(margin) and margin > 0):
         return None
     radius = NEIGHBOUR_RADIUS * float(np.linalg.norm(high - low))
+    # Above the bulk the box also holds points that have others near them: an arm or an ear has few, beside each other,
+    # and mistakes of the reconstruction are alone.
     together = bulk[are_inliers(bulk, radius)] if is_seen else bulk[:0]
     top, bottom = together.max(axis=0, initial=-np.inf), together.min(axis=0, initial=np.inf)
     high = np.where(up > UPWARD, np.maximum(high, top), high)
@@ -122,15 +95,7 @@ def bulk_box(points: np.ndarray, seen_box: np.ndarray, up: np.ndarray) -> np.nda
 
 
 def are_inliers(points: np.ndarray, radius: float) -> np.ndarray:
-    """Which points have NEIGHBOURS others within a radius (radius outlier removal).
-
-    Args:
-        points: (n, 3) world units.
-        radius: World units.
-
-    Returns:
-        (n,) bool.
-    """
+    """Which points (n, 3) have NEIGHBOURS others within a radius, world units (radius outlier removal)."""
     from scipy.spatial import KDTree
 
     if len(points) <= NEIGHBOURS:

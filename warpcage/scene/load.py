@@ -140,17 +140,7 @@ def _straightening(scene: Scene) -> np.ndarray | None:
 
 
 def detect_format(path: str | os.PathLike) -> str:
-    """The format of a scene folder.
-
-    Args:
-        path: The folder.
-
-    Returns:
-        Name of the first format that fits.
-
-    Raises:
-        ValueError: If none fits; the message says what was looked for and what is there.
-    """
+    """The name of the first format that fits a scene folder; ValueError, with what is there, where none does."""
     folder = pathlib.Path(path)
     for name, reader in READERS.items():
         if reader.is_scene(folder):

@@ -201,15 +201,7 @@ class Scene:
 
 
 def rotation_to(direction: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
-    """The smallest turn about the origin that takes a direction to another.
-
-    Args:
-        direction: (3,) unit vector.
-        goal: (3,) unit vector.
-
-    Returns:
-        (4, 4) rigid motion, None where the directions are the same.
-    """
+    """The smallest turn (4, 4) about the origin that takes a unit vector (3,) to another; None where they are equal."""
     axis, cosine = np.cross(direction, goal), float(direction @ goal)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:

@@ -16,15 +16,7 @@ from .formats.transforms import frame_intrinsics
 
 
 class TransformsCameras:
-    """The cameras of a transforms.json, of NeRF-synthetic scenes, nerfstudio or instant-ngp.
-
-    Args:
-        path: The file.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is no such file.
-    """
+    """The cameras of a transforms.json, of NeRF-synthetic scenes, nerfstudio or instant-ngp."""
 
     def __init__(self, path: PathLike):
         self.path = require_file(path, "camera file")
@@ -35,19 +27,8 @@ class TransformsCameras:
         return len(self._frames)
 
     def camera(self, name: str, size: tuple[int, int] | None = None) -> Camera:
-        """A camera.
-
-        Args:
-            name: Number of its frame from 0, or the name of its picture, with or without folder and ending.
-            size: Width and height of its picture where the file does not say them. None takes those of the picture.
-
-        Returns:
-            The camera, in the world of the file.
-
-        Raises:
-            FileNotFoundError: If the size is not known, and the picture is not there.
-            ValueError: For a name that it does not have, or numbers that cannot be.
-        """
+        """The camera of a frame, in the world of the file: by number from 0, or by its picture, with or without folder
+        and ending. size: width and height where the file does not say them; None takes those of the picture."""
         where, frame = self._found(name)
         given = {**{key: value for key, value in self._content.items() if key != "frames"}, **frame}
         if "w" in given and "h" in given:

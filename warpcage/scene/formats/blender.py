@@ -14,14 +14,7 @@ MARK = "transforms_train.json with camera_angle_x"
 
 
 def is_scene(folder: pathlib.Path) -> bool:
-    """Whether a folder holds transforms_<split>.json as NeRF-synthetic scenes have it.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        Whether it does.
-    """
+    """Whether a folder holds transforms_<split>.json as NeRF-synthetic scenes have it."""
     transforms = sorted(folder.glob("transforms_*.json"))
     if not transforms:
         return False
@@ -30,22 +23,7 @@ def is_scene(folder: pathlib.Path) -> bool:
 
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
-    """Read a split; camera axes are turned from Blender's (+y up, -z forward) to OpenCV's.
-
-    Args:
-        folder: The folder.
-        split: Name of the split.
-        downscale: Whole factor by which width and height shrink.
-        background: (3,) colour put behind transparent pixels.
-        masks: As for `load_scene`.
-
-    Returns:
-        The scene.
-
-    Raises:
-        FileNotFoundError: For a missing split or file.
-        ValueError: For contents that cannot be used.
-    """
+    """Read a split; camera axes are turned from Blender's (+y up, -z forward) to OpenCV's. Options as `load_scene`."""
     path = split_file(folder, split)
     transforms = read_json(path)
     angle = number(transforms.get("camera_angle_x"), f"{path}: camera_angle_x")

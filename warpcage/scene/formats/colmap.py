@@ -1,5 +1,5 @@
-"""COLMAP models, text or binary: sparse/0/{cameras, images, points3D}.{bin, txt} beside images/ (Schoenberger and Frahm
-2016). The centre of the first pixel is (0.5, 0.5); poses are world to camera, OpenCV axes."""
+"""COLMAP models, text or binary: sparse/0/{cameras, images, points3D}.{bin, txt} beside images/."""
+# Schoenberger and Frahm 2016. The centre of the first pixel is (0.5, 0.5); poses are world to camera, OpenCV axes.
 
 from __future__ import annotations
 
@@ -33,14 +33,7 @@ PARAMETERS = {
 
 
 def is_scene(folder: pathlib.Path) -> bool:
-    """Whether a folder holds a COLMAP model.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        Whether it does.
-    """
+    """Whether a folder holds a COLMAP model."""
     return _model_folder(folder) is not None
 
 
@@ -54,26 +47,8 @@ def _model_folder(folder: pathlib.Path) -> pathlib.Path | None:
 
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
-    """Read a split: every eighth image, by name, is `test`, the others are `train`. masks/<name>.png, as COLMAP itself
-    takes it, or masks/<name> becomes the alpha; the bulk of the points the bounds.
-
-    Args:
-        folder: The folder.
-        split: Name of the split.
-        downscale: Whole factor by which width and height shrink.
-        background: (3,) colour put behind transparent pixels.
-        masks: As for `load_scene`.
-
-    Returns:
-        The scene.
-
-    Raises:
-        FileNotFoundError: For a missing split or file, and where fewer than half of the pictures are there.
-        ValueError: For contents that cannot be used.
-
-    Warns:
-        UserWarning: Where some pictures are not there; they are left out.
-    """
+    """Read a split: every eighth image, by name, is `test`, the others are `train`. Options as for `load_scene`."""
+    # masks/<name>.png, as COLMAP itself takes it, or masks/<name> becomes the alpha; the bulk of the points the bounds.
     model_folder = _model_folder(folder)
     if model_folder is None:
         raise FileNotFoundError(f"{str(folder)!r} holds no COLMAP model ({MARK})")

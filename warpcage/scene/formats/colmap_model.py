@@ -33,47 +33,24 @@ MODELS = (
 
 @dataclasses.dataclass
 class ModelCamera:
-    """A camera of a model.
+    """A camera of a model."""
 
-    Attributes:
-        model: Name of its kind.
-        size: Width and height, pixels.
-        parameters: As many numbers as MODELS says.
-    """
-
-    model: str
-    size: tuple[int, int]
-    parameters: list[float]
+    model: str  # name of its kind
+    size: tuple[int, int]  # width and height, pixels
+    parameters: list[float]  # as many as MODELS says
 
 
 @dataclasses.dataclass
 class ModelImage:
-    """A picture of a model.
+    """A picture of a model."""
 
-    Attributes:
-        name: File, relative to the folder of pictures.
-        quaternion: Rotation (w, x, y, z) from world to camera.
-        translation: (x, y, z) from world to camera.
-        camera: Number of its camera.
-    """
-
-    name: str
-    quaternion: tuple[float, ...]
-    translation: tuple[float, ...]
-    camera: int
+    name: str  # file, relative to the folder of pictures
+    quaternion: tuple[float, ...]  # rotation (w, x, y, z) from world to camera
+    translation: tuple[float, ...]  # (x, y, z) from world to camera
+    camera: int  # number of its camera
 
     def camera_to_world(self, where: str) -> np.ndarray:
-        """The pose.
-
-        Args:
-            where: File and picture, for messages.
-
-        Returns:
-            (4, 4) float64, OpenCV axes.
-
-        Raises:
-            ValueError: For a quaternion without length, or numbers that are not finite.
-        """
+        """The pose (4, 4) float64 from camera to world, OpenCV axes; where: file and picture, for messages."""
         q = np.array(self.quaternion)
         length = np.linalg.norm(q)
         if not (np.isfinite(length) and length > 1e-12 and np.isfinite(self.translation).all()):
@@ -94,36 +71,17 @@ class ModelImage:
 
 @dataclasses.dataclass
 class Model:
-    """A COLMAP model.
+    """A COLMAP model."""
 
-    Attributes:
-        cameras: Cameras by number.
-        images: Pictures in the order of the file.
-        points: (n, 3) float64 points of the reconstruction, or None where there is no such file.
-        cameras_path: File of the cameras, for messages.
-        images_path: File of the pictures, for messages.
-    """
-
-    cameras: dict[int, ModelCamera]
-    images: list[ModelImage]
-    points: np.ndarray | None
-    cameras_path: pathlib.Path
+    cameras: dict[int, ModelCamera]  # by number
+    images: list[ModelImage]  # in the order of the file
+    points: np.ndarray | None  # (n, 3) float64, None where there is no such file
+    cameras_path: pathlib.Path  # for messages, as the next
     images_path: pathlib.Path
 
 
 def read_model(folder: pathlib.Path) -> Model:
-    """Read a model, binary where cameras.bin is there.
-
-    Args:
-        folder: The folder of its files.
-
-    Returns:
-        The model.
-
-    Raises:
-        FileNotFoundError: For a missing file of cameras or images.
-        ValueError: For a file that cannot be read; the message names it.
-    """
+    """Read a model, binary where cameras.bin is there."""
     binary = (folder / "cameras.bin").is_file()
     ending = ".bin" if binary else ".txt"
     cameras, images, points = (folder / f"{name}{ending}" for name in ("cameras", "images", "points3D"))

@@ -1,12 +1,4 @@
-"""Lens distortion undone by resampling.
-
-The model of OpenCV and COLMAP: with x, y the pinhole coordinates (u - cx) / fx, (v - cy) / fy and r^2 = x^2 + y^2,
-
-    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
-    y' = y (the same) + p1 (r^2 + 2 y^2) + 2 p2 x y
-
-is where the lens puts the point (Brown 1971).
-"""
+"""Lens distortion, in the model of OpenCV and COLMAP (Brown 1971), undone by resampling."""
 
 from __future__ import annotations
 
@@ -14,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-#: Names of the coefficients, in OpenCV's order.
+#: Names of the coefficients, in OpenCV's order, of which the first few may be given.
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 #: The picture is never enlarged beyond this to get rid of what lies past its edge.
@@ -26,16 +18,9 @@ Intrinsics = tuple[float, float, float, float]
 
 
 def distort(x: np.ndarray, y: np.ndarray, coefficients: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Where a lens puts points.
-
-    Args:
-        x: Pinhole coordinates (u - cx) / fx, of any shape.
-        y: Pinhole coordinates (v - cy) / fy, of the same shape.
-        coefficients: Up to 8, in the order of COEFFICIENTS.
-
-    Returns:
-        The distorted coordinates.
-    """
+    """Where a lens puts points of pinhole coordinates x = (u - cx) / fx, y = (v - cy) / fy, of any shape."""
+    # x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+    # y' = y (the same) + p1 (r^2 + 2 y^2) + 2 p2 x y
     k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, *[0.0] * (8 - len(coefficients)))
     square = x * x + y * y
     radial = (1 + square * (k1 + square * (k2 + square * k3))) / (1 + square * (k4 + square * (k5 + square * k6)))
@@ -48,21 +33,8 @@ def distort(x: np.ndarray, y: np.ndarray, coefficients: Sequence[float]) -> tupl
 def undistorted_intrinsics(
     intrinsics: Intrinsics, size: tuple[int, int], coefficients: Sequence[float], where: str
 ) -> Intrinsics:
-    """Intrinsics of the pinhole picture of the same size.
-
-    Args:
-        intrinsics: (fx, fy, cx, cy) of the lens, pixels.
-        size: Width and height, pixels.
-        coefficients: Up to 8, in the order of COEFFICIENTS.
-        where: File and field, for messages.
-
-    Returns:
-        The same intrinsics, or a longer focal length where the lens's picture does not reach the corners of the pinhole
-        one.
-
-    Raises:
-        ValueError: If the coefficients fold the picture.
-    """
+    """Intrinsics, pixels, of the pinhole picture of the same size; ValueError where the coefficients fold the picture.
+    The focal length is longer where the lens's picture does not reach the corners of the pinhole one."""
     fx, fy, cx, cy = intrinsics
 
     def holds(zoom: float) -> bool:
@@ -87,17 +59,7 @@ def undistorted_intrinsics(
 
 
 def undistort(image: np.ndarray, lens: Intrinsics, pinhole: Intrinsics, coefficients: Sequence[float]) -> np.ndarray:
-    """Resample the picture of a lens to that of a pinhole camera, bilinearly.
-
-    Args:
-        image: (h, w, c) float32, as the lens gave it.
-        lens: (fx, fy, cx, cy) of the lens, pixels.
-        pinhole: (fx, fy, cx, cy) of the pinhole camera, pixels.
-        coefficients: Up to 8, in the order of COEFFICIENTS.
-
-    Returns:
-        (h, w, c) float32.
-    """
+    """Resample the picture (h, w, c) float32 of a lens to that of a pinhole camera, bilinearly."""
     height, width = image.shape[:2]
     grid = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     u, v = _source(grid, pinhole, lens, coefficients)

@@ -1,8 +1,6 @@
-"""DTU folders in the IDR layout: image/, mask/, cameras.npz or cameras_sphere.npz (Yariv et al. 2020).
-
-world_mat_i @ scale_mat_i projects points of the space in which the object lies in the unit sphere: that is the world of
-the scene. Pixel centres are integers in these files, hence +0.5 on the principal point.
-"""
+"""DTU folders in the IDR layout: image/, mask/, cameras.npz or cameras_sphere.npz (Yariv et al. 2020)."""
+# world_mat_i @ scale_mat_i projects points of the space in which the object lies in the unit sphere: that is the world
+# of the scene. Pixel centres are integers in these files, hence +0.5 on the principal point.
 
 from __future__ import annotations
 
@@ -27,34 +25,12 @@ SKEW_TOLERANCE = 1e-3
 
 
 def is_scene(folder: pathlib.Path) -> bool:
-    """Whether a folder holds pictures and cameras in the IDR layout.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        Whether it does.
-    """
+    """Whether a folder holds pictures and cameras in the IDR layout."""
     return (folder / "image").is_dir() and any((folder / name).is_file() for name in FILES)
 
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
-    """Read a split: every eighth view is `test`, the others are `train`. Masks become alphas.
-
-    Args:
-        folder: The folder.
-        split: Name of the split.
-        downscale: Whole factor by which width and height shrink.
-        background: (3,) colour put behind transparent pixels.
-        masks: As for `load_scene`.
-
-    Returns:
-        The scene.
-
-    Raises:
-        FileNotFoundError: For a missing split or file.
-        ValueError: For contents that cannot be used.
-    """
+    """Read a split: every eighth view is `test`, the others `train`; masks become alphas. Options as `load_scene`."""
     path = next((folder / name for name in FILES if (folder / name).is_file()), folder / FILES[0])
     cameras = read_npz(path, "camera file", MATRICES.fullmatch)
     pictures = pictures_in(folder / "image")
@@ -81,21 +57,9 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
 
 
 def decompose(projection: np.ndarray, where: str) -> tuple[tuple[float, float, float, float], np.ndarray]:
-    """The camera of a projection whose pixel centres are integers.
-
-    Hartley and Zisserman 2004, section 6.2.4: K R is the left 3x3 block, split by an RQ decomposition; the centre is
-    its null vector.
-
-    Args:
-        projection: (3, 4) float64, from world to pixels.
-        where: File and field, for messages.
-
-    Returns:
-        (fx, fy, cx, cy) in pixels, the centre of the first pixel at (0.5, 0.5), and the (4, 4) camera-to-world pose.
-
-    Raises:
-        ValueError: For a singular projection, or one with skew.
-    """
+    """The camera of a projection (3, 4) from world to pixels whose centres are integers: (fx, fy, cx, cy) in pixels,
+    the centre of the first one at (0.5, 0.5), and the (4, 4) camera-to-world pose."""
+    # Hartley and Zisserman 2004, section 6.2.4: K R is the left 3x3 block; the centre is the null vector.
     block = projection[:, :3]
     scale = np.abs(block).max()
     if not (np.isfinite(projection).all() and scale > 0 and np.linalg.cond(block) < 1e12):

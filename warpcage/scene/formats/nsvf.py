@@ -1,7 +1,5 @@
-"""NSVF folders: rgb/, pose/, intrinsics.txt, bbox.txt, the split in the first letter of each name (Liu et al. 2020).
-
-Poses are camera to world in OpenCV axes, the centre of the first pixel is (0.5, 0.5).
-"""
+"""NSVF folders: rgb/, pose/, intrinsics.txt, bbox.txt, the split in the first letter of each name (Liu et al. 2020)."""
+# Poses are camera to world in OpenCV axes, the centre of the first pixel is (0.5, 0.5).
 
 from __future__ import annotations
 
@@ -18,34 +16,12 @@ PREFIXES = {"train": "0_", "val": "1_", "test": "2_"}
 
 
 def is_scene(folder: pathlib.Path) -> bool:
-    """Whether a folder holds pictures, poses and intrinsics as NSVF has them.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        Whether it does.
-    """
+    """Whether a folder holds pictures, poses and intrinsics as NSVF has them."""
     return (folder / "rgb").is_dir() and (folder / "pose").is_dir() and (folder / "intrinsics.txt").is_file()
 
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
-    """Read a split; bbox.txt, where there is one, becomes the scene's bounds.
-
-    Args:
-        folder: The folder.
-        split: Name of the split.
-        downscale: Whole factor by which width and height shrink.
-        background: (3,) colour put behind transparent pixels.
-        masks: As for `load_scene`.
-
-    Returns:
-        The scene.
-
-    Raises:
-        FileNotFoundError: For a missing split or file.
-        ValueError: For contents that cannot be used.
-    """
+    """Read a split; bbox.txt, where there is one, becomes the scene's bounds. Options as for `load_scene`."""
     intrinsics = _read_intrinsics(folder / "intrinsics.txt")
     pictures = pictures_in(folder / "rgb")
     splits = {name: [file for file in pictures if file.name.startswith(prefix)] for name, prefix in PREFIXES.items()}

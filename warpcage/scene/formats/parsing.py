@@ -1,8 +1,6 @@
-"""Read what scene folders say in text: numbers, matrices, JSON, and names of files that must stay in their folder.
-
-Every function takes `where`, the file and field that a message names, and raises ValueError (FileNotFoundError for
-files that are not there) in one line.
-"""
+"""Read what scene folders say in text: numbers, matrices, JSON, and names of files that must stay in their folder."""
+# Every function takes `where`, the file and field that a message names, and raises ValueError (FileNotFoundError for
+# files that are not there) in one line.
 
 from __future__ import annotations
 
@@ -98,12 +96,9 @@ def inside(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
 
 
 class Bounds:
-    """Where the files of a scene may lie, by their real paths: in its folder, or in a folder that a link directly in it
-    leads to, as `images -> /captures/fox/images`. Links deeper inside, and links to files, must not lead elsewhere.
+    """Where the files of a scene may lie, by real paths: in its folder, or where a link to a folder in it leads."""
 
-    Args:
-        folder: The scene's folder.
-    """
+    # Such a link is `images -> /captures/fox/images`. Links deeper inside, and links to files, must not lead elsewhere.
 
     def __init__(self, folder: pathlib.Path):
         self.folder = folder

@@ -1,9 +1,8 @@
-"""The raw data of Polycam (LiDAR and room mode): keyframes/ with a JSON file a picture.
-
-Each of keyframes/cameras/*.json holds fx, fy, cx, cy, width, height, and the pose t_00 ... t_23, camera to world, rows
-first: ARKit's axes, the world's y up, the camera's +y up and -z forward. corrected_cameras/ and corrected_images/,
-where Polycam optimised them, are taken instead if all are of one size. Here z is up, as nerfstudio has it.
-"""
+"""The raw data of Polycam (LiDAR and room mode): keyframes/ with a JSON file a picture."""
+# Each of keyframes/cameras/*.json holds fx, fy, cx, cy, width, height, and the pose t_00 ... t_23, camera to world,
+# rows first: ARKit's axes, the world's y up, the camera's +y up and -z forward. corrected_cameras/ and
+# corrected_images/, where Polycam optimised them, are taken instead if all are of one size. Here z is up, as nerfstudio
+# has it.
 
 from __future__ import annotations
 
@@ -22,37 +21,12 @@ TO_Z_UP = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 def is_scene(folder: pathlib.Path) -> bool:
-    """Whether a folder holds the raw data of Polycam.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        Whether it does.
-    """
+    """Whether a folder holds the raw data of Polycam."""
     return (folder / "keyframes" / "cameras").is_dir()
 
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
-    """Read a split: every eighth picture, by name, is `test`, the others are `train`.
-
-    Args:
-        folder: The folder.
-        split: Name of the split.
-        downscale: Whole factor by which width and height shrink.
-        background: (3,) colour put behind transparent pixels.
-        masks: As for `load_scene`; there are none.
-
-    Returns:
-        The scene.
-
-    Raises:
-        FileNotFoundError: For a missing split or file, and where fewer than half of the pictures are there.
-        ValueError: For contents that cannot be used.
-
-    Warns:
-        UserWarning: Where some pictures are not there; they are left out.
-    """
+    """Read a split: every eighth picture, by name, is `test`, the others are `train`. Options as for `load_scene`."""
     keyframes = folder / "keyframes"
     views = _views(keyframes, "corrected_")
     if not views or len({view.size for view in views}) > 1:

@@ -1,9 +1,7 @@
-"""Captures of Record3D as it exports them (.r3d unpacked, or "EXR + RGB"): metadata beside rgb/ or rgbd/.
-
-metadata (or metadata.json) holds K, the intrinsic matrix column by column, w, h, and poses: for each picture a
-quaternion (x, y, z, w) and a place, camera to world: ARKit's axes, the world's y up, the camera's +y up and -z forward;
-perFrameIntrinsicCoeffs (fx, fy, cx, cy) where focus moved. Pictures are 0.jpg, 1.jpg, ... Here z is up.
-"""
+"""Captures of Record3D as it exports them (.r3d unpacked, or "EXR + RGB"): metadata beside rgb/ or rgbd/."""
+# metadata (or metadata.json) holds K, the intrinsic matrix column by column, w, h, and poses: for each picture a
+# quaternion (x, y, z, w) and a place, camera to world: ARKit's axes, the world's y up, the camera's +y up and -z
+# forward; perFrameIntrinsicCoeffs (fx, fy, cx, cy) where focus moved. Pictures are 0.jpg, 1.jpg, ... Here z is up.
 
 from __future__ import annotations
 
@@ -25,37 +23,12 @@ MOST_PICTURES = 300
 
 
 def is_scene(folder: pathlib.Path) -> bool:
-    """Whether a folder holds a capture of Record3D.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        Whether it does.
-    """
+    """Whether a folder holds a capture of Record3D."""
     return _metadata(folder) is not None and any((folder / name).is_dir() for name in ("rgb", "rgbd"))
 
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
-    """Read a split: every eighth picture is `test`, the others are `train`.
-
-    Args:
-        folder: The folder.
-        split: Name of the split.
-        downscale: Whole factor by which width and height shrink.
-        background: (3,) colour put behind transparent pixels.
-        masks: As for `load_scene`; there are none.
-
-    Returns:
-        The scene.
-
-    Raises:
-        FileNotFoundError: For a missing split or file, and where fewer than half of the pictures are there.
-        ValueError: For contents that cannot be used.
-
-    Warns:
-        UserWarning: Where some pictures are not there; they are left out.
-    """
+    """Read a split: every eighth picture is `test`, the others are `train`. Options as for `load_scene`."""
     path = _metadata(folder)
     if path is None:
         raise FileNotFoundError(f"{str(folder)!r} holds no capture of Record3D ({MARK})")

@@ -1,9 +1,7 @@
-"""transforms.json of nerfstudio (Tancik et al. 2023) and instant-ngp (Mueller et al. 2022).
-
-Intrinsics stand at the top or in a frame, which wins; camera axes are OpenGL's (+y up, -z forward); the centre of the
-first pixel is (0.5, 0.5). Poses are taken as they stand, as both programs do; `applied_transform`, which nerfstudio put
-on them, is undone by Scene.to_source.
-"""
+"""transforms.json of nerfstudio (Tancik et al. 2023) and instant-ngp (Mueller et al. 2022)."""
+# Intrinsics stand at the top or in a frame, which wins; camera axes are OpenGL's (+y up, -z forward); the centre of the
+# first pixel is (0.5, 0.5). Poses are taken as they stand, as both programs do; `applied_transform`, which nerfstudio
+# put on them, is undone by Scene.to_source.
 
 from __future__ import annotations
 
@@ -38,14 +36,7 @@ MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PER
 
 
 def is_scene(folder: pathlib.Path) -> bool:
-    """Whether a folder holds transforms.json, or transforms_<split>.json with focal lengths.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        Whether it does.
-    """
+    """Whether a folder holds transforms.json, or transforms_<split>.json with focal lengths."""
     if (folder / "transforms.json").is_file():
         return True
     files = sorted(folder.glob("transforms_*.json"))
@@ -53,30 +44,14 @@ def is_scene(folder: pathlib.Path) -> bool:
 
 
 def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
-    """Read a split: a file of its own, or a list of file names in transforms.json, or else every eighth frame, by
-    file name, is `test` and the others are `train`. mask_path becomes the alpha, ply_file_path the bounds.
-
-    Args:
-        folder: The folder.
-        split: Name of the split.
-        downscale: Whole factor by which width and height shrink.
-        background: (3,) colour put behind transparent pixels.
-        masks: As for `load_scene`.
-
-    Returns:
-        The scene.
-
-    Raises:
-        FileNotFoundError: For a missing split or file, and where fewer than half of the pictures are there.
-        ValueError: For contents that cannot be used.
-
-    Warns:
-        UserWarning: Where some pictures are not there. Their frames are left out, as nerfstudio and instant-ngp do:
-            captures are often published without their blurred pictures.
-    """
+    """Read a split: a file of its own, a list of file names in transforms.json, or every eighth frame, by name, as
+    `test`. Options as for `load_scene`."""
+    # mask_path becomes the alpha, ply_file_path the bounds.
     single = folder / "transforms.json"
     path = single if single.is_file() else split_file(folder, split)
     transforms = read_json(path)
+    # Frames without a picture are left out, as nerfstudio and instant-ngp do: captures are often published without
+    # their blurred pictures.
     views = views_there([_view(folder, transforms, where, frame) for where, frame in frames_of(transforms, path)], path)
     if path == single:
         views.sort(key=lambda view: str(view.file))

@@ -35,44 +35,21 @@ MOST_WORKERS = 32
 
 @dataclasses.dataclass
 class View:
-    """One picture and its camera, as a format's reader found them.
-
-    Attributes:
-        file: The picture.
-        pose: (4, 4) camera to world, OpenCV axes.
-        where: File and field, for messages.
-        intrinsics: (fx, fy, cx, cy) in pixels of the file, the centre of the first pixel at (0.5, 0.5); or a function
-            of the picture's width and height that gives them.
-        size: Width and height that the format claims, or None.
-        distortion: Coefficients in the order of distortion.COEFFICIENTS, or empty.
-        mask: Picture of the opacity, or None.
-    """
+    """One picture and its camera, as a format's reader found them."""
 
     file: pathlib.Path
-    pose: np.ndarray
-    where: str
+    pose: np.ndarray  # (4, 4) camera to world, OpenCV axes
+    where: str  # file and field, for messages
+    # pixels of the file, the centre of the first one at (0.5, 0.5); or a function of the picture's width and height
     intrinsics: Intrinsics | Callable[[tuple[int, int]], Intrinsics]
-    size: tuple[int, int] | None = None
-    distortion: tuple[float, ...] = ()
-    mask: pathlib.Path | None = None
+    size: tuple[int, int] | None = None  # width and height that the format claims
+    distortion: tuple[float, ...] = ()  # in the order of distortion.COEFFICIENTS
+    mask: pathlib.Path | None = None  # picture of the opacity
 
 
 def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
-    """The views whose picture is there.
-
-    Args:
-        views: All that the scene lists, at least one.
-        listing: The file that lists them.
-
-    Returns:
-        Those that are left; all of them where none is there, so that the first is named as missing.
-
-    Raises:
-        FileNotFoundError: Where more than half of the pictures are not there.
-
-    Warns:
-        UserWarning: Where some are not.
-    """
+    """The views whose picture is there; all of them where none is, so that the first is named as missing. It warns
+    where some are missing, and raises FileNotFoundError for more than half; listing: the file that lists them."""
     there = [view for view in views if view.file.is_file()]
     if not there or len(there) == len(views):
         return views
@@ -85,37 +62,18 @@ def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
 
 
 def make_scene(
-    folder: pathlib.Path,
+    folder: pathlib.Path,  # which pictures and masks must not lead out of: see `Bounds`
     views: list[View],
     *,
     downscale: int,
-    background: np.ndarray,
-    masks: bool | str = True,
-    bounds: np.ndarray | None = None,
-    points: np.ndarray | None = None,
-    to_source: np.ndarray | None = None,
+    background: np.ndarray,  # (3,) colour behind transparent pixels
+    masks: bool | str = True,  # as for `load_scene`
+    bounds: np.ndarray | None = None,  # (2, 3) box of the object, world units
+    points: np.ndarray | None = None,  # (n, 3) points of a reconstruction, world units
+    to_source: np.ndarray | None = None,  # (4, 4) as Scene has it
 ) -> Scene:
-    """Read the pictures of views, undo their distortion, shrink them and put them on the background.
-
-    Args:
-        folder: The scene's folder, which pictures and masks must not lead out of: see `Bounds`.
-        views: Pictures with their cameras, in the order of the scene.
-        downscale: Whole factor by which width and height shrink.
-        background: (3,) colour put behind transparent pixels.
-        masks: As for `load_scene`.
-        bounds: (2, 3) box of the object, world units. None takes it from the points, if there are any.
-        points: (n, 3) points of a reconstruction, world units; the bulk of those that the cameras look at makes the
-            bounds.
-        to_source: (4, 4) as Scene has it.
-
-    Returns:
-        The scene.
-
-    Raises:
-        FileNotFoundError: For pictures that are not there.
-        ValueError: For pictures listed twice, of several sizes, of another size than their camera's, broken, outside
-            the folder, or too many for the memory.
-    """
+    """Read the pictures of views, undo their distortion, shrink them and put them on the background."""
+    # The bounds are taken from the points, if there are no others: the bulk of those that the cameras look at.
     _refuse_doubles(views)
     allowed = Bounds(folder)
     for view in views:
