@@ -26,43 +26,26 @@ RESOLUTION = 128
 
 
 class CageBinding:
-    """Points in a cage at rest, and where a pose of it takes them, with the Jacobian of the map there.
+    """Points in a cage at rest, and where a pose of it takes them, with the Jacobian of the map there."""
 
-    A pose costs one weighted sum a point: phi(x) = A x + t + sum_j w_j(x) r_j (kernels/splats/pose.py).
-
-    Args:
-        points: (m, 3) world units, inside the cage, 1e-5 of its size or more from its faces.
-        cage: The cage at rest, usable.
-        coordinates: "harmonic", "mean_value" or "green".
-        origin: (3,) world point that positions on the device are relative to.
-        device: Warp device.
-        resolution: Harmonic only: cells of the lattice along the cage's longest side.
-        packed: Whether to keep ten bytes an entry, gradients as half floats, instead of sixteen. None does on CUDA,
-            where poses wait for memory; a CPU takes longer to unpack them.
-
-    Raises:
-        ValueError: For too little memory.
-
-    Attributes:
-        rows: (j, m) vec4, weight and gradient (per size of the cage) of each vertex (Green: then of each face); None
-            where they are packed.
-        packed: The PackedRows of kernels/splats/packed_rows.py; None where they are not.
-    """
+    # A pose costs one weighted sum a point: phi(x) = A x + t + sum_j w_j(x) r_j (kernels/splats/pose.py).
 
     def __init__(
         self,
-        points: np.ndarray,
-        cage: ClosedMesh,
-        coordinates: str,
-        origin: np.ndarray,
+        points: np.ndarray,  # (m, 3) world units, inside the cage, 1e-5 of its size or more from its faces
+        cage: ClosedMesh,  # at rest, usable
+        coordinates: str,  # "harmonic", "mean_value" or "green"
+        origin: np.ndarray,  # (3,) world point that positions on the device are relative to
         device: wp.Device,
-        resolution: int | None = None,
-        packed: bool | None = None,
+        resolution: int | None = None,  # harmonic only: cells of the lattice along the cage's longest side
+        packed: bool | None = None,  # ten bytes an entry, gradients as half floats, instead of sixteen; None: on CUDA
     ):
         self._cage, self._device = cage, device
         self._fit = PoseFit(cage, coordinates, origin)
+        # (j, m) vec4, weight and gradient (per size of the cage) of each vertex (Green: then face); None if packed
         self.rows: wp.array | None = None
-        self.packed: Any = None
+        self.packed: Any = None  # the PackedRows of kernels/splats/packed_rows.py; None if not packed
+        # On CUDA poses wait for memory; a CPU takes longer to unpack the rows.
         pack = not device.is_cpu if packed is None else packed
         count, height, corners = len(points), self._fit.row_count, len(cage.vertices)
         groups = (height + 3) // 4
@@ -127,25 +110,14 @@ class CageBinding:
     def carry(
         self,
         deformed: ClosedMesh,
-        members: wp.array,
-        others: wp.array,
-        anchors: wp.array,
-        offsets: wp.array,
-        carried: Any,
+        members: wp.array,  # (m,) int32, which of the splats they are
+        others: wp.array,  # (n,) int32, the splat that goes the same way as each, or -1
+        anchors: wp.array,  # (m,) vec3, the bound points, relative to the origin
+        offsets: wp.array,  # (m,) vec3, from each to the centre of its splat
+        carried: Any,  # a CarriedSplats of kernels/splats/pose.py that takes them
     ) -> wp.array:
-        """Take the bound points to a pose.
-
-        Args:
-            deformed: The posed cage.
-            members: (m,) int32, which of the splats they are.
-            others: (n,) int32, the splat that goes the same way as each, or -1.
-            anchors: (m,) vec3, the bound points, relative to the origin.
-            offsets: (m,) vec3, from each to the centre of its splat.
-            carried: A CarriedSplats of kernels/splats/pose.py that takes them.
-
-        Returns:
-            Vec3 on the device, of which the first v are the posed vertices, relative to the origin.
-        """
+        """Take the bound points to a pose; returns vec3 on the device.
+        The first v of them are the posed vertices, relative to the origin."""
         corners, height = len(deformed.vertices), self._fit.row_count
         slope, shift = self._fit.targets(deformed, self._host[: corners + height])
         targets = wp.array(self._host, dtype=wp.vec3, device=self._device, copy=True)

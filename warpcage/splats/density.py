@@ -24,28 +24,15 @@ RESOLUTION, MOST_RESOLUTION = 128, 1024
 
 class SplatDensity:
     """Densities of splats at the nodes of a grid: what `Cage.from_field`, `select_nodes` and `extract_mesh` read.
+    resolution: nodes along the longest side, 2 to 1024; bounds: (2, 3) box, world units, None is that of all splats."""
 
-    Node (i, j, k) lies at bounds[0] + (i + 0.5) * voxel_size. A splat counts by its covariance and opacity, not by its
-    centre alone (kernels/splats/density.py).
-
-    Args:
-        field: The splats.
-        resolution: Nodes along the longest side of the box, 2 to 1024.
-        bounds: (2, 3) box to look at, world units. None is that of all splats.
-
-    Raises:
-        ValueError: For bounds or a resolution out of range, or too little memory.
-
-    Attributes:
-        field: As given.
-        bounds: (2, 3) float64, world units; a whole number of voxels.
-        voxel_size: (3,) float64, world units.
-        straightening: None: the coordinates are those of the file.
-    """
+    # Node (i, j, k) lies at bounds[0] + (i + 0.5) * voxel_size. A splat counts by its covariance and opacity, not by
+    # its centre alone (kernels/splats/density.py).
 
     def __init__(self, field: SplatField, resolution: int = RESOLUTION, bounds: ArrayLike | None = None):
-        self.field, self.straightening = field, None
+        self.field, self.straightening = field, None  # the coordinates are those of the file
         box = field.bounds if bounds is None else checked_bounds(bounds)
+        # (2, 3) and (3,) float64, world units; the box is a whole number of voxels
         self.bounds, self.voxel_size = whole_voxels(box, checked_whole(resolution, "resolution", 2, MOST_RESOLUTION))
         side = float(self.voxel_size[0])
         shape = np.round((self.bounds[1] - self.bounds[0]) / side).astype(int)
@@ -68,15 +55,7 @@ class SplatDensity:
         return self._density
 
     def sample(self, points: ArrayLike, directions: ArrayLike | None = None) -> tuple[None, np.ndarray]:
-        """Densities at points, between the nodes; no colours.
-
-        Args:
-            points: (n, 3) world units.
-            directions: Not looked at.
-
-        Returns:
-            None and (n,) float64, per world unit.
-        """
+        """None for colours, and densities (n,) float64, per world unit, at points (n, 3), between the nodes."""
         from scipy.ndimage import map_coordinates
 
         places = (np.asarray(points, np.float64) - self.bounds[0]) / self.voxel_size - 0.5
@@ -84,15 +63,8 @@ class SplatDensity:
 
 
 def whole_voxels(box: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray]:
-    """A box made larger to whole cubes.
-
-    Args:
-        box: (2, 3) lower and upper corner, world units.
-        resolution: Cubes along its longest side.
-
-    Returns:
-        (2, 3) the box about the same middle, at least two cubes along each axis; and (3,) the side of a cube.
-    """
+    """A box (2, 3) made larger about its middle to whole cubes, two or more along each axis, and (3,) the side of a
+    cube. resolution: cubes along the longest side of the box."""
     side = float((box[1] - box[0]).max()) / resolution
     shape = np.maximum(np.ceil((box[1] - box[0]) / side - 1e-6), 2.0)
     middle = box.mean(axis=0)

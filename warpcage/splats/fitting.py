@@ -162,17 +162,7 @@ def fit_splats(
 
 
 def checked_growth(growth: float) -> float:
-    """How many times as large a splat may become.
-
-    Args:
-        growth: What the caller asked for.
-
-    Returns:
-        The number.
-
-    Raises:
-        ValueError: Below 1.
-    """
+    """How many times as large a splat may become, 1 or more."""
     if checked_positive(growth, "growth") < 1.0:
         raise ValueError(f"growth must be 1 or more times the size at first, got {growth}")
     return float(growth)
@@ -181,18 +171,7 @@ def checked_growth(growth: float) -> float:
 def checked_pictures(
     cameras: Sequence[Camera], images: np.ndarray | Sequence[ArrayLike]
 ) -> tuple[list[Camera], list[np.ndarray]]:
-    """Pictures that fit their cameras.
-
-    Args:
-        cameras: (m,) cameras.
-        images: (m, h, w, 3) colours, or a sequence of (h, w, 3).
-
-    Returns:
-        The cameras, and (h, w, 3) float32 each.
-
-    Raises:
-        ValueError: For none, another number, other sizes, and values that are not finite or beyond LARGEST_COLOUR.
-    """
+    """Cameras, and pictures (h, w, 3) float32 that fit them; images: (m, h, w, 3), or a sequence of (h, w, 3)."""
     for name, values in (("cameras", cameras), ("images", images)):
         if isinstance(values, str) or not isinstance(values, Iterable):
             raise ValueError(f"{name} must be a list, one for each picture, got {type(values).__name__}")
@@ -224,41 +203,23 @@ def _as_picture(number: int, image: ArrayLike) -> np.ndarray:
 
 
 class SplatOptimizer:
-    """Steps the values of a field's splats down the loss of pictures, one picture a step.
-
-    Args:
-        field: The field that the splats begin with.
-        cameras: (m,) their pictures' cameras.
-        images: (m, h, w, 3) colours in [0, 1], before the background.
-        steps: Steps that there will be.
-        loss: "l1" or "l2".
-        supersampling: Rays along each side of a pixel.
-        blur: Variance by which pictures are blurred, pixels squared.
-        antialias: As in `SplatField.render`.
-        background: (3,) colour behind the splats.
-        growth: How many times as large as at first a splat may become along an axis; inf for no limit.
-        rates: Of the values.
-        seed: Of the order of pictures.
-
-    Attributes:
-        step_count: Steps done.
-    """
+    """Steps the values of a field's splats down the loss of pictures, one picture a step."""
 
     def __init__(
         self,
         field: SplatField,
         cameras: Sequence[Camera],
-        images: Sequence[np.ndarray],
+        images: Sequence[np.ndarray],  # (h, w, 3) each, colours in [0, 1], before the background
         *,
-        steps: int,
-        loss: str,
-        supersampling: int,
-        blur: float,
-        antialias: bool,
-        background: np.ndarray,
-        growth: float,
+        steps: int,  # steps that there will be
+        loss: str,  # "l1" or "l2"
+        supersampling: int,  # rays along each side of a pixel
+        blur: float,  # variance by which pictures are blurred, pixels squared
+        antialias: bool,  # as in `SplatField.render`
+        background: np.ndarray,  # (3,) colour behind the splats
+        growth: float,  # times as large as at first a splat may become along an axis; inf for no limit
         rates: SplatRates,
-        seed: int,
+        seed: int,  # of the order of pictures
     ):
         self.device, self.step_count, self._steps = field.device, 0, steps
         self._side, self._squared, self._rates = supersampling, int(loss == "l2"), rates

@@ -20,14 +20,9 @@ SUM_COUNT = int(SUMS)
 
 
 class SplatGradients(SplatRenderer):
-    """Draws splats, and takes the slopes of a loss by the picture back to their values.
+    """Draws splats, and takes the slopes of a loss by the picture back to their values."""
 
-    Args:
-        device: Warp device. None is CUDA where there is one.
-
-    References: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023),
-        appendix A.
-    """
+    # Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023), appendix A.
 
     def __init__(self, device: wp.DeviceLike = None):
         super().__init__(device)
@@ -38,20 +33,8 @@ class SplatGradients(SplatRenderer):
         self._drawn: tuple[Any, ...] = ()
 
     def draw(self, parameters: SplatParameters, camera: Camera, lens: Any, colour: wp.vec3) -> wp.array:
-        """The picture, one ray a pixel.
-
-        Args:
-            parameters: The splats, refreshed.
-            camera: The camera, for the size of the picture.
-            lens: Of `splat_lens`, of the same camera.
-            colour: Behind the splats.
-
-        Returns:
-            (h * w,) vec3, valid until the next picture.
-
-        Raises:
-            ValueError: If the splats touch more tiles than are sorted at once.
-        """
+        """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
+        lens: of `splat_lens`, of the same camera; colour: behind the splats."""
         grid, pixels = tile_grid(camera), camera.width * camera.height
         seen = self._project(parameters.splats, lens)
         total = self.entry_count = self._count(grid, *seen)
@@ -67,11 +50,7 @@ class SplatGradients(SplatRenderer):
         return rgb
 
     def take_back(self, slopes: wp.array) -> None:
-        """Set the slopes of the parameters that were drawn last.
-
-        Args:
-            slopes: (h * w,) vec3, derivatives of a loss by the colours of the picture.
-        """
+        """Set the slopes of the parameters drawn last, from those (h * w,) vec3 of a loss by the picture's colours."""
         parameters, lens, grid, seen, inputs, sources, total, rgb = self._drawn
         count, view, _, order = seen
         sums = self._sums.take(SUM_COUNT * count)

@@ -11,14 +11,7 @@ CHUNK = 1 << 15
 
 
 def sh_basis(directions: np.ndarray) -> np.ndarray:
-    """The real spherical harmonics of degree 0 to 3, of kernels/field/harmonics.py.
-
-    Args:
-        directions: (..., 3) unit vectors.
-
-    Returns:
-        (..., 16) float64.
-    """
+    """The real harmonics of kernels/field/harmonics.py, degree 0 to 3: (..., 16) float64 at unit vectors (..., 3)."""
     x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
     xx, yy, zz = x * x, y * y, z * z
     return np.stack(
@@ -45,17 +38,8 @@ def sh_basis(directions: np.ndarray) -> np.ndarray:
 
 
 def turned_harmonics(harmonics: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    """Coefficients of d -> f(R^-1 d) from those of f: a splat and its highlights, turned by R.
-
-    A turned harmonic is a sum of those of its own degree: it is evaluated in some directions, and taken apart again.
-
-    Args:
-        harmonics: (n, b, 3) coefficients, b = 1, 4, 9 or 16.
-        rotations: (n, 3, 3).
-
-    Returns:
-        (n, b, 3) float32.
-    """
+    """Coefficients (n, b, 3) float32 of d -> f(R^-1 d) from those of f, b = 1, 4, 9 or 16; rotations: R (n, 3, 3).
+    That is a splat and its highlights, turned by R."""
     turned = harmonics.astype(np.float32, copy=True)
     degree = int(round(np.sqrt(harmonics.shape[1]))) - 1
     if degree == 0:
@@ -64,6 +48,8 @@ def turned_harmonics(harmonics: np.ndarray, rotations: np.ndarray) -> np.ndarray
     for begin in range(0, len(harmonics), CHUNK):
         chunk = slice(begin, begin + CHUNK)
         seen = sh_basis(directions @ rotations[chunk])  # rows d^T R are R^-1 d
+        # A turned harmonic is a sum of those of its own degree: it is evaluated in some directions, and taken apart
+        # again.
         for band in range(1, degree + 1):
             own = slice(band**2, (band + 1) ** 2)
             values = seen[..., own] @ harmonics[chunk, own].astype(np.float64)

@@ -21,37 +21,13 @@ AnyField: TypeAlias = VoxelField | SplatField
 
 
 def load_field(path: PathLike, *, scene_scale: float = 1.0, device: wp.DeviceLike = None) -> AnyField:
-    """Read a field of voxels or of splats, which the ending tells.
-
-    Args:
-        path: The file.
-        scene_scale: Factor on the lengths of a voxel field; see `VoxelField.load`. Splats have none.
-        device: Warp device. None is CUDA where there is one.
-
-    Returns:
-        The field.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a file that cannot be read, or a scale with splats.
-    """
+    """Read a field of voxels or of splats, which the ending tells; scene_scale as for `VoxelField.load`."""
     return read_field(path, scene_scale=scene_scale)(device)
 
 
 def read_field(path: PathLike, *, scene_scale: float = 1.0) -> Callable[[wp.DeviceLike], AnyField]:
-    """Read a field into the host's memory, for which no device is needed.
-
-    Args:
-        path: The file.
-        scene_scale: As for `load_field`.
-
-    Returns:
-        Makes the field on a device, of what was read. It may raise a ValueError of parts that do not fit.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a file that cannot be read, or a scale with splats.
-    """
+    """Read a field into the host's memory, for which no device is needed; returns what makes the field on a device.
+    That may raise a ValueError of parts that do not fit."""
     if not is_splat_file(path):
         return functools.partial(_voxels_of, load_voxels(path, scene_scale=scene_scale), path)
     if scene_scale != 1.0:
@@ -69,12 +45,5 @@ def _voxels_of(contents: FieldContents, path: PathLike, device: wp.DeviceLike) -
 
 
 def field_size(field: AnyField) -> str:
-    """How large a field is, in words.
-
-    Args:
-        field: The field.
-
-    Returns:
-        Such as "12000 voxels".
-    """
+    """How large a field is, in words such as "12000 voxels"."""
     return counted(len(field), "splat") if isinstance(field, SplatField) else counted(field.voxel_count, "voxel")

@@ -25,30 +25,22 @@ VALUE_TYPES = {
 
 
 class SplatParameters:
-    """Values of a field's splats that change, on its device.
-
-    Args:
-        field: The field that they begin with. It is left as it is.
-
-    Attributes:
-        field: The same.
-        values: By name (VALUE_TYPES), (n, width) float32 each; centres relative to the field's `center`.
-        slopes: Derivatives of a loss by each of them, of the same shapes.
-        splats: The Splats of kernels/splats/splats.py that `refresh` makes of the values.
-        value_slopes: The slopes as kernels/splats/project_slopes.py writes them.
-    """
+    """Values of a field's splats that change, on its device; the field itself is left as it is."""
 
     def __init__(self, field: SplatField):
         self.field, held, count = field, field.contents, len(field)
         host = {name: np.asarray(getattr(held, name), np.float64) for name in VALUE_TYPES}
         host["centres"] = host["centres"] - field.center
         self._first_centres = host["centres"].astype(np.float32)
+        # By name (VALUE_TYPES), (n, width) float32 each, centres relative to the field's `center`; and derivatives of a
+        # loss by each of them.
         self.values: dict[str, wp.array] = {}
         self.slopes: dict[str, wp.array] = {}
         for name, values in host.items():
             rows = np.ascontiguousarray(values.reshape(count, values.size // max(count, 1)), np.float32)
             self.values[name] = wp.array(rows, dtype=wp.float32, device=field.device)
             self.slopes[name] = wp.zeros(rows.shape, dtype=wp.float32, device=field.device)
+        # What `refresh` makes of the values.
         self.splats: Any = Splats()
         self.splats.centres = self.by_rows("centres", self.values)
         self.splats.covariances = empty_array((count, 6), wp.float32, field.device)
@@ -56,20 +48,13 @@ class SplatParameters:
         self.splats.harmonics, self.splats.degree = self.values["harmonics"], field.degree
         self.splats.turns = empty_array(0, wp.quat, field.device)
         self.splats.rows = empty_array(0, wp.int32, field.device)
+        # The slopes as kernels/splats/project_slopes.py writes them.
         self.value_slopes: Any = ValueSlopes()
         for name in VALUE_TYPES:
             setattr(self.value_slopes, name, self.by_rows(name, self.slopes))
 
     def by_rows(self, name: str, arrays: dict[str, wp.array]) -> wp.array:
-        """An array as kernels of splats read it.
-
-        Args:
-            name: Of the values.
-            arrays: `values` or `slopes`.
-
-        Returns:
-            (n,) of the type of VALUE_TYPES, or for harmonics (n, width).
-        """
+        """An array of `values` or `slopes` as kernels read it: (n,) of VALUE_TYPES' type, for harmonics (n, width)."""
         array = arrays[name]
         return array if name == "harmonics" else array_view(array, VALUE_TYPES[name], array.shape[0])
 
@@ -81,11 +66,7 @@ class SplatParameters:
         launch(parameters.make_splats, len(self.field), inputs, outputs, device=self.field.device)
 
     def to_field(self) -> SplatField:
-        """A field of the values as they are now.
-
-        Returns:
-            The field, with what else the file of the first one says.
-        """
+        """A field of the values as they are now, with what else the file of the first one says."""
         held, count = self.field.contents, len(self.field)
         host = {name: array.numpy() for name, array in self.values.items()}
         moved = host["centres"].astype(np.float64) - self._first_centres  # from where the file has them, to the bit

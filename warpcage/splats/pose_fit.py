@@ -12,21 +12,14 @@ _AROUND = np.array([0, 1, 2, 0, 1])
 
 
 class PoseFit:
-    """Fits poses of a cage. Every pose waits for it on the host: what the cage at rest says is worked out once.
-
-    Args:
-        rest: The cage at rest, usable.
-        coordinates: "harmonic", "mean_value" or "green".
-        origin: (3,) world point that everything is relative to.
-
-    Attributes:
-        row_count: Numbers r_j of a pose: a vertex each, for Green coordinates then a face each.
-    """
+    """Fits poses of a cage, for which every pose waits on the host: what the cage at rest says is worked out once.
+    origin: (3,) world point that everything is relative to."""
 
     def __init__(self, rest: ClosedMesh, coordinates: str, origin: np.ndarray):
         self._origin, self._size = origin, rest.size
         self._local = rest.vertices - origin
         self._green = coordinates == "green"
+        # Numbers r_j of a pose: a vertex each, for Green coordinates then a face each.
         self.row_count = len(rest.vertices) + (len(rest.faces) if self._green else 0)
         used = np.ones(len(rest.vertices), dtype=bool)
         if not self._green:
@@ -47,22 +40,15 @@ class PoseFit:
             self._st = -2.0 * scale * column_dot(u, v)
 
     def targets(self, deformed: ClosedMesh, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fit a pose.
-
-        Args:
-            deformed: The posed cage.
-            out: (v + row_count, 3) float32 that takes the posed vertices, relative to the origin, and then r_j: of
-                vertices, and for Green coordinates of the stretched normals times the size.
-
-        Returns:
-            A - 1 (3, 3) and t (3,) float64, relative to the origin.
-        """
+        """Fit a pose: A - 1 (3, 3) and t (3,) float64, relative to the origin, and in `out` (v + row_count, 3) float32
+        the posed vertices, relative to the origin, and then r_j."""
         count = len(self._local)
         posed = deformed.vertices - self._origin
         middle = self._mean @ posed
         around = posed - middle
         if self._green:
             matrix = nearest_similarity(self._spread, around, self._square_sum)
+            # r_j of stretched normals are times the size.
             out[2 * count :] = (self._tilts(around) - matrix @ self._normals).T
         else:
             matrix = (self._inverse @ around).T
@@ -86,16 +72,8 @@ class PoseFit:
 
 
 def nearest_similarity(a: np.ndarray, b: np.ndarray, square_sum: float) -> np.ndarray:
-    """The rotation times a scale that takes points nearest to others (Umeyama 1991).
-
-    Args:
-        a: (v, 3) around 0.
-        b: (v, 3) around 0.
-        square_sum: Of a.
-
-    Returns:
-        (3, 3).
-    """
+    """The rotation times a scale (3, 3) that takes points a (v, 3) around 0 nearest to b; square_sum: of a."""
+    # Umeyama 1991.
     u, s, vt = np.linalg.svd(b.T @ a)
     matrix = u @ vt
     if np.linalg.det(matrix) < 0.0:  # it would turn over
@@ -106,15 +84,7 @@ def nearest_similarity(a: np.ndarray, b: np.ndarray, square_sum: float) -> np.nd
 
 
 def fit_similarity(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The similarity that takes points nearest to others (Umeyama 1991).
-
-    Args:
-        source: (v, 3).
-        target: (v, 3).
-
-    Returns:
-        Matrix (3, 3), a rotation times a scale, and offset (3,), float64.
-    """
+    """The similarity that takes points (v, 3) nearest to others: rotation times scale (3, 3) and offset (3,)."""
     centre, middle = source.mean(axis=0), target.mean(axis=0)
     a = source - centre
     matrix = nearest_similarity(a, target - middle, (a**2).sum())

@@ -36,23 +36,15 @@ PROJECT_WORK, DRAW_WORK = 100, 20_000
 
 
 class SplatRenderer:
-    """Draws splats on a device, in buffers that are kept and grow.
+    """Draws splats on a device, in buffers that are kept and grow."""
 
-    The host waits once for a frame of a CUDA device, for the number of tiles that splats touch.
-
-    Args:
-        device: Warp device. None is CUDA where there is one.
-
-    Attributes:
-        device: Warp device.
-        entry_count: Tiles that splats touched in the last frame, summed over the splats.
-
-    References: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023); tiles that
-        ellipses touch as in Hanson et al., "Speedy-Splat" (CVPR 2025).
-    """
+    # The host waits once for a frame of a CUDA device, for the number of tiles that splats touch. Kerbl et al., "3D
+    # Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023); tiles that ellipses touch as in Hanson
+    # et al., "Speedy-Splat" (CVPR 2025).
 
     def __init__(self, device: wp.DeviceLike = None):
         self.device = resolve_device(device)
+        # Tiles that splats touched in the last frame, summed over the splats.
         self.entry_count = 0
         self._lock = owner_lock(self.device)
         pool = BufferPool(self.device)
@@ -69,34 +61,16 @@ class SplatRenderer:
         splats: WarpStruct,
         camera: Camera,
         *,
-        colour: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
-        origin: ArrayLike = (0.0, 0.0, 0.0),
-        near: float = 0.0,
-        supersampling: int = 1,
-        antialias: bool = False,
+        colour: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),  # (3,) behind the splats, in [0, 1]
+        origin: ArrayLike = (0.0, 0.0, 0.0),  # (3,) world point that the splats' centres are relative to
+        near: float = 0.0,  # splats whose centre is less than this before the camera are left out, world units
+        supersampling: int = 1,  # rays along each side of a pixel
+        antialias: bool = False,  # the blur adds no matter (Mip-Splatting), for fields that were fitted in that way
     ) -> Frame:
-        """The view of a camera.
-
-        With several rays a pixel, the blur stays as wide as it is without: a field keeps its look, less its steps.
-
-        Args:
-            splats: A Splats of kernels/splats/splats.py on the device.
-            camera: The camera.
-            colour: (3,) colour behind the splats, in [0, 1].
-            origin: (3,) world point that the splats' centres are relative to.
-            near: Splats whose centre is less than this before the camera are left out, world units.
-            supersampling: Rays along each side of a pixel.
-            antialias: Weaken splats that the blur of the picture makes larger, so that it adds no matter
-                (Mip-Splatting). For fields that were fitted in that way.
-
-        Returns:
-            The frame, its arrays on the device.
-
-        Raises:
-            ValueError: For supersampling out of range, or more splats in a row of tiles than can be sorted.
-        """
+        """The view of a camera, its arrays on the device; splats: a Splats of kernels/splats/splats.py."""
         side = checked_supersampling(supersampling)
         fine = finer_camera(camera, side)
+        # With several rays a pixel, the blur stays as wide as it is without: a field keeps its look, less its steps.
         lens = splat_lens(fine, origin, near, IMAGE_BLUR * side**2, antialias)
         with self._lock:
             arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device, self._spare)
@@ -171,33 +145,17 @@ class SplatRenderer:
 
 
 def near_distance(centres: np.ndarray) -> float:
-    """How near a camera draws the splats of a field: those nearer would fill the picture with one flat colour.
-
-    Args:
-        centres: (n, 3) world units.
-
-    Returns:
-        A share of the median distance from the middle of the splats, world units; 0 for fewer than two places.
-    """
+    """How near a camera draws the splats of a field with centres (n, 3), world units; 0 for fewer than two places."""
     if not len(centres):
         return 0.0
     places = np.asarray(centres, np.float64)
+    # Those nearer would fill the picture with one flat colour.
     return NEAR_SHARE * float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
 
 
 def splat_lens(camera: Camera, origin: ArrayLike, near: float, blur: float, antialias: bool) -> Any:
-    """How a camera draws splats.
-
-    Args:
-        camera: The camera.
-        origin: (3,) world point that the splats' centres are relative to.
-        near: Splats whose centre is less than this before the camera are left out, world units.
-        blur: Variance that is added on the image, pixels squared.
-        antialias: Whether the blur adds no matter.
-
-    Returns:
-        A Lens of kernels/splats/project.py.
-    """
+    """How a camera draws splats: a Lens of kernels/splats/project.py; antialias: the blur adds no matter. origin: (3,)
+    world point that centres are relative to; near: world units; blur: variance on the image, pixels squared."""
     lens = project.Lens()
     lens.camera = camera_struct(camera, origin)
     lens.near, lens.blur, lens.antialias = near, blur, int(antialias)
@@ -205,14 +163,7 @@ def splat_lens(camera: Camera, origin: ArrayLike, near: float, blur: float, anti
 
 
 def tile_grid(camera: Camera) -> Any:
-    """The tiles of a picture.
-
-    Args:
-        camera: The camera whose picture it is.
-
-    Returns:
-        A TileGrid of kernels/splats/tiles.py.
-    """
+    """The tiles of a camera's picture: a TileGrid of kernels/splats/tiles.py."""
     grid = tiles.TileGrid()
     grid.columns, grid.rows = -(-camera.width // tiles.TILE_SIDE), -(-camera.height // tiles.TILE_SIDE)
     grid.width, grid.height = camera.width, camera.height

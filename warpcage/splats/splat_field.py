@@ -357,14 +357,7 @@ class SplatField:
 
 
 def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Rotations of quaternions of any length.
-
-    Args:
-        quaternions: (n, 4) w x y z; of length zero for no rotation.
-
-    Returns:
-        (n, 3, 3) float64.
-    """
+    """Rotations (n, 3, 3) float64 of quaternions (n, 4) w x y z of any length; of length zero for no rotation."""
     q = quaternions.astype(np.float64)
     largest = np.abs(q).max(axis=1, keepdims=True, initial=0.0)
     q = np.where(largest > 0.0, q / np.where(largest > 0.0, largest, 1.0), [1.0, 0.0, 0.0, 0.0])

@@ -35,23 +35,14 @@ MOST_CUTS = 4
 
 @dataclasses.dataclass(frozen=True)
 class SplitTree:
-    """Splats and their pieces. A node is a splat or a piece.
+    """Splats and their pieces. A node is a splat or a piece."""
 
-    Args:
-        rows: (nodes,) the splat that each node is, or is a piece of.
-        parents: (nodes,) the node that each is a piece of, -1 for splats.
-        pieces: (nodes,) the first of the three pieces of each node, -1 for those that are not cut.
-        centres: (nodes, 3) world units.
-        factors: (nodes, 3, 3) axes times standard deviations, one per column.
-        opacities: (nodes,) 0 to 1.
-    """
-
-    rows: np.ndarray
-    parents: np.ndarray
-    pieces: np.ndarray
-    centres: np.ndarray
-    factors: np.ndarray
-    opacities: np.ndarray
+    rows: np.ndarray  # (nodes,) the splat that each node is, or is a piece of
+    parents: np.ndarray  # (nodes,) the node that each is a piece of, -1 for splats
+    pieces: np.ndarray  # (nodes,) the first of the three pieces of each node, -1 for those that are not cut
+    centres: np.ndarray  # (nodes, 3) world units
+    factors: np.ndarray  # (nodes, 3, 3) axes times standard deviations, one per column
+    opacities: np.ndarray  # (nodes,) 0 to 1
 
     @property
     def covariances(self) -> np.ndarray:
@@ -62,17 +53,8 @@ class SplitTree:
 def pieces_of(
     centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Three pieces of each splat along its longest axis, which together look like it.
-
-    Args:
-        centres: (n, 3).
-        factors: (n, 3, 3) axes times standard deviations, one per column.
-        opacities: (n,) 0 to 1.
-
-    Returns:
-        Centres (n, 3, 3), factors (n, 3, 3, 3) and opacities (n, 3) of the pieces: the middle one, and those at the
-        sides.
-    """
+    """Three pieces of each splat along its longest axis, the middle one first, which together look like it.
+    Arrays as in `SplitTree`, (n, ...); those returned are centres (n, 3, 3), factors (n, 3, 3, 3), opacities (n, 3)."""
     middle, side, distance, across = (np.interp(opacities, _TABLE[:, 0], column) for column in _TABLE[:, 1:].T)
     longest = np.argmax((factors**2).sum(axis=1), axis=1)
     rows = np.arange(len(centres))
@@ -92,21 +74,10 @@ def split_tree(
     opacities: np.ndarray,
     largest: np.ndarray,
     cuts: int = MOST_CUTS,
-    most: int | None = None,
+    most: int | None = None,  # None is no limit
 ) -> SplitTree:
-    """Splats, and pieces of those that are large.
-
-    Args:
-        centres: (n, 3) world units.
-        factors: (n, 3, 3) axes times standard deviations, one per column.
-        opacities: (n,) 0 to 1.
-        largest: (n,) the standard deviation above which a splat, and its pieces, are cut; infinite for never.
-        cuts: How often at most.
-        most: Nodes at most; the largest are cut first. None is no limit.
-
-    Returns:
-        The tree. Its first n nodes are the splats.
-    """
+    """Splats, the first n nodes, and pieces of those, or of pieces, of a standard deviation above `largest` (n,).
+    Arrays as in `SplitTree`; cuts: how often at most; most: nodes at most, the largest are cut first."""
     count = len(centres)
     nodes = [(np.arange(count), np.full(count, -1), centres, factors, opacities)]
     pieces = [np.full(count, -1)]

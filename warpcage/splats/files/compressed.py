@@ -1,10 +1,8 @@
-"""SuperSplat's .compressed.ply: splats in chunks of 256, 16 bytes each, and a byte for each further harmonic.
-
-As PlayCanvas' readers and writers have it: element `chunk` with the range of positions, logarithms of scales and, in
-newer files, of colours; element `vertex` of four words: positions and scales of 11, 10 and 11 bits within the range,
-rotations of 2 + 3 x 10 bits (which of w x y z is the largest, and the others), colour and opacity of 8 bits each;
-element `sh` with the f_rest of 3DGS in bytes, -4 to 4.
-"""
+"""SuperSplat's .compressed.ply: splats in chunks of 256, 16 bytes each, and a byte for each further harmonic."""
+# As PlayCanvas' readers and writers have it: element `chunk` with the range of positions, logarithms of scales and, in
+# newer files, of colours; element `vertex` of four words: positions and scales of 11, 10 and 11 bits within the range,
+# rotations of 2 + 3 x 10 bits (which of w x y z is the largest, and the others), colour and opacity of 8 bits each;
+# element `sh` with the f_rest of 3DGS in bytes, -4 to 4.
 
 from __future__ import annotations
 
@@ -33,18 +31,7 @@ def is_compressed(parts: PlyParts) -> bool:
 
 
 def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
-    """The splats of a .compressed.ply file.
-
-    Args:
-        path: The file, for messages.
-        parts: What was read of it, with the elements chunk, vertex and sh.
-
-    Returns:
-        The splats.
-
-    Raises:
-        ValueError: For another layout.
-    """
+    """The splats of a .compressed.ply file, of which elements chunk, vertex and sh were read; path: for messages."""
     chunk, vertex = parts.tables.get("chunk"), parts.tables["vertex"]
     if chunk is None:
         raise ValueError(f"{path}: packed splats need an element 'chunk', got {listed(parts.tables)}")
@@ -88,14 +75,7 @@ def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
 
 
 def write_compressed_ply(contents: SplatContents) -> bytes:
-    """A .compressed.ply file. The splats keep their order.
-
-    Args:
-        contents: The splats.
-
-    Returns:
-        The contents of the file.
-    """
+    """A .compressed.ply file. The splats keep their order."""
     count = contents.count
     begins = np.arange(0, count, CHUNK)
     scales = np.clip(contents.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE)
@@ -193,15 +173,7 @@ def _unpacked_quaternions(words: np.ndarray) -> np.ndarray:
 
 
 def with_largest(others: np.ndarray, largest: np.ndarray) -> np.ndarray:
-    """Unit quaternions from all numbers but the largest.
-
-    Args:
-        others: (n, 3) the other numbers in their order.
-        largest: (n,) which number is left out.
-
-    Returns:
-        (n, 4) float64.
-    """
+    """Unit quaternions (n, 4) float64 from all numbers but the largest (n, 3), in order, and which that is (n,)."""
     quaternions = np.empty((len(others), 4))
     rows = np.arange(len(others))
     for k in range(3):
@@ -211,14 +183,8 @@ def with_largest(others: np.ndarray, largest: np.ndarray) -> np.ndarray:
 
 
 def without_largest(quaternions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All numbers of quaternions but the largest, which is made positive.
-
-    Args:
-        quaternions: (n, 4) of any length; of length zero means w = 1.
-
-    Returns:
-        (n, 3) the other numbers, and (n,) which is left out.
-    """
+    """All numbers of quaternions (n, 4) but the largest, which is made positive: (n, 3), and (n,) which that is.
+    They may have any length; of length zero means w = 1."""
     quaternions = quaternions.astype(np.float64)
     length = np.linalg.norm(quaternions, axis=1, keepdims=True)
     unit = np.where(length > 0.0, quaternions / np.where(length > 0.0, length, 1.0), [1.0, 0.0, 0.0, 0.0])

@@ -23,40 +23,24 @@ MOST_LOG_SCALE = 40.0
 
 @dataclasses.dataclass(frozen=True)
 class PlyLayout:
-    """A PLY file of splats but for the values that a SplatField has: all that a round trip must keep.
+    """A PLY file of splats but for the values that a SplatField has: all that a round trip must keep."""
 
-    Args:
-        header: The header as found, to the end of its last line.
-        before: The elements before the splats, as found.
-        table: (n,) one row a splat, with all its properties in the order of the file.
-        after: The elements after the splats, as found.
-    """
-
-    header: bytes
-    before: bytes
-    table: np.ndarray
-    after: bytes
+    header: bytes  # as found, to the end of its last line
+    before: bytes  # the elements before the splats, as found
+    table: np.ndarray  # (n,) one row a splat, with all its properties in the order of the file
+    after: bytes  # the elements after the splats, as found
 
 
 @dataclasses.dataclass(frozen=True)
 class SplatContents:
-    """Splats as files hold them.
+    """Splats as files hold them."""
 
-    Args:
-        centres: (n, 3) float32 or float64, world units.
-        log_scales: (n, 3) float32, natural logarithms of the standard deviations along the splat's own axes.
-        quaternions: (n, 4) float32 w x y z, of any length; of length zero where the splat is not turned.
-        logits: (n,) float32, logarithm of opacity / (1 - opacity); infinite for 0 and 1.
-        harmonics: (n, b, 3) float32, b = 1, 4, 9 or 16 coefficients in red, green and blue.
-        layout: The PLY file that they come from, or None.
-    """
-
-    centres: np.ndarray
-    log_scales: np.ndarray
-    quaternions: np.ndarray
-    logits: np.ndarray
-    harmonics: np.ndarray
-    layout: PlyLayout | None = None
+    centres: np.ndarray  # (n, 3) float32 or float64, world units
+    log_scales: np.ndarray  # (n, 3) float32, natural logarithms of the standard deviations along the splat's own axes
+    quaternions: np.ndarray  # (n, 4) float32 w x y z, of any length; of length zero where the splat is not turned
+    logits: np.ndarray  # (n,) float32, logarithm of opacity / (1 - opacity); infinite for 0 and 1
+    harmonics: np.ndarray  # (n, b, 3) float32, b = 1, 4, 9 or 16 coefficients in red, green and blue
+    layout: PlyLayout | None = None  # of the PLY file that they come from
 
     @property
     def count(self) -> int:
@@ -70,17 +54,7 @@ class SplatContents:
 
 
 def checked_contents(contents: SplatContents) -> SplatContents:
-    """Splats whose arrays fit together and are numbers.
-
-    Args:
-        contents: The splats.
-
-    Returns:
-        The same.
-
-    Raises:
-        ValueError: For arrays that do not fit, and for values that are not finite, with the row of the first.
-    """
+    """Splats whose arrays fit together and are finite; ValueError with the row of the first that is not."""
     count = len(contents.centres)
     shapes = {
         "centres": (count, 3),

@@ -18,17 +18,7 @@ SPLAT_ENDINGS = tuple(WRITERS)
 
 
 def splat_ending(path: PathLike) -> str:
-    """The ending of a splat file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        One of SPLAT_ENDINGS.
-
-    Raises:
-        ValueError: For any other.
-    """
+    """The ending of a splat file, one of SPLAT_ENDINGS; ValueError for any other."""
     name = checked_path(path, "the file of splats").name.lower()
     for ending in SPLAT_ENDINGS:
         if name.endswith(ending):
@@ -37,18 +27,7 @@ def splat_ending(path: PathLike) -> str:
 
 
 def read_splats(path: PathLike) -> SplatContents:
-    """Read a file of splats.
-
-    Args:
-        path: The file. Whether a .ply is a compressed one its header tells.
-
-    Returns:
-        The splats.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a file that is none, with what is wrong.
-    """
+    """Read a file of splats; whether a .ply is a compressed one its header tells."""
     ending = splat_ending(path)
     file = require_file(path, "splat file")
     if ending == ".splat":
@@ -65,29 +44,14 @@ def read_splats(path: PathLike) -> SplatContents:
 
 
 def write_splats(contents: SplatContents, path: PathLike) -> None:
-    """Write a file of splats, whole or not at all.
-
-    Args:
-        contents: The splats.
-        path: The file; its ending says the format.
-
-    Raises:
-        ValueError: For another ending, or splats that the format cannot hold.
-    """
+    """Write a file of splats, whole or not at all; its ending says the format."""
     data = WRITERS[splat_ending(path)](contents)
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
 
 
 def is_splat_file(path: PathLike) -> bool:
-    """Whether a file holds splats, by its ending, and for .ply by its header.
-
-    Args:
-        path: The file.
-
-    Returns:
-        True for files of splats; False for others, meshes among them, and where there is none.
-    """
+    """Whether a file holds splats, by its ending, and for .ply, which may be a mesh, by its header."""
     file = pathlib.Path(path)
     name = file.name.lower()
     if name.endswith((".splat", ".spz")):

@@ -1,8 +1,7 @@
-"""The .ply files of 3D Gaussian Splatting: any order of properties, foreign ones and other elements kept.
-
-x y z, f_dc_0..2, f_rest_0.. (channel-major: all red, then green, then blue), opacity (logit), scale_0..2 (logarithms),
-rot_0..3 (w x y z, not normalised), after Kerbl et al. 2023. The order of properties is free, nx ny nz are foreign.
-"""
+"""The .ply files of 3D Gaussian Splatting: any order of properties, foreign ones and other elements kept."""
+# x y z, f_dc_0..2, f_rest_0.. (channel-major: all red, then green, then blue), opacity (logit), scale_0..2
+# (logarithms), rot_0..3 (w x y z, not normalised), after Kerbl et al. 2023. The order of properties is free, nx ny nz
+# are foreign.
 
 from __future__ import annotations
 
@@ -32,38 +31,18 @@ _FLOATS = ("f4", "f8")
 
 @dataclasses.dataclass(frozen=True)
 class PlyParts:
-    """A binary PLY file in parts.
+    """A binary PLY file in parts."""
 
-    Args:
-        header: The header, as found.
-        order: "<" or ">".
-        elements: (name, count, properties) of each element.
-        tables: A table of each element, by name, up to the last that was asked for.
-        body: All that follows the header.
-        begins: Where each of those elements begins in the body.
-    """
-
-    header: bytes
-    order: str
-    elements: list[Element]
-    tables: dict[str, np.ndarray]
-    body: bytes
-    begins: dict[str, int]
+    header: bytes  # as found
+    order: str  # "<" or ">"
+    elements: list[Element]  # (name, count, properties) of each
+    tables: dict[str, np.ndarray]  # of each element, by name, up to the last that was asked for
+    body: bytes  # all that follows the header
+    begins: dict[str, int]  # where each of those elements begins in the body; "" where the last of them ends
 
 
 def read_parts(path: pathlib.Path, wanted: tuple[str, ...]) -> PlyParts:
-    """Read the elements of a binary PLY file as tables.
-
-    Args:
-        path: The file.
-        wanted: Names of the elements; those that are not there are left out.
-
-    Returns:
-        The parts.
-
-    Raises:
-        ValueError: What is wrong, in one line.
-    """
+    """Read the wanted elements of a binary PLY file as tables; those that are not there are left out."""
     data = read_limited(path, "splat file", room=_ROOM)
     order, elements, begin, _ = ply_header(path, data)
     if order == "ascii":
@@ -88,18 +67,7 @@ def read_parts(path: pathlib.Path, wanted: tuple[str, ...]) -> PlyParts:
 
 
 def read_splat_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
-    """The splats of a 3DGS .ply file.
-
-    Args:
-        path: The file, for messages.
-        parts: What was read of it.
-
-    Returns:
-        The splats, and what else is in the file.
-
-    Raises:
-        ValueError: For a file without splats, or of another layout.
-    """
+    """The splats of a 3DGS .ply file, and what else is in it; path: for messages."""
     table = parts.tables.get("vertex")
     if table is None:
         raise ValueError(f"{path}: a PLY file of splats has an element 'vertex', got {listed(parts.tables)}")
@@ -137,14 +105,7 @@ def read_splat_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
 
 
 def write_splat_ply(contents: SplatContents) -> bytes:
-    """A 3DGS .ply file: in the layout that the splats come from, or the usual one.
-
-    Args:
-        contents: The splats. A layout has a row for each of them.
-
-    Returns:
-        The contents of the file.
-    """
+    """A 3DGS .ply file: in the layout that the splats come from, with a row for each of them, or the usual one."""
     layout = contents.layout or usual_layout(contents)
     table = layout.table.copy()
     values = _properties(contents)
@@ -155,14 +116,7 @@ def write_splat_ply(contents: SplatContents) -> bytes:
 
 
 def usual_layout(contents: SplatContents) -> PlyLayout:
-    """The layout that 3DGS's own training writes.
-
-    Args:
-        contents: The splats.
-
-    Returns:
-        The layout, its values zero.
-    """
+    """The layout that 3DGS's own training writes, its values zero."""
     rest = 3 * (contents.harmonics.shape[1] - 1)
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     names += [f"f_rest_{k}" for k in range(rest)]
@@ -174,17 +128,10 @@ def usual_layout(contents: SplatContents) -> PlyLayout:
 
 
 def chosen_layout(layout: PlyLayout | None, rows: np.ndarray) -> PlyLayout | None:
-    """The layout of some of the splats, or of copies of them.
-
-    Args:
-        layout: Of all splats, or None.
-        rows: (m,) the splat that each of the new ones has its foreign values from.
-
-    Returns:
-        The layout; without the elements after the splats, which may speak of all of them.
-    """
+    """The layout of some of the splats, or of copies; rows: (m,) the splat that each has its foreign values from."""
     if layout is None:
         return None
+    # The elements after the splats may speak of all of them.
     whole = len(rows) == len(layout.table)
     header = layout.header if whole else _without_elements_after(layout.header)
     return PlyLayout(header, layout.before, layout.table[rows], layout.after if whole else b"")

@@ -1,8 +1,6 @@
-"""The .splat files of web viewers: 32 bytes a splat.
-
-As antimatter15/splat writes them: position and scale in float32 (little-endian), colour and opacity in bytes, rotation
-w x y z in bytes about 128. There are no further harmonics and no header.
-"""
+"""The .splat files of web viewers: 32 bytes a splat."""
+# As antimatter15/splat writes them: position and scale in float32 (little-endian), colour and opacity in bytes,
+# rotation w x y z in bytes about 128. There are no further harmonics and no header.
 
 from __future__ import annotations
 
@@ -19,17 +17,7 @@ _ALPHA_EDGE = 0.25 / 255.0
 
 
 def read_splat(path: pathlib.Path) -> SplatContents:
-    """The splats of a .splat file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The splats.
-
-    Raises:
-        ValueError: If it is no such file.
-    """
+    """The splats of a .splat file."""
     data = read_limited(path, "splat file", room=_ROOM)
     if len(data) % _ROW.itemsize:
         raise ValueError(f"{path}: a .splat file has {_ROW.itemsize} bytes a splat, got {len(data)} bytes")
@@ -49,14 +37,7 @@ def read_splat(path: pathlib.Path) -> SplatContents:
 
 
 def write_splat(contents: SplatContents) -> bytes:
-    """A .splat file. Harmonics of degree 1 and up, which it has no place for, are left out.
-
-    Args:
-        contents: The splats.
-
-    Returns:
-        The contents of the file.
-    """
+    """A .splat file. Harmonics of degree 1 and up, which it has no place for, are left out."""
     table = np.zeros(contents.count, _ROW)
     table["position"] = contents.centres
     table["scale"] = np.exp(contents.log_scales.astype(np.float64))

@@ -1,9 +1,8 @@
-"""Niantic's .spz files: splats of 20 bytes and a byte for each further harmonic, packed by gzip.
-
-Versions 2 (rotations of three bytes) and 3 (of four) are read, version 3 is written. After 16 bytes of header come the
-positions (24 bits, fixed point), opacities, colours, logarithms of scales, rotations and harmonics of all splats. Such
-a file has x to the right, y up and z backward where PLY files of splats have y down and z forward: so that one object
-is in one place whichever file it comes from, y and z change their signs on the way in and out."""
+"""Niantic's .spz files: splats of 20 bytes and a byte for each further harmonic, packed by gzip."""
+# Versions 2 (rotations of three bytes) and 3 (of four) are read, version 3 is written. After 16 bytes of header come
+# the positions (24 bits, fixed point), opacities, colours, logarithms of scales, rotations and harmonics of all splats.
+# Such a file has x to the right, y up and z backward where PLY files of splats have y down and z forward: so that one
+# object is in one place whichever file it comes from, y and z change their signs on the way in and out.
 
 from __future__ import annotations
 
@@ -36,17 +35,7 @@ FLIPPED = np.array([1, 1, 0, 1, 0, 0, 1, 0, 1, 0, 1, 1, 0, 1, 0], dtype=bool)
 
 
 def read_spz(path: pathlib.Path) -> SplatContents:
-    """The splats of an .spz file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The splats.
-
-    Raises:
-        ValueError: If it is no such file, or of another version.
-    """
+    """The splats of an .spz file."""
     data = _unpacked(path, read_limited(path, "splat file"))
     if len(data) < _HEADER.size:
         raise ValueError(f"{path}: an .spz file has a header of {_HEADER.size} bytes, got {len(data)}")
@@ -85,17 +74,7 @@ def read_spz(path: pathlib.Path) -> SplatContents:
 
 
 def write_spz(contents: SplatContents) -> bytes:
-    """An .spz file of version 3.
-
-    Args:
-        contents: The splats.
-
-    Returns:
-        The contents of the file.
-
-    Raises:
-        ValueError: For splats too far from the origin for 24 bits.
-    """
+    """An .spz file of version 3; ValueError for splats too far from the origin for 24 bits."""
     contents = turned_over(contents)
     count = contents.count
     reach = float(np.abs(contents.centres).max()) if count else 0.0
@@ -118,14 +97,7 @@ def write_spz(contents: SplatContents) -> bytes:
 
 
 def turned_over(contents: SplatContents) -> SplatContents:
-    """Splats with the signs of y and z changed, which is half a turn about x.
-
-    Args:
-        contents: The splats.
-
-    Returns:
-        The same object in the other axes. Twice gives the same bits.
-    """
+    """Splats with the signs of y and z changed, which is half a turn about x; twice gives the same bits."""
     signs = np.array([1.0, -1.0, -1.0], np.float32)
     harmonics = contents.harmonics.copy()
     flipped = FLIPPED[: harmonics.shape[1] - 1]
